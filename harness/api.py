@@ -1,0 +1,340 @@
+"""The commands of ``sysid`` as Python calls of the same names; the command line is a thin layer above this file.
+
+The heavy rooms are imported inside the calls, so that asking for help stays fast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from harness import registry
+from harness.errors import HarnessError, InputError, PluginError
+from harness.protocols import Identifier, Model, Plant, Scenario
+from harness.rng import Streams, stream
+from harness.signals import Trajectory, Use
+
+if TYPE_CHECKING:
+    from harness.benchmark import BenchResult
+    from harness.conformance import CheckResult
+    from harness.diagnosis import Report
+    from harness.scoring import Score
+
+__all__ = ["Identified", "bench", "check", "close_loop", "export", "identify", "list_parts", "simulate", "table"]
+
+LISTED = ("plants", "identifiers", "scenarios", "effects", "models", "suites", "recordings")
+
+
+def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
+    """Return what is registered: for each kind the id, one line about it, and the distribution that brought it.
+
+    Parameters
+    ----------
+    kind : str, optional
+        One of plants, identifiers, scenarios, effects, models, suites, recordings; all of them if not given.
+
+    Raises
+    ------
+    InputError
+        If the kind is unknown.
+
+    Examples
+    --------
+    >>> "dmdc" in [row["id"] for row in list_parts("identifiers")["identifiers"]]
+    True
+    """
+    if kind is not None and kind not in LISTED:
+        raise InputError(
+            "nothing to list",
+            expected=f"one of {', '.join(LISTED)}, or a file that ends in .fmu",
+            got=repr(kind),
+            remedy="correct the word",
+        )
+    return {
+        name: [
+            {"id": entry.id, "summary": entry.summary, "distribution": entry.distribution}
+            for entry in registry.entries(name)
+        ]
+        for name in ((kind,) if kind is not None else LISTED)
+    }
+
+
+def simulate(
+    plant: str,
+    *,
+    scenario: str,
+    seed: int = 0,
+    out: str | Path | None = None,
+    options: Mapping[str, Any] | None = None,
+    scenario_options: Mapping[str, Any] | None = None,
+    hide: Sequence[tuple[str, str, Mapping[str, float]]] = (),
+    role: str = "estimation/0",
+    force: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trajectory:
+    """Run a scenario on a plant and record it.
+
+    Parameters
+    ----------
+    plant : str
+        Id of a registered plant, or a path that ends in ``.fmu``.
+    scenario : str
+        Id of a registered scenario.
+    seed : int
+        Together with the two ids and the role it keys every random number.
+    out : path, optional
+        ``.csv`` or ``.parquet`` file to write.
+    options, scenario_options : mapping, optional
+        Options of the plant and of the scenario.
+    hide : sequence of (effect, port, parameters)
+        Effects to hide in the plant, e.g. ``("dead_zone", "u", {"width": 0.1})``.
+    role : str
+        ``estimation/0``, ``validation/0``, ...: other roles give other excitation and noise.
+    force : bool
+        Overwrite ``out`` if it exists.
+    progress : callable, optional
+        Called as ``progress(samples_done, samples)``.
+
+    Returns
+    -------
+    Trajectory
+        With the true states where the plant knows them.
+
+    Raises
+    ------
+    InputError
+        If an id, an option or the output file cannot be used.
+    PlantError
+        If the plant breaks or diverges.
+    """
+    if out is not None:
+        _refuse_overwrite(Path(out), force=force)
+        if Path(out).suffix not in (".csv", ".parquet"):
+            raise InputError(
+                "output file", expected="a name that ends in .csv or .parquet", got=str(out), remedy="rename it"
+            )
+    made_scenario = cast(Scenario, registry.create("scenarios", scenario, **dict(scenario_options or {})))
+    with _make_plant(plant, dict(options or {}), hide) as made:
+        from harness.rollout import run
+
+        trajectory = run(made, made_scenario, streams=Streams(plant, scenario, seed), role=role, progress=progress)
+    if out is not None:
+        from harness.data import write_trajectory
+
+        write_trajectory(trajectory, out)
+    return trajectory
+
+
+def bench(
+    suite: str | Path,
+    *,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    seeds: tuple[int, int] | None = None,
+    engine: str = "local",
+    resume: bool = False,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> BenchResult:
+    """Run a benchmark suite; see :func:`harness.benchmark.bench`."""
+    from harness import benchmark
+
+    return benchmark.bench(
+        suite, out=out, workers=workers, seeds=seeds, engine=engine, resume=resume, progress=progress
+    )
+
+
+def table(directory: str | Path) -> BenchResult:
+    """Read a stored benchmark back, ready to be printed; see :func:`harness.benchmark.table`."""
+    from harness import benchmark
+
+    return benchmark.table(directory)
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What ``identify`` returns: the model, and its scores by use of the data."""
+
+    model: Model
+    equation_error: dict[Use, list[Score]]
+    simulation_error: dict[Use, list[Score]]
+    warnings: tuple[str, ...]
+
+
+def identify(
+    dataset: str | Path,
+    *,
+    identifier: str,
+    options: Mapping[str, Any] | None = None,
+    model: str | None = None,
+    validation: str | Path | None = None,
+    out: str | Path | None = None,
+    seed: int = 0,
+    force: bool = False,
+) -> Identified:
+    """Fit one model to a data set and score it on every use of the data.
+
+    Parameters
+    ----------
+    dataset : path
+        ``dataset.toml``, or a CSV or Parquet file.
+    identifier : str
+        Id of a registered identifier.
+    options : mapping, optional
+        Its options.
+    model : str, optional
+        Nominal model that names the ports (needed for a bare CSV or Parquet file).
+    validation : path, optional
+        Validation file beside a bare CSV or Parquet file.
+    out : path, optional
+        JSON file for the model.
+    seed : int
+        For identifiers that draw random numbers.
+    force : bool
+        Overwrite ``out`` if it exists.
+
+    Raises
+    ------
+    InputError
+        If the data or the options cannot be used (``FitError`` if no model can be learned from them).
+    """
+    if out is not None:
+        _refuse_overwrite(Path(out), force=force)
+    from harness.data import load_dataset
+    from harness.scoring import equation_error, simulation_error
+
+    loaded = load_dataset(dataset, model=model, validation=validation)
+    data = loaded.dataset
+    made = registry.create("identifiers", identifier, **dict(options or {}))
+    if not isinstance(made, Identifier):
+        raise InputError(
+            f"identifier {identifier!r} cannot be fitted to a record",
+            expected="an identifier with fit()",
+            got=type(made).__name__,
+            remedy="use it online in a benchmark suite, or choose another (sysid list identifiers)",
+        )
+    records = [trajectory.measured() for trajectory in data.estimation]
+    try:
+        fitted = made.fit(records, rng=stream("identify", identifier, seed))
+    except HarnessError:
+        raise
+    except Exception as error:
+        raise PluginError(f"identifier {identifier!r} raised {type(error).__name__}: {error}") from error
+    if out is not None:
+        _write_json(Path(out), fitted.to_dict())
+    uses: tuple[Use, ...] = ("estimation", "validation", "test")
+    return Identified(
+        fitted,
+        {use: [equation_error(fitted, one) for one in data.using(use)] for use in uses},
+        {use: [simulation_error(fitted, one) for one in data.using(use)] for use in uses},
+        data.warnings,
+    )
+
+
+def close_loop(
+    dataset: str | Path,
+    *,
+    out: str | Path,
+    model: str | None = None,
+    validation: str | Path | None = None,
+    resume: bool = False,
+    force: bool = False,
+    seed: int = 0,
+    progress: Callable[[float, str], None] | None = None,
+) -> Report:
+    """Find the effect that a model lacks, add it, report the error before and after.
+
+    Parameters
+    ----------
+    dataset : path or str
+        ``dataset.toml``, a CSV or Parquet file, or the name of a recording (``sysid list recordings``).
+    out : path
+        Folder for ``report.html`` and ``report.json``.
+    model : str, optional
+        Nominal model: a built-in name, ``FILE.py:NAME``; overrides the one that the data set names.
+    validation : path, optional
+        Validation file beside a bare CSV or Parquet file.
+    resume : bool
+        Continue what an interrupted call left in ``out``.
+    force : bool
+        Overwrite a finished report in ``out``.
+    seed : int
+        Keys the surrogates and bootstrap draws.
+    progress : callable, optional
+        Called as ``progress(fraction_done, what)``.
+
+    Returns
+    -------
+    harness.diagnosis.Report
+        Its ``data`` is the content of ``report.json``.
+    """
+    from harness import diagnosis
+
+    return diagnosis.close_loop_file(
+        dataset,
+        model=model,
+        validation=validation,
+        out=out,
+        resume=resume,
+        force=force,
+        seed=seed,
+        progress=progress,
+    )
+
+
+def export(source: str | Path, *, out: str | Path, force: bool = False) -> Path:
+    """Write a repaired model as a co-simulation FMU; see :func:`harness.export.export`."""
+    from harness import export as room
+
+    _refuse_overwrite(Path(out), force=force)
+    return room.export(source, out=out)
+
+
+def check(name: str) -> list[CheckResult]:
+    """Hold a plug-in to its contract; see :func:`harness.conformance.check`."""
+    from harness import conformance
+
+    return conformance.check(name)
+
+
+def _make_plant(plant: str, options: dict[str, Any], hide: Sequence[tuple[str, str, Mapping[str, float]]]) -> Plant:
+    """Return a plant by id or FMU path, with effects hidden inside where it takes them, else around it."""
+    effects = [(name, port, dict(parameters)) for name, port, parameters in hide]
+    if plant.endswith(".fmu"):
+        if not Path(plant).is_file():
+            raise InputError("no such FMU", expected="an FMU file", got="no file", remedy="check the path", file=plant)
+        made = registry.create("plants", "fmu", path=plant, **options)
+    elif effects and "effects" in registry.named_options("plants", plant):
+        return cast(Plant, registry.create("plants", plant, effects=effects, **options))
+    else:
+        made = registry.create("plants", plant, **options)
+    if effects:
+        from harness.effects import WrappedPlant
+
+        return cast(Plant, WrappedPlant(made, effects))
+    return cast(Plant, made)
+
+
+def _refuse_overwrite(path: Path, *, force: bool) -> None:
+    """Raise if a file would be overwritten, or its folder is missing."""
+    if path.exists() and not force:
+        raise InputError("the output exists", expected="a new file", got="an existing one", remedy="--force", file=path)
+    if not path.parent.is_dir():
+        raise InputError(
+            "the output's folder is missing",
+            expected="an existing folder",
+            got="none",
+            remedy=f"make {path.parent} first",
+            file=path,
+        )
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write JSON so that a half-written file is never left behind."""
+    import json
+
+    text = json.dumps(content, indent=1, allow_nan=False)
+    scratch = path.with_name(path.name + ".part")
+    scratch.write_text(text + "\n", encoding="utf-8")
+    scratch.replace(path)

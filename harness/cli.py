@@ -1,0 +1,382 @@
+"""The ``sysid`` command: words and printing only; what it does is in :mod:`harness.api`.
+
+Exit status: 0 done (whatever the verdict), 1 a fault of ours, 2 input that cannot be used, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tomllib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from harness import __version__, api
+from harness.errors import HarnessError, InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="sysid",
+    help="Co-simulation test harness for system identification that closes the loop with measured data.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+OptionPairs = Annotated[list[str] | None, typer.Option("--option", "-O", metavar="k=v", help="option, repeatable")]
+AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
+Force = Annotated[bool, typer.Option("--force", help="overwrite")]
+Seed = Annotated[int, typer.Option(help="keys every random number")]
+ModelName = Annotated[str | None, typer.Option(help="nominal model: NAME, FILE.fmu or FILE.py:NAME")]
+Validation = Annotated[Path | None, typer.Option(help="validation file beside a bare CSV or Parquet file")]
+
+
+@app.command(name="list")
+def list_command(
+    what: Annotated[str | None, typer.Argument(help=f"{' | '.join(api.LISTED)} | FILE.fmu")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show what is registered, or what is in an FMU."""
+    if what is not None and what.endswith(".fmu"):
+        description = api.describe_fmu(what)
+        if as_json:
+            _print_json(description)
+        else:
+            _print_fmu(description)
+        return
+    parts = api.list_parts(what)
+    if as_json:
+        _print_json(parts)
+        return
+    from rich.table import Table
+
+    for kind, rows in parts.items():
+        shown = Table(title=kind, title_justify="left", box=None, padding=(0, 2, 0, 0), show_header=False)
+        shown.add_column(no_wrap=True)
+        shown.add_column(overflow="fold")
+        for row in rows:
+            foreign = "" if row["distribution"] == "sysid-harness" else f" (from {row['distribution']})"
+            shown.add_row(f"  {row['id']}", row["summary"] + foreign)
+        _console().print(shown)
+
+
+@app.command()
+def simulate(
+    plant: Annotated[str, typer.Argument(metavar="PLANT", help="id of a plant, or FILE.fmu")],
+    scenario: Annotated[str, typer.Option("--scenario", help="id of a scenario")],
+    seed: Seed = 0,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="run.csv or run.parquet")] = None,
+    option: OptionPairs = None,
+    scenario_option: Annotated[
+        list[str] | None, typer.Option("--scenario-option", "-S", metavar="k=v", help="scenario option, repeatable")
+    ] = None,
+    hide: Annotated[
+        list[str] | None,
+        typer.Option(metavar="EFFECT@PORT:k=v,...", help="hide an effect in the plant, repeatable"),
+    ] = None,
+    role: Annotated[
+        str, typer.Option(help="estimation/0, validation/0, ...: another role, other noise")
+    ] = "estimation/0",
+    force: Force = False,
+) -> None:
+    """Run a scenario on a plant and record it."""
+    with _progress("simulating") as bar:
+        task = bar.add_task(plant, total=None)
+        trajectory = api.simulate(
+            plant,
+            scenario=scenario,
+            seed=seed,
+            out=out,
+            options=_pairs(option, "--option"),
+            scenario_options=_pairs(scenario_option, "--scenario-option"),
+            hide=[_hidden(text) for text in hide or ()],
+            role=role,
+            force=force,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    _say(str(trajectory))
+    if out is not None:
+        _say(f"wrote {out}")
+
+
+@app.command()
+def bench(
+    suite: Annotated[str, typer.Argument(metavar="SUITE", help="name of a suite (sysid list suites) or FILE.toml")],
+    out: Annotated[Path | None, typer.Option(help="folder for results; default results/SUITE")] = None,
+    workers: Annotated[int | None, typer.Option(help="processes; default all cores")] = None,
+    seeds: Annotated[str | None, typer.Option(metavar="A..B", help="seeds A to B, both included")] = None,
+    engine: Annotated[str, typer.Option(help="local, or dask://HOST:PORT")] = "local",
+    resume: Annotated[bool, typer.Option("--resume", help="continue in a folder that has results")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run a suite of plants x scenarios x identifiers x seeds and print its table."""
+    folder = out if out is not None else Path("results") / Path(suite).stem
+    with _progress(f"benchmark {suite}") as bar:
+        task = bar.add_task(suite, total=None)
+
+        def show(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=what)
+
+        result = api.bench(
+            suite,
+            out=folder,
+            workers=workers,
+            seeds=_seeds(seeds),
+            engine=engine,
+            resume=resume,
+            progress=show,
+        )
+    _print_bench(result, as_json=as_json)
+
+
+@app.command()
+def table(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark")],
+    as_json: AsJson = False,
+) -> None:
+    """Print a stored benchmark again, and render its report anew."""
+    _print_bench(api.table(directory), as_json=as_json)
+
+
+@app.command()
+def identify(
+    dataset: Annotated[str, typer.Argument(metavar="DATASET", help="dataset.toml, CSV, Parquet, or a recording")],
+    identifier: Annotated[str, typer.Option(help="id of an identifier")],
+    option: OptionPairs = None,
+    model: ModelName = None,
+    validation: Validation = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="model.json")] = None,
+    seed: Seed = 0,
+    force: Force = False,
+) -> None:
+    """Fit one model to a data set and score it."""
+    fitted = api.identify(
+        dataset,
+        identifier=identifier,
+        options=_pairs(option, "--option"),
+        model=model,
+        validation=validation,
+        out=out,
+        seed=seed,
+        force=force,
+    )
+    _print_identified(fitted, identifier)
+    if out is not None:
+        _say(f"wrote {out}")
+
+
+@app.command(name="close-loop")
+def close_loop(
+    dataset: Annotated[str, typer.Argument(metavar="DATASET|RECORDING", help="see sysid list recordings")],
+    out: Annotated[Path, typer.Option(help="folder for report.html and report.json")],
+    model: ModelName = None,
+    validation: Validation = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print report.json")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="continue what was interrupted")] = False,
+    force: Force = False,
+    seed: Seed = 0,
+) -> None:
+    """Find the effect that a model lacks, add it, report the error before and after."""
+    with _progress("closing the loop") as bar:
+        task = bar.add_task(dataset, total=1.0)
+
+        def show(fraction: float, what: str) -> None:
+            bar.update(task, completed=fraction, description=what)
+
+        report = api.close_loop(
+            dataset,
+            out=out,
+            model=model,
+            validation=validation,
+            resume=resume,
+            force=force,
+            seed=seed,
+            progress=show,
+        )
+    if as_json:
+        _print_json(report.data)
+        return
+    _console().print(report.summary(), highlight=False, markup=False)
+    _say(f"report: {out / 'report.html'}")
+
+
+@app.command()
+def export(
+    source: Annotated[str, typer.Argument(metavar="DIR_OR_MODEL", help="folder of close-loop, or a model")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="model.fmu")],
+    force: Force = False,
+) -> None:
+    """Write a model as a co-simulation FMU."""
+    _say(f"wrote {api.export(source, out=out, force=force)}")
+
+
+@app.command()
+def check(
+    name: Annotated[str, typer.Argument(metavar="NAME_OR_FILE", help="id of a plug-in, or FILE.py:NAME")],
+    as_json: AsJson = False,
+) -> None:
+    """Hold a plug-in to its contract; exit 2 if it breaks it."""
+    results = api.check(name)
+    if as_json:
+        _print_json([{"name": r.name, "passed": r.passed, "reason": r.reason} for r in results])
+    else:
+        for result in results:
+            _say(f"{'pass' if result.passed else 'FAIL'}  {result.name}{': ' + result.reason if result.reason else ''}")
+    failed = [result.name for result in results if not result.passed]
+    if failed:
+        raise InputError(
+            f"{name} breaks its contract",
+            expected=f"{len(results)} checks passed",
+            got=f"{len(failed)} failed ({', '.join(failed)})",
+            remedy="see the reasons above",
+        )
+
+
+@app.callback(invoke_without_command=True)
+def _root(version: Annotated[bool, typer.Option("--version", help="print the version")] = False) -> None:
+    """Co-simulation test harness for system identification that closes the loop with measured data."""
+    if version:
+        _say(f"sysid-harness {__version__}")
+        raise typer.Exit()
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line; every failure is one line on standard error and an exit status."""
+    from typer.main import get_command
+
+    try:
+        code = get_command(app).main(args=None if arguments is None else list(arguments), standalone_mode=False)
+    except HarnessError as error:
+        _fail(" ".join(str(error).split()), 2)
+    except (KeyboardInterrupt, typer.Abort):
+        _fail("interrupted; what was finished is kept, --resume continues", 130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+    except Exception as error:
+        if hasattr(error, "format_message") and hasattr(error, "exit_code"):
+            _fail(f"{error.format_message()}; remedy: sysid --help", 2)
+        if os.environ.get("SYSID_HARNESS_DEBUG"):
+            raise
+        _fail(
+            f"a fault in sysid-harness: {type(error).__name__}: {' '.join(str(error).split())}; "
+            "remedy: set SYSID_HARNESS_DEBUG=1 for the traceback and report it",
+            1,
+        )
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(message: str, status: int) -> None:
+    """Print one line on standard error and leave."""
+    print(f"sysid: {message}", file=sys.stderr)
+    sys.exit(status)
+
+
+def _say(text: str) -> None:
+    print(text)
+
+
+def _print_json(content: Any) -> None:
+    print(json.dumps(content, indent=1, allow_nan=False))
+
+
+def _console() -> Console:
+    """Return a console that folds nothing when its output is a file or a pipe."""
+    from rich.console import Console
+
+    return Console(width=None if sys.stdout.isatty() else max(120, int(os.environ.get("COLUMNS", "0") or 0)))
+
+
+@contextmanager
+def _progress(title: str) -> Iterator[Progress]:
+    """Show a progress bar on standard error while something long runs; plain silence where that is no terminal."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn() if title.startswith("benchmark") else TextColumn("{task.percentage:>3.0f}%"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    ) as bar:
+        yield bar
+
+
+def _value(text: str) -> Any:
+    """Read an option's value as TOML (3, 0.5, true, [1, 2]); anything else is text."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _pairs(texts: Sequence[str] | None, flag: str) -> dict[str, Any]:
+    """Read ``k=v`` pairs."""
+    result: dict[str, Any] = {}
+    for text in texts or ():
+        key, equals, value = text.partition("=")
+        if not equals or not key:
+            raise InputError("option", expected="k=v", got=repr(text), remedy=f"write {flag} name=value", place=flag)
+        result[key.strip().replace("-", "_")] = _value(value.strip())
+    return result
+
+
+def _hidden(text: str) -> tuple[str, str, dict[str, float]]:
+    """Read ``effect@port:k=v,k=v``."""
+    head, _, tail = text.partition(":")
+    name, at, port = head.partition("@")
+    if not (name and at and port):
+        raise InputError(
+            "hidden effect",
+            expected="EFFECT@PORT:k=v,...",
+            got=repr(text),
+            remedy="write e.g. --hide coulomb_friction@theta:Fc=0.05",
+            place="--hide",
+        )
+    pairs = _pairs([part for part in tail.split(",") if part], "--hide")
+    for key, value in pairs.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(
+                "hidden effect", expected=f"a number for {key}", got=repr(value), remedy="correct it", place="--hide"
+            )
+    return name, port, {key: float(value) for key, value in pairs.items()}
+
+
+def _seeds(text: str | None) -> tuple[int, int] | None:
+    """Read ``A..B``."""
+    if text is None:
+        return None
+    first, dots, last = text.partition("..")
+    try:
+        pair = (int(first), int(last if dots else first))
+    except ValueError:
+        pair = (1, 0)
+    if pair[0] > pair[1] or pair[0] < 0:
+        raise InputError(
+            "seeds", expected="A..B with 0 <= A <= B", got=repr(text), remedy="write e.g. --seeds 0..4", place="--seeds"
+        )
+    return pair

@@ -1,0 +1,123 @@
+"""What can go wrong, in words a user can act on.
+
+Every error of the project derives from :class:`HarnessError`, and each has a ``status``: the word that a
+benchmark row carries when the error ends its cell.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+__all__ = ["FitError", "HarnessError", "InputError", "PlantError", "PluginError"]
+
+
+class HarnessError(Exception):
+    """Root of the project's errors; the command line prints its text on one line and exits with 2."""
+
+    status = "failed"
+
+
+class InputError(HarnessError):
+    """Input that cannot be used.
+
+    Parameters
+    ----------
+    what : str
+        What is wrong, in a few words.
+    expected, got : str
+        What was expected and what came.
+    remedy : str
+        What the user can do about it.
+    file, place : str or Path, optional
+        Where the input came from, and the place inside it (a key, a column, a row).
+
+    Examples
+    --------
+    >>> print(InputError("unknown unit", expected="a unit of angle", got="'volt'",
+    ...                  remedy="write unit = rad", file="a.toml", place="signals.theta.unit"))
+    a.toml: signals.theta.unit: unknown unit: expected a unit of angle, got 'volt'; remedy: write unit = rad
+    """
+
+    status = "refused"
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        expected: str,
+        got: str,
+        remedy: str,
+        file: str | Path | None = None,
+        place: str | None = None,
+    ) -> None:
+        self.what, self.expected, self.got, self.remedy = what, expected, got, remedy
+        self.file, self.place = file, place
+        super().__init__(what, expected, got, remedy, file, place)
+
+    def __str__(self) -> str:
+        where = "".join(f"{part}: " for part in (self.file, self.place) if part is not None)
+        text = f"{where}{self.what}: expected {self.expected}, got {self.got}; remedy: {self.remedy}"
+        return " ".join(text.split())
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild_input_error, (*self.args, type(self))
+
+    def located(self, *, file: str | Path | None = None, place: str | None = None) -> InputError:
+        """Return the same error with the file or place filled in where it was not known."""
+        return type(self)(
+            self.what,
+            expected=self.expected,
+            got=self.got,
+            remedy=self.remedy,
+            file=self.file if self.file is not None else file,
+            place=self.place if self.place is not None else place,
+        )
+
+
+def _rebuild_input_error(
+    what: str,
+    expected: str,
+    got: str,
+    remedy: str,
+    file: str | Path | None,
+    place: str | None,
+    kind: type[InputError],
+) -> InputError:
+    """Rebuild a pickled error (an exception with keyword arguments does not travel by itself)."""
+    return kind(what, expected=expected, got=got, remedy=remedy, file=file, place=place)
+
+
+class FitError(InputError):
+    """Data from which this identifier cannot learn a model (too short, not exciting, rank deficient)."""
+
+    status = "unfit"
+
+
+class PluginError(HarnessError):
+    """A plug-in that cannot be found, does not load, or raises where the contract forbids it."""
+
+    status = "crashed"
+
+
+class PlantError(HarnessError):
+    """A plant that did not survive its run.
+
+    Parameters
+    ----------
+    reason : str
+        One line for the row of the table.
+    status : {"diverged", "crashed", "timeout", "terminated"}
+        What happened.
+    """
+
+    def __init__(self, reason: str, *, status: str = "crashed") -> None:
+        super().__init__(reason)
+        self.status = status
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild_plant_error, (str(self), self.status)
+
+
+def _rebuild_plant_error(reason: str, status: str) -> PlantError:
+    """Rebuild a pickled error, its status included."""
+    return PlantError(reason, status=status)

@@ -1,0 +1,265 @@
+"""The contracts: what a plant, a model, an identifier and a scenario are. Structural: nothing to inherit.
+
+The abilities beyond the minimum (:class:`Snapshots`, :class:`Feedthrough`, :class:`Batch`, :class:`Truth`) are
+declared in ``Plant.abilities`` and proved by :mod:`harness.conformance`; nothing is ever guessed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol, Self, runtime_checkable
+
+import numpy as np
+
+from harness.rng import Streams
+from harness.signals import FloatArray, PlantSpec, Trajectory
+
+__all__ = [
+    "Ability",
+    "Batch",
+    "Controller",
+    "Experiment",
+    "Feedthrough",
+    "Hindsight",
+    "Identifier",
+    "Model",
+    "OnlineIdentifier",
+    "Plant",
+    "Scenario",
+    "Snapshots",
+    "Truth",
+]
+
+Ability = Literal["snapshots", "feedthrough", "batch", "truth"]
+
+
+@runtime_checkable
+class Plant(Protocol):
+    """Something that steps: inputs held for one sample time go in, sampled outputs come out.
+
+    ``reset`` starts at time 0 and returns ``y[0]``; ``step(u)`` holds ``u`` for one sample time and returns the next
+    output. Arrays are float64 of shape (nu,) and (ny,). A plant that breaks raises
+    :class:`harness.errors.PlantError` with a status. ``close`` may be called twice.
+    """
+
+    @property
+    def spec(self) -> PlantSpec:
+        """Channels and sample time."""
+        ...
+
+    @property
+    def abilities(self) -> frozenset[Ability]:
+        """The optional abilities that this plant declares."""
+        ...
+
+    def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
+        """Start anew; ``x0`` sets named initial states (an unknown name is refused); returns ``y[0]`` (ny,)."""
+        ...
+
+    def step(self, u: FloatArray) -> FloatArray:
+        """Hold ``u`` (nu,) for one sample time; returns the next output (ny,)."""
+        ...
+
+    def close(self) -> None:
+        """Release the engine."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+@runtime_checkable
+class Snapshots(Protocol):
+    """Ability ``"snapshots"``: a state that can be taken and set, so that the continuation repeats bit for bit.
+
+    Where an engine repeats only within a tolerance, the plant carries it as ``snapshot_tolerance`` (absolute, > 0).
+    """
+
+    def get_state(self) -> Any:
+        """Return a state that stays valid while the plant moves on."""
+        ...
+
+    def set_state(self, state: Any) -> None:
+        """Go back to a state of this same plant object."""
+        ...
+
+
+@runtime_checkable
+class Feedthrough(Protocol):
+    """Ability ``"feedthrough"``: ``y[k]`` depends on ``u[k]`` (accelerometer, contact force, D matrix)."""
+
+    def output(self, u: FloatArray) -> FloatArray:
+        """Return the output (ny,) with ``u`` applied, while no time passes."""
+        ...
+
+
+@runtime_checkable
+class Batch(Protocol):
+    """Ability ``"batch"``: many open-loop steps in one call, equal to stepping."""
+
+    def rollout(self, inputs: FloatArray) -> FloatArray:
+        """Apply ``inputs`` (N, nu) from the present state; row k of the result (N, ny) is what ``step`` returned."""
+        ...
+
+
+@runtime_checkable
+class Truth(Protocol):
+    """Ability ``"truth"``: the true states, in the order of ``spec.states``; for scoring only."""
+
+    def truth(self) -> FloatArray:
+        """Return the present true state (nx,)."""
+        ...
+
+
+class Controller(Protocol):
+    """A feedback law: a fresh one for each run, so it may keep a state."""
+
+    def __call__(self, t: float, y: FloatArray) -> FloatArray:
+        """Return the input (nu,) from the time [s] and the *measured* output (ny,)."""
+        ...
+
+
+def _identity(k: int, y: FloatArray) -> FloatArray:
+    """Measure without error."""
+    return y
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One run, made ready: everything random in it is already drawn.
+
+    Parameters
+    ----------
+    excitation : array (N, nu)
+        Open-loop part of the input; N is the number of samples.
+    controller : Controller, optional
+        Its output is added to the excitation.
+    disturbance : array (N, nu), optional
+        Added to the input inside the plant, never recorded (process noise, hidden input).
+    measure : callable
+        ``measure(k, y) -> y_measured``: sensor noise, quantisation. The controller sees only this.
+    x0 : mapping, optional
+        Named initial states for the plant.
+    """
+
+    excitation: FloatArray
+    controller: Controller | None = None
+    disturbance: FloatArray | None = None
+    measure: Callable[[int, FloatArray], FloatArray] = _identity
+    x0: Mapping[str, float] | None = None
+
+
+@runtime_checkable
+class Scenario(Protocol):
+    """How a plant is excited and measured."""
+
+    def prepare(self, spec: PlantSpec, *, streams: Streams, role: str) -> Experiment:
+        """Return the experiment of one role (``"estimation/0"``, ``"validation/0"``) for a plant of this spec.
+
+        Random numbers come from ``streams(f"{role}/excitation")`` and the like.
+        """
+        ...
+
+
+class Model(Protocol):
+    """A discrete-time model with a state: what an identifier returns.
+
+    ``output`` and ``step`` are pure and accept leading batch axes: x (..., nx), u (..., nu). Continuous-time models
+    offer ``discretize(dt)`` and are refused undiscretized.
+
+    Attributes
+    ----------
+    burn_in : int
+        Samples at the start of a record that the model needs before its predictions count.
+    """
+
+    @property
+    def spec(self) -> PlantSpec:
+        """Channels and sample time; data of another sample time are refused."""
+        ...
+
+    @property
+    def burn_in(self) -> int:
+        """Samples needed before predictions count."""
+        ...
+
+    def initial_state(self, data: Trajectory) -> FloatArray:
+        """Return the state (nx,) at ``data.t[0]``, estimated from the record given (which may be a short prefix)."""
+        ...
+
+    def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the output (..., ny) in state x (..., nx) under input u (..., nu)."""
+        ...
+
+    def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the next state (..., nx)."""
+        ...
+
+    def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the state (..., nx) after the output y (..., ny) of the same instant was seen."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description with a ``"kind"`` that a ``sysid_harness.model_readers`` entry reads."""
+        ...
+
+
+@runtime_checkable
+class Identifier(Protocol):
+    """Learns a model from records. Options are frozen; ``fit`` changes nothing outside.
+
+    Trajectories are separate records: nothing is differenced or windowed across a seam.
+    """
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> Model:
+        """Return a model; raises :class:`harness.errors.FitError` if the data cannot give one."""
+        ...
+
+
+@runtime_checkable
+class OnlineIdentifier(Protocol):
+    """Learns while it predicts; scored by regret on its own stream.
+
+    The prediction of ``y[k+1]`` is made from the state and ``u[k]`` before ``y[k+1]`` is shown.
+    """
+
+    def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> Any:
+        """Return the state before any data."""
+        ...
+
+    def start(self, state: Any, y: FloatArray) -> Any:
+        """Return the state after the first output ``y[0]`` (ny,) of a record; called at every seam."""
+        ...
+
+    def predict(self, state: Any, u: FloatArray) -> FloatArray:
+        """Return the output (ny,) that ``u`` (nu,) leads to."""
+        ...
+
+    def update(self, state: Any, u: FloatArray, y: FloatArray) -> Any:
+        """Return a new state after ``u`` led to ``y``; the old state stays valid."""
+        ...
+
+    def hindsight(self, trajectories: Sequence[Trajectory]) -> Hindsight:
+        """Return the best fixed predictor of the same model class and loss on these records."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Hindsight:
+    """The batch minimiser that regret is measured against.
+
+    Parameters
+    ----------
+    losses : array (M,)
+        Loss of the minimiser at each predicted sample of the stream, records in order, ``sum(N_i - 1)`` of them.
+    exact : bool
+        True where the minimiser is global (convex loss); False reads "best found".
+    details : dict
+        Anything a report may show (coefficients, condition number).
+    """
+
+    losses: FloatArray
+    exact: bool
+    details: dict[str, Any] = field(default_factory=dict)

@@ -1,0 +1,181 @@
+"""Plug-ins: the only way from the harness to plants, identifiers, scenarios, effects and models.
+
+Everything, our own parts included, is found through entry points of the installed distributions, and nothing is
+imported before it is asked for. ``SYSID_HARNESS_NO_PLUGINS=1`` leaves only the project's own parts.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import importlib.metadata
+import importlib.util
+import inspect
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from harness.errors import HarnessError, InputError, PluginError
+
+__all__ = ["KINDS", "Entry", "create", "entries", "entry", "load", "named_options"]
+
+DISTRIBUTION = "sysid-harness"
+KINDS = ("plants", "identifiers", "scenarios", "effects", "models", "suites", "recordings", "model_readers")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One registered part: its kind, its id, where it lives and which distribution brought it."""
+
+    kind: str
+    id: str
+    target: str
+    distribution: str
+    point: importlib.metadata.EntryPoint
+
+    @property
+    def summary(self) -> str:
+        """First line of the part's docstring, read from its source without importing it."""
+        module, _, attribute = self.point.value.partition(":")
+        try:
+            found = importlib.util.find_spec(module)
+        except (ImportError, ValueError):
+            return "(module not found)"
+        if found is None:
+            return "(module not found)"
+        if not attribute or found.origin is None or not found.origin.endswith(".py"):
+            return ""
+        tree = ast.parse(Path(found.origin).read_text(encoding="utf-8"))
+        for node in tree.body:
+            if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == attribute:
+                text = ast.get_docstring(node) or ""
+                return text.splitlines()[0] if text else ""
+        return ""
+
+
+@functools.cache
+def _all(kind: str) -> dict[str, Entry]:
+    """Return the entries of a kind by id, our own first; of two with one id ours wins, then the first by name."""
+    if kind not in KINDS:
+        raise InputError("unknown kind of part", expected=", ".join(KINDS), got=repr(kind), remedy="use one of these")
+    own_only = os.environ.get("SYSID_HARNESS_NO_PLUGINS", "") not in ("", "0")
+    found: list[Entry] = []
+    for point in importlib.metadata.entry_points(group=f"sysid_harness.{kind}"):
+        name = point.dist.name if point.dist is not None else "?"
+        if own_only and name != DISTRIBUTION:
+            continue
+        found.append(Entry(kind, point.name, point.value, name, point))
+    found.sort(key=lambda e: (e.distribution != DISTRIBUTION, e.distribution, e.id))
+    result: dict[str, Entry] = {}
+    for item in found:
+        result.setdefault(item.id, item)
+    if not result and kind not in ("model_readers",):
+        raise PluginError(
+            f"no {kind} are registered: expected the entry points of an installed {DISTRIBUTION}, got none; "
+            "remedy: install the project (pip install -e .)"
+        )
+    return result
+
+
+def entries(kind: str) -> tuple[Entry, ...]:
+    """Return all registered parts of a kind, sorted by id.
+
+    Examples
+    --------
+    >>> "pendulum-ode" in [entry.id for entry in entries("plants")]
+    True
+    """
+    return tuple(sorted(_all(kind).values(), key=lambda e: e.id))
+
+
+def entry(kind: str, id: str) -> Entry:
+    """Return one registered part.
+
+    Raises
+    ------
+    InputError
+        If no part of that kind has this id; the message lists the nearest ids.
+    """
+    known = _all(kind)
+    if id in known:
+        return known[id]
+    import difflib
+
+    near = difflib.get_close_matches(id, known, n=3)
+    hint = f"did you mean {' or '.join(near)}?" if near else f"run 'sysid list {kind}'"
+    raise InputError(
+        f"unknown {kind[:-1].replace('_', ' ')}",
+        expected=f"one of {', '.join(sorted(known))}",
+        got=repr(id),
+        remedy=hint,
+    )
+
+
+def load(kind: str, id: str) -> Any:
+    """Return the object behind an id, importing it now.
+
+    Raises
+    ------
+    InputError
+        If the id is unknown.
+    PluginError
+        If the plug-in raises while it is imported.
+    """
+    found = entry(kind, id)
+    try:
+        return found.point.load()
+    except HarnessError:
+        raise
+    except Exception as error:
+        raise PluginError(
+            f"{kind[:-1]} {id!r} of {found.distribution} ({found.target}) does not load: "
+            f"{type(error).__name__}: {error}; remedy: repair or uninstall {found.distribution}"
+        ) from error
+
+
+def named_options(kind: str, id: str) -> dict[str, inspect.Parameter]:
+    """Return the named options of a part, by name.
+
+    Examples
+    --------
+    >>> sorted(named_options("identifiers", "hold"))
+    []
+    """
+    signature = inspect.signature(load(kind, id))
+    named = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    return {name: p for name, p in signature.parameters.items() if p.kind in named}
+
+
+def create(kind: str, id: str, **options: Any) -> Any:
+    """Return a part made with these options.
+
+    Raises
+    ------
+    InputError
+        If an option is unknown or missing; the message lists those that there are.
+    PluginError
+        If the plug-in raises anything else.
+    """
+    factory: Callable[..., Any] = load(kind, id)
+    known = named_options(kind, id)
+    open_ended = any(p.kind is p.VAR_KEYWORD for p in inspect.signature(factory).parameters.values())
+    unknown = sorted(set(options) - set(known)) if not open_ended else []
+    missing = sorted(name for name, p in known.items() if p.default is p.empty and name not in options)
+    if unknown or missing:
+        raise InputError(
+            f"options of {kind[:-1]} {id!r}",
+            expected=f"options among ({', '.join(known)})" + (f" with {', '.join(missing)} given" if missing else ""),
+            got=", ".join(f"{k}={v!r}" for k, v in options.items()) or "none",
+            remedy=f"remove {', '.join(unknown)}" if unknown else f"give {', '.join(missing)}",
+        )
+    try:
+        return factory(**options)
+    except HarnessError:
+        raise
+    except Exception as error:
+        raise PluginError(
+            f"{kind[:-1]} {id!r} raised {type(error).__name__}: {error}; remedy: check its options or report it to "
+            f"{entry(kind, id).distribution}"
+        ) from error

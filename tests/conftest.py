@@ -1,0 +1,29 @@
+"""What all tests share: hypothesis profiles, the folder of recordings, one thread for linear algebra."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
+hypothesis.settings.register_profile("ci", max_examples=20, deadline=None, derandomize=True, database=None)
+hypothesis.settings.register_profile("dev", max_examples=100, deadline=None)
+hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
+
+
+@pytest.fixture(scope="session")
+def recordings_folder() -> Path:
+    """Return the folder of measured data: $SYSID_HARNESS_DATA, or shared/data beside the checkout."""
+    given = os.environ.get("SYSID_HARNESS_DATA")
+    folder = Path(given) if given else Path(__file__).resolve().parents[2] / "shared" / "data"
+    if not (folder / "emps").is_dir():
+        pytest.skip(
+            f"no recordings at {folder}: set SYSID_HARNESS_DATA to the folder that holds emps/, silverbox/, ..."
+        )
+    os.environ["SYSID_HARNESS_DATA"] = str(folder)
+    return folder
