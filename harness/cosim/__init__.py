@@ -1,0 +1,14 @@
+"""Co-simulation: several plants, controllers and sensors coupled into one plant (the master algorithm).
+
+At each communication instant the outputs of the parts are brought up to date in the order of their direct
+feedthrough, then every part that is due steps. Under ``"jacobi"`` all of them step with the inputs of that instant;
+under ``"gauss-seidel"`` they step in sequence, and a part sees the new outputs of those before it (Kübler and
+Schiehlen 2000, Math. Comput. Modelling Dyn. Syst. 6:93; Gomes et al. 2018, ACM Comput. Surv. 51:49, sec. 4).
+"""
+
+from __future__ import annotations
+
+from harness.cosim.master import Coupled, Order
+from harness.cosim.wiring import Connection
+
+__all__ = ["Connection", "Coupled", "Order"]

@@ -1,0 +1,198 @@
+"""The wiring of a coupling: parts laid out in common arrays, connections checked by name and unit."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.protocols import Plant
+from harness.signals import Channel, FloatArray
+from harness.units import convert, fits
+
+__all__ = ["Connection", "Part", "Wire", "channel_of", "check_wires", "locate", "place", "strong_components"]
+
+
+@dataclass(frozen=True)
+class Connection:
+    """One wire: ``source`` drives ``target``.
+
+    Parameters
+    ----------
+    source, target : str
+        ``"part.output"`` or the bare name of an external input; ``"part.input"``.
+    gain : float
+        Factor on the signal; the gain's unit is 1, units are converted by themselves.
+    delay : int
+        Delay in communication steps; before it has passed, the source's first value is seen.
+    add : bool
+        True to add to what other connections bring to the same target; without it a second wire is refused.
+    """
+
+    source: str
+    target: str
+    gain: float = 1.0
+    delay: int = 0
+    add: bool = False
+
+
+@dataclass(eq=False)
+class Part:
+    """A plant in the coupling: where its signals lie in the common arrays, and when it is due."""
+
+    name: str
+    plant: Plant
+    inputs: slice
+    outputs: slice
+    every: int
+    held: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def feeds_through(self) -> bool:
+        """True if an output of the part depends on an input of the same instant."""
+        return self.plant.spec.feedthrough
+
+
+@dataclass(eq=False)
+class Wire:
+    """A checked connection: from a place among outputs or external inputs to a place among inputs."""
+
+    source: int
+    external: bool
+    target: int
+    factor: float
+    shift: float
+    delay: int
+    memory: deque[float] = field(default_factory=deque)
+
+
+def channel_of(parts: Sequence[Part], name: str, side: Literal["inputs", "outputs"]) -> Channel:
+    """Return the channel behind ``"part.signal"``, or refuse the name."""
+    head, _, tail = name.partition(".")
+    for part in parts:
+        if part.name == head:
+            channels: tuple[Channel, ...] = getattr(part.plant.spec, side)
+            for channel in channels:
+                if channel.name == tail:
+                    return channel
+            raise InputError(
+                f"unknown signal of part {head!r}",
+                expected=f"one of its {side}: {', '.join(c.name for c in channels) or 'none'}",
+                got=repr(tail),
+                remedy="correct the name",
+                place=name,
+            )
+    raise InputError(
+        "unknown part",
+        expected=f"one of {', '.join(p.name for p in parts)}",
+        got=repr(head),
+        remedy="write part.signal",
+        place=name,
+    )
+
+
+def locate(parts: Sequence[Part], name: str, side: Literal["inputs", "outputs"]) -> int:
+    """Return the place of a signal in the common array."""
+    channel = channel_of(parts, name, side)
+    part = next(p for p in parts if p.name == name.partition(".")[0])
+    start: int = getattr(part, side).start
+    channels: tuple[Channel, ...] = getattr(part.plant.spec, side)
+    return start + channels.index(channel)
+
+
+def check_wires(parts: Sequence[Part], connections: Sequence[Connection], external: Sequence[Channel]) -> list[Wire]:
+    """Return the wires, or refuse a name, a unit, an input driven twice or left open."""
+    by_name = {channel.name: i for i, channel in enumerate(external)}
+    wires: list[Wire] = []
+    driven: dict[int, Connection] = {}
+    for one in connections:
+        outside = one.source in by_name
+        source = external[by_name[one.source]] if outside else channel_of(parts, one.source, "outputs")
+        target = channel_of(parts, one.target, "inputs")
+        place = locate(parts, one.target, "inputs")
+        if place in driven and not (one.add and driven[place].add):
+            raise InputError(
+                "input driven twice",
+                expected=f"one source for {one.target}",
+                got=f"{driven[place].source} and {one.source}",
+                remedy="remove one connection, or set add=True on both",
+                place=f"{one.source} -> {one.target}",
+            )
+        driven[place] = one
+        if not fits(source.unit, target.unit):
+            raise InputError(
+                "units of a connection",
+                expected=f"a source in a unit that converts to {target.unit!r}",
+                got=f"{source.unit!r}",
+                remedy="connect signals of one kind, or put a part between them that converts",
+                place=f"{one.source} -> {one.target}",
+            )
+        if one.delay < 0:
+            raise InputError("delay", expected=">= 0 steps", got=str(one.delay), remedy="correct it")
+        shift, end = convert(np.array([0.0, 1.0]), source.unit, target.unit)
+        where = by_name[one.source] if outside else locate(parts, one.source, "outputs")
+        wires.append(Wire(where, outside, place, one.gain * float(end - shift), float(shift), one.delay))
+    for part in parts:
+        for offset, channel in enumerate(part.plant.spec.inputs):
+            if part.inputs.start + offset not in driven:
+                raise InputError(
+                    "input left open",
+                    expected=f"a connection to {part.name}.{channel.name}",
+                    got="none",
+                    remedy="connect it, or make it an external input",
+                )
+    return wires
+
+
+def place(parts: Mapping[str, Plant], step: float) -> list[Part]:
+    """Lay the parts' signals out in common arrays, and count their steps in communication steps."""
+    placed: list[Part] = []
+    nu = ny = 0
+    for name, plant in parts.items():
+        if not name or "." in name:
+            raise InputError("name of a part", expected="a name without a dot", got=repr(name), remedy="rename it")
+        ratio = plant.spec.sample_time / step
+        every = round(ratio)
+        if every < 1 or abs(ratio - every) > 1e-9 * every:
+            raise InputError(
+                f"sample time of part {name!r}",
+                expected=f"an integer multiple of the communication step {step:g} s",
+                got=f"{plant.spec.sample_time:g} s",
+                remedy="choose a communication step that divides the sample times of all parts",
+            )
+        spec = plant.spec
+        placed.append(Part(name, plant, slice(nu, nu + spec.nu), slice(ny, ny + spec.ny), every))
+        nu, ny = nu + spec.nu, ny + spec.ny
+    return placed
+
+
+def strong_components(nodes: Sequence[Part], followers: Callable[[Part], list[Part]]) -> list[list[Part]]:
+    """Return the strongly connected components in topological order (Tarjan 1972, SIAM J. Comput. 1:146)."""
+    index: dict[int, int] = {}
+    low: dict[int, int] = {}
+    stack: list[Part] = []
+    done: list[list[Part]] = []
+
+    def visit(node: Part) -> None:
+        index[id(node)] = low[id(node)] = len(index)
+        stack.append(node)
+        for follower in followers(node):
+            if id(follower) not in index:
+                visit(follower)
+                low[id(node)] = min(low[id(node)], low[id(follower)])
+            elif follower in stack:
+                low[id(node)] = min(low[id(node)], index[id(follower)])
+        if low[id(node)] == index[id(node)]:
+            group: list[Part] = []
+            while not group or group[-1] is not node:
+                group.append(stack.pop())
+            done.append(group[::-1])
+
+    for node in nodes:
+        if id(node) not in index:
+            visit(node)
+    return done[::-1]

@@ -1,0 +1,333 @@
+"""The master algorithm against what the coupled equations give by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Self
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from harness.cosim import Connection, Coupled
+from harness.errors import InputError, PlantError
+from harness.protocols import Ability
+from harness.signals import Channel, FloatArray, PlantSpec
+
+RNG = np.random.default_rng(0)
+
+
+class Linear:
+    """x' = A x + B u held over a step, y = C x + D u: exact in discrete time."""
+
+    def __init__(
+        self,
+        a: Any,
+        b: Any,
+        c: Any,
+        d: Any = None,
+        *,
+        dt: float = 0.1,
+        x0: Any = None,
+        units: tuple[str, str] = ("1", "1"),
+        snapshots: bool = True,
+    ) -> None:
+        a, b, c = (np.atleast_2d(np.asarray(m, dtype=float)) for m in (a, b, c))
+        n, nu = b.shape
+        block = expm(dt * np.block([[a, b], [np.zeros((nu, n + nu))]]))
+        self.a, self.b, self.c = block[:n, :n], block[:n, n:], c
+        self.d = None if d is None else np.atleast_2d(np.asarray(d, dtype=float))
+        self.x0 = np.zeros(n) if x0 is None else np.asarray(x0, dtype=float)
+        self.spec = PlantSpec(
+            tuple(Channel(f"u{i}", units[0]) for i in range(nu)),
+            tuple(Channel(f"y{i}", units[1]) for i in range(c.shape[0])),
+            dt,
+            states=tuple(Channel(f"x{i}") for i in range(n)),
+            feedthrough=d is not None,
+        )
+        abilities: set[Ability] = {"truth"}
+        if snapshots:
+            abilities.add("snapshots")
+        if d is not None:
+            abilities.add("feedthrough")
+        self.abilities = frozenset(abilities)
+        self.x = self.x0.copy()
+        self.u = np.zeros(nu)
+        self.closed = 0
+
+    def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
+        self.x = self.x0.copy()
+        for name, value in (x0 or {}).items():
+            self.x[int(name[1:])] = value
+        return self._y(np.zeros(self.spec.nu))
+
+    def _y(self, u: FloatArray) -> FloatArray:
+        return self.c @ self.x + (0 if self.d is None else self.d @ u)
+
+    def step(self, u: FloatArray) -> FloatArray:
+        self.x = self.a @ self.x + self.b @ u
+        return self._y(u)
+
+    def output(self, u: FloatArray) -> FloatArray:
+        return self._y(u)
+
+    def truth(self) -> FloatArray:
+        return self.x.copy()
+
+    def get_state(self) -> Any:
+        return self.x.copy()
+
+    def set_state(self, state: Any) -> None:
+        self.x = state.copy()
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def integrator(**options: Any) -> Linear:
+    return Linear(0.0, 1.0, 1.0, **options)
+
+
+def gain(k: float, **options: Any) -> Linear:
+    """A static gain: all feedthrough."""
+    return Linear(0.0, 0.0, 0.0, k, **options)
+
+
+def test_feedback_through_a_static_gain_acts_within_the_instant() -> None:
+    loop = Coupled(
+        {"plant": integrator(x0=[1.0]), "law": gain(-2.0)},
+        [("plant.y0", "law.u0"), ("law.y0", "plant.u0")],
+        outputs=["plant.y0", "law.y0"],
+    )
+    y = [loop.reset(rng=RNG)]
+    y += [loop.step(np.zeros(0)) for _ in range(5)]
+    expected = 0.8 ** np.arange(6)
+    np.testing.assert_allclose(np.array(y)[:, 0], expected, rtol=1e-14)
+    np.testing.assert_allclose(np.array(y)[:, 1], -2 * expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize("order", ["jacobi", "gauss-seidel"])
+def test_orders_differ_by_exactly_the_age_of_the_signal(order: Any) -> None:
+    # two integrators in a ring, no feedthrough: x' = v, v' = -x by ZOH
+    ring = Coupled(
+        {"x": integrator(x0=[1.0]), "v": integrator()},
+        [Connection("v.y0", "x.u0"), Connection("x.y0", "v.u0", gain=-1.0)],
+        outputs=["x.y0", "v.y0"],
+        order=order,
+    )
+    ring.reset(rng=RNG)
+    x, v, h = 1.0, 0.0, 0.1
+    for _ in range(50):
+        got = ring.step(np.zeros(0))
+        new = x + h * v
+        v = v - h * (new if order == "gauss-seidel" else x)
+        x = new
+        np.testing.assert_allclose(got, [x, v], rtol=1e-12)
+
+
+def test_the_coupling_error_falls_with_the_order_of_the_method() -> None:
+    def error(h: float, order: Any, iterations: int = 1) -> float:
+        ring = Coupled(
+            {"x": integrator(x0=[1.0], dt=h), "v": integrator(dt=h)},
+            [Connection("v.y0", "x.u0"), Connection("x.y0", "v.u0", gain=-1.0)],
+            outputs=["x.y0", "v.y0"],
+            order=order,
+            iterations=iterations,
+        )
+        ring.reset(rng=RNG)
+        for _ in range(round(1 / h)):
+            y = ring.step(np.zeros(0))
+        return float(abs(y[0] - np.cos(1.0)))
+
+    for order in ("jacobi", "gauss-seidel"):
+        slope = np.log2(error(0.02, order) / error(0.01, order))
+        assert slope == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize(("order", "low", "high"), [("jacobi", 100.0, 200.0), ("gauss-seidel", 0.95, 1.06)])
+def test_gauss_seidel_keeps_the_energy_that_jacobi_pumps_up(order: Any, low: float, high: float) -> None:
+    ring = Coupled(
+        {"x": integrator(x0=[1.0]), "v": integrator()},
+        [Connection("v.y0", "x.u0"), Connection("x.y0", "v.u0", gain=-1.0)],
+        outputs=["x.y0", "v.y0"],
+        order=order,
+    )
+    ring.reset(rng=RNG)
+    for _ in range(1000):
+        y = ring.step(np.zeros(0))
+    assert low < float(np.hypot(*y)) < high  # explicit Euler grows by (1 + h^2)^(N/2) = 145
+
+
+def test_an_algebraic_loop_is_solved_or_named() -> None:
+    def build(loops: Any) -> Coupled:
+        return Coupled(
+            {"a": Linear(0.0, [[0.0, 0.0]], 0.0, [[0.5, 1.0]]), "b": gain(-3.0)},
+            [("a.y0", "b.u0"), ("b.y0", "a.u0"), ("push", "a.u1")],
+            inputs={"push": "a.u1"},
+            outputs=["a.y0", "b.y0"],
+            loops=loops,
+        )
+
+    with pytest.raises(InputError, match=r"algebraic loop.*(a -> b -> a|b -> a -> b).*delay=1"):
+        build("refuse")
+    loop = build("solve")
+    loop.reset(rng=RNG)
+    a = 2.0 / (1 + 1.5)  # a = 0.5 b + push, b = -3 a
+    np.testing.assert_allclose(loop.output(np.array([2.0])), [a, -3 * a], rtol=1e-9)
+    assert loop.spec.feedthrough
+    assert "feedthrough" in loop.abilities
+
+
+def test_a_loop_without_solution_says_so() -> None:
+    loop = Coupled(
+        {"a": Linear(0.0, [[0.0, 0.0]], 0.0, [[1.0, 1.0]]), "b": gain(1.0)},
+        [("a.y0", "b.u0"), ("b.y0", "a.u0"), ("push", "a.u1")],
+        inputs={"push": "a.u1"},
+        outputs=["a.y0"],
+    )
+    loop.reset(rng=RNG)
+    with pytest.raises(PlantError, match="no solution"):
+        loop.output(np.array([1.0]))
+
+
+def test_a_delay_breaks_the_loop_and_delays_by_whole_steps() -> None:
+    line = Coupled(
+        {"law": gain(1.0)},
+        [Connection("push", "law.u0", delay=2)],
+        inputs={"push": "law.u0"},
+        outputs=["law.y0"],
+        loops="refuse",
+    )
+    got = [float(line.reset(rng=RNG)[0])] + [float(line.step(np.array([u]))[0]) for u in (1.0, 2.0, 3.0, 4.0)]
+    assert got == [0.0, 0.0, 1.0, 2.0, 3.0]
+    assert not line.spec.feedthrough
+
+
+def test_a_slow_part_holds_its_output_and_steps_once_in_its_own_time() -> None:
+    both = Coupled(
+        {"fast": integrator(dt=0.1), "slow": integrator(dt=0.3)},
+        [("push", "fast.u0"), ("fast.y0", "slow.u0")],
+        inputs={"push": "fast.u0"},
+        outputs=["fast.y0", "slow.y0"],
+        order="jacobi",
+    )
+    both.reset(rng=RNG)
+    slow = [float(both.step(np.array([1.0]))[1]) for _ in range(9)]
+    # the slow part holds what it saw at 0, 0.3, 0.6 s: 0, 0.3, 0.6
+    np.testing.assert_allclose(slow, [0, 0, 0, 0, 0, 0.09, 0.09, 0.09, 0.27], atol=1e-12)
+
+
+def test_units_are_converted_or_refused() -> None:
+    def build(source: str, target: str) -> Coupled:
+        return Coupled(
+            {"a": gain(1.0, units=("1", source)), "b": gain(1.0, units=(target, "1"))},
+            [("push", "a.u0"), ("a.y0", "b.u0")],
+            inputs={"push": "a.u0"},
+            outputs=["b.y0"],
+        )
+
+    turn = build("deg", "rad")
+    turn.reset(rng=RNG)
+    assert turn.output(np.array([180.0]))[0] == pytest.approx(np.pi)
+    with pytest.raises(InputError, match=r"a.y0 -> b.u0: units.*'rad'.*'V'"):
+        build("V", "rad")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"connections": []}, "input left open.*plant.u0"),
+        ({"connections": [("law.y0", "plant.u0"), ("plant.y0", "plant.u0")]}, "driven twice"),
+        ({"connections": [("law.y1", "plant.u0")]}, "unknown signal of part 'law'.*y0.*'y1'"),
+        ({"connections": [("low.y0", "plant.u0")]}, "unknown part.*'low'"),
+        ({"sequence": ["plant"]}, "sequence"),
+        ({"sample_time": 0.07}, "sample time of part"),
+        ({"order": "both"}, "order"),
+        ({"parts": {}}, "nothing to couple"),
+        ({"parts": {"a.b": integrator()}}, "without a dot"),
+    ],
+)
+def test_a_coupling_that_does_not_fit_is_refused(change: dict[str, Any], words: str) -> None:
+    options: dict[str, Any] = {
+        "parts": {"plant": integrator(), "law": gain(-1.0)},
+        "connections": [("plant.y0", "law.u0"), ("law.y0", "plant.u0")],
+        "outputs": ["plant.y0"],
+    } | change
+    with pytest.raises(InputError, match=words):
+        Coupled(options.pop("parts"), options.pop("connections"), **options)
+
+
+def test_two_sources_add_only_when_both_say_so() -> None:
+    total = Coupled(
+        {"plant": integrator()},
+        [Connection("one", "plant.u0", add=True), Connection("two", "plant.u0", add=True, gain=-1.0)],
+        inputs={"one": "plant.u0", "two": "plant.u0"},
+        outputs=["plant.y0"],
+    )
+    total.reset(rng=RNG)
+    assert total.step(np.array([3.0, 1.0]))[0] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("iterations", [1, 5])
+def test_a_snapshot_repeats_bit_for_bit(iterations: int) -> None:
+    loop = Coupled(
+        {"x": integrator(x0=[1.0]), "v": integrator()},
+        [Connection("v.y0", "x.u0", delay=1), Connection("x.y0", "v.u0", gain=-1.0)],
+        outputs=["x.y0", "v.y0"],
+        iterations=iterations,
+    )
+    none = np.zeros(0)
+    loop.reset(rng=RNG)
+    for _ in range(7):
+        loop.step(none)
+    state = loop.get_state()
+    first = [loop.step(none) for _ in range(7)]
+    truth = loop.truth()
+    loop.set_state(state)
+    again = [loop.step(none) for _ in range(7)]
+    assert np.array_equal(first, again)
+    assert np.array_equal(truth, loop.truth())
+
+
+def test_strong_coupling_converges_to_the_implicit_step() -> None:
+    h = 0.1
+    ring = Coupled(
+        {"x": integrator(x0=[1.0], dt=h), "v": integrator(dt=h)},
+        [Connection("v.y0", "x.u0"), Connection("x.y0", "v.u0", gain=-1.0)],
+        outputs=["x.y0", "v.y0"],
+        iterations=100,
+    )
+    ring.reset(rng=RNG)
+    got = ring.step(np.zeros(0))
+    implicit = np.linalg.solve(np.array([[1, -h], [h, 1]]), [1.0, 0.0])
+    np.testing.assert_allclose(got, implicit, atol=1e-9)
+    with pytest.raises(InputError, match=r"rollback.*x without it"):
+        Coupled(
+            {"x": integrator(snapshots=False)}, [("p", "x.u0")], inputs={"p": "x.u0"}, outputs=["x.y0"], iterations=2
+        )
+
+
+def test_initial_states_are_named_by_part_and_all_parts_are_closed() -> None:
+    parts: dict[str, Linear] = {"x": integrator(), "v": integrator()}
+    make: Callable[[], Coupled] = lambda: Coupled(  # noqa: E731
+        parts, [("x.y0", "v.u0"), ("v.y0", "x.u0")], outputs=["x.y0", "v.y0"]
+    )
+    with make() as both:
+        assert both.reset(rng=RNG, x0={"v.x0": 3.0}).tolist() == [0.0, 3.0]
+        assert [c.name for c in both.spec.states] == ["x.x0", "v.x0"]
+        with pytest.raises(InputError, match="initial state"):
+            both.reset(rng=RNG, x0={"w.x0": 3.0})
+    assert parts["x"].closed == parts["v"].closed == 1
+
+
+def test_divergence_names_the_part() -> None:
+    bad = Coupled({"x": Linear(0.0, 1.0, np.inf, x0=[1.0])}, [("p", "x.u0")], inputs={"p": "x.u0"}, outputs=["x.y0"])
+    with pytest.raises(PlantError, match=r"part 'x'.*t = 0.1 s") as caught:
+        bad.step(np.array([0.0]))
+    assert caught.value.status == "diverged"
