@@ -15,8 +15,15 @@ $(READY): pyproject.toml constraints.txt
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
 	@touch $@
 
+# the benchmark table, then one loop closed: Bullet's own joint friction, found in the log of a one-joint arm
 demo: $(READY)
-	@$(BIN)/python examples/demo.py demo-out
+	@rm -rf demo-out && mkdir demo-out
+	$(BIN)/sysid bench quick --out demo-out/quick
+	$(BIN)/sysid simulate arm-bullet --scenario multisine --option joint_friction=0.15 --seed 1 -o demo-out/arm.csv
+	$(BIN)/sysid simulate arm-bullet --scenario multisine --option joint_friction=0.15 --seed 1 --role validation/0 \
+	  -o demo-out/arm-validation.csv
+	$(BIN)/sysid close-loop demo-out/arm.csv --model pendulum --validation demo-out/arm-validation.csv --out demo-out/arm
+	@echo; echo "reports: $(CURDIR)/demo-out/quick/report.html"; echo "         $(CURDIR)/demo-out/arm/report.html"
 
 lint: $(READY)
 	@$(BIN)/ruff check .

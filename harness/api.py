@@ -22,7 +22,18 @@ if TYPE_CHECKING:
     from harness.diagnosis import Report
     from harness.scoring import Score
 
-__all__ = ["Identified", "bench", "check", "close_loop", "export", "identify", "list_parts", "simulate", "table"]
+__all__ = [
+    "Identified",
+    "bench",
+    "check",
+    "close_loop",
+    "describe_fmu",
+    "export",
+    "identify",
+    "list_parts",
+    "simulate",
+    "table",
+]
 
 LISTED = ("plants", "identifiers", "scenarios", "effects", "models", "suites", "recordings")
 
@@ -59,6 +70,18 @@ def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
         ]
         for name in ((kind,) if kind is not None else LISTED)
     }
+
+
+def describe_fmu(path: str | Path) -> dict[str, Any]:
+    """Return what is in an FMU: variables, units, abilities (``sysid list FILE.fmu``).
+
+    Raises
+    ------
+    InputError
+        If the file is missing or no FMU.
+    """
+    content: dict[str, Any] = registry.load("plants", "fmu").describe(path)
+    return content
 
 
 def simulate(
@@ -312,7 +335,8 @@ def _make_plant(plant: str, options: dict[str, Any], hide: Sequence[tuple[str, s
     if effects:
         from harness.effects import WrappedPlant
 
-        return cast(Plant, WrappedPlant(made, effects))
+        found = [(registry.load("effects", name), port, parameters) for name, port, parameters in effects]
+        return cast(Plant, WrappedPlant(made, found))
     return cast(Plant, made)
 
 

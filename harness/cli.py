@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
+    from harness.benchmark import BenchResult
+
 __all__ = ["app", "main"]
 
 app = typer.Typer(
@@ -208,7 +210,7 @@ def close_loop(
     if as_json:
         _print_json(report.data)
         return
-    _console().print(report.summary(), highlight=False, markup=False)
+    _console().print(str(report), highlight=False, markup=False, soft_wrap=True)
     _say(f"report: {out / 'report.html'}")
 
 
@@ -364,6 +366,60 @@ def _hidden(text: str) -> tuple[str, str, dict[str, float]]:
                 "hidden effect", expected=f"a number for {key}", got=repr(value), remedy="correct it", place="--hide"
             )
     return name, port, {key: float(value) for key, value in pairs.items()}
+
+
+def _print_bench(result: BenchResult, *, as_json: bool) -> None:
+    """Print a benchmark's table, and where its files are."""
+    if as_json:
+        _print_json(result.to_records())
+        return
+    _console().print(result.table())
+    if result.folder is not None:
+        _say(f"report: {result.report}")
+        _say(f"results: {result.folder / 'results.parquet'}")
+
+
+def _print_identified(fitted: api.Identified, identifier: str) -> None:
+    """Print the scores of a model, output by output."""
+    from rich.table import Table
+
+    shown = Table(title=f"{identifier}: NRMSE (rms)", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    for name in ("use", "run", "output", "equation error", "simulation error", "initial state"):
+        shown.add_column(name, justify="right" if name.endswith("error") else "left")
+    for use, one_step in fitted.equation_error.items():
+        for run, (one, free) in enumerate(zip(one_step, fitted.simulation_error[use], strict=True)):
+            for column, channel in enumerate(fitted.model.spec.outputs):
+                scores = [f"{s.nrmse[column]:.4g} ({s.rms[column]:.3g} {channel.unit})" for s in (one, free)]
+                shown.add_row(use, str(run), channel.name, *scores, free.initial_state)
+    _console().print(shown)
+    for name, value in getattr(fitted.model, "parameters", {}).items():
+        deviation = getattr(fitted.model, "deviations", {}).get(name)
+        _say(f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else ""))
+    for warning in fitted.warnings:
+        _say(f"warning: {warning}")
+
+
+def _print_fmu(content: dict[str, Any]) -> None:
+    """Print what is in an FMU."""
+    from rich.table import Table
+
+    _say(
+        f"{content['model']} (FMI {content['fmi']}, {content['tool'] or 'tool not told'}): "
+        f"{content['description'] or ''}"
+    )
+    _say(f"platforms: {', '.join(content['platforms']) or 'none'}")
+    for kind, abilities in content["kinds"].items():
+        can = [name for name, has in abilities.items() if has is True] if isinstance(abilities, dict) else abilities
+        _say(f"{kind}: {', '.join(map(str, can)) or 'no optional abilities'}")
+    shown = Table(box=None, padding=(0, 2, 0, 0))
+    for name in ("name", "causality", "variability", "type", "unit", "start", "description"):
+        shown.add_column(name, overflow="fold")
+    for row in content["variables"]:
+        cells = ("name", "causality", "variability", "type", "unit", "start", "description")
+        shown.add_row(*("" if row[name] is None else str(row[name]) for name in cells))
+    _console().print(shown)
+    for problem in content["problems"]:
+        _say(f"warning: {problem}")
 
 
 def _seeds(text: str | None) -> tuple[int, int] | None:

@@ -21,6 +21,7 @@ __all__ = [
     "Controller",
     "Experiment",
     "Feedthrough",
+    "FreeRun",
     "Hindsight",
     "Identifier",
     "Model",
@@ -203,6 +204,15 @@ class Model(Protocol):
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description with a ``"kind"`` that a ``sysid_harness.model_readers`` entry reads."""
+        ...
+
+
+@runtime_checkable
+class FreeRun(Protocol):
+    """A model that runs freely faster than step by step, with equal results."""
+
+    def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the outputs (M, N, ny) from states x (M, nx) under inputs u (M, N, nu)."""
         ...
 
 

@@ -13,7 +13,7 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     import pint
 
-__all__ = ["convert", "fits"]
+__all__ = ["base_units", "convert", "fits"]
 
 
 @functools.cache
@@ -92,3 +92,43 @@ def convert(values: FloatArray, unit: str, target: str) -> FloatArray:
             remedy="correct the unit, or declare a scale into the right one",
         )
     return np.asarray(_registry().Quantity(values, source).to(goal).magnitude, dtype=float)
+
+
+def base_units(unit: str) -> tuple[dict[str, float], float, float]:
+    """Return a unit as powers of the SI base units and radian, with the factor and offset to them.
+
+    Parameters
+    ----------
+    unit : str
+        Unit text; a count or tick is dimensionless.
+
+    Returns
+    -------
+    (dict, float, float)
+        Powers by ``kg m s A K mol cd rad``, zero powers left out; ``base = factor * value + offset``.
+
+    Examples
+    --------
+    >>> base_units("N m")
+    ({'kg': 1, 'm': 2, 's': -2}, 1.0, 0.0)
+    """
+    registry = _registry()
+    names = {
+        "kilogram": "kg",
+        "meter": "m",
+        "second": "s",
+        "ampere": "A",
+        "kelvin": "K",
+        "mole": "mol",
+        "candela": "cd",
+        "radian": "rad",
+    }
+    parsed = _parse(unit)
+    based = registry.Quantity(1.0, parsed).to_base_units()
+    offset = float(registry.Quantity(0.0, parsed).to_base_units().magnitude)
+    powers = {names[name]: power for name, power in based.unit_items() if name in names}
+    radians = dict(registry.Quantity(1.0, parsed).unit_items()).get("radian", 0)
+    if radians:
+        powers["rad"] = radians
+    whole = {name: int(power) if power == int(power) else power for name, power in powers.items()}
+    return whole, float(based.magnitude) - offset, offset

@@ -1,0 +1,12 @@
+"""Benchmarks: a suite of plants x scenarios x identifiers x seeds becomes rows, a table and a page.
+
+``bench`` runs a suite, ``table`` reads one back; everything else here serves these two.
+"""
+
+from __future__ import annotations
+
+from harness.benchmark.row import Row
+from harness.benchmark.running import BenchResult, bench, table
+from harness.benchmark.suite import Suite, load_suite
+
+__all__ = ["BenchResult", "Row", "Suite", "bench", "load_suite", "table"]

@@ -1,0 +1,240 @@
+"""Where tasks run: on this machine's cores, or on a dask cluster whose workers each use the local engine."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import multiprocessing
+import os
+import signal
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgspec
+
+from harness.benchmark.row import blank, write_row
+from harness.benchmark.suite import Task
+from harness.benchmark.work import AT_DATA, do_task, position_file, quiet_worker, watch_file
+from harness.errors import InputError
+
+__all__ = ["DaskEngine", "Engine", "LocalEngine", "make_engine"]
+
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+POLL = 0.1  # s between looks at the shards
+
+
+class Engine(Protocol):
+    """Something that runs tasks; every row ends up as a shard in the folder."""
+
+    def run(self, tasks: Sequence[Task], shards: Path, moved: Callable[[str], None]) -> None:
+        """Run all tasks; ``moved`` is called with a title whenever shards may have been added."""
+        ...
+
+
+def make_engine(engine: str, workers: int | None = None) -> Engine:
+    """Return the engine that a text names.
+
+    Parameters
+    ----------
+    engine : str
+        ``"local"`` or ``"dask://HOST:PORT"``.
+    workers : int, optional
+        Processes of the local engine; by default one for each core that this process may use.
+
+    Raises
+    ------
+    InputError
+        If the text names no engine, or dask is not installed.
+
+    Examples
+    --------
+    >>> make_engine("local", workers=2)
+    LocalEngine(workers=2)
+    """
+    if workers is not None and workers < 1:
+        raise InputError("workers", expected="at least 1", got=str(workers), remedy="correct the number")
+    if engine == "local":
+        return LocalEngine(workers or len(os.sched_getaffinity(0)))
+    scheme, _, address = engine.partition("://")
+    if scheme != "dask" or ":" not in address:
+        raise InputError(
+            "engine", expected="local or dask://HOST:PORT", got=repr(engine), remedy="correct it", place="engine"
+        )
+    return DaskEngine(address)
+
+
+@dataclass(frozen=True)
+class LocalEngine:
+    """A pool of processes on this machine.
+
+    A worker that dies or is ended by its watchdog loses the cell it was at, which becomes a row with a status; the
+    other cells of its task are run again by a fresh worker.
+    """
+
+    workers: int
+
+    def run(self, tasks: Sequence[Task], shards: Path, moved: Callable[[str], None]) -> None:
+        """Run all tasks; see :class:`Engine`."""
+        from pebble import ProcessPool
+
+        with _worker_environment():
+            pool: Any = ProcessPool(
+                max_workers=max(1, min(self.workers, len(tasks))),
+                initializer=quiet_worker,
+                context=multiprocessing.get_context("spawn"),
+            )
+            try:
+                self._drain(pool, list(tasks), shards, moved)
+                pool.close()
+            except BaseException:
+                pool.stop()
+                raise
+            finally:
+                pool.join()
+
+    @staticmethod
+    def _drain(pool: Any, tasks: list[Task], shards: Path, moved: Callable[[str], None]) -> None:
+        """Schedule the tasks, and again what is left of a task whose worker was lost."""
+        waiting: dict[Any, Task] = {}
+
+        def schedule(task: Task) -> None:
+            # the watchdog inside the worker keeps the limit of each cell; this one is for a worker that is stopped
+            backstop = math.ceil((len(task.cells) + 1) * (task.time_limit + 10))
+            waiting[pool.schedule(do_task, args=[task, str(shards)], timeout=backstop)] = task
+
+        for task in tasks:
+            schedule(task)
+        while waiting:
+            done, _ = wait(list(waiting), timeout=POLL, return_when=FIRST_COMPLETED)
+            if not done:
+                moved("")
+            for future in done:
+                task = waiting.pop(future)
+                error = future.exception()
+                rest = _after_loss(task, shards, error) if error is not None else None
+                moved(task.title)
+                if rest is not None:
+                    schedule(rest)
+
+
+def _after_loss(task: Task, shards: Path, error: BaseException) -> Task | None:
+    """Write the row of the cell at which a worker was lost; return the task of the cells that are still to do."""
+    at, watch = position_file(shards, task), watch_file(shards, task)
+    place = at.read_text(encoding="utf-8") if at.exists() else AT_DATA
+    late = isinstance(error, TimeoutError) or (watch.exists() and watch.stat().st_size > 0)
+    status = "timeout" if late else "crashed"
+    reason = f"over its time limit of {task.time_limit:g} s" if late else _death(error)
+    left = [cell for cell in task.cells if not (shards / f"{cell.job}.json").exists()]
+    lost = [cell for cell in left if place in (AT_DATA, cell.job)] or left[:1]
+    for cell in lost:
+        what = "no data: the plant or scenario is" if place == AT_DATA else f"{cell.identifier.name} is"
+        text = f"{what} {reason}" if late else reason if place != AT_DATA else f"no data: {reason}"
+        write_row(blank(task, cell, status=status, reason=text), shards)
+    at.unlink(missing_ok=True)
+    watch.unlink(missing_ok=True)
+    rest = tuple(cell for cell in left if cell not in lost)
+    return msgspec.structs.replace(task, cells=rest) if rest else None
+
+
+def _death(error: BaseException) -> str:
+    """Return how a worker ended."""
+    code = getattr(error, "exitcode", None)
+    if isinstance(code, int) and code < 0:
+        with contextlib.suppress(ValueError):
+            return f"the worker died: {signal.Signals(-code).name}"
+    if isinstance(code, int):
+        return f"the worker ended itself with exit status {code}"
+    return f"the worker was lost: {type(error).__name__}: {error}"
+
+
+@contextlib.contextmanager
+def _worker_environment() -> Iterator[None]:
+    """Give workers one thread for linear algebra each, and keep them from importing the caller's main script.
+
+    The jobs hold only names and numbers, so workers need nothing of ``__main__``; without this, a script that calls
+    ``bench`` outside ``if __name__ == "__main__"`` would be run again in each of them.
+    """
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    main = sys.modules["__main__"]
+    hidden = {name: getattr(main, name) for name in ("__file__", "__spec__") if hasattr(main, name)}
+    for name in THREAD_VARIABLES:
+        os.environ.setdefault(name, "1")
+    main.__spec__ = None
+    if "__file__" in hidden:
+        del main.__file__
+    try:
+        yield
+    finally:
+        for name, value in hidden.items():
+            setattr(main, name, value)
+        for name, old in before.items():
+            if old is None:
+                os.environ.pop(name, None)
+
+
+@dataclass(frozen=True)
+class DaskEngine:
+    """A dask cluster: each of its tasks carries one of ours and runs it through the local engine where it lands."""
+
+    address: str
+
+    def run(self, tasks: Sequence[Task], shards: Path, moved: Callable[[str], None]) -> None:
+        """Run all tasks; see :class:`Engine`."""
+        try:
+            import distributed
+        except ImportError as error:
+            raise InputError(
+                "engine dask",
+                expected="the package distributed",
+                got="it is not installed",
+                remedy="pip install 'sysid-harness[cluster]'",
+            ) from error
+        connect: Any = distributed.Client
+        completed: Any = distributed.as_completed
+        try:
+            client = connect(self.address, timeout="5s", set_as_default=False)
+        except (OSError, TimeoutError) as error:
+            raise InputError(
+                "engine dask",
+                expected=f"a scheduler at {self.address}",
+                got=f"{type(error).__name__}: {error}",
+                remedy="start one with 'dask scheduler' or correct the address",
+            ) from error
+        with client:
+            futures = {client.submit(run_elsewhere, task, pure=False, retries=1): task for task in tasks}
+            try:
+                for future in completed(list(futures), loop=client.loop):
+                    task = futures[future]
+                    lost = future.exception()
+                    if lost is None:
+                        for name, content in future.result().items():
+                            scratch = shards / f"{name}.part"
+                            scratch.write_bytes(content)
+                            scratch.replace(shards / name)
+                    else:
+                        reason = f"the cluster lost the task: {type(lost).__name__}: {lost}"
+                        for cell in task.cells:
+                            write_row(blank(task, cell, status="crashed", reason=reason), shards)
+                    moved(task.title)
+            except BaseException:
+                client.cancel(list(futures))
+                raise
+
+
+def run_elsewhere(task: Task) -> dict[str, bytes]:
+    """Run one task through the local engine on a worker of a cluster; returns its shards by file name."""
+    process = multiprocessing.current_process()
+    configuration = getattr(process, "_config", {})
+    daemon = configuration.get("daemon", False)
+    configuration["daemon"] = False  # cluster workers are daemons by default, and daemons may not have children
+    try:
+        with tempfile.TemporaryDirectory(prefix="sysid-harness-") as folder:
+            LocalEngine(1).run([task], Path(folder), lambda _: None)
+            return {path.name: path.read_bytes() for path in Path(folder).glob("*.json")}
+    finally:
+        configuration["daemon"] = daemon

@@ -1,0 +1,100 @@
+"""One row of a benchmark: what is stored of a cell, and how it travels."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from harness.benchmark.suite import Cell, Task
+
+__all__ = ["STATUSES", "Row", "blank", "one_line", "read_row", "write_row"]
+
+STATUSES = ("ok", "unfit", "refused", "diverged", "timeout", "crashed", "terminated", "failed")
+"""``ok``; data that cannot be learned from; parts that do not fit; and the ways in which a cell can break."""
+
+
+class Row(msgspec.Struct, kw_only=True):
+    """A cell and what came of it; None where a figure does not exist.
+
+    ``equation_error`` and ``simulation_error`` are the root mean square over outputs and held-out records of the
+    NRMSE (rms of the residual over the standard deviation of the output), so they carry no unit; the rms of each
+    output in its own unit stands beside them.
+    """
+
+    job: str
+    plant: str
+    scenario: str
+    identifier: str
+    seed: int
+    status: str = "ok"
+    reason: str = ""
+    equation_error: float | None = None
+    simulation_error: float | None = None
+    regret: float | None = None
+    average_regret: float | None = None
+    regret_exact: bool | None = None
+    outputs: list[str] = []
+    units: list[str] = []
+    equation_rms: list[float | None] = []
+    simulation_rms: list[float | None] = []
+    horizon: float | None = None
+    burn_in: int | None = None
+    initial_state: str = ""
+    samples: int | None = None
+    held_out_samples: int | None = None
+    curve_steps: list[int] = []
+    curve_regret: list[float] = []
+    data_seconds: float = 0.0
+    fit_seconds: float = 0.0
+    score_seconds: float = 0.0
+
+
+def blank(task: Task, cell: Cell, *, status: str = "ok", reason: str = "") -> Row:
+    """Return the row of a cell of which nothing else is known."""
+    return Row(
+        job=cell.job,
+        plant=task.plant.name,
+        scenario=task.scenario.name,
+        identifier=cell.identifier.name,
+        seed=task.seed,
+        status=status,
+        reason=one_line(reason),
+    )
+
+
+def one_line(text: object, limit: int = 400) -> str:
+    """Return a reason as one line of bounded length.
+
+    Examples
+    --------
+    >>> one_line("too   many    blanks ")
+    'too many blanks'
+    """
+    line = " ".join(str(text).split())
+    return line if len(line) <= limit else line[: limit - 3] + "..."
+
+
+def write_row(row: Row, folder: Path) -> None:
+    """Write a row to its shard, so that it is there whole or not at all."""
+    scratch = folder / f"{row.job}.part"
+    scratch.write_bytes(msgspec.json.encode(_finite(row)))
+    scratch.replace(folder / f"{row.job}.json")
+
+
+def read_row(path: Path) -> Row:
+    """Return the row of a shard."""
+    return msgspec.json.decode(path.read_bytes(), type=Row)
+
+
+def _finite(row: Row) -> Row:
+    """Return the row with None for figures that are not finite (JSON has no others)."""
+
+    def clean(value: Any) -> Any:
+        if isinstance(value, float):
+            return value if math.isfinite(value) else None
+        return [clean(item) for item in value] if isinstance(value, list) else value
+
+    return Row(**{name: clean(getattr(row, name)) for name in row.__struct_fields__})

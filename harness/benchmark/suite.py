@@ -1,0 +1,260 @@
+"""Suites: a TOML file that names plants, scenarios, identifiers and seeds; and the cells that come of it."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from harness import __version__, registry
+from harness.errors import InputError
+
+__all__ = ["Cell", "Group", "Part", "Score", "Suite", "Task", "cells_of", "find_suite", "load_suite", "tasks_of"]
+
+
+class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A plant, scenario or identifier of a suite: the id of a registered part, its options, its name in the table."""
+
+    id: str
+    options: dict[str, Any] = {}
+    label: str = ""
+
+    @property
+    def name(self) -> str:
+        """What the table calls it: the label, or else the id."""
+        return self.label or self.id
+
+
+class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How the models of a group are scored.
+
+    ``horizon`` is that of the simulation error in s (the whole record without it); ``runs`` and ``held_out`` count the
+    records that a model is fitted to and scored on.
+    """
+
+    horizon: float | None = None
+    runs: int = 1
+    held_out: int = 1
+
+
+class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Every plant of a group meets every scenario, every identifier and every seed."""
+
+    plants: tuple[Part, ...]
+    scenarios: tuple[Part, ...]
+    identifiers: tuple[Part, ...]
+    name: str = ""
+    seeds: tuple[int, ...] | None = None
+    score: Score = Score()
+    time_limit: float | None = None
+
+
+class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A benchmark: groups, the seeds of those that name none, and seconds that one cell may take."""
+
+    name: str
+    groups: tuple[Group, ...]
+    description: str = ""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    time_limit: float = 60.0
+
+
+class Cell(msgspec.Struct, frozen=True):
+    """One row of the table, still to be computed; ``job`` is a hash of everything that decides its result."""
+
+    job: str
+    identifier: Part
+
+
+class Task(msgspec.Struct, frozen=True):
+    """The cells of one plant, scenario and seed: they share their data, so one worker does them together."""
+
+    plant: Part
+    scenario: Part
+    seed: int
+    score: Score
+    time_limit: float
+    cells: tuple[Cell, ...]
+
+    @property
+    def title(self) -> str:
+        """For the progress bar."""
+        return f"{self.plant.name} / {self.scenario.name} / seed {self.seed}"
+
+
+def find_suite(suite: str | Path) -> Path:
+    """Return the file of a suite: a path that ends in ``.toml``, or the name of a registered suite.
+
+    Raises
+    ------
+    InputError
+        If there is no such file or name.
+
+    Examples
+    --------
+    >>> find_suite("quick").name
+    'quick.toml'
+    """
+    if isinstance(suite, Path) or str(suite).endswith(".toml"):
+        path = Path(suite)
+        if not path.is_file():
+            raise InputError(
+                "no such suite", expected="a TOML file", got="no file", remedy="check the path", file=str(suite)
+            )
+        return path
+    return Path(registry.load("suites", suite))
+
+
+def load_suite(suite: str | Path) -> Suite:
+    """Read a suite.
+
+    Parameters
+    ----------
+    suite : str or path
+        Name of a registered suite, or a TOML file.
+
+    Raises
+    ------
+    InputError
+        If the file is no TOML, a key is unknown, a value has the wrong type, or two rows would have one name.
+
+    Examples
+    --------
+    >>> load_suite("quick").name
+    'quick'
+    """
+    path = find_suite(suite)
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError("not TOML", expected="a TOML file", got=str(error), remedy="repair it", file=path) from error
+    try:
+        read = msgspec.convert(content, Suite)
+    except msgspec.ValidationError as error:
+        raise _explained(error, path) from error
+    for number, group in enumerate(read.groups):
+        _check_group(group, f"groups[{number}]", path)
+    if not read.groups or read.time_limit <= 0:
+        raise InputError(
+            "suite", expected="at least one group and a positive time_limit", got="none", remedy="add it", file=path
+        )
+    seen: set[tuple[str, ...]] = set()
+    for number, group in enumerate(read.groups):
+        for row in itertools.product(group.plants, group.scenarios, group.identifiers):
+            names = tuple(part.name for part in row)
+            if names in seen:
+                raise InputError(
+                    "two rows with one name",
+                    expected="every plant x scenario x identifier once",
+                    got=" x ".join(names),
+                    remedy='give one of them a label = "..."',
+                    file=path,
+                    place=f"groups[{number}]",
+                )
+            seen.add(names)
+    return read
+
+
+def tasks_of(suite: Suite, seeds: Sequence[int] | None = None) -> tuple[Task, ...]:
+    """Return the work of a suite in its fixed order.
+
+    Parameters
+    ----------
+    suite : Suite
+        What to run.
+    seeds : sequence of int, optional
+        Instead of the seeds of the file.
+
+    Examples
+    --------
+    >>> len(tasks_of(load_suite("quick"), seeds=[0])) < len(tasks_of(load_suite("quick"), seeds=[0, 1]))
+    True
+    """
+    tasks = []
+    for group in suite.groups:
+        wanted = seeds if seeds is not None else (suite.seeds if group.seeds is None else group.seeds)
+        limit = suite.time_limit if group.time_limit is None else group.time_limit
+        for plant, scenario in itertools.product(group.plants, group.scenarios):
+            for seed in wanted:
+                cells = tuple(
+                    Cell(_job(plant, scenario, identifier, seed, group.score), identifier)
+                    for identifier in group.identifiers
+                )
+                tasks.append(Task(plant, scenario, int(seed), group.score, limit, cells))
+    return tuple(tasks)
+
+
+def cells_of(tasks: Sequence[Task]) -> list[tuple[Task, Cell]]:
+    """Return every cell with its task, in the fixed order of the table: seeds innermost."""
+    pairs = [(task, cell) for task in tasks for cell in task.cells]
+    rank: dict[tuple[str, ...], int] = {}
+    for task, cell in pairs:
+        rank.setdefault((task.plant.name, task.scenario.name, cell.identifier.name), len(rank))
+    return sorted(pairs, key=lambda p: (rank[p[0].plant.name, p[0].scenario.name, p[1].identifier.name], p[0].seed))
+
+
+def _job(plant: Part, scenario: Part, identifier: Part, seed: int, score: Score) -> str:
+    """Return the hash of everything that decides a row, the version of the project included."""
+    content = {
+        "version": __version__,
+        "plant": (plant.id, plant.name, plant.options),
+        "scenario": (scenario.id, scenario.name, scenario.options),
+        "identifier": (identifier.id, identifier.name, identifier.options),
+        "seed": seed,
+        "score": score,
+    }
+    return hashlib.sha256(msgspec.json.encode(content, order="deterministic")).hexdigest()[:20]
+
+
+def _check_group(group: Group, place: str, path: Path) -> None:
+    """Refuse an empty group, a part that is not registered, a negative seed, a score without records."""
+    problems = [
+        (not group.plants, "plants", "at least one"),
+        (not group.scenarios, "scenarios", "at least one"),
+        (not group.identifiers, "identifiers", "at least one"),
+        (any(seed < 0 for seed in group.seeds or ()), "seeds", "numbers from 0 up"),
+        (group.score.runs < 1 or group.score.held_out < 1, "score", "runs >= 1 and held_out >= 1"),
+        (group.score.horizon is not None and group.score.horizon <= 0, "score.horizon", "a positive number of s"),
+        (group.time_limit is not None and group.time_limit <= 0, "time_limit", "a positive number of s"),
+    ]
+    for kind in ("plants", "scenarios", "identifiers"):
+        for number, part in enumerate(getattr(group, kind)):
+            try:
+                registry.entry(kind, part.id)
+            except InputError as error:
+                raise error.located(file=path, place=f"{place}.{kind}[{number}].id") from error
+    for wrong, key, expected in problems:
+        if wrong:
+            raise InputError(
+                f"{key} of a group",
+                expected=expected,
+                got="something else",
+                remedy="correct the suite",
+                file=path,
+                place=f"{place}.{key}",
+            )
+
+
+def _explained(error: msgspec.ValidationError, path: Path) -> InputError:
+    """Return msgspec's refusal in our words: `what - at `$.place``."""
+    what, _, place = str(error).partition(" - at ")
+    place = place.strip("`").removeprefix("$").lstrip(".")
+    if "unknown field" in what:
+        key = what.rpartition("field ")[2].strip("`")
+        return InputError(
+            "unknown key",
+            expected="the keys of a suite: name, description, seeds, time_limit, [[groups]] with name, plants, "
+            "scenarios, identifiers (id, options, label), seeds, time_limit, score (horizon, runs, held_out)",
+            got=repr(key),
+            remedy=f"remove or correct {key}",
+            file=path,
+            place=f"{place}.{key}".strip("."),
+        )
+    return InputError(
+        "value in a suite", expected="the type that fits", got=what, remedy="correct it", file=path, place=place or None
+    )

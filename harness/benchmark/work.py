@@ -1,0 +1,233 @@
+"""What a worker does: make the data of a task once, run every identifier on it, write one shard for each row.
+
+Nothing here returns a result: rows go to files as they are ready, so whatever ends the process loses only the cell
+that it was working on. The file ``TASK.at`` says which one that is; ``TASK.watch`` is filled by the watchdog, a C
+thread of the standard library that ends the process on time even if foreign code never gives the interpreter back.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from harness import registry
+from harness.benchmark.row import Row, blank, one_line, write_row
+from harness.benchmark.suite import Cell, Task
+from harness.errors import HarnessError, InputError, PlantError, PluginError
+from harness.rng import Streams, stream
+from harness.signals import Trajectory
+
+if TYPE_CHECKING:
+    from harness.scoring import Score
+
+__all__ = ["AT_DATA", "do_task", "position_file", "quiet_worker", "watch_file"]
+
+AT_DATA = "data"
+
+
+def position_file(shards: Path, task: Task) -> Path:
+    """Return the file that says which cell a task is at."""
+    return shards / f"{task.cells[0].job}.at"
+
+
+def watch_file(shards: Path, task: Task) -> Path:
+    """Return the file that is not empty once the watchdog ended the worker."""
+    return shards / f"{task.cells[0].job}.watch"
+
+
+def quiet_worker() -> None:
+    """Prepare a worker process: Ctrl-C is the parent's business, and the chatter of engines goes nowhere."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.dup2(nowhere, 2)
+
+
+def do_task(task: Task, shards: str | Path) -> None:
+    """Do all cells of a task and write their shards."""
+    folder = Path(shards)
+    at = position_file(folder, task)
+    with watch_file(folder, task).open("w") as watch:
+        _stand(at, AT_DATA)
+        started = time.perf_counter()
+        failure: HarnessError | None = None
+        runs: list[Trajectory] = []
+        held_out: list[Trajectory] = []
+        with _limit(task.time_limit, watch):
+            try:
+                runs, held_out = _make_data(task)
+            except HarnessError as error:
+                failure = error
+            except (Exception, SystemExit) as error:
+                failure = PluginError(f"{task.plant.name} under {task.scenario.name}: {_described(error)}")
+        seconds = time.perf_counter() - started
+        for cell in task.cells:
+            _stand(at, cell.job)
+            if failure is not None:
+                row = blank(task, cell, status=failure.status, reason=f"no data: {failure}")
+            else:
+                with _limit(task.time_limit, watch):
+                    row = _do_cell(task, cell, runs, held_out)
+            row.data_seconds = seconds
+            write_row(row, folder)
+    at.unlink(missing_ok=True)
+    watch_file(folder, task).unlink(missing_ok=True)
+
+
+def _stand(at: Path, where: str) -> None:
+    """Write down where the work is."""
+    scratch = at.with_suffix(".at-part")
+    scratch.write_text(where, encoding="utf-8")
+    scratch.replace(at)
+
+
+@contextmanager
+def _limit(seconds: float, watch: Any) -> Iterator[None]:
+    """End the process, rows so far being safe, when the body takes longer than its limit."""
+    faulthandler.dump_traceback_later(seconds, exit=True, file=watch)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+def _make_data(task: Task) -> tuple[list[Trajectory], list[Trajectory]]:
+    """Return the records that models are fitted to, and those that they are scored on."""
+    from harness.rollout import run
+
+    scenario = registry.create("scenarios", task.scenario.id, **task.scenario.options)
+    streams = Streams(task.plant.name, task.scenario.name, task.seed)
+    with registry.create("plants", task.plant.id, **task.plant.options) as plant:
+
+        def record(use: str, count: int) -> list[Trajectory]:
+            return [run(plant, scenario, streams=streams, role=f"{use}/{i}") for i in range(count)]
+
+        return record("estimation", task.score.runs), record("validation", task.score.held_out)
+
+
+def _do_cell(task: Task, cell: Cell, runs: Sequence[Trajectory], held_out: Sequence[Trajectory]) -> Row:
+    """Return the row of one identifier; whatever it raises becomes a status with its reason."""
+    row = blank(task, cell)
+    spec = runs[0].spec
+    row.outputs = [channel.name for channel in spec.outputs]
+    row.units = [channel.unit for channel in spec.outputs]
+    row.samples = sum(map(len, runs))
+    row.held_out_samples = sum(map(len, held_out))
+    rng = stream("identifier", task.plant.name, task.scenario.name, cell.identifier.name, task.seed)
+    borrowed: list[Any] = []
+    try:
+        identifier = _make_identifier(task, cell, borrowed)
+        shown = [trajectory.measured() for trajectory in runs]
+        scored = False
+        if hasattr(identifier, "fit"):
+            _fit_and_score(identifier, shown, held_out, task, row, rng)
+            scored = True
+        if hasattr(identifier, "hindsight"):
+            _score_regret(identifier, shown, row, rng)
+            scored = True
+        if not scored:
+            raise PluginError(
+                f"identifier {cell.identifier.id!r} breaks its contract: expected fit() or an online identifier with "
+                f"hindsight(), got {type(identifier).__name__}; remedy: see 'sysid check {cell.identifier.id}'"
+            )
+    except HarnessError as error:
+        row.status, row.reason = error.status, one_line(error)
+    except MemoryError:
+        row.status, row.reason = "crashed", "out of memory"
+    except (Exception, SystemExit) as error:
+        row.status, row.reason = "crashed", one_line(f"{cell.identifier.name} raised {_described(error)}")
+    finally:
+        for plant in borrowed:
+            plant.close()
+    return row
+
+
+def _make_identifier(task: Task, cell: Cell, borrowed: list[Any]) -> Any:
+    """Return the identifier; one that asks for the plant (the baseline that knows the truth) is given one to borrow."""
+    part = cell.identifier
+    options = dict(part.options)
+    if "plant" in registry.named_options("identifiers", part.id) and "plant" not in options:
+        borrowed.append(registry.create("plants", task.plant.id, **task.plant.options))
+        options["plant"] = borrowed[0]
+    return registry.create("identifiers", part.id, **options)
+
+
+def _fit_and_score(
+    identifier: Any,
+    shown: Sequence[Trajectory],
+    held_out: Sequence[Trajectory],
+    task: Task,
+    row: Row,
+    rng: np.random.Generator,
+) -> None:
+    """Fit, then fill in equation error and simulation error on the held-out records."""
+    from harness.scoring import equation_error, simulation_error
+
+    started = time.perf_counter()
+    model = identifier.fit(shown, rng=rng)
+    fitted = time.perf_counter()
+    row.fit_seconds = fitted - started
+    try:
+        one_step = [equation_error(model, record.measured()) for record in held_out]
+        row.equation_error, row.equation_rms = _pooled(one_step)
+        free = [simulation_error(model, record.measured(), horizon=task.score.horizon) for record in held_out]
+        row.simulation_error, row.simulation_rms = _pooled(free)
+        row.horizon, row.burn_in, row.initial_state = free[0].horizon, free[0].burn_in, free[0].initial_state
+    finally:
+        row.score_seconds = time.perf_counter() - fitted
+    if row.equation_error is None:
+        raise PlantError("the one-step predictions of the model are not finite", status="diverged")
+    if row.simulation_error is None:
+        raise PlantError("the free run of the model diverges on held-out data", status="diverged")
+
+
+def _score_regret(identifier: Any, shown: Sequence[Trajectory], row: Row, rng: np.random.Generator) -> None:
+    """Fill in the regret on the stream of the estimation records."""
+    from harness.scoring import regret
+
+    started = time.perf_counter()
+    result = regret(identifier, shown, rng=rng)
+    row.score_seconds += time.perf_counter() - started
+    row.regret, row.average_regret, row.regret_exact = result.total, result.average, result.exact
+    cumulative = result.cumulative
+    steps = np.unique(np.geomspace(1, cumulative.size, 120).round().astype(int))
+    row.curve_steps, row.curve_regret = steps.tolist(), cumulative[steps - 1].tolist()
+    if not np.isfinite(row.regret):
+        raise PlantError("the predictions of the online identifier are not finite", status="diverged")
+
+
+def _pooled(scores: Sequence[Score]) -> tuple[float | None, list[float | None]]:
+    """Return the NRMSE over outputs and records in the mean square, and the rms of each output; None if it diverged.
+
+    An output that stands still in the record has no NRMSE and is left out of the mean.
+    """
+    weights = np.array([score.samples for score in scores], dtype=float)
+    weights /= weights.sum()
+    rms, nrmse = np.array([score.rms for score in scores]), np.array([score.nrmse for score in scores])
+    moving = ~(np.isfinite(rms) & ~np.isfinite(nrmse)).any(axis=0)
+    if not moving.any():
+        raise InputError(
+            "held-out record",
+            expected="an output that moves",
+            got="outputs that stand still",
+            remedy="excite the plant more, or start it elsewhere",
+        )
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = float(np.sqrt(weights @ np.mean(nrmse[:, moving] ** 2, axis=1)))
+        each = np.sqrt(weights @ rms**2)
+    finite: list[float | None] = [float(value) if np.isfinite(value) else None for value in each]
+    return (total if np.isfinite(total) else None), finite
+
+
+def _described(error: BaseException) -> str:
+    """Return the type of an error and its text."""
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__

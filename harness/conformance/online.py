@@ -1,0 +1,176 @@
+"""Checks of identifiers that learn while they predict."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from harness.conformance.results import Broken, Check, CheckResult, demand, run_checks
+from harness.conformance.running import EXAMPLES, for_all, seeded, untouched
+from harness.conformance.workloads import Workload, kinds_for
+from harness.errors import HarnessError
+from harness.protocols import OnlineIdentifier
+from harness.signals import FloatArray, Trajectory
+
+__all__ = ["check_online_identifier", "online_checks"]
+
+Factory = Callable[[], Any]
+
+
+def check_online_identifier(
+    factory: Factory, *, expected_failures: Mapping[str, str] | None = None, examples: int = EXAMPLES
+) -> list[CheckResult]:
+    """Hold an online identifier to its contract; see :func:`harness.conformance.check_identifier`."""
+    return run_checks(online_checks(examples=examples), factory, expected_failures=expected_failures)
+
+
+def online_checks(*, examples: int = EXAMPLES) -> list[Check]:
+    """Return the checks of an online identifier, for ``pytest.mark.parametrize``.
+
+    Examples
+    --------
+    >>> [check.name for check in online_checks()][:2]
+    ['online_interface', 'online_predicts']
+    """
+    cache: dict[int, tuple[str, ...]] = {}
+
+    def kinds(factory: Factory) -> tuple[str, ...]:
+        if id(factory) not in cache:
+            found, refused = kinds_for(lambda w: _stream(factory(), [w.first.measured()[:40]]))
+            why = "; ".join(f"{kind}: {reason}" for kind, reason in refused.items())
+            demand(found, f"it refuses every kind of data ({why})")
+            cache[id(factory)] = found
+        return cache[id(factory)]
+
+    def on_all(body: Callable[[Factory, Workload], None]) -> Callable[[Factory], None]:
+        return lambda factory: for_all(kinds(factory), lambda workload: body(factory, workload), examples)
+
+    return [
+        Check("online_interface", "init, start, predict, update, hindsight", _interface),
+        Check("online_predicts", "finite predictions of the right shape", on_all(_predicts)),
+        Check("online_deterministic", "the same stream and rng give the same predictions", on_all(_deterministic)),
+        Check("online_no_mutation", "update leaves the old state and the data alone", on_all(_no_mutation)),
+        Check("online_no_look_ahead", "a prediction is made before its output is seen", on_all(_no_look_ahead)),
+        Check("online_no_seam_crossed", "start begins a record: nothing reaches across", on_all(_no_seam)),
+        Check("online_pickles", "a state travels to another process and goes on", on_all(_pickles)),
+        Check("online_hindsight", "one finite loss for each predicted sample", on_all(_hindsight)),
+    ]
+
+
+def _stream(identifier: Any, records: list[Trajectory]) -> FloatArray:
+    """Return the predictions (M, ny) over a stream of records."""
+    try:
+        state = identifier.init(records[0].spec, rng=seeded())
+        rows = []
+        for record in records:
+            state = identifier.start(state, record.y[0])
+            for k in range(len(record) - 1):
+                rows.append(np.array(identifier.predict(state, record.u[k]), dtype=float))
+                state = identifier.update(state, record.u[k], record.y[k + 1])
+    except HarnessError:
+        raise
+    except Exception as error:
+        raise Broken(f"raised {type(error).__name__}: {error}; only HarnessErrors may leave it") from error
+    return np.array(rows)
+
+
+def _shown(workload: Workload) -> list[Trajectory]:
+    return [workload.first.measured()[:120], workload.second.measured()[:120]]
+
+
+def _interface(factory: Factory) -> None:
+    identifier = factory()
+    demand(isinstance(identifier, OnlineIdentifier), f"{type(identifier).__name__} lacks a method of OnlineIdentifier")
+
+
+def _predicts(factory: Factory, workload: Workload) -> None:
+    records = _shown(workload)
+    predicted = _stream(factory(), records)
+    demand(
+        predicted.shape == (sum(len(r) - 1 for r in records), workload.first.spec.ny),
+        f"predictions have shape {predicted.shape[1:]}, expected ({workload.first.spec.ny},)",
+    )
+    demand(np.isfinite(predicted).all(), "a prediction is not finite")
+
+
+def _deterministic(factory: Factory, workload: Workload) -> None:
+    records = _shown(workload)
+    used = factory()
+    one, two, again = _stream(used, records), _stream(factory(), records), _stream(used, records)
+    demand(np.array_equal(one, two), "two runs over the same stream differ")
+    demand(np.array_equal(one, again), "a second run of the same object differs: the first left a trace")
+
+
+def _no_mutation(factory: Factory, workload: Workload) -> None:
+    identifier = factory()
+    record = _shown(workload)[0]
+    with untouched(record):
+        state = identifier.start(identifier.init(record.spec, rng=seeded()), record.y[0])
+        for k in range(30):
+            kept = copy.deepcopy(state)
+            before = np.array(identifier.predict(state, record.u[k]))
+            twice = np.array(identifier.predict(state, record.u[k]))
+            demand(np.array_equal(before, twice), "predict answers differently the second time")
+            following = identifier.update(state, record.u[k], record.y[k + 1])
+            after = np.array(identifier.predict(state, record.u[k]))
+            demand(np.array_equal(before, after), "update changes the old state")
+            demand(
+                np.array_equal(before, np.array(identifier.predict(kept, record.u[k]))),
+                "a copied state predicts otherwise",
+            )
+            state = following
+
+
+def _no_look_ahead(factory: Factory, workload: Workload) -> None:
+    record = _shown(workload)[0]
+    half = len(record) // 2
+    y = record.y.copy()
+    y[half:] = y[half:][::-1]
+    changed = Trajectory(record.t, record.u, y, record.spec)
+    identifier = factory()
+    _stream(identifier, [record])  # so that one that remembers a stream gives itself away
+    same = _stream(identifier, [changed])[: half - 1], _stream(factory(), [record])[: half - 1]
+    demand(np.array_equal(*same), "a prediction depends on an output that was not yet seen")
+
+
+def _no_seam(factory: Factory, workload: Workload) -> None:
+    """Demand that the last outputs of a record do not serve as the past of the next."""
+    a, b = _shown(workload)
+    identifier = factory()
+    state = identifier.init(a.spec, rng=seeded())
+    state = identifier.start(state, a.y[0])
+    for k in range(40):
+        state = identifier.update(state, a.u[k], a.y[k + 1])
+    fresh = identifier.start(state, b.y[0])
+    twice = identifier.start(identifier.start(state, a.y[7]), b.y[0])
+    one = np.array(identifier.predict(fresh, b.u[0]))
+    two = np.array(identifier.predict(twice, b.u[0]))
+    demand(np.array_equal(one, two), "the first prediction of a record depends on what was shown of another record")
+
+
+def _pickles(factory: Factory, workload: Workload) -> None:
+    record = _shown(workload)[0]
+    identifier = factory()
+    state = identifier.start(identifier.init(record.spec, rng=seeded()), record.y[0])
+    for k in range(20):
+        state = identifier.update(state, record.u[k], record.y[k + 1])
+    other, moved = pickle.loads(pickle.dumps((identifier, state)))
+    for k in range(20, 30):
+        one, two = identifier.predict(state, record.u[k]), other.predict(moved, record.u[k])
+        demand(np.array_equal(one, two), "a pickled state goes on differently")
+        state = identifier.update(state, record.u[k], record.y[k + 1])
+        moved = other.update(moved, record.u[k], record.y[k + 1])
+
+
+def _hindsight(factory: Factory, workload: Workload) -> None:
+    records = _shown(workload)
+    with untouched(*records):
+        result = factory().hindsight(records)
+    losses = np.asarray(result.losses, dtype=float)
+    expected = sum(len(r) - 1 for r in records)
+    demand(losses.shape == (expected,), f"hindsight has {losses.shape} losses, expected ({expected},)")
+    demand(np.isfinite(losses).all() and (losses >= -1e-12).all(), "a loss of hindsight is negative or not finite")

@@ -1,0 +1,283 @@
+"""Checks of plants: they repeat, step in the declared shapes, and have the abilities that they declare."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from harness.conformance.excitation import inputs_for
+from harness.conformance.results import Broken, Check, CheckResult, NotApplicable, demand, run_checks
+from harness.conformance.running import seeded
+from harness.errors import HarnessError, PlantError
+from harness.protocols import Batch, Feedthrough, Plant, Snapshots, Truth
+from harness.signals import FloatArray, PlantSpec
+from harness.units import fits
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["check_plant", "plant_checks"]
+
+Factory = Callable[[], Any]
+
+
+def check_plant(factory: Factory, *, expected_failures: Mapping[str, str] | None = None) -> list[CheckResult]:
+    """Hold a plant to its contract.
+
+    Parameters
+    ----------
+    factory : callable
+        Returns a fresh plant each time; a class will do. Every plant is closed after its check.
+    expected_failures : mapping, optional
+        Name of a check to the reason why it is known to fail; strict.
+
+    Returns
+    -------
+    list of CheckResult
+    """
+    return run_checks(plant_checks(), factory, expected_failures=expected_failures)
+
+
+def plant_checks() -> list[Check]:
+    """Return the checks of a plant, for ``pytest.mark.parametrize``.
+
+    Examples
+    --------
+    >>> "snapshot_equals_replay" in [check.name for check in plant_checks()]
+    True
+    """
+    return [
+        Check("interface", "spec, abilities, reset, step, close, context manager; known units", _interface),
+        Check("abilities", "what is declared is there, and feedthrough agrees with the spec", _abilities),
+        Check("step_shapes", "float64 outputs of shape (ny,), finite, not overwritten later", _shapes),
+        Check("reset_repeats", "the same rng gives the same run, on the same plant and on a fresh one", _repeats),
+        Check("arguments_left_alone", "inputs are neither changed nor kept", _arguments),
+        Check("bad_input_refused", "a wrong shape or NaN is refused by name", _bad_input),
+        Check("unknown_x0_refused", "an unknown initial state is refused by name", _bad_x0),
+        Check("snapshot_equals_replay", "a restored state continues as it did", _snapshot),
+        Check("batch_equals_stepping", "rollout gives what step gives", _batch),
+        Check("feedthrough_output_pure", "output(u) lets no time pass", _feedthrough),
+        Check("truth", "the true state has its declared shape and lets no time pass", _truth),
+        Check("closes_twice", "close may be called again, and with closes", _closes),
+    ]
+
+
+@contextmanager
+def _made(factory: Factory) -> Iterator[Any]:
+    """Return a fresh plant and close it."""
+    plant = factory()
+    try:
+        yield plant
+    finally:
+        close = getattr(plant, "close", None)
+        if callable(close):
+            close()
+
+
+def _run(plant: Any, inputs: FloatArray, seed: int = 0) -> FloatArray:
+    """Return the outputs (N, ny) of a run from reset."""
+    rows = [np.array(plant.reset(rng=seeded(seed)), dtype=float)]
+    rows += [np.array(plant.step(u), dtype=float) for u in inputs[:-1]]
+    return np.array(rows)
+
+
+def _interface(factory: Factory) -> None:
+    with _made(factory) as plant:
+        demand(isinstance(plant, Plant), f"{type(plant).__name__} lacks a member of the Plant protocol")
+        demand(isinstance(plant.spec, PlantSpec), "spec is no PlantSpec")
+        for channel in (*plant.spec.inputs, *plant.spec.outputs, *plant.spec.states):
+            fits(channel.unit, "1")  # refuses a unit that is none
+        demand(plant.spec == plant.spec, "spec changes while one looks")
+
+
+def _abilities(factory: Factory) -> None:
+    protocols = {"snapshots": Snapshots, "feedthrough": Feedthrough, "batch": Batch, "truth": Truth}
+    with _made(factory) as plant:
+        declared = plant.abilities
+        demand(isinstance(declared, frozenset), f"abilities is a {type(declared).__name__}, expected a frozenset")
+        unknown = sorted(set(declared) - set(protocols))
+        demand(not unknown, f"unknown abilities {unknown}, expected among {sorted(protocols)}")
+        for name in declared:
+            demand(
+                isinstance(plant, protocols[name]),
+                f"declares {name!r} without the methods of {protocols[name].__name__}",
+            )
+        demand(
+            ("feedthrough" in declared) == plant.spec.feedthrough,
+            f"spec.feedthrough is {plant.spec.feedthrough}, and the ability is {'feedthrough' in declared}",
+        )
+        demand("truth" not in declared or plant.spec.states, "declares 'truth' and names no states")
+
+
+def _shapes(factory: Factory) -> None:
+    with _made(factory) as plant:
+        ny = plant.spec.ny
+        inputs = inputs_for(plant.spec)
+        outputs = [plant.reset(rng=seeded())]
+        copies = [np.array(outputs[0])]
+        for u in inputs[:20]:
+            outputs.append(plant.step(u))
+            copies.append(np.array(outputs[-1]))
+        for k, (y, was) in enumerate(zip(outputs, copies, strict=True)):
+            demand(isinstance(y, np.ndarray) and y.dtype == np.float64, f"output {k} is no float64 array")
+            demand(y.shape == (ny,), f"output {k} has shape {y.shape}, expected ({ny},)")
+            demand(np.isfinite(was).all(), f"output {k} is not finite")
+            demand(np.array_equal(y, was), f"output {k} was overwritten by a later step")
+
+
+def _repeats(factory: Factory) -> None:
+    with _made(factory) as plant:
+        inputs = inputs_for(plant.spec)
+        first, second = _run(plant, inputs), _run(plant, inputs)
+        demand(np.array_equal(first, second), f"a second run differs by {np.abs(first - second).max():.3g}")
+    with _made(factory) as plant:
+        third = _run(plant, inputs)
+        demand(np.array_equal(first, third), f"a fresh plant differs by {np.abs(first - third).max():.3g}")
+
+
+def _arguments(factory: Factory) -> None:
+    with _made(factory) as plant:
+        inputs = inputs_for(plant.spec, 20)
+        reference = _run(plant, inputs)
+        plant.reset(rng=seeded())
+        rows = []
+        for u in inputs[:-1]:
+            mine = u.copy()
+            rows.append(np.array(plant.step(mine)))
+            demand(np.array_equal(mine, u), "step changes the input it was given")
+            mine[:] = 1e3
+        demand(np.array_equal(np.array(rows), reference[1:]), "step keeps the input array and reads it later")
+
+
+def _bad_input(factory: Factory) -> None:
+    with _made(factory) as plant:
+        good = inputs_for(plant.spec, 2)[0]
+        bad: list[tuple[str, Any]] = [("one value too many", np.append(good, 0.0))]
+        if plant.spec.nu:
+            bad += [
+                ("NaN", np.full_like(good, np.nan)),
+                ("infinity", np.full_like(good, np.inf)),
+                ("no values", good[:0]),
+            ]
+        for what, u in bad:
+            plant.reset(rng=seeded())
+            try:
+                plant.step(u)
+            except HarnessError:
+                continue
+            except Exception as error:
+                raise Broken(f"{what} raises {type(error).__name__}: {error}; expected an InputError") from error
+            raise Broken(f"{what} is accepted as input; expected an InputError")
+        plant.reset(rng=seeded())
+        plant.step(good)
+
+
+def _bad_x0(factory: Factory) -> None:
+    with _made(factory) as plant:
+        for what, x0 in (("an unknown initial state", {"no such state": 1.0}),):
+            try:
+                plant.reset(rng=seeded(), x0=x0)
+            except HarnessError:
+                continue
+            except Exception as error:
+                raise Broken(f"{what} raises {type(error).__name__}: {error}; expected an InputError") from error
+            raise Broken(f"{what} is accepted; expected an InputError")
+
+
+def _snapshot(factory: Factory) -> None:
+    with _made(factory) as plant:
+        if "snapshots" not in plant.abilities:
+            raise NotApplicable("snapshots are not declared")
+        tolerance = float(getattr(plant, "snapshot_tolerance", 0.0))
+        inputs = inputs_for(plant.spec)
+        reference = _run(plant, inputs)
+        plant.reset(rng=seeded())
+        for u in inputs[:20]:
+            plant.step(u)
+        state = plant.get_state()
+        for repeat in range(3):
+            rows = np.array([plant.step(u) for u in inputs[20:-1]])
+            off = np.abs(rows - reference[21:]).max()
+            demand(
+                off <= tolerance,
+                f"continuation {repeat} differs from an uninterrupted run by {off:.3g}, "
+                + (
+                    f"beyond its snapshot_tolerance {tolerance:g}"
+                    if tolerance
+                    else "and no snapshot_tolerance is declared"
+                ),
+            )
+            plant.set_state(state)
+        plant.reset(rng=seeded())
+        plant.set_state(state)
+        off = np.abs(np.array([plant.step(u) for u in inputs[20:-1]]) - reference[21:]).max()
+        demand(off <= tolerance, f"a state set after a reset continues {off:.3g} off")
+
+
+def _batch(factory: Factory) -> None:
+    with _made(factory) as plant:
+        if "batch" not in plant.abilities:
+            raise NotApplicable("batches are not declared")
+        inputs = inputs_for(plant.spec)
+        reference = _run(plant, inputs)
+        plant.reset(rng=seeded())
+        first = np.array(plant.rollout(inputs[:25]))
+        rest = np.array(plant.rollout(inputs[25:-1]))
+        demand(
+            first.shape == (25, plant.spec.ny), f"rollout returns shape {first.shape}, expected (25, {plant.spec.ny})"
+        )
+        off = np.abs(np.vstack([first, rest]) - reference[1:]).max()
+        demand(off == 0.0, f"rollout differs from stepping by {off:.3g}")
+
+
+def _feedthrough(factory: Factory) -> None:
+    with _made(factory) as plant:
+        if "feedthrough" not in plant.abilities:
+            raise NotApplicable("feedthrough is not declared")
+        inputs = inputs_for(plant.spec)
+        reference = _run(plant, inputs)
+        plant.reset(rng=seeded())
+        for k, u in enumerate(inputs[:-1]):
+            one, two = np.array(plant.output(u)), np.array(plant.output(u))
+            plant.output(inputs[-1])
+            demand(np.array_equal(one, two), "output(u) answers differently the second time")
+            demand(one.shape == (plant.spec.ny,), f"output has shape {one.shape}, expected ({plant.spec.ny},)")
+            demand(np.array_equal(plant.step(u), reference[k + 1]), "output(u) changes what follows: time passed")
+
+
+def _truth(factory: Factory) -> None:
+    with _made(factory) as plant:
+        if "truth" not in plant.abilities:
+            raise NotApplicable("the truth is not declared")
+        inputs = inputs_for(plant.spec)
+        reference = _run(plant, inputs)
+        plant.reset(rng=seeded())
+        for k, u in enumerate(inputs[:20]):
+            x = np.array(plant.truth())
+            demand(
+                x.shape == (len(plant.spec.states),), f"truth has shape {x.shape}, expected ({len(plant.spec.states)},)"
+            )
+            demand(np.isfinite(x).all(), "the true state is not finite")
+            demand(np.array_equal(x, plant.truth()), "the truth changes while one looks")
+            demand(np.array_equal(plant.step(u), reference[k + 1]), "asking for the truth changes what follows")
+
+
+def _closes(factory: Factory) -> None:
+    plant = factory()
+    with plant as entered:
+        demand(entered is plant, "__enter__ returns something else than the plant")
+        plant.reset(rng=seeded())
+    plant.close()
+    plant.close()
+    try:
+        plant.reset(rng=seeded())
+        plant.close()
+    except (HarnessError, PlantError):
+        return
+    except Exception as error:
+        raise Broken(
+            f"reset after close raises {type(error).__name__}: {error}; expected a HarnessError or a run"
+        ) from error

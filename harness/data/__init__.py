@@ -1,0 +1,24 @@
+"""Recorded data in and out: dataset.toml, bare CSV and Parquet files, MAT, HDF5, MDF4, MCAP and numpy files."""
+
+from __future__ import annotations
+
+from harness.data.description import NominalParameter, SourceSection, parse_description, read_description
+from harness.data.load import DATA_FOLDER, load_dataset
+from harness.data.loaded import LoadedDataset, Nominal
+from harness.data.si import si_unit
+from harness.data.trajectories import columns_of, read_trajectory, write_trajectory
+
+__all__ = [
+    "DATA_FOLDER",
+    "LoadedDataset",
+    "Nominal",
+    "NominalParameter",
+    "SourceSection",
+    "columns_of",
+    "load_dataset",
+    "parse_description",
+    "read_description",
+    "read_trajectory",
+    "si_unit",
+    "write_trajectory",
+]

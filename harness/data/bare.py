@@ -1,0 +1,121 @@
+"""One CSV or Parquet file as a whole data set: its columns carry the names of the model's ports."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from harness.data.description import Description, NominalSection, RunSection, SignalSection
+from harness.data.ports import Ports, located_model, ports_of
+from harness.data.tables import BARE, Table, split_header
+from harness.data.trajectories import stored_spec
+from harness.errors import InputError
+from harness.signals import Channel
+
+__all__ = ["describe_bare"]
+
+
+def describe_bare(
+    path: Path,
+    *,
+    model: str | None,
+    validation: str | Path | None,
+    ports: tuple[Sequence[Channel], Sequence[Channel]] | None,
+    notes: list[str],
+) -> tuple[Description, Ports]:
+    """Return the description that a bare file amounts to, and the ports that name its columns.
+
+    Raises
+    ------
+    InputError
+        If no model names the ports, or no column carries the name of one.
+    """
+    table = Table(path)
+    stored = stored_spec(path)
+    if model is None and ports is None and stored is None:
+        raise InputError(
+            "a bare file without a model",
+            expected="--model NAME, whose ports name the columns",
+            got="none",
+            remedy="add --model, or write a dataset.toml",
+            file=path,
+        )
+    if ports is not None:
+        known = Ports(tuple(ports[0]), tuple(ports[1]), model or "the model")
+    elif model is not None and (found := ports_of(located_model(model, Path.cwd()), {})) is not None:
+        known = found
+    elif stored is not None:
+        known = Ports(stored.inputs, stored.outputs, path.name)
+    else:
+        raise InputError(
+            f"the model {model} takes any ports",
+            expected="a dataset.toml that says which columns are inputs",
+            got="a bare CSV file",
+            remedy="write a dataset.toml, or use a Parquet file of sysid simulate, which knows",
+            file=path,
+        )
+    signals = _signals(table, known, path, notes)
+    runs, second = _runs(path, table, validation, next(iter(signals)))
+    notes += second
+    nominal = NominalSection(model=model) if model is not None else None
+    return Description(name=path.stem, signals=signals, runs=runs, nominal=nominal), known
+
+
+def _signals(table: Table, ports: Ports, path: Path, notes: list[str]) -> dict[str, SignalSection]:
+    """Return a signal for every column that carries the name of a port or of its rate."""
+    signals: dict[str, SignalSection] = {}
+    inputs = {channel.name for channel in ports.inputs}
+    outputs: dict[str, tuple[str, int]] = {channel.name: (channel.name, 0) for channel in ports.outputs}
+    for channel in ports.outputs:
+        outputs.setdefault(Ports.channel_name(channel.name, 1), (channel.name, 1))
+    ignored = []
+    for title in table.titles:
+        name = split_header(title)[0]
+        # the unit stays with the title: a validation file may state another one
+        if name in inputs:
+            signals[name] = SignalSection(role="input")
+        elif name in outputs:
+            port, derivative = outputs[name]
+            signals[name] = SignalSection(role="output", port=port, derivative=derivative)
+        elif name != "time":
+            ignored.append(title)
+    if not any(signal.role == "output" for signal in signals.values()):
+        raise InputError(
+            f"no column is an output of {ports.model}",
+            expected=f"a column named {' or '.join(map(str, ports.outputs[:6]))}",
+            got=", ".join(table.titles[:12]),
+            remedy="rename the columns, choose another --model, or write a dataset.toml",
+            file=path,
+        )
+    if ignored:
+        notes.append(f"columns that are no ports of {ports.model} are ignored: {', '.join(ignored[:8])}")
+    return signals
+
+
+def _runs(
+    path: Path, table: Table, validation: str | Path | None, first: str
+) -> tuple[tuple[RunSection, ...], list[str]]:
+    """Return the estimation and validation run: two files, or two thirds and one third of one."""
+    own = RunSection(file=path.name, use="estimation")
+    if validation is not None:
+        other = Path(validation)
+        if other.suffix.lower() not in BARE:
+            raise InputError(
+                "validation file",
+                expected=f"a file that ends in {' or '.join(BARE)}",
+                got=other.name,
+                remedy="give a CSV or Parquet file",
+                file=other,
+            )
+        return (own, RunSection(file=str(other.resolve()), use="validation")), []
+    n = len(table.read(first)[0])
+    cut = 2 * n // 3
+    if cut < 1:
+        return (own,), []
+    note = f"no validation file: rows {cut} to {n} of {path.name}, its last third, validate"
+    return (
+        msgspec.structs.replace(own, rows=(0, cut)),
+        RunSection(file=path.name, use="validation", rows=(cut, n)),
+    ), [note]

@@ -1,0 +1,186 @@
+"""Binary tables: Parquet, MAT (v5 and v7.3), numpy, HDF5."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.data.selectors import parse_selector, vector
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["Hdf5File", "MatFile", "NumpyFile", "ParquetFile", "broken", "open_mat", "optional"]
+
+
+def broken(path: Path, kind: str, error: Exception) -> InputError:
+    """Return the refusal of a file that its reader cannot read."""
+    return InputError(
+        f"not a {kind} file",
+        expected=f"a readable {kind} file",
+        got=f"{type(error).__name__}: {error}"[:200],
+        remedy="check that it was copied whole",
+        file=path,
+    )
+
+
+def optional(package: str, kind: str, extra: str = "data") -> Any:
+    """Return an optional package, or refuse with the words that install it."""
+    import importlib
+
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise InputError(
+            f"reading {kind} needs the package {package}",
+            expected=f"{package} installed",
+            got="it is not",
+            remedy=f"pip install 'sysid-harness[{extra}]'",
+        ) from error
+
+
+class ParquetFile:
+    """A Parquet file; nulls are NaN."""
+
+    def __init__(self, path: Path) -> None:
+        import pyarrow.parquet as pq
+
+        try:
+            self._table = pq.read_table(path)
+        except Exception as error:
+            raise broken(path, "Parquet", error) from error
+        self.titles = list(self._table.column_names)
+        self.metadata: dict[bytes, bytes] = dict(self._table.schema.metadata or {})
+
+    def values(self, title: str) -> FloatArray:
+        """Return one column (N,)."""
+        column = self._table.column(title)
+        try:
+            return np.array(column.to_numpy(zero_copy_only=False), dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                "a column that holds no numbers",
+                expected="numbers",
+                got=str(column.type),
+                remedy="choose another column, or convert it",
+                place=f"column {title!r}",
+            ) from error
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return None: Parquet has plain columns only."""
+        return None
+
+    def unit(self, title: str) -> str | None:
+        """Return None: units stand in the titles."""
+        return None
+
+
+class _Variables:
+    """Named variables, some of them matrices, cells or structs, behind selectors."""
+
+    def __init__(self, variables: dict[str, Any]) -> None:
+        self._variables = variables
+        self.titles = list(variables)
+
+    def resolve(self, value: Any) -> Any:
+        """Return what a cell holds."""
+        return value
+
+    def values(self, title: str) -> FloatArray:
+        """Return a variable that is one column of numbers (N,)."""
+        selector = parse_selector(title) if not set("{[.") & set(title) else None
+        if selector is None:
+            return np.asarray(self._variables[title], dtype=np.float64).reshape(-1)
+        return vector(self._variables[title], selector, resolve=self.resolve)
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return what a selector finds; None if its variable is not there."""
+        selector = parse_selector(text)
+        if selector.variable not in self._variables:
+            return None
+        return vector(self._variables[selector.variable], selector, resolve=self.resolve)
+
+    def unit(self, title: str) -> str | None:
+        """Return None: these formats state no units."""
+        return None
+
+
+class MatFile(_Variables):
+    """A MAT file of version 5 (what MATLAB writes without -v7.3)."""
+
+    def __init__(self, path: Path) -> None:
+        from scipy.io import loadmat
+
+        try:
+            content = loadmat(path)
+        except Exception as error:
+            raise broken(path, "MAT", error) from error
+        super().__init__({name: value for name, value in content.items() if not name.startswith("__")})
+
+
+class NumpyFile(_Variables):
+    """A ``.npz`` archive, or one ``.npy`` array called ``array``."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            content = np.load(path, allow_pickle=False)
+            variables = {"array": content} if isinstance(content, np.ndarray) else dict(content)
+        except Exception as error:
+            raise broken(path, "numpy", error) from error
+        super().__init__(variables)
+
+
+class Hdf5File(_Variables):
+    """An HDF5 file; data sets go by their path (``log/theta``), units by an attribute ``unit`` or ``units``."""
+
+    transposed = False
+
+    def __init__(self, path: Path) -> None:
+        h5py = optional("h5py", "HDF5")
+        variables: dict[str, Any] = {}
+        self._units: dict[str, str] = {}
+        try:
+            with h5py.File(path, "r") as file:
+
+                def visit(name: str, item: Any) -> None:
+                    if not isinstance(item, h5py.Dataset) or name.startswith("#refs#"):
+                        return
+                    variables[name] = self._loaded(item, file, h5py)
+                    for key in ("unit", "units"):
+                        if key in item.attrs:
+                            text = item.attrs[key]
+                            self._units[name] = text.decode() if isinstance(text, bytes) else str(text)
+
+                file.visititems(visit)
+        except OSError as error:
+            raise broken(path, "HDF5", error) from error
+        super().__init__(variables)
+
+    def _loaded(self, item: Any, file: Any, h5py: Any) -> Any:
+        """Return a data set in memory, references followed."""
+        content = item[()]
+        if getattr(content, "dtype", None) == h5py.ref_dtype:
+            cells = np.empty(content.shape, dtype=object)
+            for index in np.ndindex(content.shape):
+                cells[index] = self._loaded(file[content[index]], file, h5py)
+            content = cells
+        array = np.asarray(content)
+        return array.T if self.transposed and array.ndim == 2 else array
+
+    def unit(self, title: str) -> str | None:
+        """Return the unit attribute of a data set."""
+        return self._units.get(title)
+
+
+class MatV73File(Hdf5File):
+    """A MAT file of version 7.3: HDF5 with the axes turned; shapes are those that MATLAB shows."""
+
+    transposed = True
+
+
+def open_mat(path: Path) -> MatFile | MatV73File:
+    """Return the reader for the version of a MAT file."""
+    with path.open("rb") as file:
+        head = file.read(128)
+    return MatV73File(path) if head.startswith(b"MATLAB 7.3") else MatFile(path)

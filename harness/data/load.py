@@ -1,0 +1,335 @@
+"""load_dataset: from a dataset.toml, or one bare CSV or Parquet file, to records in SI units."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from harness.data.bare import describe_bare
+from harness.data.description import Description, RunSection, read_description
+from harness.data.loaded import LoadedDataset
+from harness.data.plan import Plan
+from harness.data.sanity import check_run, check_runs
+from harness.data.tables import BARE, FORMATS, Table, open_table
+from harness.data.timebase import Piece, TimeRules, pieces_of
+from harness.errors import InputError
+from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
+from harness.units import convert, fits
+
+__all__ = ["DATA_FOLDER", "load_dataset"]
+
+DATA_FOLDER = "SYSID_HARNESS_DATA"
+"""Environment variable that names the folder of recordings."""
+
+
+def load_dataset(
+    path: str | Path,
+    *,
+    model: str | None = None,
+    validation: str | Path | None = None,
+    ports: tuple[Sequence[Channel], Sequence[Channel]] | None = None,
+) -> LoadedDataset:
+    """Read a data set, check it, and convert it to SI units.
+
+    Parameters
+    ----------
+    path : path
+        ``dataset.toml``, or one CSV or Parquet file whose columns carry the names of the model's ports.
+    model : str, optional
+        Nominal model, in place of the one that the file names; a bare file needs it.
+    validation : path, optional
+        Validation file beside a bare file; without it the last third validates.
+    ports : (inputs, outputs), optional
+        Channels of the model, for a caller that knows it already.
+
+    Returns
+    -------
+    LoadedDataset
+        What was noticed stands in ``dataset.warnings``.
+
+    Raises
+    ------
+    InputError
+        If a file, column, unit, time axis or value cannot be used. The message names file, place and remedy.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    notes: list[str] = []
+    if suffix in BARE:
+        description, known = describe_bare(path, model=model, validation=validation, ports=ports, notes=notes)
+        ports = (known.inputs, known.outputs)
+    elif suffix in FORMATS and path.is_file():
+        raise InputError(
+            "a file that needs a description",
+            expected="a dataset.toml, or a CSV or Parquet file",
+            got=repr(suffix),
+            remedy="write a dataset.toml that names its columns",
+            file=path,
+        )
+    else:
+        if validation is not None:
+            raise InputError(
+                "a validation file beside a dataset.toml",
+                expected='its own [[runs]] with use = "validation"',
+                got=str(validation),
+                remedy="add the run to the dataset.toml",
+                file=path,
+            )
+        description = read_description(path)
+    try:
+        return _Reader(path, description, model, ports, notes).load()
+    except InputError as error:
+        raise error.located(file=path) from error
+
+
+class _Reader:
+    """One call of :func:`load_dataset`."""
+
+    def __init__(
+        self,
+        path: Path,
+        description: Description,
+        model: str | None,
+        ports: tuple[Sequence[Channel], Sequence[Channel]] | None,
+        notes: list[str],
+    ) -> None:
+        self.path, self.description = path, description
+        self.tables: dict[Path, Table] = {}
+        self.plan = Plan(path, description, model=model, ports=ports, header_unit=self._header_unit)
+        self.notes = [*notes, *self.plan.notes]
+        self.rules = TimeRules(description.sample_time, description.gaps, description.resample, description.intersample)
+
+    def load(self) -> LoadedDataset:
+        """Read every run."""
+        plan, spec = self.plan, None
+        runs: list[Run] = []
+        references: list[dict[str, FloatArray]] = []
+        measured = tuple((plan.port(name), plan.signal(name).derivative) for name in plan.outputs)
+        self._check_files()
+        for number, section in enumerate(self.description.runs):
+            file, place = self._file(number, section), f"runs[{number}]"
+            try:
+                pieces, notes = self._pieces(
+                    section, open_table(file, self.tables), None if spec is None else spec.sample_time
+                )
+                for order, piece in enumerate(pieces):
+                    spec = spec or self._spec(piece.sample_time)
+                    trajectory, extra = self._trajectory(piece, spec)
+                    notes += check_run(trajectory, measured)
+                    label = section.label + (f"/{order}" if len(pieces) > 1 else "")
+                    runs.append(Run(trajectory, section.use, label.lstrip("/")))
+                    references.append(extra)
+            except InputError as error:
+                raise error.located(file=file, place=place) from error
+            self.notes += [f"{place} ({file.name}): {note}" for note in dict.fromkeys(notes)]
+        self.notes += check_runs(runs)
+        self._check_overlap()
+        if not any(run.use == "validation" for run in runs):
+            self.notes.append("no validation run: nothing chooses between models on data that they have not seen")
+        dataset = Dataset(
+            self.description.name, tuple(runs), self.description.intersample, plan.noise(), tuple(self.notes)
+        )
+        return LoadedDataset(dataset, plan.nominal, measured, tuple(references), self.path, self.description.source)
+
+    # ---- files ----------------------------------------------------------------------------------------------------
+
+    def _file(self, number: int, section: RunSection) -> Path:
+        """Return the file of a run: beside the description, or under the folder of recordings."""
+        given = Path(section.file)
+        places = [self.path.parent / given]
+        folder = os.environ.get(DATA_FOLDER)
+        if folder:
+            places.append(Path(folder) / given)
+        for place in places:
+            if place.is_file():
+                return place
+        source = self.description.source
+        if source is None:
+            # the table words the refusal: it looks for similar names
+            return places[0]
+        where = f"under ${DATA_FOLDER} ({folder})" if folder else f"as ${DATA_FOLDER} is not set"
+        raise InputError(
+            f"a file of the recording {self.description.name} is missing",
+            expected=f"{section.file} under ${DATA_FOLDER} or beside the recipe",
+            got=f"no such file {where}",
+            remedy=f"download it from {source.download}"
+            + (f" (or pip install {source.package})" if source.package else "")
+            + f" and set ${DATA_FOLDER} to the folder that holds {given.parent if given.parent.name else 'it'}",
+            file=given,
+            place=f"runs[{number}].file",
+        )
+
+    def _check_files(self) -> None:
+        """Say so if a file of a public recording is not the one that the recipe was written for."""
+        source = self.description.source
+        wanted = {one.file: one.sha256 for one in source.files} if source is not None else {}
+        for number, section in enumerate(self.description.runs):
+            expected = wanted.pop(section.file, "")
+            if expected and hashlib.sha256(self._file(number, section).read_bytes()).hexdigest() != expected:
+                self.notes.append(f"{section.file} is not the file that this recipe was written for (SHA-256 differs)")
+
+    def _header_unit(self, name: str) -> str | None:
+        """Return the unit that the first run's file states for a signal."""
+        section = self.description.runs[0]
+        table = open_table(self._file(0, section), self.tables)
+        return table.read(self._column(name, section))[1]
+
+    def _column(self, name: str, section: RunSection) -> str | int:
+        """Return the column of a signal in one run."""
+        if name in section.columns:
+            return section.columns[name]
+        column = self.description.signals[name].column
+        return name if column is None else column
+
+    # ---- values ---------------------------------------------------------------------------------------------------
+
+    def _pieces(self, section: RunSection, table: Table, common: float | None) -> tuple[list[Piece], list[str]]:
+        """Return the uninterrupted pieces of one run, in SI units."""
+        names = (*self.plan.inputs, *self.plan.outputs, *self.plan.references)
+        columns: dict[str, FloatArray] = {}
+        seen: dict[str | int, str] = {}
+        for name in names:
+            column = self._column(name, section)
+            if column in seen:
+                raise InputError(
+                    "two signals from one column",
+                    expected="a column of its own for each signal",
+                    got=f"{seen[column]} and {name} from {column!r}",
+                    remedy="correct the column of one",
+                    place=f"signals.{name}.column",
+                )
+            seen[column] = name
+            columns[name] = self._converted(name, table, column)
+        time = self._time(section, table, seen)
+        lengths = {name: len(values) for name, values in columns.items()}
+        if time is not None:
+            lengths["time"] = len(time)
+        if len(set(lengths.values())) > 1:
+            raise InputError(
+                "columns of different length",
+                expected="as many rows in each",
+                got=", ".join(f"{name} {length}" for name, length in lengths.items()),
+                remedy="correct the columns",
+            )
+        values = np.column_stack([columns[name] for name in names])
+        chosen = self._rows(section, len(values))
+        inputs = tuple(name in self.plan.inputs for name in names)
+        return pieces_of(
+            None if time is None else time[chosen],
+            values[chosen],
+            names=names,
+            inputs=inputs,
+            rules=self.rules,
+            common=common,
+        )
+
+    def _converted(self, name: str, table: Table, column: str | int) -> FloatArray:
+        """Return one signal in its SI unit: scale and offset first, then the unit."""
+        signal = self.description.signals[name]
+        raw, stated = table.read(column)
+        unit = stated if signal.unit is None and stated is not None else self.plan.units[name]
+        if stated is not None and signal.unit is not None and not _same_unit(stated, unit):
+            raise InputError(
+                "the column states another unit",
+                expected=f"unit = {stated!r}, as the title of the column says",
+                got=f"unit = {unit!r}",
+                remedy="correct one of the two",
+                place=f"signals.{name}.unit",
+            )
+        scaled = raw if signal.scale == 1.0 and signal.offset == 0.0 else signal.scale * raw + signal.offset
+        if np.isinf(scaled).any():
+            row = int(np.argmax(np.isinf(scaled)))
+            raise InputError(
+                "an infinite value",
+                expected="numbers",
+                got=f"{raw[row]} in row {row}",
+                remedy="cut or empty the cell",
+                place=f"row {row}, signal {name}",
+            )
+        return convert(scaled, unit, self.plan.channels[name].unit)
+
+    def _time(self, section: RunSection, table: Table, used: dict[str | int, str]) -> FloatArray | None:
+        """Return the time stamps [s]; None where only a sample time is declared and the file has no time column."""
+        declared = self.description.time
+        column = section.columns.get("time", declared.column if declared is not None else "time")
+        if declared is None and "time" not in section.columns and (table.find("time") is None or "time" in used):
+            if self.description.sample_time is None:
+                raise InputError(
+                    "no time",
+                    expected="sample_time = ... (s), or a column time",
+                    got=f"columns {', '.join(table.titles[:12])}",
+                    remedy="declare sample_time, or [time] with the name of the column",
+                    place="sample_time",
+                )
+            return None
+        raw, stated = table.read(column)
+        unit = declared.unit if declared is not None else (stated or "s")
+        try:
+            return convert(raw, unit, "s")
+        except InputError as error:
+            raise error.located(file=self.path, place="time.unit") from error
+
+    def _rows(self, section: RunSection, n: int) -> slice:
+        """Return the rows that a run uses."""
+        start, stop = section.rows if section.rows is not None else (0, n)
+        if stop > n:
+            raise InputError(
+                "rows beyond the end", expected=f"at most {n}", got=f"rows = [{start}, {stop}]", remedy="correct rows"
+            )
+        if start + section.discard >= stop:
+            raise InputError(
+                "nothing left of the run",
+                expected=f"discard below {stop - start}",
+                got=f"discard = {section.discard}",
+                remedy="correct rows or discard",
+            )
+        return slice(start + section.discard, stop)
+
+    def _spec(self, sample_time: float) -> PlantSpec:
+        """Return what all runs share."""
+        channels = self.plan.channels
+        return PlantSpec(
+            tuple(channels[name] for name in self.plan.inputs),
+            tuple(channels[name] for name in self.plan.outputs),
+            sample_time,
+        )
+
+    def _trajectory(self, piece: Piece, spec: PlantSpec) -> tuple[Trajectory, dict[str, FloatArray]]:
+        """Return one piece as a record, and its references."""
+        n, nu, ny = len(piece.values), spec.nu, spec.ny
+        t = piece.start + np.arange(n, dtype=np.float64) * spec.sample_time
+        references = {name: piece.values[:, nu + ny + i].copy() for i, name in enumerate(self.plan.references)}
+        return Trajectory(t, piece.values[:, :nu], piece.values[:, nu : nu + ny], spec), references
+
+    def _check_overlap(self) -> None:
+        """Refuse rows of one file that serve two uses."""
+        runs = list(enumerate(self.description.runs))
+        for a, first in runs:
+            for b, second in runs[a + 1 :]:
+                if (first.file, first.columns) != (second.file, second.columns) or first.use == second.use:
+                    continue
+                low = [0 if run.rows is None else run.rows[0] for run in (first, second)]
+                high = [np.inf if run.rows is None else run.rows[1] for run in (first, second)]
+                if max(low) < min(high):
+                    raise InputError(
+                        f"runs {a} and {b} overlap",
+                        expected=f"{second.use} data that are no {first.use} data",
+                        got=f"rows {first.rows or 'all'} and {second.rows or 'all'} of {first.file}",
+                        remedy="separate their rows",
+                        file=self.path,
+                        place=f"runs[{b}].rows",
+                    )
+
+
+def _same_unit(stated: str, declared: str) -> bool:
+    """Return True if two unit texts mean the same; a text that is no unit says nothing."""
+    try:
+        if not fits(stated, declared):
+            return False
+        return bool(np.allclose(convert(np.array([0.0, 1.0]), stated, declared), [0.0, 1.0], rtol=1e-9))
+    except InputError:
+        return True

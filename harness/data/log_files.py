@@ -1,0 +1,134 @@
+"""Measurement logs: MDF4 (automotive) and MCAP (robotics), both through optional packages."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.data.binary_files import broken, optional
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["McapFile", "MdfFile"]
+
+
+class MdfFile:
+    """An MDF file (version 3 or 4); channels go by their name, ``time`` is the raster of the first channel.
+
+    All channels that are used must share that raster: the reader resamples nothing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        asammdf = optional("asammdf", "MDF")
+        self._channels: dict[str, Any] = {}
+        try:
+            with asammdf.MDF(path) as log:
+                for signal in log.iter_channels(skip_master=True):
+                    if signal.samples.dtype.kind in "biuf" and signal.samples.ndim == 1 and len(signal.samples):
+                        self._channels.setdefault(signal.name, signal)
+        except Exception as error:
+            raise broken(path, "MDF", error) from error
+        if not self._channels:
+            raise InputError(
+                "an empty log", expected="numeric channels", got="none", remedy="check the file", file=path
+            )
+        self._time = np.asarray(next(iter(self._channels.values())).timestamps, dtype=np.float64)
+        self.titles = ["time", *(name for name in self._channels if name != "time")]
+
+    def values(self, title: str) -> FloatArray:
+        """Return one channel (N,), or the time axis [s]."""
+        if title == "time":
+            return self._time.copy()
+        signal = self._channels[title]
+        if not np.array_equal(signal.timestamps, self._time):
+            raise InputError(
+                f"channel {title!r} has time stamps of its own",
+                expected=f"the raster of {self.titles[1]!r}",
+                got=f"{len(signal.timestamps)} other time stamps",
+                remedy="resample the log to one raster when exporting it",
+                place=title,
+            )
+        return np.array(signal.samples, dtype=np.float64)
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return None: MDF has plain channels only."""
+        return None
+
+    def unit(self, title: str) -> str | None:
+        """Return the unit that the log states."""
+        if title == "time":
+            return "s"
+        return str(self._channels[title].unit) or None
+
+
+class McapFile:
+    """An MCAP log with JSON messages; a value goes by ``/topic.field.field``.
+
+    ``time`` is the log time [s] of the first topic since its first message; all topics that are used must have as
+    many messages as it has.
+    """
+
+    def __init__(self, path: Path) -> None:
+        reader_module = optional("mcap.reader", "MCAP")
+        columns: dict[str, list[float]] = {}
+        stamps: dict[str, list[int]] = {}
+        foreign: set[str] = set()
+        try:
+            with path.open("rb") as stream:
+                for _, channel, message in reader_module.make_reader(stream).iter_messages():
+                    if channel.message_encoding != "json":
+                        foreign.add(f"{channel.topic} ({channel.message_encoding})")
+                        continue
+                    stamps.setdefault(channel.topic, []).append(message.log_time)
+                    for name, value in _numbers(channel.topic, json.loads(message.data)):
+                        columns.setdefault(name, []).append(value)
+        except Exception as error:
+            raise broken(path, "MCAP", error) from error
+        if not columns:
+            raise InputError(
+                "no readable topics",
+                expected="topics with JSON messages",
+                got=", ".join(sorted(foreign)) or "none",
+                remedy="convert the log to JSON messages or to CSV",
+                file=path,
+            )
+        self._columns = {name: np.array(values) for name, values in columns.items()}
+        first = np.array(next(iter(stamps.values())), dtype=np.int64)
+        self._columns = {"time": (first - first[0]) * 1e-9, **self._columns}
+        self.titles = list(self._columns)
+
+    def values(self, title: str) -> FloatArray:
+        """Return one field (N,), or the log time [s]."""
+        values = self._columns[title]
+        if values.shape != self._columns["time"].shape:
+            raise InputError(
+                f"{title!r} has another number of messages",
+                expected=f"{self._columns['time'].size} as {self.titles[1]!r}",
+                got=str(values.size),
+                remedy="log the signals together, or resample the log first",
+                place=title,
+            )
+        return values.copy()
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return None: a field goes by its full name."""
+        return None
+
+    def unit(self, title: str) -> str | None:
+        """Return None: JSON messages state no units."""
+        return "s" if title == "time" else None
+
+
+def _numbers(prefix: str, content: Any) -> list[tuple[str, float]]:
+    """Return every number of a message with its path."""
+    if isinstance(content, bool | int | float):
+        return [(prefix, float(content))]
+    items: list[tuple[str, Any]] = []
+    if isinstance(content, dict):
+        items = [(f"{prefix}.{key}", value) for key, value in content.items()]
+    elif isinstance(content, list):
+        items = [(f"{prefix}[{number}]", value) for number, value in enumerate(content)]
+    return [pair for name, value in items for pair in _numbers(name, value)]

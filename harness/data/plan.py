@@ -1,0 +1,199 @@
+"""What a data set declares, worked out before a row is read: the model, its ports, the channel of every signal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from harness.data.description import Description, NominalParameter, SignalSection
+from harness.data.loaded import Nominal
+from harness.data.ports import Ports, located_model, ports_of, rate_unit
+from harness.data.si import si_unit
+from harness.errors import InputError
+from harness.signals import Channel
+from harness.units import convert, fits
+
+__all__ = ["Plan"]
+
+
+class Plan:
+    """The declared side of a data set.
+
+    Parameters
+    ----------
+    path : Path
+        The file that holds the description; models are found relative to it.
+    description : Description
+    model : str or None
+        Nominal model in place of the declared one.
+    ports : (inputs, outputs) or None
+        Channels of the model, where the caller knows them.
+    header_unit : callable
+        Returns the unit that the files state for a signal, or None.
+
+    Raises
+    ------
+    InputError
+        If two signals share a port, a port is unknown, or a unit is unknown or does not fit.
+
+    Attributes
+    ----------
+    inputs, outputs, references : list of str
+        Names of the signals by role, in the model's order.
+    channels : dict
+        The channel of each signal, in the unit that its values will have.
+    notes : list of str
+        What was noticed.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        description: Description,
+        *,
+        model: str | None,
+        ports: tuple[Sequence[Channel], Sequence[Channel]] | None,
+        header_unit: Callable[[str], str | None],
+    ) -> None:
+        self.path, self.description = path, description
+        self.notes: list[str] = []
+        self._header_unit = header_unit
+        self.nominal = self._nominal(model)
+        self.ports = self._ports(ports)
+        self.inputs, self.outputs, self.references = self._arranged()
+        self.units: dict[str, str] = {}
+        self.channels = {name: self._channel(name) for name in (*self.inputs, *self.outputs, *self.references)}
+
+    def noise(self) -> dict[str, float]:
+        """Return the declared standard deviation of each sensor, by output channel, in its SI unit."""
+        result = {}
+        for name in self.outputs:
+            given, channel = self.signal(name).noise, self.channels[name]
+            if given is not None:
+                zero, value = convert(np.array([0.0, given]), self.units[name], channel.unit)
+                result[channel.name] = float(abs(value - zero))
+        return result
+
+    def _nominal(self, model: str | None) -> Nominal | None:
+        """Return the nominal model; one that the caller names keeps what is known only if it is the same."""
+        section = self.description.nominal
+        if model is not None and (section is None or section.model != model):
+            return Nominal(located_model(model, Path.cwd()))
+        if section is None:
+            return None
+        parameters = {
+            name: given if isinstance(given, NominalParameter) else NominalParameter(value=float(given))
+            for name, given in section.parameters.items()
+        }
+        return Nominal(located_model(section.model, self.path.parent), section.options, parameters, section.analogy)
+
+    def _ports(self, ports: tuple[Sequence[Channel], Sequence[Channel]] | None) -> Ports | None:
+        """Return the ports that signals may sit on; None where any will do."""
+        if ports is not None:
+            return Ports(tuple(ports[0]), tuple(ports[1]))
+        if self.nominal is None:
+            return None
+        try:
+            return ports_of(self.nominal.model, self.nominal.options, analogy=self.nominal.analogy)
+        except InputError as error:
+            raise error.located(place="nominal.model") from error
+
+    def _arranged(self) -> tuple[list[str], list[str], list[str]]:
+        """Return the names of inputs, outputs and references, in the model's order; two on one port are refused."""
+        taken: dict[tuple[str, str, int], str] = {}
+        ranks: dict[str, tuple[int, int]] = {}
+        for row, (name, signal) in enumerate(self.description.signals.items()):
+            if signal.role == "reference":
+                continue
+            port = self.port(name)
+            key = ("", port, signal.derivative)
+            if key in taken:
+                raise InputError(
+                    "two signals on one port",
+                    expected="one signal for each port (or its rate, derivative = 1)",
+                    got=f"{taken[key]} and {name} on {port}",
+                    remedy="correct the port of one, or remove it",
+                    place=f"signals.{name}.port",
+                )
+            taken[key] = name
+            rank = row
+            if self.ports is not None:
+                try:
+                    channel = self.ports.find(port, signal.role)
+                except InputError as error:
+                    raise error.located(place=f"signals.{name}") from error
+                rank = (self.ports.inputs if signal.role == "input" else self.ports.outputs).index(channel)
+            ranks[name] = (signal.derivative, rank)
+        role = {name: signal.role for name, signal in self.description.signals.items()}
+        if self.ports is not None:
+            recorded = {self.port(name) for name in role if role[name] == "input"}
+            for channel in self.ports.inputs:
+                if channel.name not in recorded:
+                    self.notes.append(f"input {channel.name} of {self.ports.model} is not recorded: taken as 0")
+        ordered = sorted(ranks, key=lambda name: ranks[name])
+        return (
+            [name for name in ordered if role[name] == "input"],
+            [name for name in ordered if role[name] == "output"],
+            [name for name in role if role[name] == "reference"],
+        )
+
+    def signal(self, name: str) -> SignalSection:
+        """Return the section of a signal."""
+        return self.description.signals[name]
+
+    def port(self, name: str) -> str:
+        """Return the port that a signal sits on: its own name unless it says otherwise."""
+        return self.signal(name).port or name
+
+    def _channel(self, name: str) -> Channel:
+        """Return the channel of a signal, in the unit that its values will have."""
+        signal, place = self.signal(name), f"signals.{name}.unit"
+        unit = signal.unit or self._header_unit(name)
+        if unit is None:
+            raise InputError(
+                f"signal {name} has no unit",
+                expected='unit = "..." (or a column title such as "theta [rad]")',
+                got="none",
+                remedy='declare it; unit = "1" is a plain number',
+                place=place,
+            )
+        label = Ports.channel_name(self.port(name), signal.derivative) if signal.role == "output" else self.port(name)
+        self.units[name] = unit
+        if signal.role == "reference":
+            return Channel(name, _si(unit, place))
+        if self.ports is None:
+            return Channel(label, _si(unit, place))
+        port = self.ports.find(self.port(name), signal.role)
+        target = rate_unit(port.unit, signal.derivative)
+        if not self.ports.units_fixed:
+            return Channel(label, _si(unit, place))
+        if not _fits(unit, target, place):
+            raise InputError(
+                "unit does not fit",
+                expected=f"a unit that converts to {target} ({label} of {self.ports.model})",
+                got=repr(unit),
+                remedy="correct the unit or the port, or declare a scale into the right one",
+                place=place,
+            )
+        if signal.derivative:
+            return Channel(label, target)
+        return replace(port, name=label)
+
+
+def _si(unit: str, place: str) -> str:
+    """Return the SI form of a unit, its refusal placed."""
+    try:
+        return si_unit(unit)
+    except InputError as error:
+        raise error.located(place=place) from error
+
+
+def _fits(unit: str, target: str, place: str) -> bool:
+    """Return True if a unit fits, its refusal placed."""
+    try:
+        return fits(unit, target)
+    except InputError as error:
+        raise error.located(place=place) from error

@@ -1,0 +1,221 @@
+"""What looks wrong in a record: refused where it cannot be meant, said in words where it may be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from harness.data.suspicion import swapped_in_and_out, swapped_runs, units_between_runs
+from harness.errors import InputError
+from harness.signals import Channel, FloatArray, Run, Trajectory
+
+__all__ = ["check_run", "check_runs"]
+
+_FACTORS = (
+    (180.0 / np.pi, "one is in degrees and the other in radians"),
+    (np.pi / 180.0, "one is in degrees and the other in radians"),
+    (1000.0, "a unit is wrong by 1000"),
+    (1e-3, "a unit is wrong by 1000"),
+    (60.0 / (2 * np.pi), "the rate is in rpm"),
+    (2 * np.pi / 60.0, "the rate is in rpm"),
+    (2 * np.pi, "the rate is in turns per second"),
+    (0.5 / np.pi, "the rate is in turns per second"),
+    (60.0, "the rate is per minute"),
+    (1.0 / 60.0, "the rate is per minute"),
+    (-1.0, "one has the wrong sign"),
+)
+
+
+def check_run(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> list[str]:
+    """Return what is to be said about one run, and refuse what cannot be used.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Any length.
+    measured : sequence of (port, derivative)
+        What each output is.
+
+    Raises
+    ------
+    InputError
+        If the run has one sample, no output ever moves, or a measured rate contradicts its position.
+    """
+    notes: list[str] = []
+    spec = trajectory.spec
+    if len(trajectory) < 2:
+        raise InputError(
+            "one sample", expected="a record over time", got="1 row", remedy="check rows and discard, or the export"
+        )
+    still = [not np.ptp(trajectory.y[:, i]) for i in range(spec.ny)]
+    if all(still):
+        idle = bool(spec.nu) and not np.ptp(trajectory.u, axis=0).any()
+        raise InputError(
+            "the input and the outputs never move" if idle else "the outputs never move",
+            expected="outputs that change",
+            got=", ".join(f"{c.name} = {v:g} {c.unit}" for c, v in zip(spec.outputs, trajectory.y[0], strict=True))
+            + f" in all {len(trajectory)} samples",
+            remedy="check the columns, the sensor and whether anything was switched on",
+        )
+    for i, channel in enumerate(spec.outputs):
+        if still[i]:
+            notes.append(f"output {channel.name} never moves ({trajectory.y[0, i]:g} {channel.unit})")
+        else:
+            notes += _stuck(channel, trajectory.y[:, i], spec.sample_time)
+            notes += _saturated(channel, trajectory.y[:, i])
+            notes += _out_of_range(channel, trajectory.y[:, i])
+    for i, channel in enumerate(spec.inputs):
+        if not np.ptp(trajectory.u[:, i]):
+            notes.append(
+                f"input {channel.name} is constant ({trajectory.u[0, i]:g} {channel.unit}): it excites nothing"
+            )
+        notes += _out_of_range(channel, trajectory.u[:, i])
+    notes += _rates(trajectory, measured)
+    notes += swapped_in_and_out(trajectory)
+    return notes
+
+
+def check_runs(runs: Sequence[Run]) -> list[str]:
+    """Return what is to be said about runs beside each other, and refuse data that are used twice.
+
+    Raises
+    ------
+    InputError
+        If a validation or test run repeats data that another use already holds.
+    """
+    seen: dict[bytes, tuple[int, Run]] = {}
+    for number, run in enumerate(runs):
+        key = run.trajectory.u.tobytes() + run.trajectory.y.tobytes()
+        if key in seen and seen[key][1].use != run.use:
+            first, other = seen[key]
+            raise InputError(
+                f"the {run.use} data are the {other.use} data",
+                expected="data of another experiment, or other rows",
+                got=f"runs {first} and {number} are equal, sample by sample",
+                remedy="record a second run, or divide this one with rows = [start, stop]",
+                place=f"runs[{number}]",
+            )
+        seen.setdefault(key, (number, run))
+    return [*units_between_runs(runs), *swapped_runs(runs)]
+
+
+def _runs_of_equal(values: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+    """Return start and length of every stretch of equal samples."""
+    edges = np.flatnonzero(np.diff(values)) + 1
+    starts = np.concatenate(([0], edges))
+    return starts, np.diff(np.concatenate((starts, [len(values)])))
+
+
+def _stuck(channel: Channel, values: FloatArray, dt: float) -> list[str]:
+    """Say that a sensor stood still while it otherwise never does."""
+    starts, lengths = _runs_of_equal(values)
+    longest = int(np.argmax(lengths))
+    length = int(lengths[longest])
+    others = np.delete(lengths, longest)
+    # a plant at rest before its first and after its last excitation is no fault
+    inside = starts[longest] > 0 and starts[longest] + length < len(values)
+    extreme = values[starts[longest]] in (values.min(), values.max())
+    if not (inside and others.size and length >= max(20, 0.01 * len(values)) and not extreme):
+        return []
+    if length < 10 * int(others.max()) and length < 50 * float(np.mean(others)):
+        return []
+    first = starts[longest]
+    return [
+        f"output {channel.name} stands still at {values[first]:g} {channel.unit} for {length} samples from sample "
+        f"{first} ({length * dt:g} s) while elsewhere it does not for more than {int(others.max())}: a stuck sensor or "
+        "a drop-out?"
+    ]
+
+
+def _saturated(channel: Channel, values: FloatArray) -> list[str]:
+    """Say that a sensor rests at its largest or smallest value in several places."""
+    if np.unique(values[:2000]).size < 8:
+        return []
+    starts, lengths = _runs_of_equal(values)
+    notes = []
+    typical = float(np.median(lengths))
+    for limit, word in ((values.max(), "largest"), (values.min(), "smallest")):
+        at = lengths[values[starts] == limit]
+        inside = int(at.sum())
+        if inside >= max(8, 0.003 * len(values)) and at.max() >= max(5, 5 * typical):
+            notes.append(
+                f"output {channel.name} rests at its {word} value {limit:g} {channel.unit} for {inside} samples in "
+                f"{at.size} places: a saturated sensor or an end stop?"
+            )
+    return notes
+
+
+def _out_of_range(channel: Channel, values: FloatArray) -> list[str]:
+    """Say that values leave the range that the model declares."""
+    low, high = float(values.min()), float(values.max())
+    if channel.minimum <= low and high <= channel.maximum:
+        return []
+    return [
+        f"{channel.name} leaves its declared range [{channel.minimum:g}, {channel.maximum:g}] {channel.unit}: "
+        f"{low:g} to {high:g}"
+    ]
+
+
+def _rates(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> list[str]:
+    """Hold a measured rate against the difference quotient of its position."""
+    notes = []
+    where = {pair: column for column, pair in enumerate(measured)}
+    for (port, order), column in where.items():
+        below = where.get((port, order - 1))
+        if order == 0 or below is None or len(trajectory) < 20:
+            continue
+        position, rate = trajectory.y[:, below], trajectory.y[:, column]
+        period = trajectory.spec.outputs[below].period
+        slope, correlation = _slope(position, rate, trajectory.spec.sample_time, period)
+        names = f"{trajectory.spec.outputs[below].name} and {trajectory.spec.outputs[column].name}"
+        if abs(slope - 1.0) <= 0.25 and correlation > 0.8:
+            continue
+        back, agreed = _slope(rate, position, trajectory.spec.sample_time, None)
+        if agreed > max(0.9, correlation) and abs(back - 1.0) <= 0.25:
+            raise InputError(
+                f"{names} are swapped",
+                expected="a rate that is the derivative of its position",
+                got="a position that is the derivative of the rate",
+                remedy="exchange their columns",
+            )
+        if correlation < 0.8:
+            notes.append(
+                f"{names}: the derivative of the position and the measured rate have little in common "
+                f"(correlation {correlation:.2f})"
+            )
+            continue
+        near = [text for factor, text in _FACTORS if abs(slope / factor - 1.0) < 0.2]
+        if near:
+            raise InputError(
+                f"{names} contradict each other",
+                expected="a rate equal to the derivative of its position",
+                got=f"a derivative {slope:.4g} times the rate: {near[0]}",
+                remedy="correct the unit, the scale or the sample time",
+            )
+        notes.append(f"{names}: the derivative of the position is {slope:.3g} times the measured rate")
+    return notes
+
+
+def _slope(position: FloatArray, rate: FloatArray, dt: float, period: float | None) -> tuple[float, float]:
+    """Return the slope of position increments against the integral of the rate, and their absolute correlation.
+
+    Over one step noise may hide both, over too many the motion returns to where it was: the width at which they agree
+    best decides.
+    """
+    steps = np.diff(position)
+    if period is not None:
+        steps = (steps + period / 2) % period - period / 2
+    path = np.concatenate(([0.0], np.cumsum(steps)))
+    integral = np.concatenate(([0.0], np.cumsum(0.5 * dt * (rate[1:] + rate[:-1]))))
+    best = (0.0, 0.0)
+    for width in (1, 2, 5, 10, 20, 50, 100):
+        if len(path) < 10 * width:
+            break
+        moved, summed = path[width:] - path[:-width], integral[width:] - integral[:-width]
+        moved, summed = moved - moved.mean(), summed - summed.mean()
+        power, cross = float(summed @ summed), float(summed @ moved)
+        scale = float(np.sqrt(power * (moved @ moved)))
+        if scale > 0.0 and abs(cross) / scale > best[1]:
+            best = (cross / power, abs(cross) / scale)
+    return best

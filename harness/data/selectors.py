@@ -1,0 +1,148 @@
+"""Columns inside files that hold more than plain columns: ``Y_id{0}[0]``, ``runs{2}.theta``, ``log/drive[:,1]``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["Selector", "parse_selector", "vector"]
+
+_STEP = re.compile(r"\{(\d+)\}|\[\s*(\d+)\s*\]|\[\s*:\s*,\s*(\d+)\s*\]|\.([A-Za-z_]\w*)")
+
+
+@dataclass(frozen=True)
+class Selector:
+    """A variable and the way into it.
+
+    ``steps`` are ``("cell", i)``, ``("row", i)``, ``("column", i)`` or ``("field", name)``; indices count from 0.
+    """
+
+    variable: str
+    steps: tuple[tuple[str, int | str], ...] = ()
+
+
+def parse_selector(text: str) -> Selector:
+    """Read the text of a selector.
+
+    ``NAME{i}`` is cell i of a MAT cell array (counted down the columns), ``NAME.field`` a field of a struct,
+    ``NAME[i]`` row i of a matrix and ``NAME[:,i]`` its column i. They may be chained; indices count from 0.
+
+    Raises
+    ------
+    InputError
+        If the text is no selector.
+
+    Examples
+    --------
+    >>> parse_selector("Y_id{0}[1]")
+    Selector(variable='Y_id', steps=(('cell', 0), ('row', 1)))
+    >>> parse_selector("log/drive[:,2]")
+    Selector(variable='log/drive', steps=(('column', 2),))
+    """
+    start = min((text.find(sign) for sign in "{[." if sign in text), default=len(text))
+    variable, rest = text[:start].strip(), text[start:].strip()
+    steps: list[tuple[str, int | str]] = []
+    while rest:
+        found = _STEP.match(rest)
+        if found is None:
+            break
+        cell, row, column, field = found.groups()
+        if field is not None:
+            steps.append(("field", field))
+        else:
+            kind = "cell" if cell is not None else "row" if row is not None else "column"
+            steps.append((kind, int(next(number for number in (cell, row, column) if number is not None))))
+        rest = rest[found.end() :].strip()
+    if rest or not variable:
+        raise InputError(
+            "column selector",
+            expected="NAME, NAME{cell}, NAME[row], NAME[:,column] or NAME.field, chained, counted from 0",
+            got=repr(text),
+            remedy="correct it",
+        )
+    return Selector(variable, tuple(steps))
+
+
+def vector(value: Any, selector: Selector, *, resolve: Callable[[Any], Any] = lambda value: value) -> FloatArray:
+    """Follow a selector into a value, down to one column of numbers.
+
+    Parameters
+    ----------
+    value : array-like
+        The variable as the file's reader gave it.
+    selector : Selector
+        The way into it.
+    resolve : callable
+        Turns what a cell holds into an array (HDF5 keeps references).
+
+    Returns
+    -------
+    array (N,)
+        Float64.
+
+    Raises
+    ------
+    InputError
+        If a step does not fit the value, or what is found is not one column of numbers.
+
+    Examples
+    --------
+    >>> vector(np.arange(6).reshape(2, 3), parse_selector("Y[1]")).tolist()
+    [3.0, 4.0, 5.0]
+    """
+    so_far = selector.variable
+    for kind, index in selector.steps:
+        value, so_far = resolve(_step(value, kind, index, so_far)), so_far + _written(kind, index)
+    array = np.asarray(resolve(value))
+    if array.dtype.kind not in "biuf" or array.ndim > 2 or (array.ndim == 2 and 1 not in array.shape):
+        shape = f"{array.dtype.name} of shape {array.shape}"
+        raise InputError(
+            f"{so_far} is not one column of numbers",
+            expected="a vector",
+            got=shape,
+            remedy=f"choose inside it, e.g. {so_far}" + ("{0}" if array.dtype == object else "[0] or [:,0]"),
+        )
+    return np.array(array.reshape(-1), dtype=np.float64)
+
+
+def _step(value: Any, kind: str, index: int | str, so_far: str) -> Any:
+    """Return what one step of a selector leads to, or refuse it."""
+    array = np.asarray(value)
+    got = f"{array.dtype.name} of shape {array.shape}"
+    if kind == "field":
+        names = array.dtype.names or ()
+        if index in names:
+            inner = array[index]
+            return inner.reshape(-1)[0] if inner.size == 1 and inner.dtype == object else inner
+        got = f"fields {', '.join(names)}" if names else got
+    elif kind == "cell":
+        assert isinstance(index, int)
+        if array.dtype == object and index < array.size:
+            return array.reshape(-1, order="F")[index]
+        if array.dtype.names and index < array.size:
+            return array.reshape(-1, order="F")[index]
+    elif array.ndim == 2 and array.dtype.kind in "biuf":
+        assert isinstance(index, int)
+        if index < array.shape[0 if kind == "row" else 1]:
+            return array[index] if kind == "row" else array[:, index]
+    raise InputError(
+        f"{so_far}{_written(kind, index)} is not there",
+        expected={
+            "field": f"a struct with the field {index}",
+            "cell": f"a cell array with more than {index} cells",
+        }.get(kind, f"a matrix with more than {index} {kind}s"),
+        got=got,
+        remedy="correct the selector; indices count from 0",
+    )
+
+
+def _written(kind: str, index: int | str) -> str:
+    """Return a step as it is written."""
+    return {"cell": f"{{{index}}}", "row": f"[{index}]", "column": f"[:,{index}]", "field": f".{index}"}[kind]

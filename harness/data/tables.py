@@ -1,0 +1,247 @@
+"""Files of recorded data behind one face: what columns are there, and one of them as numbers."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["BARE", "FORMATS", "TRUTH", "Source", "Table", "open_table", "split_header"]
+
+BARE = (".csv", ".parquet")
+"""Suffixes of files that can stand for a whole data set, with a model that names the ports."""
+
+TRUTH = "truth:"
+"""Prefix of columns that hold true states: for scoring only, never read as measurements."""
+
+_HEADER = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
+
+
+def split_header(header: str) -> tuple[str, str | None]:
+    """Return name and unit of a column title.
+
+    Examples
+    --------
+    >>> split_header("u [N m]"), split_header("theta")
+    (('u', 'N m'), ('theta', None))
+    """
+    found = _HEADER.match(header)
+    if found is None or not found["name"]:
+        return header.strip(), None
+    return found["name"].strip(), found["unit"].strip() or "1"
+
+
+class Source(Protocol):
+    """What a reader of one format offers."""
+
+    @property
+    def titles(self) -> Sequence[str]:
+        """Titles of the columns or names of the variables, in the file's order."""
+        ...
+
+    def values(self, title: str) -> FloatArray:
+        """Return one column (N,) as float64; NaN where the file holds none."""
+        ...
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return what a selector finds, or None if the format has no selectors."""
+        ...
+
+    def unit(self, title: str) -> str | None:
+        """Return the unit that the file itself states."""
+        ...
+
+
+def _csv(path: Path) -> Source:
+    from harness.data.text_files import TextFile
+
+    return TextFile(path)
+
+
+def _parquet(path: Path) -> Source:
+    from harness.data.binary_files import ParquetFile
+
+    return ParquetFile(path)
+
+
+def _mat(path: Path) -> Source:
+    from harness.data.binary_files import open_mat
+
+    return open_mat(path)
+
+
+def _npz(path: Path) -> Source:
+    from harness.data.binary_files import NumpyFile
+
+    return NumpyFile(path)
+
+
+def _hdf5(path: Path) -> Source:
+    from harness.data.binary_files import Hdf5File
+
+    return Hdf5File(path)
+
+
+def _mdf(path: Path) -> Source:
+    from harness.data.log_files import MdfFile
+
+    return MdfFile(path)
+
+
+def _mcap(path: Path) -> Source:
+    from harness.data.log_files import McapFile
+
+    return McapFile(path)
+
+
+FORMATS: dict[str, Callable[[Path], Source]] = {
+    ".csv": _csv,
+    ".tsv": _csv,
+    ".txt": _csv,
+    ".dat": _csv,
+    ".parquet": _parquet,
+    ".pq": _parquet,
+    ".mat": _mat,
+    ".npz": _npz,
+    ".npy": _npz,
+    ".h5": _hdf5,
+    ".hdf5": _hdf5,
+    ".mf4": _mdf,
+    ".mdf": _mdf,
+    ".mcap": _mcap,
+}
+"""Readers by suffix."""
+
+
+class Table:
+    """One file of data.
+
+    Parameters
+    ----------
+    path : Path
+        Its suffix decides the format; see :data:`FORMATS`.
+
+    Raises
+    ------
+    InputError
+        If there is no file, its format is unknown, or it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.is_file():
+            raise InputError(
+                "no such file", expected="a file of data", got=_nearby(path), remedy="check the path", file=path
+            )
+        opener = FORMATS.get(path.suffix.lower())
+        if opener is None:
+            raise InputError(
+                "unknown format",
+                expected=f"a file that ends in {', '.join(FORMATS)}",
+                got=repr(path.suffix),
+                remedy="convert it, for example to CSV",
+                file=path,
+            )
+        self.path = path
+        try:
+            self._source = opener(path)
+        except InputError as error:
+            raise error.located(file=path) from error
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """Titles of the measured columns (those of true states are left out)."""
+        return tuple(title for title in self._source.titles if not title.startswith(TRUTH))
+
+    @property
+    def all_titles(self) -> tuple[str, ...]:
+        """Titles of all columns, those of true states included."""
+        return tuple(self._source.titles)
+
+    def read_any(self, title: str) -> FloatArray:
+        """Return a column (N,) by its exact title, be it measured or true."""
+        return self._source.values(title)
+
+    def find(self, column: str | int) -> str | None:
+        """Return the title that a column's name means: exact, or its name before ``[unit]``; None if there is none.
+
+        Raises
+        ------
+        InputError
+            If two columns carry this name.
+        """
+        titles = self.titles
+        if isinstance(column, int):
+            return titles[column] if 0 <= column < len(titles) else None
+        exact = [title for title in titles if title == column]
+        found = exact or [title for title in titles if split_header(title)[0] == column.strip()]
+        if len(found) > 1:
+            raise InputError(
+                f"column {column!r} is there {len(found)} times",
+                expected="one column of this name",
+                got=", ".join(found),
+                remedy="rename one, or name its title with the unit, or give its number (from 0)",
+                file=self.path,
+            )
+        return found[0] if found else None
+
+    def read(self, column: str | int) -> tuple[FloatArray, str | None]:
+        """Return one column (N,) and the unit that its title states, or None.
+
+        Raises
+        ------
+        InputError
+            If the column is not there; the message names near matches. If a cell is no number.
+        """
+        try:
+            title = self.find(column)
+            if title is not None:
+                unit = self._source.unit(title)
+                return self._source.values(title), unit if unit is not None else split_header(title)[1]
+            selected = self._source.select(column) if isinstance(column, str) else None
+        except InputError as error:
+            raise error.located(file=self.path) from error
+        if selected is not None:
+            return selected, None
+        raise self.missing(column)
+
+    def missing(self, column: str | int) -> InputError:
+        """Return the refusal of a column that is not there."""
+        titles = self.titles
+        shown = ", ".join(repr(title) for title in titles[:12]) + (" ..." if len(titles) > 12 else "")
+        if isinstance(column, int):
+            remedy = f"give a number from 0 to {len(titles) - 1}"
+        else:
+            names = {split_header(title)[0].lower(): title for title in titles}
+            near = difflib.get_close_matches(column.lower(), list(names), n=2, cutoff=0.5)
+            near = near or [name for name in names if name and (name in column.lower() or column.lower() in name)][:2]
+            said = " or ".join(repr(names[name]) for name in near)
+            remedy = f"did you mean {said}?" if near else "correct the name"
+        return InputError(
+            f"no column {column!r}",
+            expected=f"one of {shown or '(none)'}",
+            got=repr(column),
+            remedy=remedy,
+            file=self.path,
+        )
+
+
+def open_table(path: Path, cache: dict[Path, Table]) -> Table:
+    """Return the table of a file, opened once."""
+    if path not in cache:
+        cache[path] = Table(path)
+    return cache[path]
+
+
+def _nearby(path: Path) -> str:
+    """Return what stands where a file was expected: nothing, or files with similar names."""
+    if path.is_dir():
+        return "a folder"
+    if not path.parent.is_dir():
+        return f"no file (nor a folder {path.parent})"
+    near = difflib.get_close_matches(path.name, [one.name for one in path.parent.iterdir()], n=2)
+    return f"no file (near it: {', '.join(near)})" if near else "no file"

@@ -1,0 +1,305 @@
+"""The time axis of a record: checked for uniformity; split at gaps or resampled where that is declared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.data.description import Gaps, ResampleSection
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+BoolArray = npt.NDArray[np.bool_]
+
+__all__ = ["JITTER_ACCEPTED", "JITTER_UNNOTICED", "Piece", "TimeRules", "pieces_of", "sample_time_of"]
+
+JITTER_UNNOTICED = 1e-3
+"""Deviation from the grid, in sample times, that recorded time stamps have anyway (rounding)."""
+
+JITTER_ACCEPTED = 2e-2
+"""Up to this deviation a record counts as uniform, with a warning; beyond it is refused or resampled."""
+
+_SHORTEST = 10
+
+
+@dataclass(frozen=True)
+class TimeRules:
+    """What the data set declares about time."""
+
+    sample_time: float | None = None
+    gaps: Gaps = "refuse"
+    resample: ResampleSection | None = None
+    intersample: Literal["zoh", "foh"] = "zoh"
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """One uninterrupted piece: its first instant [s], its signals (N, m), and the sample time [s] they came with."""
+
+    start: float
+    values: FloatArray
+    sample_time: float
+
+
+def sample_time_of(time: FloatArray) -> float:
+    """Return the sample time that the steady part of a time column has, to nine digits.
+
+    Examples
+    --------
+    >>> sample_time_of(np.array([0.0, 0.1, 0.2, 0.3, 0.7, 0.8]))
+    0.1
+    """
+    steps = np.diff(time)
+    typical = float(np.median(steps))
+    steady = steps[np.abs(steps - typical) < 0.5 * typical]
+    return float(f"{steady.mean():.9g}")
+
+
+def pieces_of(
+    time: FloatArray | None,
+    values: FloatArray,
+    *,
+    names: tuple[str, ...],
+    inputs: tuple[bool, ...],
+    rules: TimeRules,
+    common: float | None = None,
+) -> tuple[list[Piece], list[str]]:
+    """Turn the columns of one run into pieces with a uniform time axis.
+
+    Parameters
+    ----------
+    time : array (N,) or None
+        Time stamps [s]; None where only a sample time is declared.
+    values : array (N, m)
+        Signals; NaN where nothing was recorded.
+    names : tuple of str
+        Names of the m signals, for messages.
+    inputs : tuple of bool
+        Which of them are inputs: resampled as they are held between samples.
+    rules : TimeRules
+        What the data set declares.
+    common : float, optional
+        Sample time [s] of the runs before: all share one.
+
+    Returns
+    -------
+    pieces : list of Piece
+    notes : list of str
+        What was noticed and done, for the warnings of the data set.
+
+    Raises
+    ------
+    InputError
+        If the time is not usable and no declared remedy covers it. Rows count from 0.
+    """
+    notes: list[str] = []
+    if time is None:
+        if rules.sample_time is None:
+            raise InputError(
+                "no time",
+                expected="sample_time = ... or a time column",
+                got="neither",
+                remedy="declare sample_time in s, or [time] column = ...",
+                place="sample_time",
+            )
+        dt = rules.sample_time
+        stamps: FloatArray = np.arange(values.shape[0], dtype=np.float64) * dt
+    else:
+        stamps = time
+        _check_time(time)
+        dt = _agreed(time, rules, common) if len(time) > 1 else (rules.sample_time or common or 1.0)
+    present: BoolArray = np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
+    if rules.resample is not None:
+        return _resampled(stamps, values, present, dt, inputs, rules, notes), notes
+    if not present.all() and rules.gaps == "refuse":
+        row, column = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
+        missing = int((~present).sum())
+        raise InputError(
+            f"nothing recorded in {missing} of {len(present)} rows",
+            expected="a number in every row",
+            got=f"{values[row, column]} in row {row} of {names[column]}",
+            remedy='cut the run with rows = [start, stop], or declare gaps = "split" or [resample]',
+            place=f"row {row}, signal {names[column]}",
+        )
+    steps = np.diff(stamps)
+    jumps = np.abs(steps - dt) > 0.5 * dt
+    if jumps.any() and rules.gaps == "refuse":
+        k = int(np.argmax(jumps))
+        raise InputError(
+            f"time is not uniform ({int(jumps.sum())} gaps)",
+            expected=f"a step of {dt:g} s between rows",
+            got=f"{steps[k]:g} s between rows {k} and {k + 1} (t = {stamps[k]:g} s)",
+            remedy='declare gaps = "split" or [resample] in a dataset.toml, or cut the run with rows = [start, stop]',
+            place=f"row {k + 1}",
+        )
+    cuts = np.flatnonzero(~present[:-1] | ~present[1:] | jumps) + 1
+    kept, lost = [], 0
+    for rows in np.split(np.arange(len(stamps)), cuts):
+        good = rows[present[rows]]
+        if good.size and (good.size >= _SHORTEST or cuts.size == 0):
+            kept.append(good)
+        else:
+            lost += rows.size
+    if cuts.size:
+        notes.append(
+            f"gaps: split into {len(kept)} pieces of {', '.join(str(rows.size) for rows in kept[:8])}"
+            f"{' ...' if len(kept) > 8 else ''} samples; {lost} of {len(stamps)} rows dropped "
+            f"(empty, or in pieces shorter than {_SHORTEST})"
+        )
+    if not kept:
+        raise InputError(
+            "only fragments between the gaps",
+            expected=f"at least one piece of {_SHORTEST} samples",
+            got=f"{len(stamps)} rows with {cuts.size} cuts",
+            remedy="declare [resample] instead, or record anew",
+        )
+    return [_uniform(stamps[rows], values[rows], int(rows[0]), dt, notes) for rows in kept], notes
+
+
+def _check_time(time: FloatArray) -> None:
+    """Refuse time stamps that are missing or do not increase."""
+    if not np.isfinite(time).all():
+        row = int(np.argmax(~np.isfinite(time)))
+        raise InputError(
+            "no time stamp",
+            expected="a time in every row",
+            got=f"{time[row]} in row {row}",
+            remedy="cut the run with rows = [start, stop]",
+            place=f"row {row}",
+        )
+    back = np.diff(time) <= 0
+    if back.any():
+        row = int(np.argmax(back)) + 1
+        stands = time[row] == time[row - 1]
+        raise InputError(
+            "time stands still" if stands else "time runs back",
+            expected=f"more than {time[row - 1]:g} s in row {row}",
+            got=f"{time[row]:g} s",
+            remedy='sort or cut the rows first; neither [resample] nor gaps = "split" mends this',
+            place=f"row {row}",
+        )
+
+
+def _agreed(time: FloatArray, rules: TimeRules, common: float | None) -> float:
+    """Return the sample time of a time column, which must agree with the declared one and that of other runs."""
+    measured = sample_time_of(time)
+    for wanted, who, place in ((rules.sample_time, "sample_time", "sample_time"), (common, "the runs before", None)):
+        if wanted is None or rules.resample is not None:
+            continue
+        ratio = measured / wanted
+        if abs(ratio - 1.0) * len(time) <= 0.1 or abs(ratio - 1.0) <= 1e-4:
+            return wanted
+        if abs(ratio - 1.0) <= 1e-3:
+            return wanted
+        factor = next((f for f in (1000.0, 1e-3, 1e6, 1e-6) if abs(ratio / f - 1.0) < 0.05), None)
+        hint = f" (a factor of {factor:g}: is the time column in another unit?)" if factor is not None else ""
+        raise InputError(
+            f"the time column disagrees with {who}",
+            expected=f"steps of {wanted:g} s",
+            got=f"steps of {measured:g} s{hint}",
+            remedy="correct sample_time or the unit of [time]"
+            if place
+            else "declare [resample] with one sample_time, or put the runs into data sets of their own",
+            place=place,
+        )
+    return measured
+
+
+def _uniform(time: FloatArray, values: FloatArray, first: int, dt: float, notes: list[str]) -> Piece:
+    """Return a piece whose time stamps lie on a grid, near enough."""
+    n = len(time)
+    own = (time[-1] - time[0]) / (n - 1) if n > 1 else dt
+    deviation = np.abs(time - (time[0] + np.arange(n) * own)) / dt
+    jitter = float(deviation.max())
+    if jitter > JITTER_ACCEPTED:
+        k = int(np.argmax(deviation))
+        raise InputError(
+            "time is not uniform (clock jitter)",
+            expected=f"{time[0] + k * own:.9g} s in row {first + k}, within {JITTER_ACCEPTED:.0%} of {dt:g} s",
+            got=f"{time[k]:.9g} s ({jitter:.0%} of a sample time off)",
+            remedy="declare [resample] in a dataset.toml",
+            place=f"row {first + k}",
+        )
+    if jitter > JITTER_UNNOTICED:
+        notes.append(f"clock jitter up to {jitter:.2%} of the sample time: taken as uniform")
+    drift = abs(own / dt - 1.0) * n
+    if drift > 0.1:
+        notes.append(f"the clock runs {own / dt - 1.0:+.1e} off: {drift:.2g} samples over the record, taken as uniform")
+    return Piece(float(time[0]), values, dt)
+
+
+def _resampled(
+    time: FloatArray,
+    values: FloatArray,
+    present: BoolArray,
+    dt: float,
+    inputs: tuple[bool, ...],
+    rules: TimeRules,
+    notes: list[str],
+) -> list[Piece]:
+    """Return the pieces between long gaps, interpolated onto a uniform grid."""
+    assert rules.resample is not None
+    section = rules.resample
+    new = section.sample_time or rules.sample_time or dt
+    longest = section.max_gap or 5 * max(new, dt)
+    if not present.any():
+        raise InputError("nothing recorded", expected="numbers", got="empty rows only", remedy="check the columns")
+    time, values = time[present], values[present]
+    steps = np.diff(time)
+    holes = steps > longest * (1 + 1e-9)
+    if holes.any() and rules.gaps == "refuse":
+        k = int(np.argmax(holes))
+        raise InputError(
+            "a gap too long to interpolate",
+            expected=f"at most {longest:g} s (resample.max_gap)",
+            got=f"{steps[k]:g} s after t = {time[k]:g} s",
+            remedy='declare gaps = "split" as well, or a longer max_gap',
+            place="resample.max_gap",
+        )
+    pieces = []
+    for rows in np.split(np.arange(len(time)), np.flatnonzero(holes) + 1):
+        if rows.size < _SHORTEST:
+            notes.append(f"resample: a piece of {rows.size} rows between gaps dropped")
+            continue
+        pieces.append(_interpolated(time[rows], values[rows], new, inputs, rules))
+    if not pieces:
+        raise InputError(
+            "only fragments between the gaps",
+            expected=f"at least one piece of {_SHORTEST} rows",
+            got=f"{len(time)} rows with {int(holes.sum())} gaps",
+            remedy="declare a longer resample.max_gap, or record anew",
+        )
+    count = sum(piece.values.shape[0] for piece in pieces)
+    text = (
+        f"resampled to {new:g} s ({section.method} outputs, {'held' if rules.intersample == 'zoh' else 'linear'} "
+        f"inputs): {len(time)} rows with steps of {steps.min():g} to {steps.max():g} s became {count} samples"
+        + (f" in {len(pieces)} pieces" if len(pieces) > 1 else "")
+        + (f"; {int((~present).sum())} empty rows bridged" if not present.all() else "")
+    )
+    if new > 1.5 * float(np.median(steps)):
+        text += f"; nothing was filtered: content above {0.5 / new:g} Hz folds back"
+    notes.append(text)
+    return pieces
+
+
+def _interpolated(time: FloatArray, values: FloatArray, dt: float, inputs: tuple[bool, ...], rules: TimeRules) -> Piece:
+    """Return one piece on a uniform grid: inputs as they are held between samples, outputs by the declared method."""
+    assert rules.resample is not None
+    n = int(np.floor((time[-1] - time[0]) / dt + 1e-6)) + 1
+    grid = time[0] + np.arange(n) * dt
+    result = np.empty((n, values.shape[1]))
+    # half a nanosecond of slack, so that a stamp rounded up still counts as "at" its instant
+    previous = np.clip(np.searchsorted(time, grid + 1e-6 * dt, side="right") - 1, 0, len(time) - 1)
+    for column, is_input in enumerate(inputs):
+        if is_input and rules.intersample == "zoh":
+            result[:, column] = values[previous, column]
+        elif not is_input and rules.resample.method == "cubic":
+            from scipy.interpolate import CubicSpline
+
+            result[:, column] = CubicSpline(time, values[:, column])(grid)
+        else:
+            result[:, column] = np.interp(grid, time, values[:, column])
+    return Piece(float(time[0]), result, dt)

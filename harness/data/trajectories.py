@@ -1,0 +1,224 @@
+"""A trajectory to a file and back, bit for bit: CSV and Parquet with units in the titles of the columns.
+
+True states go to columns of their own that start with ``truth:``; readers of measurements never look at them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.data.tables import TRUTH, Table, split_header
+from harness.errors import InputError
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
+
+__all__ = ["columns_of", "read_trajectory", "stored_spec", "write_trajectory"]
+
+_KEY = b"sysid-harness/trajectory/1"
+
+
+def columns_of(trajectory: Trajectory) -> dict[str, FloatArray]:
+    """Return the columns of a record by title: time, inputs, outputs, true states.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from harness.signals import Channel, PlantSpec, Trajectory
+    >>> spec = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), 0.5)
+    >>> list(columns_of(Trajectory(np.arange(2) * 0.5, np.zeros((2, 1)), np.ones((2, 1)), spec)))
+    ['time [s]', 'u [N m]', 'theta [rad]']
+    """
+    spec = trajectory.spec
+    columns = {"time [s]": trajectory.t}
+    groups: list[tuple[str, Sequence[Channel], FloatArray | None]] = [
+        ("", spec.inputs, trajectory.u),
+        ("", spec.outputs, trajectory.y),
+        (TRUTH, spec.states, trajectory.x),
+    ]
+    for prefix, channels, values in groups:
+        if values is None:
+            continue
+        named = list(channels) or [Channel(f"x{i + 1}") for i in range(values.shape[1])]
+        for i, channel in enumerate(named):
+            title = f"{prefix}{channel}"
+            if title in columns or "[" in channel.name:
+                raise InputError(
+                    "a record that cannot be written as a table",
+                    expected="channels with names of their own, without '['",
+                    got=repr(title),
+                    remedy="rename the channel",
+                )
+            columns[title] = values[:, i]
+    return columns
+
+
+def write_trajectory(trajectory: Trajectory, path: str | Path) -> Path:
+    """Write a record as CSV or Parquet.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    path : path
+        Ends in ``.csv`` or ``.parquet``. An existing file is replaced, whole or not at all.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the suffix is neither, or the folder is missing.
+
+    Notes
+    -----
+    Numbers are written so that they read back bit for bit. A Parquet file also carries the whole
+    :class:`PlantSpec` (ranges, periods, kinds) as metadata; a CSV file is a plain table and does not.
+    """
+    path = Path(path)
+    columns = columns_of(trajectory)
+    if not path.parent.is_dir():
+        raise InputError(
+            "the folder is missing", expected="an existing folder", got=str(path.parent), remedy="make it", file=path
+        )
+    scratch = path.with_name(path.name + ".part")
+    if path.suffix.lower() == ".csv":
+        lines = [",".join(f'"{title}"' if "," in title or '"' in title else title for title in columns)]
+        table = [values.tolist() for values in columns.values()]
+        lines += [",".join(map(repr, row)) for row in zip(*table, strict=True)]
+        scratch.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    elif path.suffix.lower() == ".parquet":
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        content = json.dumps(_spec_to_dict(trajectory.spec))
+        arrow = pa.table({title: np.ascontiguousarray(values) for title, values in columns.items()})
+        pq.write_table(arrow.replace_schema_metadata({_KEY: content.encode()}), scratch)
+    else:
+        raise InputError(
+            "output file", expected="a name that ends in .csv or .parquet", got=path.name, remedy="rename it", file=path
+        )
+    scratch.replace(path)
+    return path
+
+
+def read_trajectory(
+    path: str | Path, *, spec: PlantSpec | None = None, inputs: Sequence[str] | None = None
+) -> Trajectory:
+    """Read a record that :func:`write_trajectory` wrote.
+
+    Parameters
+    ----------
+    path : path
+        A Parquet or CSV file.
+    spec : PlantSpec, optional
+        What was recorded; a Parquet file knows it.
+    inputs : sequence of str, optional
+        For a CSV file without ``spec``: which columns are inputs; the others are outputs.
+
+    Returns
+    -------
+    Trajectory
+        With the true states where the file holds them.
+
+    Raises
+    ------
+    InputError
+        If a column is missing, or a CSV file comes with neither ``spec`` nor ``inputs``.
+    """
+    path = Path(path)
+    table = Table(path)
+    spec = spec or stored_spec(path)
+    truth = [title for title in table.all_titles if title.startswith(TRUTH)]
+    time = table.read("time")[0]
+    if spec is None:
+        if inputs is None:
+            raise InputError(
+                "a CSV file does not say which columns are inputs",
+                expected="spec = ... or inputs = [...]",
+                got="neither",
+                remedy='call read_trajectory(path, inputs=["u"])',
+                file=path,
+            )
+        spec = _spec_from_titles(table, list(inputs), truth, time)
+    u = [table.read(channel.name)[0] for channel in spec.inputs]
+    y = [table.read(channel.name)[0] for channel in spec.outputs]
+    x = np.column_stack([table.read_any(title) for title in truth]) if truth else None
+    n = len(time)
+    return Trajectory(time, np.column_stack(u) if u else np.zeros((n, 0)), np.column_stack(y), spec, x)
+
+
+def stored_spec(path: str | Path) -> PlantSpec | None:
+    """Return the spec that a Parquet file carries; None for any other file."""
+    if Path(path).suffix.lower() != ".parquet":
+        return None
+    import pyarrow.parquet as pq
+
+    try:
+        metadata = pq.read_schema(path).metadata or {}
+    except Exception:
+        return None  # the reader of the table words the refusal
+    return _spec_from_dict(json.loads(metadata[_KEY])) if _KEY in metadata else None
+
+
+def _spec_from_titles(table: Table, inputs: list[str], truth: list[str], time: FloatArray) -> PlantSpec:
+    """Return the spec that the titles of a CSV file amount to."""
+
+    def channel(title: str) -> Channel:
+        name, unit = split_header(title)
+        return Channel(name, unit or "1")
+
+    titles = [title for title in table.titles if split_header(title)[0] != "time"]
+    for name in inputs:
+        if table.find(name) is None:
+            raise table.missing(name)
+    chosen = [title for title in titles if split_header(title)[0] in inputs]
+    others = [title for title in titles if title not in chosen]
+    if len(time) < 2:
+        raise InputError(
+            "one sample", expected="at least two rows", got=str(len(time)), remedy="give spec", file=table.path
+        )
+    return PlantSpec(
+        tuple(map(channel, chosen)),
+        tuple(map(channel, others)),
+        float(f"{(time[-1] - time[0]) / (len(time) - 1):.12g}"),
+        tuple(channel(title.removeprefix(TRUTH)) for title in truth),
+    )
+
+
+def _spec_to_dict(spec: PlantSpec) -> dict[str, Any]:
+    """Return a spec as JSON has it (infinite limits are null)."""
+
+    def channel(one: Channel) -> dict[str, Any]:
+        finite = {
+            name: value if math.isfinite(value) else None
+            for name, value in (("minimum", one.minimum), ("maximum", one.maximum))
+        }
+        return {"name": one.name, "unit": one.unit, "kind": one.kind, "period": one.period, **finite}
+
+    groups = {group: [channel(one) for one in getattr(spec, group)] for group in ("inputs", "outputs", "states")}
+    return {**groups, "sample_time": spec.sample_time, "feedthrough": spec.feedthrough}
+
+
+def _spec_from_dict(content: dict[str, Any]) -> PlantSpec:
+    """Return the spec of its JSON form."""
+
+    def channel(one: dict[str, Any]) -> Channel:
+        low, high = one["minimum"], one["maximum"]
+        return Channel(
+            one["name"],
+            one["unit"],
+            -math.inf if low is None else low,
+            math.inf if high is None else high,
+            one["kind"],
+            one["period"],
+        )
+
+    groups = [tuple(channel(one) for one in content[group]) for group in ("inputs", "outputs", "states")]
+    return PlantSpec(groups[0], groups[1], content["sample_time"], groups[2], content["feedthrough"])

@@ -1,0 +1,261 @@
+"""The acceptance rule: what a candidate must show before the loop says that an effect is there.
+
+Lower BIC alone accepts anything as soon as a few percent of unmodelled coloured torque are present, lower held-out
+error alone accepts noise. All of the conditions here together gave no false alarm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.residual_tests import RATIO, effective_samples
+from harness.signals import FloatArray
+
+__all__ = [
+    "Comparison",
+    "Interval",
+    "Judgement",
+    "bic",
+    "block_interval",
+    "compare_blocks",
+    "information_samples",
+    "judge",
+]
+
+BLOCKS = 20
+DRAWS = 4000
+DELTA_BIC = 10.0
+GAIN = 0.01
+LEVEL = 0.01
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Paired comparison of two models on the same records.
+
+    Attributes
+    ----------
+    gain : float
+        Share by which the squared error falls (negative if it grows).
+    p : float
+        Bootstrap probability that it does not fall.
+    """
+
+    gain: float
+    p: float
+
+    @property
+    def distinguishable(self) -> bool:
+        """True if one of the two is better beyond the bootstrap's 1 % (either side)."""
+        return self.p <= LEVEL or self.p >= 1 - LEVEL
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def excludes_zero(self) -> bool:
+        """True if zero lies outside."""
+        return self.low > 0 or self.high < 0
+
+    def to_dict(self, unit: str) -> dict[str, Any]:
+        """Return the entry of ``report.json``; figures that do not exist are None."""
+
+        def known(x: float) -> float | None:
+            return float(x) if np.isfinite(x) else None
+
+        return {"value": known(self.value), "low": known(self.low), "high": known(self.high), "unit": unit}
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Accepted or not, and every reason against."""
+
+    accepted: bool
+    reasons: tuple[str, ...]
+
+
+def compare_blocks(
+    before: Sequence[FloatArray],
+    after: Sequence[FloatArray],
+    *,
+    rng: np.random.Generator,
+    blocks: int = BLOCKS,
+    draws: int = DRAWS,
+) -> Comparison:
+    """Compare two models by the paired block bootstrap of their squared errors.
+
+    Parameters
+    ----------
+    before, after : sequence of array (N_i, ny)
+        Weighted residuals of the same records (each output over its weight).
+    rng : Generator
+        Source of the draws.
+    blocks : int
+        Consecutive blocks of nearly equal length over all records.
+    draws : int
+        Bootstrap draws.
+
+    Examples
+    --------
+    >>> r = np.random.default_rng(0).standard_normal((1000, 1))
+    >>> found = compare_blocks([r], [0.5 * r], rng=np.random.default_rng(1))
+    >>> round(found.gain, 2), found.p < 0.01
+    (0.75, True)
+    """
+    a = np.concatenate([np.sum(np.asarray(one) ** 2, axis=1) for one in before])
+    b = np.concatenate([np.sum(np.asarray(one) ** 2, axis=1) for one in after])
+    if not np.isfinite(b).all():
+        return Comparison(-np.inf, 1.0)
+    if not np.isfinite(a).all():
+        return Comparison(1.0, 1.0 / (draws + 1))
+    edges = np.linspace(0, a.size, min(blocks, a.size) + 1).astype(int)
+    difference = np.add.reduceat(a - b, edges[:-1])
+    chosen = rng.integers(0, difference.size, size=(draws, difference.size))
+    sums = difference[chosen].sum(axis=1)
+    worse = np.sum(sums < 0) + 0.5 * np.sum(sums == 0)  # two equal models: p = 1/2, not 1
+    total = float(a.sum())
+    return Comparison(float(difference.sum()) / total if total > 0 else 0.0, float((worse + 0.5) / (draws + 1)))
+
+
+def information_samples(residual: Sequence[FloatArray], ratio: float | None) -> float:
+    """Return the number of samples that the information criterion counts.
+
+    All of them if the residual is no larger than 1.15 noise floors; else only the independent ones, by output.
+
+    Parameters
+    ----------
+    residual : sequence of array (N_i, ny)
+        Residual of the model before the change; records are not joined.
+    ratio : float or None
+        Residual over noise floor; None if the floor is unknown.
+    """
+    samples = float(sum(one.size for one in residual))
+    if ratio is not None and ratio < RATIO:
+        return samples
+    return sum(effective_samples(one[:, j]) for one in residual for j in range(one.shape[1]))
+
+
+def bic(residual: Sequence[FloatArray], parameters: int, samples: float) -> float:
+    """Return the Bayesian information criterion n sum_j w_j log(mean r_j^2) + k log n of a weighted residual.
+
+    Each output has its own variance (concentrated likelihood); ``samples`` counts over all outputs.
+    """
+    joined = np.concatenate(list(residual))
+    power = np.mean(joined**2, axis=0)
+    if not np.isfinite(power).all():
+        return float("inf")
+    return float(samples * np.mean(np.log(np.maximum(power, 1e-300))) + parameters * np.log(max(samples, 2.0)))
+
+
+def block_interval(
+    values: FloatArray, jacobian: Sequence[FloatArray], residual: Sequence[FloatArray], *, blocks: int = BLOCKS
+) -> tuple[Interval, ...]:
+    """Return 95 % intervals that stay honest where the residual is coloured.
+
+    The covariance is the block (cluster) sandwich (J'J)^-1 (sum_b g_b g_b') (J'J)^-1 with g_b = J_b' r_b, the analytic
+    form of the block bootstrap of the linearised fit; never smaller than the Gauss-Newton covariance. Student's t with
+    ``blocks - 1`` degrees of freedom.
+
+    Parameters
+    ----------
+    values : array (p,)
+        The estimates.
+    jacobian : sequence of array (N_i, ny, p)
+        Weighted derivatives of the outputs, initial states projected out.
+    residual : sequence of array (N_i, ny)
+        Weighted residuals.
+    blocks : int
+        Consecutive blocks over all records.
+    """
+    from scipy import stats
+
+    p = values.size
+    j = np.concatenate([one.reshape(-1, p) for one in jacobian])
+    r = np.concatenate([one.reshape(-1) for one in residual])
+    ny = residual[0].shape[1]
+    scale = np.linalg.norm(j, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    j = j / scale
+    _, singular, right = np.linalg.svd(j, full_matrices=False)
+    alive = singular > 1e-9 * singular.max(initial=1e-300)
+    bread = (right[alive].T / singular[alive] ** 2) @ right[alive]
+    n = r.size
+    edges = np.linspace(0, n // ny, min(blocks, n // ny) + 1).astype(int)[:-1] * ny
+    gradients = np.add.reduceat(j * r[:, None], edges, axis=0)
+    count = len(edges)
+    meat = gradients.T @ gradients * (count / max(count - 1, 1))
+    robust = bread @ meat @ bread
+    plain = bread * float(r @ r) / max(n - p, 1)
+    half = stats.t.ppf(0.975, max(count - 1, 1)) * np.sqrt(np.maximum(np.diag(robust), np.diag(plain))) / scale
+    # a direction the data do not move has no interval
+    unseen = np.sum(right[~alive] ** 2, axis=0) > 1e-6 if (~alive).any() else np.zeros(p, dtype=bool)
+    half = np.where(unseen | (np.linalg.norm(j, axis=0) == 0), np.inf, half)
+    return tuple(Interval(float(v), float(v - h), float(v + h)) for v, h in zip(values, half, strict=True))
+
+
+def judge(
+    *,
+    converged: bool,
+    delta_bic: float,
+    comparison: Comparison,
+    main: Interval,
+    sign: int,
+    minimum: float,
+    maximum: float,
+    surrogate_p: float | None = None,
+) -> Judgement:
+    """Apply the acceptance rule.
+
+    Parameters
+    ----------
+    converged : bool
+        Did the refit end in a minimum.
+    delta_bic : float
+        BIC of the model before minus BIC with the candidate.
+    comparison : Comparison
+        On the validation records.
+    main : Interval
+        The candidate's main parameter.
+    sign : int
+        +1 or -1 if only that sign is physical, else 0.
+    minimum, maximum : float
+        Bounds of the main parameter.
+    surrogate_p : float, optional
+        p-value of the global null.
+    """
+    reasons: list[str] = []
+    if not converged:
+        reasons.append("the refit did not converge")
+    if surrogate_p is not None and surrogate_p > LEVEL:
+        reasons.append(f"no better than on surrogates of the residual (p = {surrogate_p:.3f})")
+    if not delta_bic > DELTA_BIC:
+        reasons.append(f"delta BIC {delta_bic:.1f} is not above {DELTA_BIC:g}")
+    if not comparison.gain >= GAIN:
+        reasons.append(
+            f"validation error falls by {100 * comparison.gain:.2f} %, not by 1 %"
+            if comparison.gain >= 0
+            else "validation error grows"
+        )
+    elif not comparison.p <= LEVEL:
+        reasons.append(f"the gain on validation may be chance (bootstrap p = {comparison.p:.3f})")
+    if not main.excludes_zero:
+        reasons.append("the interval of its main parameter includes 0")
+    if sign and main.value * sign < 0:
+        reasons.append("its main parameter has an unphysical sign")
+    span = maximum - minimum
+    edge = 1e-3 * span if np.isfinite(span) else 1e-6 * max(abs(main.value), 1e-12)
+    if (np.isfinite(maximum) and main.value > maximum - edge) or (
+        np.isfinite(minimum) and minimum != 0 and main.value < minimum + edge
+    ):
+        reasons.append("its main parameter lies on a bound")
+    return Judgement(not reasons, tuple(reasons))

@@ -1,0 +1,132 @@
+"""Position, speed and acceleration of every coordinate from the measured outputs, smoothed without delay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.signals import FloatArray, Trajectory
+
+__all__ = ["Motion", "measured_coordinates", "motion_band", "smooth_motion"]
+
+ORDER = 4
+MOST = 20
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Smoothed motion of one record.
+
+    Attributes
+    ----------
+    t : array (N,)
+    q, v, a : array (N, n)
+        Coordinates, rates, accelerations.
+    u : array (N, nu)
+        Input as recorded.
+    inside : slice
+        Rows that the ends of the filters have not touched.
+    factor : int
+        By how much a residual of these may be decimated without losing the motion's band.
+    sample_time : float
+    """
+
+    t: FloatArray
+    q: FloatArray
+    v: FloatArray
+    a: FloatArray
+    u: FloatArray
+    inside: slice
+    factor: int
+    sample_time: float
+
+
+def measured_coordinates(system: Any) -> dict[str, tuple[int | None, int | None]] | None:
+    """Return for each coordinate the columns of y that hold its position and its rate.
+
+    None if a coordinate has neither, or if there are no coordinates: then no equation error can be formed.
+    """
+    import casadi as ca
+
+    found: dict[str, tuple[int | None, int | None]] = {}
+    for one in system.coordinates:
+        position = rate = None
+        for j in range(system.ny):
+            if ca.is_equal(system.h[j], system.x[one.q]):
+                position = j
+            elif ca.is_equal(system.h[j], system.x[one.v]):
+                rate = j
+        if position is None:
+            return None
+        found[one.name] = (position, rate)
+    return found or None
+
+
+def motion_band(position: FloatArray, sample_time: float) -> tuple[float, float]:
+    """Return where the motion lives in the spectrum of ``position`` (N,).
+
+    Returns
+    -------
+    band : float
+        Frequency [Hz] below which 95 % of the power of the rate lies.
+    clear : float
+        Highest frequency [Hz] up to which the position stands ten times above its noise.
+    """
+    from scipy import signal
+
+    n = position.size
+    x = signal.detrend(np.asarray(position, dtype=float))
+    f, power = signal.welch(x, 1 / sample_time, "blackman", nperseg=min(n, max(256, n // 4)))
+    # beyond the point where the noise takes over, the power of a differentiated signal only grows
+    noise = float(np.median(power[-max(power.size // 4, 1) :]))
+    above = power > 10 * noise
+    last = int(np.argmin(above[1:])) + 1 if not above[1:].all() else power.size - 1
+    weighted = np.where(np.arange(power.size) < max(last, 2), power * f**2, 0.0)
+    total = np.cumsum(weighted)
+    if total[-1] <= 0:
+        return 0.05 / sample_time, 0.05 / sample_time
+    return float(f[min(int(np.searchsorted(total, 0.95 * total[-1])), f.size - 1)]), float(f[last])
+
+
+def smooth_motion(run: Trajectory, columns: dict[str, tuple[int | None, int | None]]) -> Motion:
+    """Return the motion of a record.
+
+    Zero-phase Butterworth low-pass of order 4 (Gautier, Janot & Vandanjon, IEEE Trans. Control Syst. Technol. 21:428,
+    2013), then central differences; a measured rate is filtered and differenced once.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The record.
+    columns : dict
+        From :func:`measured_coordinates`.
+    """
+    from scipy import signal
+
+    dt, n = run.spec.sample_time, len(run)
+    bands = [motion_band(run.y[:, position], dt) for position, _ in columns.values() if position is not None]
+    band = max(one for one, _ in bands)
+    cutoff = float(np.clip(max(clear for _, clear in bands), min(5 * band, 0.1 / dt), 0.1 / dt))
+    sos = signal.butter(ORDER, 2 * cutoff * dt, output="sos")
+    edge = int(np.clip(round(1.5 / (cutoff * dt)), 4, max(n // 8, 4)))
+    q, v, a = [], [], []
+    for position, rate in columns.values():
+        if position is None:
+            continue
+        channel = run.spec.outputs[position]
+        raw = run.y[:, position]
+        if channel.period is not None:
+            raw = np.unwrap(raw, period=channel.period)
+        pad = min(3 * edge, n - 1)
+        smooth = signal.sosfiltfilt(sos, raw, padlen=pad)
+        speed = np.gradient(smooth, dt) if rate is None else signal.sosfiltfilt(sos, run.y[:, rate], padlen=pad)
+        q.append(smooth)
+        v.append(speed)
+        a.append(np.gradient(speed, dt))
+    factor = int(np.clip(1 / (10 * band * dt), 1, MOST))
+    while factor > 1 and (n - 2 * edge) // factor < 100:
+        factor -= 1
+    columns_of = [np.stack(one, axis=1) for one in (q, v, a)]
+    return Motion(run.t, *columns_of, run.u, slice(edge, n - edge), factor, dt)

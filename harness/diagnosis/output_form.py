@@ -1,0 +1,356 @@
+"""Simulation: the loop on output errors of free runs, over whole records or windows.
+
+Right where the sensor's noise is what limits the fit, and for every model that can be simulated. Each window has an
+initial state of its own, fitted on estimation and on validation alike and taken out of every Jacobian and column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.forms import Fitted
+from harness.effects.compose import compose
+from harness.effects.effect import Placed
+from harness.errors import FitError
+from harness.physics.levenberg import Solution, minimise, minimise_states
+from harness.physics.simulator import Simulator, default_substeps
+from harness.physics.windows import Windows, data_states
+from harness.signals import Dataset, FloatArray, Trajectory
+
+__all__ = ["OutputForm"]
+
+ITERATIONS = 50
+PER_RECORD = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
+"""Parameters that belong to a record, not to the plant: refitted on validation."""
+
+
+class OutputForm:
+    """Compare free runs; see :class:`harness.diagnosis.forms.Form`.
+
+    Parameters
+    ----------
+    nominal : System
+        Measured as the data are.
+    dataset : Dataset
+        Estimation and validation runs.
+    sizes : mapping
+        Sizes of the data by port, for start values.
+    horizon : float or None
+        Window length [s]; None for whole records.
+    weights : array (ny,)
+        Residuals are divided by these.
+    floors : sequence of float or None
+        Noise floor of each output, in its unit.
+    """
+
+    def __init__(
+        self,
+        nominal: Any,
+        dataset: Dataset,
+        *,
+        sizes: Mapping[str, Mapping[str, float]],
+        horizon: float | None,
+        weights: FloatArray,
+        floors: Sequence[float | None],
+    ) -> None:
+        self.nominal = nominal
+        self.sizes = sizes
+        self.horizon = horizon
+        self.weights = np.asarray(weights, dtype=float)
+        self.floors = tuple(None if s is None else s / w for s, w in zip(floors, self.weights, strict=True))
+        self.columns = tuple((channel.name, channel.unit) for channel in nominal.outputs)
+        self.sample_time = dataset.spec.sample_time
+        self.intersample = dataset.intersample
+        self.records: dict[str, tuple[Trajectory, ...]] = {
+            use: tuple(run.measured() for run in dataset.using(use))  # type: ignore[arg-type]
+            for use in ("estimation", "validation", "test")
+        }
+        self._systems: dict[tuple[str, ...], Any] = {}
+
+    def judges(self, placed: Placed) -> bool:
+        """Return True: everything can be simulated."""
+        return True
+
+    def system(self, effects: Sequence[Placed]) -> Any:
+        """Return the nominal system with effects, made once."""
+        key = tuple(str(one) for one in effects)
+        if key not in self._systems:
+            self._systems[key] = compose(self.nominal, effects, sizes=self.sizes) if effects else self.nominal
+        return self._systems[key]
+
+    def simulator(self, system: Any, p: FloatArray, *, quick: bool = False) -> Simulator:
+        """Return the simulator of a system with the substeps that these parameters need."""
+        steps = max(default_substeps(system, self.sample_time, p), 1)
+        steps = int(2 ** np.ceil(np.log2(steps)))  # few different ones: each is compiled by itself
+        backend = "casadi" if quick else "auto"
+        found: Simulator = system.simulator(
+            self.sample_time, intersample=self.intersample, substeps=min(steps, 32), backend=backend
+        )
+        return found
+
+    def solve(
+        self,
+        effects: Sequence[Placed],
+        starts: Sequence[Mapping[str, float]],
+        *,
+        seed: int,
+    ) -> dict[str, Any]:
+        """Fit over short windows first, then over the horizon, from each start; the best end counts."""
+        del seed
+        system = self.system(effects)
+        free = np.array([not one.fixed for one in system.parameters], dtype=bool)
+        ends = []
+        for number, start in enumerate(starts or ({},)):
+            p = system.vector({k: v for k, v in start.items() if k in system.parameter_names})
+            if any(np.allclose(p, system.vector(other), rtol=1e-9) for other in list(starts)[:number]):
+                continue
+            first = self._stage(system, p, None, free, self._path()[0])
+            if first is not None:
+                ends.append(first)
+        best: dict[str, Any] | None = None
+        ends.sort(key=lambda one: one.evaluation.cost)
+        for number, end in enumerate(ends[:2]):
+            if number and best is not None and (best["converged"] or end.evaluation.cost > 4 * ends[0].evaluation.cost):
+                break
+            found = self._descend(system, end, free)
+            if found is not None and (best is None or found["cost"] < best["cost"]):
+                best = found
+        if best is None:
+            raise FitError(
+                f"refit of {system}",
+                expected="a start from which the simulation stays finite",
+                got="none",
+                remedy="give start values nearer to the plant",
+            )
+        best.update(self._on_validation(system, best))
+        return best
+
+    def evaluate(self, effects: Sequence[Placed], record: Mapping[str, Any]) -> Fitted:
+        """Return residuals and Jacobian of a record."""
+        system = self.system(effects)
+        p = system.vector(record["values"])
+        free = tuple(one.name for one in system.parameters if not one.fixed)
+        index = [system.parameter_names.index(name) for name in free]
+        windows = self._windows(system, p, "estimation")
+        x0 = np.array(record["x0"], dtype=float).reshape(len(windows), system.nx)
+        inside = windows.together(windows.evaluate(p, x0, keep=True).residuals)
+        jacobian = windows.jacobian(p, x0)[:, index]
+        cuts = np.cumsum([len(one) for one in inside])[:-1]
+        q = system.vector({**record["values"], **record["refitted"]})
+        outside: list[FloatArray] = []
+        if self.records["validation"]:
+            other = self._windows(system, q, "validation")
+            y0 = np.array(record["x0_validation"], dtype=float).reshape(len(other), system.nx)
+            outside = other.together(other.evaluate(q, y0, keep=True).residuals)
+        ny = len(self.weights)
+        return Fitted(
+            effects=tuple(effects),
+            system=system,
+            values=dict(zip(system.parameter_names, map(float, p), strict=True)),
+            free=free,
+            converged=bool(record["converged"]),
+            message=str(record["message"]),
+            estimation=tuple(one / self.weights for one in inside),
+            validation=tuple(one / self.weights for one in outside),
+            jacobian=tuple(np.split(jacobian.reshape(len(jacobian) // ny, ny, len(free)), cuts)),
+            refitted=dict(record["refitted"]),
+            record=dict(record),
+        )
+
+    def responses(self, base: Fitted, placed: Placed, values: Mapping[str, float]) -> tuple[FloatArray, ...] | None:
+        """Return difference and derivatives of the simulated outputs; see the protocol."""
+        system = self.system((*base.effects, placed))
+        named = {placed.name(key): value for key, value in values.items()}
+        p = system.vector({**base.values, **named})
+        windows = self._windows(system, p, "estimation")
+        x0 = self._extended(base, system, p, windows)
+        result = windows.evaluate(p, x0, keep=True)
+        if not np.isfinite(result.cost):
+            return None
+        after = windows.together([r / self.weights for r in result.residuals])
+        names = [placed.name(one.name) for one in placed.effect.parameters if not one.fixed]
+        index = [system.parameter_names.index(name) for name in names]
+        slopes = windows.jacobian(p, x0)[:, index]
+        cuts = np.cumsum([len(one) for one in after])[:-1]
+        ny = len(self.weights)
+        parts = [
+            np.concatenate([(r - new)[:, :, None], slope], axis=2)
+            for r, new, slope in zip(
+                base.estimation, after, np.split(slopes.reshape(len(slopes) // ny, ny, len(index)), cuts), strict=True
+            )
+        ]
+        return self.clean(base, parts)
+
+    def clean(self, base: Fitted, parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+        """Take out of columns (N_i, ny, k) of the estimation runs what the initial states can do."""
+        return self.without_states(base, parts, "estimation")
+
+    def without_states(self, base: Fitted, parts: Sequence[FloatArray], use: str) -> tuple[FloatArray, ...]:
+        """Take out of columns (N_i, ny, k) what the initial states of the windows of a use can do."""
+        lefts, places = self._state_bases(base, use)
+        cleaned = [np.array(one, dtype=float) for one in parts]
+        for left, (record, first, last) in zip(lefts, places, strict=True):
+            block = cleaned[record][first:last]
+            flat = block.reshape(-1, block.shape[2])
+            cleaned[record][first:last] = (flat - left @ (left.T @ flat)).reshape(block.shape)
+        return tuple(cleaned)
+
+    def simulated(
+        self, fitted: Fitted, use: str, horizon: float | None, *, start: str = "estimated"
+    ) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
+        """Return errors (N_i, ny), states (N_i, nx) and initial states of free runs at another horizon or use.
+
+        Parameters
+        ----------
+        fitted : Fitted
+        use : str
+            ``estimation``, ``validation`` or ``test``.
+        horizon : float or None
+        start : {"estimated", "data"}
+            Initial states fitted to each window, or read off the smoothed measurement.
+        """
+        system = fitted.system
+        p = system.vector({**fitted.values, **(fitted.refitted if use != "estimation" else {})})
+        windows = self._windows(system, p, use, horizon, always=True)
+        x0 = windows.starts_from([data_states(windows.simulator, one, p)[0] for one in self.records[use]])
+        if start == "estimated":
+            x0 = self._settled(system, p, use, windows, x0)
+        result = windows.evaluate(p, x0, keep=True)
+        return windows.together(result.residuals), windows.together(result.states), list(x0)
+
+    # ---- the work ------------------------------------------------------------------------------------------------
+
+    def _windows(
+        self, system: Any, p: FloatArray, use: str, horizon: float | None = None, *, always: bool = False
+    ) -> Windows:
+        """Return the windows of a use, at the form's horizon unless another is asked for."""
+        length = horizon if always else self.horizon
+        return Windows(self.simulator(system, p), list(self.records[use]), length, self.weights)
+
+    def _path(self) -> list[float | None]:
+        """Return the horizons of a fit in their order."""
+        longest = max(len(one) for one in self.records["estimation"]) * self.sample_time
+        target = longest if self.horizon is None else self.horizon
+        steps = [max(part * target, 50 * self.sample_time) for part in (0.1, 0.3)]
+        return [*(one for one in dict.fromkeys(steps) if one < 0.6 * target), self.horizon]
+
+    def _stage(
+        self, system: Any, p: FloatArray, states: list[FloatArray] | None, free: Any, horizon: float | None
+    ) -> Solution | None:
+        """Fit at one horizon; None if the simulation diverges."""
+        records = list(self.records["estimation"])
+        simulator = self.simulator(system, p)
+        if states is None:
+            states = [data_states(simulator, one, p)[0] for one in records]
+        windows = Windows(simulator, records, horizon, self.weights)
+        x0 = minimise_states(windows, p, windows.starts_from(states), 8)
+        solution = minimise(windows, p, x0, free, ITERATIONS)
+        if not np.isfinite(solution.evaluation.cost):
+            return None
+        solution.states = windows.together(solution.evaluation.states)  # type: ignore[attr-defined]
+        return solution
+
+    def _descend(self, system: Any, solution: Any, free: Any) -> dict[str, Any] | None:
+        """Return the end of one start, from its first stage on."""
+        for horizon in self._path()[1:]:
+            solution = self._stage(system, solution.p, solution.states, free, horizon)
+            if solution is None:
+                return None
+        return {
+            "values": dict(zip(system.parameter_names, map(float, solution.p), strict=True)),
+            "cost": 2 * float(solution.evaluation.cost),
+            "converged": bool(solution.converged),
+            "message": solution.message,
+            "x0": solution.x0.tolist(),
+        }
+
+    def _on_validation(self, system: Any, record: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the initial states of the validation windows, and what belongs to the record refitted there."""
+        if not self.records["validation"]:
+            return {"x0_validation": [], "refitted": {}}
+        p = system.vector(record["values"])
+        windows = self._windows(system, p, "validation")
+        x0 = windows.starts_from([data_states(windows.simulator, one, p)[0] for one in self.records["validation"]])
+        x0 = self._settled(system, p, "validation", windows, x0)
+        own = {one.name(name) for one in system.effects for name in PER_RECORD.get(one.effect.name, ())}
+        own = {name for name in own if not system.parameter(name).fixed}
+        refitted: dict[str, float] = {}
+        if own:
+            free = np.array([one.name in own for one in system.parameters], dtype=bool)
+            best = None
+            for start in self._own_starts(system, p, own, max(len(r) for r in self.records["validation"])):
+                solution = minimise(windows, start, x0, free, 25)
+                if best is None or solution.evaluation.cost < best.evaluation.cost:
+                    best = solution
+            if best is not None and np.isfinite(best.evaluation.cost):
+                x0 = best.x0
+                refitted = {name: float(best.p[system.parameter_names.index(name)]) for name in sorted(own)}
+        return {"x0_validation": x0.tolist(), "refitted": refitted}
+
+    def _own_starts(self, system: Any, p: FloatArray, own: set[str], samples: int) -> list[FloatArray]:
+        """Return several starts for phases and instants of change."""
+        starts = []
+        for part in (0.0, 0.25, 0.5, 0.75):
+            q = p.copy()
+            for name in own:
+                k = system.parameter_names.index(name)
+                q[k] = 2 * np.pi * part if name.endswith("phi") else (part + 0.125) * samples * self.sample_time
+            starts.append(q)
+        return starts
+
+    def _settled(self, system: Any, p: FloatArray, use: str, windows: Windows, x0: FloatArray) -> FloatArray:
+        """Return fitted initial states, found over short windows first where the windows are long."""
+        records = list(self.records[use])
+        longest = max(last - first for _, first, last in windows.places) * self.sample_time
+        short = max(longest / 8, 50 * self.sample_time)
+        if short < 0.6 * longest:
+            first = Windows(windows.simulator, records, short, self.weights)
+            states = [data_states(windows.simulator, one, p)[0] for one in records]
+            found = minimise_states(first, p, first.starts_from(states), 8)
+            kept = first.together(first.evaluate(p, found, keep=True).states)
+            better = windows.starts_from(kept)
+            x0 = np.where(np.isfinite(better), better, x0)
+        return minimise_states(windows, p, x0, 25)
+
+    def _extended(self, base: Fitted, system: Any, p: FloatArray, windows: Windows) -> FloatArray:
+        """Return the base model's initial states with those of the new hidden states."""
+        old_names = [channel.name for channel in base.system.states]
+        old = np.array(base.record["x0"], dtype=float).reshape(len(windows), len(old_names))
+        x0 = np.zeros((len(windows), system.nx))
+        fresh = []
+        for k, channel in enumerate(system.states):
+            if channel.name in old_names:
+                x0[:, k] = old[:, old_names.index(channel.name)]
+            else:
+                fresh.append(k)
+        if fresh:
+            first = system.nx - system.hidden_count
+            for row, (number, place, _) in enumerate(windows.places):
+                u = self.records["estimation"][number].u[place]
+                hidden = windows.simulator.hidden_start(x0[row], u, p)
+                for k in fresh:
+                    x0[row, k] = hidden[k - first]
+        return x0
+
+    def _state_bases(self, base: Fitted, use: str) -> tuple[list[FloatArray], list[tuple[int, int, int]]]:
+        """Return for each window an orthonormal basis of what its initial state can do."""
+        cache: dict[str, Any] = base.__dict__.setdefault("_state_bases", {})
+        if use not in cache:
+            system = base.system
+            p = system.vector({**base.values, **(base.refitted if use != "estimation" else {})})
+            windows = self._windows(system, p, use)
+            key = "x0" if use == "estimation" else "x0_validation"
+            x0 = np.array(base.record[key], dtype=float).reshape(len(windows), system.nx)
+            lefts = []
+            for row, (number, first, last) in enumerate(windows.places):
+                record = self.records[use][number]
+                _, _, slope = windows.simulator.sensitivities(p, x0[row], record.u[first:last], t0=record.t[first])
+                flat = (slope / self.weights[:, None]).reshape(-1, system.nx)
+                left, sizes, _ = np.linalg.svd(flat, full_matrices=False)
+                lefts.append(left[:, sizes > 1e-10 * max(sizes.max(initial=0.0), 1e-300)])
+            cache[use] = (lefts, windows.places)
+        found: tuple[list[FloatArray], list[tuple[int, int, int]]] = cache[use]
+        return found

@@ -1,0 +1,121 @@
+"""``report.html``: one self-contained page for a person, from the same figures as ``report.json``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from harness.diagnosis.figures import draw
+from harness.diagnosis.pictures import pictures_of
+from harness.diagnosis.store import write_atomic
+
+if TYPE_CHECKING:
+    from harness.diagnosis.loop import Diagnosis
+
+__all__ = ["render", "write_html"]
+
+
+def write_html(found: Diagnosis, data: dict[str, Any], path: Path) -> None:
+    """Write the page of a diagnosis."""
+    write_atomic(path, render(data, draw(pictures_of(found))))
+
+
+def render(data: dict[str, Any], figures: dict[str, str]) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    data : dict
+        Content of ``report.json``.
+    figures : dict
+        SVG texts from :func:`harness.diagnosis.figures.draw`.
+    """
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("harness.diagnosis", "templates"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters.update(number=_number, percent=_percent, words=_words, p=_probability)
+    return environment.get_template("report.html.j2").render(
+        data=data,
+        figures=figures,
+        rows=_error_rows(data),
+        ratio=_ratios(data),
+        refits=[row for row in data["candidates"] if row["refitted"]],
+        aside=[row for row in data["candidates"] if not row["refitted"] and row["round"] == 1],
+        parameter_names=list(data["parameters"]["after"]),
+    )
+
+
+def _error_rows(data: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows of the before/after table: use, output, figures."""
+    rows = []
+    for use in ("estimation", "validation", "test"):
+        for kind, label in (("equation_error", "equation error"), ("simulation_error", "simulation error")):
+            before, after = data["errors"]["before"][kind].get(use, {}), data["errors"]["after"][kind].get(use, {})
+            horizon = ""
+            if kind == "simulation_error":
+                error = data["errors"]["before"][kind]
+                horizon = "whole record" if error["whole_record"] else f"{error['horizon_s']:g} s windows"
+            for name in before:
+                rows.append(_error_row(use, label, horizon, name, before[name], after.get(name)))
+        others = data["errors"]["before"]["simulation_error"]["other_horizons"]
+        later = data["errors"]["after"]["simulation_error"]["other_horizons"]
+        for one, two in zip(others, later, strict=True):
+            for name in one.get(use, {}):
+                text = f"{one['horizon_s']:g} s windows"
+                rows.append(_error_row(use, "simulation error", text, name, one[use][name], two[use].get(name)))
+    return rows
+
+
+def _error_row(
+    use: str, label: str, horizon: str, name: str, before: dict[str, Any], after: dict[str, Any] | None
+) -> dict[str, Any]:
+    """Return one row of the table, with the factor gained."""
+    a, b = before["rms"], None if after is None else after["rms"]
+    return {
+        "use": use,
+        "kind": label,
+        "horizon": horizon,
+        "output": name,
+        "unit": before["unit"],
+        "before": a,
+        "after": b,
+        "nrmse_before": before["nrmse"],
+        "nrmse_after": None if after is None else after["nrmse"],
+        "factor": a / b if a is not None and b else None,
+    }
+
+
+def _ratios(data: dict[str, Any]) -> dict[str, tuple[float | None, float | None]]:
+    """Return residual over noise before and after, by use."""
+    before, after = (data["errors"][key]["residual_to_noise"] for key in ("before", "after"))
+    return {use: (before.get(use), after.get(use)) for use in ("estimation", "validation")}
+
+
+def _number(value: float | None) -> str:
+    """Return a number in four digits, a dash where it is unknown."""
+    if value is None:
+        return "–"  # noqa: RUF001
+    return f"{value:.4g}"
+
+
+def _percent(value: float | None) -> str:
+    """Return a share in percent."""
+    return "–" if value is None else f"{100 * value:.3g} %"  # noqa: RUF001
+
+
+def _words(value: str) -> str:
+    """Return a name with spaces."""
+    return value.replace("_", " ")
+
+
+def _probability(value: float | None) -> str:
+    """Return a p-value."""
+    if value is None:
+        return "–"  # noqa: RUF001
+    return "< 0.001" if value < 0.001 else f"{value:.3f}"

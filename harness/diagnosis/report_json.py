@@ -1,0 +1,395 @@
+"""``report.json``: the diagnosis as data. Stable and documented; unknown figures are null, never 0.
+
+Keys of ``sysid-harness/close-loop/1``:
+
+``verdict``
+    ``effects_found``; ``nothing_missing`` (no effect accepted, the rest is not predictable); ``unexplained`` (the rest is
+    predictable, no effect accepted).
+``adequacy``
+    ``explained``, ``mostly_explained``, ``proxy_or_incomplete``: the predictable part of what is left, over the noise floor.
+``effects``
+    Accepted effects: ``name``, ``at``, ``parameters`` with ``value``, ``low``, ``high`` (95 %), ``unit``, and ``delta_bic``.
+``tie_sets``
+    One list for each accepted effect: all that these data cannot tell from it, itself first.
+``errors``
+    ``before`` and ``after``: ``equation_error``, ``simulation_error`` (by use and output: ``rms``, ``nrmse``, ``unit``; with
+    ``horizon_s``, ``initial_state``, ``other_horizons``), ``residual_to_noise``.
+``parameters``
+    ``before`` and ``after``: every parameter with its interval (null limits: fixed, or not determined).
+``noise_floor``
+    By output: ``value``, ``unit``, ``source`` (``declared | repeated_periods | fourth_difference | black_box | null``).
+``disturbance``
+    By output: what is left and cannot be predicted, where it exceeds the noise floor.
+``candidates``
+    Every refit, with the reason it was rejected; then what the screens alone set aside.
+``tests``, ``null``, ``isolability``, ``not_visible``, ``force_map``, ``closed_loop``
+    The evidence behind the verdict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from harness.diagnosis import residual_tests
+from harness.diagnosis.confirm import Candidate
+from harness.diagnosis.forms import Fitted, rms
+from harness.diagnosis.isolability import isolability, separating, unseen
+from harness.diagnosis.scores import equation_error, noise_ratios, simulation_error
+from harness.effects.effect import Placed
+
+if TYPE_CHECKING:
+    from harness.diagnosis.loop import Diagnosis
+
+__all__ = ["FORMAT", "report_data"]
+
+FORMAT = "sysid-harness/close-loop/1"
+SELECTED = "validation used for selection: there is no test run, so the figures after are not independent of the choice"
+
+
+def report_data(found: Diagnosis) -> dict[str, Any]:
+    """Return the content of ``report.json``."""
+    others = _other_horizons(found)
+    start = "data" if found.inverse else "estimated"
+    errors = {
+        name: {
+            "equation_error": equation_error(found.output, found.strong, model, found.dataset, inverse=found.inverse),
+            "simulation_error": simulation_error(
+                found.output, model, found.dataset, found.horizon.seconds, others, start
+            ),
+            "residual_to_noise": _noise_ratios(found, model),
+        }
+        for name, model in (("before", found.nominal), ("after", found.final))
+    }
+    warnings = [*found.warnings, *found.result.notes]
+    if not found.dataset.test:
+        warnings.append(SELECTED)
+    names, cosines = isolability(found.first_screen, first=[str(one.placed) for one in found.result.accepted])
+    data: dict[str, Any] = {
+        "format": FORMAT,
+        "dataset": found.dataset.name,
+        "model": found.system.name,
+        "verdict": found.verdict,
+        "adequacy": found.adequacy.grade,
+        "summary": "",
+        "effects": [_effect(found, one.placed, one.delta_bic) for one in found.result.accepted],
+        "tie_sets": [[_named(member) for member in one.tie] for one in found.result.accepted],
+        "separating_experiments": [
+            separating([placed for member in one.tie for placed in member]) for one in found.result.accepted
+        ],
+        "errors": errors,
+        "parameters": {"before": _parameters(found.nominal), "after": _parameters(found.final)},
+        "noise_floor": {one.output: one.to_dict() for one in found.floors},
+        "disturbance": _disturbance(found),
+        "candidates": _candidates(found),
+        "rest": found.adequacy.to_dict(),
+        "force_map": _force_map(found),
+        "tests": {"before": _tests(found, found.nominal), "after": _tests(found, found.final)},
+        "null": _null(found),
+        "isolability": {"effects": list(names), "cosine": np.round(cosines, 4).tolist()},
+        "not_visible": unseen(found.first_screen),
+        "closed_loop": _closed_loop(found),
+        "horizon": {"seconds": found.horizon.seconds, "reason": found.horizon.reason},
+        "form": "inverse dynamics" if found.inverse else "simulation",
+        "converged": {"nominal": found.nominal.converged, "same_minimum_twice": found.same_minimum},
+        "warnings": list(dict.fromkeys(warnings)),
+        "seconds": round(found.seconds, 2),
+    }
+    data["summary"] = _summary(data)
+    return data
+
+
+def known(value: float | None) -> float | None:
+    """Return a finite number, or None."""
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+def _named(member: Sequence[Placed]) -> dict[str, Any]:
+    """Return one member of a tie set."""
+    if len(member) == 1:
+        return {"name": member[0].effect.name, "at": member[0].at}
+    return {"name": " + ".join(one.effect.name for one in member), "at": ", ".join(one.at for one in member)}
+
+
+def _effect(found: Diagnosis, placed: Placed, delta_bic: float) -> dict[str, Any]:
+    """Return one accepted effect with its parameters."""
+    model = found.final
+    intervals = model.intervals()
+    parameters = {}
+    for one in placed.effect.parameters:
+        name = placed.name(one.name)
+        unit = model.system.parameter(name).unit
+        if name in intervals:
+            parameters[one.name] = intervals[name].to_dict(unit)
+        else:
+            parameters[one.name] = {"value": known(model.values[name]), "low": None, "high": None, "unit": unit}
+        parameters[one.name]["meaning"] = one.meaning
+    return {
+        "name": placed.effect.name,
+        "at": placed.at,
+        "parameters": parameters,
+        "delta_bic": known(delta_bic),
+        "formula": placed.effect.formula,
+        "summary": placed.effect.summary,
+    }
+
+
+def _parameters(model: Fitted) -> dict[str, Any]:
+    """Return every parameter with its interval."""
+    intervals = model.intervals()
+    result = {}
+    for one in model.system.parameters:
+        if one.name in intervals:
+            result[one.name] = intervals[one.name].to_dict(one.unit)
+        else:
+            result[one.name] = {"value": known(model.values[one.name]), "low": None, "high": None, "unit": one.unit}
+    return result
+
+
+def _noise_ratios(found: Diagnosis, model: Fitted) -> dict[str, float | None]:
+    """Return residual over noise floor by use, in the form that judged."""
+    return noise_ratios({"estimation": model.estimation, "validation": model.validation}, found.form.floors)
+
+
+def _other_horizons(found: Diagnosis) -> list[float]:
+    """Return other horizons worth reporting [s]: a tenth, and ten times, within the records."""
+    dt = found.dataset.spec.sample_time
+    shortest = min(len(run.trajectory) for run in found.dataset) * dt
+    if found.horizon.seconds is None:
+        wanted = [0.02 * shortest, 0.2 * shortest]
+    else:
+        wanted = [0.1 * found.horizon.seconds, 5 * found.horizon.seconds]
+    return [float(f"{one:.2g}") for one in wanted if 20 * dt <= one < shortest]
+
+
+def _disturbance(found: Diagnosis) -> dict[str, Any]:
+    """Return, by output, the level and spectrum of a coloured rest that cannot be predicted."""
+    from scipy import signal
+
+    result: dict[str, Any] = {}
+    model = found.final
+    size = rms(model.validation) * found.form.weights
+    dt = found.dataset.spec.sample_time
+    for j, (name, unit) in enumerate(found.form.columns):
+        floor = found.form.floors[j]
+        ratio = None if not floor else float(size[j] / (floor * found.form.weights[j]))
+        acf = max(residual_tests.max_autocorrelation(one[:, j]) for one in model.validation)
+        n = min(len(one) for one in model.validation)
+        if not residual_tests.detect(ratio, acf, n):
+            continue
+        longest = max(model.validation, key=len)[:, j]
+        step = dt if not found.inverse else dt * _factor(found)
+        f, power = signal.welch(longest, 1 / step, nperseg=min(len(longest), 512))
+        share = np.cumsum(power) / max(power.sum(), 1e-300)
+        result[name] = {
+            "rms": known(float(size[j])),
+            "unit": unit,
+            "ratio_to_noise": known(ratio) if ratio is not None else None,
+            "largest_autocorrelation": known(acf),
+            "peak_hz": known(float(f[int(np.argmax(power))])),
+            "band_hz": [known(float(f[int(np.searchsorted(share, part))])) for part in (0.05, 0.95)],
+            "predictable": found.adequacy.predictable,
+        }
+    return result
+
+
+def _factor(found: Diagnosis) -> int:
+    """Return the decimation of the force residual."""
+    return found.strong.motions["estimation"][0].factor if found.strong is not None else 1
+
+
+def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
+    """Return one row for each refit of each round, then what the screens set aside."""
+    accepted = {str(one.placed) for one in found.result.accepted}
+    tied = {str(p) for one in found.result.accepted for member in one.tie for p in member} - accepted
+    rows = []
+    for number, here in enumerate(found.result.rounds, start=1):
+        for one in sorted(here.candidates, key=lambda c: -c.delta_bic):
+            rows.append(_row(one, number, accepted, tied))
+        refitted = {one.name for one in here.candidates}
+        for probe in here.screen.probes:
+            if str(probe.placed) in refitted:
+                continue
+            reason = "not among the leaders of the screens"
+            if probe.left < 0.02 or not probe.rank:
+                by = probe.absorbed_by
+                reason = f"cannot be told from {by or 'the nominal parameters'}"
+            rows.append(
+                {
+                    "name": probe.placed.effect.name,
+                    "at": probe.placed.at,
+                    "round": number,
+                    "refitted": False,
+                    "accepted": False,
+                    "reason": reason,
+                    "screen_r2": known(probe.r2),
+                    "delta_bic": None,
+                }
+            )
+        for name, reason in here.screen.failed.items():
+            effect, _, at = name.partition("@")
+            rows.append(
+                {"name": effect, "at": at, "round": number, "refitted": False, "accepted": False, "reason": reason,
+                 "screen_r2": None, "delta_bic": None}
+            )  # fmt: skip
+    return rows
+
+
+def _row(one: Candidate, number: int, accepted: set[str], tied: set[str]) -> dict[str, Any]:
+    """Return the row of one refitted candidate."""
+    reason = "; ".join(one.judgement.reasons)
+    if one.accepted and one.name not in accepted:
+        reason = "tied with the answer, which is simpler" if one.name in tied else "another candidate explains more"
+    fitted = one.fitted
+    return {
+        "name": " + ".join(p.effect.name for p in one.added),
+        "at": ", ".join(p.at for p in one.added),
+        "round": number,
+        "refitted": True,
+        "converged": bool(fitted.converged) if fitted is not None else False,
+        "accepted": one.name in accepted and one.accepted,
+        "passed": one.accepted,
+        "reason": reason,
+        "delta_bic": known(one.delta_bic),
+        "validation_gain": known(one.comparison.gain),
+        "bootstrap_p": known(one.comparison.p),
+        "main": {name: [known(i.value), known(i.low), known(i.high)] for name, i in one.main.items()},
+        "residual": known(float(rms(fitted.validation).max())) if fitted is not None and fitted.finite else None,
+    }
+
+
+def _tests(found: Diagnosis, model: Fitted) -> dict[str, Any]:
+    """Return the residual tests by output, on the longest validation record."""
+    result: dict[str, Any] = {}
+    for j, (name, _) in enumerate(found.form.columns):
+        r = max(model.validation, key=len)[:, j]
+        if not np.isfinite(r).all():
+            continue
+        tests = [residual_tests.ljung_box(r), residual_tests.cusum_of_squares(r)[2]]
+        record = max(found.dataset.validation, key=len)
+        if not found.inverse:
+            y = record.y[: r.size, j]
+            for k, channel in enumerate(found.dataset.spec.inputs):
+                u = record.u[: r.size, k]
+                if np.ptp(u) > 0:
+                    first = residual_tests.input_correlation(u, r)
+                    tests.append(residual_tests.Outcome(f"{first.name} ({channel.name})", *_three(first)))
+                    tests += list(residual_tests.higher_order(u, y, r))
+        dt = found.dataset.spec.sample_time * (_factor(found) if found.inverse else 1)
+        line = residual_tests.fisher_g(r, dt)
+        result[name] = {
+            "largest_autocorrelation": known(residual_tests.max_autocorrelation(r)),
+            "tests": [one.to_dict() for one in tests],
+            "line": {"omega": known(line.omega), "g": known(line.g), "p": known(line.p)},
+        }
+    return result
+
+
+def _three(one: residual_tests.Outcome) -> tuple[float, int, float]:
+    """Return statistic, degrees of freedom and p of an outcome."""
+    return one.statistic, one.dof, one.p
+
+
+def _null(found: Diagnosis) -> dict[str, Any]:
+    """Return the global null of the first round."""
+    if not found.result.rounds:
+        return {"p": None, "surrogates": 0, "observed": None, "reason": "nothing was detected, so nothing was tested"}
+    here = found.result.rounds[0].surrogates
+    return {
+        "p": known(found.result.rounds[0].p),
+        "surrogates": int(here.null.size),
+        "observed": known(here.observed),
+        "quantile_99": known(float(np.quantile(here.null, 0.99))),
+    }
+
+
+def _force_map(found: Diagnosis) -> dict[str, Any] | None:
+    """Return the non-physical fallback: a table of forces, valid only inside its hull; None where nothing is left."""
+    best = found.adequacy.best
+    if not found.adequacy.predictable or best is None:
+        return None
+    family = found.families[best.axes]
+    count = 9 if len(family.axes) == 1 else 6
+    return {
+        "warning": "not physical: a table fitted to what is left; invalid outside its hull",
+        "place": family.place,
+        "axes": [
+            {
+                "name": axis.name,
+                "unit": axis.unit,
+                "knots": axis.knots(count).tolist(),
+                "hull": [known(v) for v in axis.hull],
+            }
+            for axis in family.axes
+        ],
+        "values": [known(v) for v in best.coefficients],
+        "share": known(best.share),
+        "p": known(best.p),
+    }
+
+
+def _closed_loop(found: Diagnosis) -> dict[str, Any]:
+    """Test whether the residual acts back on the input, which biases fits of data taken in closed loop.
+
+    The residual of the final model is correlated with *later* inputs (Ljung, System Identification, section 13.4).
+    """
+    model, result = found.final, {}
+    if found.inverse and found.strong is not None:
+        motion = found.strong.motions["estimation"][0]
+        from harness.diagnosis.equation import decimated
+
+        u, r = decimated(motion.u, motion), model.estimation[0][:, 0]
+    else:
+        run = found.dataset.estimation[0]
+        u, r = run.u, model.estimation[0][:, 0]
+    n = min(len(u), len(r))
+    for k, channel in enumerate(found.dataset.spec.inputs):
+        if n < 100 or np.ptp(u[:n, k]) == 0 or not np.isfinite(r).all():
+            continue
+        backwards = residual_tests.input_correlation(u[:n, k][::-1], r[:n][::-1], lags=10)
+        feedback = bool(backwards.p < 0.01)
+        result[channel.name] = {
+            "p": known(backwards.p),
+            "statistic": known(backwards.statistic),
+            "dof": backwards.dof,
+            "feedback": feedback,
+            "text": "the residual is related to later inputs: data of a closed loop, parameters may be biased"
+            if feedback
+            else "no relation of the residual to later inputs was found",
+        }
+    return result
+
+
+def _summary(data: dict[str, Any]) -> str:
+    """Return the verdict in one line."""
+    before = data["errors"]["before"]["simulation_error"]["validation"]
+    after = data["errors"]["after"]["simulation_error"]["validation"]
+    change = ", ".join(
+        f"{name} {_short(before[name]['rms'])} -> {_short(after[name]['rms'])} {before[name]['unit']}"
+        for name in before
+    )
+    if data["verdict"] == "effects_found":
+        names = " and ".join(f"{one['name'].replace('_', ' ')} at {one['at']}" for one in data["effects"])
+        tied = sum(len(one) > 1 for one in data["tie_sets"])
+        more = " (tied with others, see below)" if tied else ""
+        return f"{data['model']} lacks {names}{more}; validation simulation error {change}; {_word(data['adequacy'])}"
+    if data["verdict"] == "nothing_missing":
+        rest = "; what is left is an unpredictable disturbance" if data["disturbance"] else ""
+        return f"nothing is missing in {data['model']}: validation simulation error {change.split(' -> ')[0]}{rest}"
+    return f"something is missing in {data['model']}, and no effect of the dictionary explains it ({change})"
+
+
+def _word(adequacy: str) -> str:
+    """Return an adequacy grade in words."""
+    return {
+        "explained": "the residual is explained",
+        "mostly_explained": "the residual is mostly explained",
+        "proxy_or_incomplete": "the answer is a proxy or incomplete",
+    }[adequacy]
+
+
+def _short(value: float | None) -> str:
+    """Return a number in few digits."""
+    return "unknown" if value is None else f"{value:.3g}"

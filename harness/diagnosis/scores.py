@@ -1,0 +1,143 @@
+"""The errors of a model for the before/after table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.equation_form import EquationForm
+from harness.diagnosis.forms import Fitted
+from harness.diagnosis.motion import measured_coordinates
+from harness.diagnosis.output_form import OutputForm
+from harness.signals import Dataset, FloatArray
+
+__all__ = ["equation_error", "figures", "noise_ratios", "simulation_error"]
+
+USES = ("estimation", "validation", "test")
+
+
+def figures(parts: Sequence[FloatArray], measured: Sequence[FloatArray], channels: Sequence[Any]) -> dict[str, Any]:
+    """Return rms, NRMSE (over the standard deviation of the measurement) and unit by output; unknown ones are None.
+
+    Parameters
+    ----------
+    parts : sequence of array (N_i, ny)
+        Errors.
+    measured : sequence of array (N_i, ny)
+        What the NRMSE divides by the standard deviation of.
+    channels : sequence of (name, unit)
+    """
+    if not parts:
+        return {}
+    error, truth = np.concatenate(list(parts)), np.concatenate(list(measured))
+    result = {}
+    for j, (name, unit) in enumerate(channels):
+        rms = float(np.sqrt(np.mean(error[:, j] ** 2)))
+        spread = float(np.std(truth[:, j]))
+        known = bool(np.isfinite(rms))
+        result[name] = {
+            "rms": rms if known else None,
+            "nrmse": rms / spread if known and spread > 0 else None,
+            "unit": unit,
+        }
+    return result
+
+
+def simulation_error(
+    form: OutputForm,
+    fitted: Fitted,
+    dataset: Dataset,
+    horizon: float | None,
+    others: Sequence[float | None],
+    start: str,
+) -> dict[str, Any]:
+    """Return the simulation error of every use at the horizon, and at other horizons.
+
+    Parameters
+    ----------
+    form : OutputForm
+    fitted : Fitted
+        From either form.
+    dataset : Dataset
+    horizon : float or None
+        Seconds; None is the whole record.
+    others : sequence of float or None
+        More horizons.
+    start : {"estimated", "data"}
+        How the initial states of the windows are found.
+    """
+    longest = max(len(run.trajectory) for run in dataset) * dataset.spec.sample_time
+
+    def at(length: float | None) -> dict[str, Any]:
+        row: dict[str, Any] = {}
+        for use in USES:
+            if dataset.using(use):  # type: ignore[arg-type]
+                errors, _, _ = form.simulated(fitted, use, length, start=start)
+                row[use] = figures(errors, [run.y for run in form.records[use]], form.columns)
+            else:
+                row[use] = {}
+        return row
+
+    result = at(horizon)
+    result["horizon_s"] = longest if horizon is None else horizon
+    result["whole_record"] = horizon is None
+    result["initial_state"] = (
+        "estimated on each window" if start == "estimated" else "from the smoothed measurement at the window's start"
+    )
+    result["other_horizons"] = [
+        {**at(other), "horizon_s": longest if other is None else other, "whole_record": other is None}
+        for other in others
+    ]
+    return result
+
+
+def equation_error(
+    output: OutputForm, strong: EquationForm | None, fitted: Fitted, dataset: Dataset, *, inverse: bool
+) -> dict[str, Any]:
+    """Return the equation error of every use.
+
+    For inverse-dynamics models the residual force on measured motion (decimated); else the one-step prediction error
+    from the smoothed measured state, None where the state is not measured.
+    """
+    result: dict[str, Any] = {}
+    if inverse and strong is not None:
+        equations = strong.equations(fitted.effects)
+        p = equations.system.vector(fitted.values)
+        for use in USES:
+            parts = [equations.residual(motion, p, "strong", ())[0] for motion in strong.motions[use]]
+            pushes = [_inputs_like(equations, motion, p) for motion in strong.motions[use]]
+            result[use] = figures(parts, pushes, strong.columns)
+        result["meaning"] = "residual force on measured motion, low-passed and decimated"
+        return result
+    known = measured_coordinates(output.nominal) is not None
+    for use in USES:
+        if not dataset.using(use) or not known:  # type: ignore[arg-type]
+            result[use] = {}
+            continue
+        errors, _, _ = output.simulated(fitted, use, 2 * dataset.spec.sample_time, start="data")
+        steps = [one[1::2] for one in errors]
+        result[use] = figures(steps, [run.y for run in output.records[use]], output.columns)
+    result["meaning"] = (
+        "one-step prediction from the smoothed measured state" if known else "unknown: the state is not measured"
+    )
+    return result
+
+
+def noise_ratios(parts: Mapping[str, Sequence[FloatArray]], floors: Sequence[float | None]) -> dict[str, float | None]:
+    """Return the largest ratio of residual to noise floor over the outputs, by use; None where unknown."""
+    result: dict[str, float | None] = {}
+    for use, errors in parts.items():
+        power = np.sqrt(np.mean(np.concatenate(list(errors)) ** 2, axis=0)) if errors else np.zeros(0)
+        known = [float(value / s) for value, s in zip(power, floors, strict=False) if s]
+        value = max(known, default=None) if known else None
+        result[use] = value if value is not None and np.isfinite(value) else None
+    return result
+
+
+def _inputs_like(equations: Any, motion: Any, p: FloatArray) -> FloatArray:
+    """Return the inputs' force along a motion (N, n), for the NRMSE of the force residual."""
+    tile = np.repeat(np.asarray(p, dtype=float)[:, None], motion.q.shape[0], axis=1)
+    force = equations.drive(motion.q.T, motion.v.T, motion.u.T, tile, motion.t[None])
+    return np.array(force, dtype=float).T

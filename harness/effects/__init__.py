@@ -1,0 +1,45 @@
+"""The dictionary of physical effects: blocks that a scenario hides in a plant and that the loop adds to a model."""
+
+from __future__ import annotations
+
+from harness.effects.along import Signals, block_response
+from harness.effects.columns import ColumnBlock, column_blocks, motion_sizes, regression_columns
+from harness.effects.compose import compose, recommended_substeps
+from harness.effects.dictionary import Confusions, builtin, family, find, nested
+from harness.effects.effect import Effect, EffectParameter, Placed, effect, par
+from harness.effects.places import fits, obstacle, place_all, port_of
+from harness.effects.sampled import DelayLine, delay, delay_slope, quantise
+from harness.effects.sensor import QuantisationTest, quantisation_test
+from harness.effects.wrap import WrappedPlant
+
+__all__ = [
+    "ColumnBlock",
+    "Confusions",
+    "DelayLine",
+    "Effect",
+    "EffectParameter",
+    "Placed",
+    "QuantisationTest",
+    "Signals",
+    "WrappedPlant",
+    "block_response",
+    "builtin",
+    "column_blocks",
+    "compose",
+    "delay",
+    "delay_slope",
+    "effect",
+    "family",
+    "find",
+    "fits",
+    "motion_sizes",
+    "nested",
+    "obstacle",
+    "par",
+    "place_all",
+    "port_of",
+    "quantisation_test",
+    "quantise",
+    "recommended_substeps",
+    "regression_columns",
+]

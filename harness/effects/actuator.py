@@ -1,0 +1,126 @@
+"""Actuators: what happens between the command and the force."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from harness.effects.effect import effect, par
+from harness.effects.functions import clip, dead_band, tanh
+
+__all__ = [
+    "actuator_lag",
+    "dead_zone",
+    "force_bias",
+    "input_delay",
+    "input_gain",
+    "rate_limit",
+    "saturation",
+]
+
+
+@effect(
+    "input",
+    [par("width", "u", scale="0.1 u", sign="+", minimum=0.0, neutral=0.0, main=True, grid=(1.0, 0.3, 3.0),
+         meaning="largest command without effect")],
+    formula="u' = dz(u): 0 for |u| < width, u - width sgn(u) beyond (corner rounded over width/50)",
+    family=("coulomb_friction", "input_gain", "backlash"),
+    limits={"coulomb_friction": "while the motion follows the command"},
+    experiment="a slow small triangle of the command at standstill: nothing moves until its width is passed",
+)  # fmt: skip
+def dead_zone(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Small commands have no effect."""
+    return dead_band(u, p.width, 0.02 * p.width + 1e-12)
+
+
+@effect(
+    "input",
+    [par("limit", "u", scale="1.2 u", sign="+", minimum=0.0, main=True, grid=(1.0, 0.7, 1.5),
+         meaning="largest command that passes")],
+    formula="u' = clip(u, -limit, limit) (corner rounded over limit/50)",
+    family=("rate_limit", "input_gain"),
+    limits={"input_gain": "if the command is always beyond the limit"},
+    experiment="commands of two amplitudes: invisible at small amplitude",
+)  # fmt: skip
+def saturation(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Large commands are cut off."""
+    return clip(u, p.limit, 0.02 * p.limit + 1e-12)
+
+
+@effect(
+    "input",
+    [
+        par("R", "u/s", scale="0.2 u/dt", sign="+", minimum=1e-12, main=True, grid=(1.0, 0.2, 0.04, 3.0),
+            meaning="largest rate of the actuator"),
+        par("tau", "s", scale="1 dt", sign="+", minimum=1e-9, nuisance=True, meaning="time constant below the limit"),
+    ],
+    states={"z": "u"},
+    initial={"z": "signal"},
+    formula="u' = z, z' = R tanh((u - z)/(R tau))",
+    family=("actuator_lag", "input_delay", "saturation"),
+    nests=("actuator_lag",),
+    limits={"actuator_lag": "for commands that never ask for more than the rate R"},
+    experiment="steps of two sizes: the rise time of a rate limit grows with the size, that of a lag does not",
+)  # fmt: skip
+def rate_limit(u: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
+    """Limit on how fast the actuator can change."""
+    return s.z, [p.R * tanh((u - s.z) / (p.R * p.tau))]
+
+
+@effect(
+    "input",
+    [par("tau", "s", scale="2 dt", sign="+", minimum=0.0, neutral=0.0, main=True, grid=(1.0, 0.5, 3.0, 8.0),
+         meaning="delay")],
+    formula="u'(t) = u(t - tau); between samples the neighbouring held inputs are blended in proportion",
+    family=("actuator_lag", "sensor_delay", "rate_limit"),
+    same_as={"sensor_delay": "in open loop, but for the response to the initial state"},
+    limits={"actuator_lag": "at frequencies far below 1/tau"},
+    sampled="input_delay",
+    experiment="a chirp up to 5/tau (2 to 8 Hz for 20 to 100 ms): a delay turns the phase without losing amplitude",
+)  # fmt: skip
+def input_delay(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Delay between command and force."""
+    return u
+
+
+@effect(
+    "input",
+    [par("tau", "s", scale="2 dt", sign="+", minimum=1e-9, main=True, grid=(1.0, 0.5, 3.0, 8.0),
+         meaning="time constant")],
+    states={"z": "u"},
+    initial={"z": "signal"},
+    formula="u' = z, z' = (u - z)/tau",
+    family=("input_delay", "rate_limit", "elasticity", "sensor_delay"),
+    limits={"input_delay": "at frequencies far below 1/tau"},
+    experiment="a chirp up to 5/tau: a lag loses amplitude, a delay does not",
+)  # fmt: skip
+def actuator_lag(u: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
+    """First-order lag of the actuator."""
+    return s.z, [(u - s.z) / p.tau]
+
+
+@effect(
+    "input",
+    [par("gain", "1", scale="1.05", sign="+", minimum=0.0, neutral=1.0, main=True, linear=True,
+         meaning="force per commanded force")],
+    formula="u' = gain u",
+    family=("sensor_gain", "saturation", "dead_zone"),
+    same_as={"parameter": "a common factor on all nominal parameters, where all of them are free"},
+    experiment="a known added mass or a measured force: the scale of inertia is known only through the input",
+)  # fmt: skip
+def input_gain(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Constant factor between command and force."""
+    return p.gain * u
+
+
+@effect(
+    ("coordinate", "input"),
+    [par("F0", "F", scale="0.05 F", neutral=0.0, main=True, linear=True, meaning="constant force")],
+    formula="F = F0 (at an input: u' = u + F0)",
+    family=("sensor_offset", "gravity_tilt", "eccentric_load", "asymmetric_friction", "quadratic_spring"),
+    same_as={"parameter": "where the nominal has a constant force of its own"},
+    limits={"gravity_tilt": "at small angles", "sensor_offset": "at small angles"},
+    experiment="swings beyond 60 deg: gravity makes an angle offset differ from a constant force",
+)
+def force_bias(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Constant force that nobody commanded."""
+    return p.F0

@@ -1,0 +1,172 @@
+"""A recorded motion, and a system's expressions evaluated along it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from harness.effects.compose import recommended_substeps
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+if TYPE_CHECKING:
+    from harness.physics.system import System
+
+__all__ = ["Signals", "along", "arguments", "block_response", "down", "hidden_states", "residual_function", "rms"]
+
+_CHUNK = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """A recorded motion: what a regression works on.
+
+    Parameters
+    ----------
+    t : array (N,)
+        Time [s], uniform.
+    u : array (N, nu)
+        Inputs of the system, in its order.
+    q, v, a : array (N, n)
+        Coordinates, rates and accelerations, in the order of ``system.coordinates`` (smoothed, from the sensor).
+
+    Raises
+    ------
+    InputError
+        If the lengths differ or there are fewer than two samples.
+    """
+
+    t: FloatArray
+    u: FloatArray
+    q: FloatArray
+    v: FloatArray
+    a: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.t)
+        for name in ("u", "q", "v", "a"):
+            array = np.asarray(getattr(self, name), dtype=float)
+            if array.ndim != 2 or array.shape[0] != n or n < 2:
+                raise InputError(
+                    f"signal {name} of a motion",
+                    expected=f"shape ({n}, channels) with at least two rows",
+                    got=str(array.shape),
+                    remedy="give time on the first axis and one channel in each column",
+                )
+            object.__setattr__(self, name, array)
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        return float(self.t[1] - self.t[0])
+
+
+def block_response(system: System, signals: Signals, parameters: Mapping[str, float] | None = None) -> FloatArray:
+    """Return the hidden states of a composed system along a motion, simulated from where they start.
+
+    Returns
+    -------
+    array (N, hidden states)
+    """
+    states = hidden_states(system, signals, system.vector(parameters))
+    return np.zeros((len(signals.t), 0)) if states is None else states
+
+
+def arguments(system: System) -> list[Any]:
+    """Return the symbols of a function along a motion."""
+    return [system.x, system.u, system.p, system.t]
+
+
+def down(system: System, expression: Any) -> Any:
+    """Return an expression with gravity pointing down."""
+    import casadi as ca
+
+    return ca.substitute(expression, system.gravity, ca.DM([0.0, -1.0]))
+
+
+def residual_function(system: System) -> Any:
+    """Return the function ``r(x, u, p, t, a) = M a - Q``."""
+    import casadi as ca
+
+    a = ca.SX.sym("a", len(system.coordinates))
+    expression = down(system, ca.mtimes(system.mass_matrix, a) - system.generalized_forces)
+    return ca.Function("r", [*arguments(system), a], [expression])
+
+
+def _states(system: System, signals: Signals, hidden: FloatArray | None) -> FloatArray:
+    """Return the states along a motion, (nx, N)."""
+    z = np.zeros((len(signals.t), system.nx - 2 * len(system.coordinates))) if hidden is None else hidden
+    return np.hstack([signals.q, signals.v, z]).T
+
+
+def along(
+    function: Any, system: System, signals: Signals, p: FloatArray, hidden: FloatArray | None, *more: FloatArray
+) -> FloatArray:
+    """Return the values of a function of (x, u, p, t, ...) along a motion, (N, size)."""
+    n = len(signals.t)
+    values = function.map(n)(
+        _states(system, signals, hidden),
+        signals.u.T,
+        np.tile(p[:, None], (1, n)),
+        signals.t[None, :],
+        *(one.T for one in more),
+    )
+    return np.array(values, dtype=float).T
+
+
+def hidden_states(system: System, signals: Signals, p: FloatArray) -> FloatArray | None:
+    """Return the states besides coordinates along a motion, by Runge-Kutta steps with the motion interpolated."""
+    import casadi as ca
+
+    n = len(system.coordinates)
+    count = system.nx - 2 * n
+    if count == 0:
+        return None
+    rates = ca.Function("g", arguments(system), [down(system, system.rates)])
+    substeps = recommended_substeps(system, dict(zip(system.parameter_names, p, strict=True)), signals.dt)
+    z, u, t = ca.SX.sym("z", count), ca.SX.sym("u", system.nu), ca.SX.sym("t")
+    here, there = ca.SX.sym("here", 2 * n), ca.SX.sym("there", 2 * n)
+    parameters = ca.SX.sym("p", system.np)
+    h = signals.dt / substeps
+
+    def slope(state: Any, share: float) -> Any:
+        x = (1.0 - share) * here + share * there
+        return rates(ca.vertcat(x, state), u, parameters, t + share * signals.dt)
+
+    state = z
+    for step in range(substeps):
+        first, middle, last = (step / substeps, (step + 0.5) / substeps, (step + 1) / substeps)
+        k1 = slope(state, first)
+        k2 = slope(state + 0.5 * h * k1, middle)
+        k3 = slope(state + 0.5 * h * k2, middle)
+        k4 = slope(state + h * k3, last)
+        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    step_function = ca.Function("step", [z, here, there, u, parameters, t], [state])
+    motion = np.hstack([signals.q, signals.v]).T
+    initial = ca.Function("z0", arguments(system), [system.initial])
+    x0 = np.concatenate([motion[:, 0], np.zeros(count)])
+    current = np.array(initial(x0, signals.u[0], p, signals.t[0])).ravel()
+    result = np.empty((len(signals.t), count))
+    result[0] = current
+    for start in range(0, len(signals.t) - 1, _CHUNK):
+        stop = min(start + _CHUNK, len(signals.t) - 1)
+        many = step_function.mapaccum(stop - start)
+        values = many(
+            current,
+            motion[:, start:stop],
+            motion[:, start + 1 : stop + 1],
+            signals.u[start:stop].T,
+            np.tile(p[:, None], (1, stop - start)),
+            signals.t[None, start:stop],
+        )
+        result[start + 1 : stop + 1] = np.array(values).T
+        current = result[stop]
+    return result
+
+
+def rms(values: FloatArray) -> FloatArray:
+    """Return the root mean square of each column."""
+    return np.asarray(np.sqrt(np.mean(np.asarray(values) ** 2, axis=0)))

@@ -1,0 +1,263 @@
+"""Columns for regression screens: the force that each effect would add along a recorded motion.
+
+The equation residual of a system is ``r = M a - Q``. A missing effect shows in r, so its columns are what it adds to
+``-r``: for parameters in which the effect is linear, their coefficients (at some values of the others); for an effect
+that is linear in none, the whole force that it adds at some values (the coefficient sought is then 1).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from harness.effects.along import Signals, along, arguments, down, hidden_states, residual_function, rms
+from harness.effects.compose import compose
+from harness.effects.effect import Placed
+from harness.effects.places import port_of
+from harness.effects.sampled import delay
+from harness.signals import FloatArray
+
+if TYPE_CHECKING:
+    from harness.physics.system import System
+
+__all__ = ["ColumnBlock", "column_blocks", "motion_sizes", "regression_columns"]
+
+_LARGEST_GRID = 12
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnBlock:
+    """The columns of one effect at one choice of its nonlinear parameters.
+
+    Attributes
+    ----------
+    placed : Placed
+    given : dict
+        Values of the parameters in which the effect is not linear, by short name.
+    names : tuple of str
+        Short names of the linear parameters, one for each column; ``("effect",)`` if there are none (coefficient 1).
+    columns : array (N, n, k)
+        Force on each coordinate, for a coefficient of 1.
+    """
+
+    placed: Placed
+    given: dict[str, float]
+    names: tuple[str, ...]
+    columns: FloatArray
+
+
+def motion_sizes(
+    system: System, signals: Signals, parameters: Mapping[str, float] | None = None
+) -> dict[str, dict[str, float]]:
+    """Return the sizes of the data at every port, for start values.
+
+    Parameters
+    ----------
+    system : harness.physics.System
+    signals : Signals
+    parameters : mapping, optional
+        Values of the nominal parameters.
+
+    Returns
+    -------
+    dict
+        Port name to rms sizes ``F q v a u y dt T``. The force on a coordinate is the rms of ``M a``, of the inputs'
+        force, or of what the nominal adds besides (gravity, springs), whichever is largest. An input that drives a
+        coordinate has its own rms as ``u`` and ``F``; a name used by several ports has the sizes of all of them.
+    """
+    import casadi as ca
+
+    p, n = system.vector(parameters), len(system.coordinates)
+    a = ca.SX.sym("a", n)
+    parts = [ca.mtimes(system.mass_matrix, a), system.input_forces, system.generalized_forces - system.input_forces]
+    terms = ca.Function("terms", [*arguments(system), a], [down(system, ca.vertcat(*parts))])
+    forces = rms(along(terms, system, signals, p, None, signals.a)).reshape(3, n).max(axis=0)
+    common = {"dt": signals.dt, "T": float(signals.t[-1] - signals.t[0] + signals.dt)}
+    result: dict[str, dict[str, float]] = {"base": dict(common)}
+    for column, channel in enumerate(system.inputs):
+        size = float(rms(signals.u)[column])
+        result.setdefault(channel.name, dict(common)).update(u=size, F=size)
+    for row, one in enumerate(system.coordinates):
+        sizes = {name: float(rms(getattr(signals, name))[row]) for name in ("q", "v", "a")}
+        result.setdefault(one.name, dict(common)).update(F=float(forces[row]), **sizes)
+    outputs = ca.Function("h", arguments(system), [down(system, system.h)])
+    values = rms(along(outputs, system, signals, p, None))
+    for row, channel in enumerate(system.outputs):
+        result.setdefault(channel.name, dict(common)).update(y=float(values[row]))
+    return result
+
+
+def column_blocks(
+    system: System,
+    placed: Placed,
+    signals: Signals,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    sizes: Mapping[str, Mapping[str, float]] | None = None,
+) -> list[ColumnBlock]:
+    """Return the columns of one effect along a motion, one block for each choice of its nonlinear parameters.
+
+    Parameters
+    ----------
+    system : harness.physics.System
+        The nominal, mechanical one.
+    placed : Placed
+        The effect and its port; its values, if any, replace the start values of the grid.
+    signals : Signals
+        The motion.
+    parameters : mapping, optional
+        Values of the nominal parameters (they matter where the effect works through them: gravity tilt, sensors).
+    sizes : mapping, optional
+        Sizes by port, from :func:`motion_sizes` if not given.
+
+    Returns
+    -------
+    list of ColumnBlock
+        Empty where a regression says nothing: resonances of hidden masses, rounding, rectified or saturated sensors,
+        tanks, sensors of other things than coordinates. Hidden states are simulated along the motion from rest.
+
+    Raises
+    ------
+    InputError
+        If the effect does not fit its port.
+    """
+    effect = placed.effect
+    port = port_of(system, placed)
+    if not effect.linearises or not system.coordinates or port.kind == "process" or effect.sampled == "quantise":
+        return []
+    if port.kind == "output" and effect.name not in _SENSORS:
+        return []
+    known = sizes if sizes is not None else motion_sizes(system, signals, parameters)
+    at = known.get(placed.at, {})
+    if port.kind == "output":
+        return _sensor_block(system, placed, signals, parameters, at)
+    start = effect.complete(placed.values, at)
+    linear = [one.name for one in effect.parameters if one.linear and not one.fixed]
+    nonlinear = [one for one in effect.parameters if one.name not in linear and not one.fixed]
+    grids = [one.starts(at) if one.name not in placed.values else (start[one.name],) for one in nonlinear]
+    combinations = list(itertools.islice(itertools.product(*grids), _LARGEST_GRID))
+    whole = compose(system, [placed.with_values(start)], sizes={"": at})
+    residual = residual_function(whole)
+    base = along(residual_function(system), system, signals, system.vector(parameters), None, signals.a)
+    blocks = []
+    for choice in combinations:
+        given = dict(zip((one.name for one in nonlinear), choice, strict=True))
+        values = {**start, **given}
+
+        def added(values: Mapping[str, float]) -> FloatArray:
+            p = whole.vector({**(parameters or {}), **{placed.name(key): value for key, value in values.items()}})
+            moved = signals
+            if effect.sampled == "input_delay":
+                column = [channel.name for channel in system.inputs].index(placed.at)
+                u = signals.u.copy()
+                u[:, column] = delay(u[:, column], values[effect.parameters[0].name], signals.dt)
+                moved = replace(signals, u=u)
+            return np.asarray(base - along(residual, whole, moved, p, hidden_states(whole, moved, p), moved.a))
+
+        if linear:
+            nothing = {**values, **dict.fromkeys(linear, 0.0)}
+            zero = added(nothing)
+            columns = [added({**nothing, name: 1.0}) - zero for name in linear]
+        else:
+            columns = [added(values)]
+        stack = np.stack(columns, axis=-1)
+        if np.isfinite(stack).all():
+            blocks.append(ColumnBlock(placed, given, tuple(linear) or ("effect",), stack))
+    return blocks
+
+
+def regression_columns(
+    system: System,
+    placed: Sequence[Placed],
+    signals: Signals,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    sizes: Mapping[str, Mapping[str, float]] | None = None,
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the columns of several effects in one array.
+
+    Parameters
+    ----------
+    system, signals, parameters, sizes
+        See :func:`column_blocks`.
+    placed : sequence of Placed
+
+    Returns
+    -------
+    names : tuple of str
+        ``effect@port.parameter`` with the values of the nonlinear parameters in brackets.
+    columns : array (N, n, k)
+        Force on each coordinate, for a coefficient of 1.
+
+    Examples
+    --------
+    >>> from harness.effects.friction import coulomb_friction
+    >>> from harness.physics.models import pendulum
+    >>> t = np.arange(4) * 0.1
+    >>> still = Signals(t, np.ones((4, 1)), np.zeros((4, 1)), np.ones((4, 1)), np.zeros((4, 1)))
+    >>> names, columns = regression_columns(pendulum().system(), [Placed(coulomb_friction, "theta")], still)
+    >>> names, columns.round(6)[0].tolist()
+    (('coulomb_friction@theta.Fc[w=0.02]',), [[-1.0]])
+    """
+    known = sizes if sizes is not None else motion_sizes(system, signals, parameters)
+    names: list[str] = []
+    columns: list[FloatArray] = []
+    for one in placed:
+        for block in column_blocks(system, one, signals, parameters=parameters, sizes=known):
+            at = ",".join(f"{key}={value:.4g}" for key, value in block.given.items())
+            names += [f"{one.name(name)}[{at}]" if at else one.name(name) for name in block.names]
+            columns.append(block.columns)
+    empty = np.zeros((len(signals.t), len(system.coordinates), 0))
+    return tuple(names), np.concatenate(columns, axis=2) if columns else empty
+
+
+# ---- sensors: the true motion behind the reading -------------------------------------------------------------------
+
+
+def _undo_offset(signals: Signals, row: int, value: float) -> Signals:
+    q = signals.q.copy()
+    q[:, row] -= value
+    return replace(signals, q=q)
+
+
+def _undo_gain(signals: Signals, row: int, value: float) -> Signals:
+    moved = {}
+    for name in ("q", "v", "a"):
+        array = getattr(signals, name).copy()
+        array[:, row] /= 1.0 + value
+        moved[name] = array
+    return replace(signals, **moved)
+
+
+def _undo_delay(signals: Signals, row: int, value: float) -> Signals:
+    moved = {}
+    for name in ("q", "v", "a"):
+        array = getattr(signals, name).copy()
+        array[:, row] = delay(array[::-1, row], value, signals.dt)[::-1]
+        moved[name] = array
+    return replace(signals, **moved)
+
+
+_SENSORS = {"sensor_offset": _undo_offset, "sensor_gain": _undo_gain, "sensor_delay": _undo_delay}
+_SENSOR_STEPS = {"sensor_offset": 1e-3, "sensor_gain": 1e-3, "sensor_delay": 1.0}
+
+
+def _sensor_block(
+    system: System, placed: Placed, signals: Signals, parameters: Mapping[str, float] | None, at: Mapping[str, float]
+) -> list[ColumnBlock]:
+    """Return the column of a small error of a coordinate's sensor: how the residual changes if it is undone."""
+    rows = [row for row, one in enumerate(system.coordinates) if one.name == placed.at]
+    if not rows:
+        return []
+    name = placed.effect.parameters[0].name
+    unit = {"sensor_offset": at.get("y", 1.0) or 1.0, "sensor_gain": 1.0, "sensor_delay": signals.dt}
+    small = _SENSOR_STEPS[placed.effect.name] * unit[placed.effect.name]
+    p, residual = system.vector(parameters), residual_function(system)
+    base = along(residual, system, signals, p, None, signals.a)
+    moved = _SENSORS[placed.effect.name](signals, rows[0], small)
+    undone = along(residual, system, moved, p, None, moved.a)
+    return [ColumnBlock(placed, {}, (name,), np.asarray((base - undone) / small)[..., None])]

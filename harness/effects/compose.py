@@ -1,0 +1,315 @@
+"""Effects and a system: where an effect fits, and the system that has it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from harness.effects.effect import Placed, port_units, unit_of
+from harness.effects.places import carried_load, port_of
+from harness.errors import InputError
+
+if TYPE_CHECKING:
+    from harness.physics.system import Port, System
+    from harness.signals import FloatArray
+
+__all__ = ["compose", "recommended_substeps"]
+
+_LARGEST_SUBSTEPS = 64
+
+
+def compose(
+    system: System,
+    placed: Sequence[Placed],
+    *,
+    sizes: Mapping[str, Mapping[str, float]] | None = None,
+) -> System:
+    """Return the system with effects built in.
+
+    Parameters
+    ----------
+    system : harness.physics.System
+        A nominal system, or one that has effects already: the new ones come after these.
+    placed : sequence of Placed
+        Input effects act on the command in this order, then force effects (transmissions last, so that the others see
+        the motor's side), then output effects in this order. Delays and rounding are carried out on samples.
+    sizes : mapping, optional
+        Sizes of the data by port (``str(placed)``, ``placed.at`` or ``""`` for all), for start values that are not
+        given; see :meth:`harness.effects.EffectParameter.start`.
+
+    Returns
+    -------
+    harness.physics.System
+        Its parameters are the nominal ones and ``effect@port.name``; its states end with the hidden ones.
+
+    Raises
+    ------
+    InputError
+        If an effect does not fit its port, stands there twice, or a value is out of bounds.
+
+    Examples
+    --------
+    >>> from harness.effects import builtin
+    >>> from harness.physics.models import pendulum
+    >>> dry = compose(pendulum().system(), [Placed(builtin()["coulomb_friction"], "theta", {"Fc": 0.1, "w": 0.01})])
+    >>> dry.parameter("coulomb_friction@theta.Fc")
+    Parameter(name='coulomb_friction@theta.Fc', unit='N m', value=0.1, minimum=-inf, maximum=inf, fixed=False)
+    """
+    wanted = [*system.effects, *placed]
+    _refuse_twice(wanted)
+    nominal = system if system.nominal is None else system.nominal
+    known = {one.name: one for one in system.parameters}
+    result = nominal.with_parameters({one.name: known[one.name] for one in nominal.parameters})
+    for one in _placing_order(result, wanted):
+        result = _place(result, one, _sizes(one, sizes))
+    kept = {one.name: known[one.name] for one in result.parameters if one.name in known}
+    return replace(result.with_parameters(kept), effects=tuple(wanted), nominal=nominal)
+
+
+def recommended_substeps(
+    system: System, parameters: Mapping[str, float] | None, dt: float, *, x: FloatArray | None = None
+) -> int:
+    """Return how many Runge-Kutta steps one sample time needs to follow the fastest motion.
+
+    Parameters
+    ----------
+    system : harness.physics.System
+    parameters : mapping, optional
+        Values, the system's own where not given.
+    dt : float
+        Sample time [s].
+    x : array (nx,) or (K, nx), optional
+        States to look at, beside rest: a sign is steepest at zero speed, a contact is stiff where it is closed.
+
+    Returns
+    -------
+    int
+        So that the fastest eigenvalue times a step stays below 1.4 (half of what RK4 endures), at most 64.
+
+    Examples
+    --------
+    >>> from harness.physics.models import pendulum
+    >>> recommended_substeps(pendulum().system(), None, 0.01)
+    1
+    """
+    import casadi as ca
+
+    jacobian = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
+    p = system.vector(parameters)
+    points = [np.zeros(system.nx)]
+    hidden = system.nx - system.hidden_count
+    for placed in system.effects:
+        gap = system.values(parameters).get(placed.name("gap"))
+        if gap is not None:  # the contact must be looked at closed
+            closed = np.zeros(system.nx)
+            names = [channel.name for channel in system.states]
+            closed[names.index(placed.name("e"), hidden)] = 2.0 * gap
+            points.append(closed)
+    if x is not None:
+        points.extend(np.atleast_2d(np.asarray(x, dtype=float)))
+    fastest = 0.0
+    for point in points:
+        matrix = np.array(jacobian(point, np.zeros(system.nu), p, 0.0), dtype=float)
+        if np.isfinite(matrix).all():
+            fastest = max(fastest, float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0)))
+    return int(np.clip(np.ceil(fastest * dt / 1.4), 1, _LARGEST_SUBSTEPS))
+
+
+# ---- placing one effect ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Symbols:
+    """Symbols of one placed effect: its parameters with what is declared about them, and its hidden states."""
+
+    declared: list[tuple[Any, Any]]
+    values: dict[str, Any]
+    states: list[Any]
+
+
+def _place(system: System, placed: Placed, sizes: Mapping[str, float]) -> System:
+    """Return the system with one more effect."""
+    port = port_of(system, placed)
+    made = _symbols(system, placed, port, sizes)
+    if placed.effect.sampled:
+        return _place_sampled(system, placed, port, made)
+    return {
+        "input": _place_input,
+        "coordinate": _place_force,
+        "output": _place_output,
+        "base": _place_base,
+        "process": _place_process,
+    }[port.kind](system, placed, port, made)
+
+
+def _symbols(system: System, placed: Placed, port: Port, sizes: Mapping[str, float]) -> _Symbols:
+    """Return fresh symbols for an effect's parameters and hidden states."""
+    import casadi as ca
+
+    from harness.physics.parameters import Parameter
+
+    units = _units(system, port)
+    values = placed.effect.complete(placed.values, sizes)
+    declared, named = [], {}
+    for one in placed.effect.parameters:
+        symbol = ca.SX.sym(placed.name(one.name))
+        fixed, value = one.fixed, values[one.name]
+        if one.angle_only and port.unit != "rad":
+            fixed, value = True, one.neutral or 0.0
+        name, unit = placed.name(one.name), unit_of(one.unit, units)
+        declared.append((Parameter(name, unit, value, one.lowest(sizes, value), one.maximum, fixed), symbol))
+        named[one.name] = symbol
+    return _Symbols(declared, named, [ca.SX.sym(placed.name(name)) for name in placed.effect.states])
+
+
+def _hidden(
+    system: System, placed: Placed, port: Port, made: _Symbols, derivatives: Sequence[Any], context: Mapping[str, Any]
+) -> list[Any]:
+    """Return the hidden states of an effect as the system wants them."""
+    from harness.physics.system import Hidden
+    from harness.signals import Channel
+
+    units, effect, found = _units(system, port), placed.effect, []
+    for name, unit, symbol, derivative in zip(effect.states, effect.state_units, made.states, derivatives, strict=True):
+        initial = context[effect.initial[name]] if name in effect.initial else None
+        found.append(Hidden(Channel(placed.name(name), unit_of(unit, units)), symbol, derivative, initial))
+    return found
+
+
+def _place_input(system: System, placed: Placed, port: Port, made: _Symbols) -> System:
+    """Put a block before an input."""
+    signal = system.u[[channel.name for channel in system.inputs].index(port.name)]
+    row = system.driven_by(port.name)
+    q, v = (0.0, 0.0) if row is None else _motion(system, system.coordinates[row].name)
+    value, derivatives = placed.effect.evaluate(signal, made.states, made.values, q, v, t=system.t, a=0.0, load=0.0)
+    if "coordinate" in placed.effect.kinds:
+        value = signal + value
+    hidden = _hidden(system, placed, port, made, derivatives, {"signal": signal, "q": q, "v": v})
+    return system.rebuild(inputs={port.name: value}, states=hidden, parameters=made.declared)
+
+
+def _place_force(system: System, placed: Placed, port: Port, made: _Symbols) -> System:
+    """Add a force to a coordinate; what it takes in proportion to the acceleration joins the mass matrix."""
+    import casadi as ca
+
+    row = system.coordinate(port.name).force
+    q, v = _motion(system, port.name)
+    signal, a = system.input_forces[row], ca.SX.sym("a")
+    load = carried_load(system, port.name)
+    value, derivatives = placed.effect.evaluate(
+        signal, made.states, made.values, q, v, t=system.t, a=a, load=0.0 if load is None else load
+    )
+    value, mass = ca.SX(value), None
+    if ca.depends_on(value, a):
+        share = ca.jacobian(value, a)
+        if ca.depends_on(share, a):
+            raise InputError(
+                f"effect {placed.effect.name}",
+                expected="a force that is linear in the acceleration a",
+                got="a nonlinear one",
+                remedy="write it with a to the first power only",
+            )
+        mass = ca.SX.zeros(*system.mass_matrix.shape)
+        mass[row, row] = -share
+        value = ca.substitute(value, a, 0.0)
+    hidden = _hidden(system, placed, port, made, derivatives, {"signal": signal, "q": q, "v": v})
+    return system.rebuild(forces={port.name: value}, mass=mass, states=hidden, parameters=made.declared)
+
+
+def _place_output(system: System, placed: Placed, port: Port, made: _Symbols) -> System:
+    """Put a block behind an output."""
+    signal = system.h[[channel.name for channel in system.outputs].index(port.name)]
+    coordinate = any(one.name == port.name for one in system.coordinates)
+    q, v = _motion(system, port.name) if coordinate else (signal, 0.0)
+    value, derivatives = placed.effect.evaluate(signal, made.states, made.values, q, v, t=system.t, a=0.0, load=0.0)
+    hidden = _hidden(system, placed, port, made, derivatives, {"signal": signal, "q": q, "v": v})
+    return system.rebuild(outputs={port.name: value}, states=hidden, parameters=made.declared)
+
+
+def _place_base(system: System, placed: Placed, port: Port, made: _Symbols) -> System:
+    """Turn gravity."""
+    gravity = (system.gravity[0], system.gravity[1])
+    turned, derivatives = placed.effect.evaluate(
+        gravity, made.states, made.values, 0.0, 0.0, t=system.t, a=0.0, load=0.0
+    )
+    hidden = _hidden(system, placed, port, made, derivatives, {"signal": 0.0, "q": 0.0, "v": 0.0})
+    return system.rebuild(gravity=turned, states=hidden, parameters=made.declared)
+
+
+def _place_process(system: System, placed: Placed, port: Port, made: _Symbols) -> System:
+    """Add to the rate of a process state, and to the next one's if the effect says so."""
+    row = [channel.name for channel in system.states].index(port.name)
+    rate, level = system.rates[row - 2 * len(system.coordinates)], system.x[row]
+    value, derivatives = placed.effect.evaluate(rate, made.states, made.values, level, 0.0, t=system.t, a=0.0, load=0.0)
+    rates = {port.name: value}
+    if placed.effect.downstream:
+        here, there = value
+        rates = {port.name: here, system.process[system.process.index(port.name) + 1]: there}
+    hidden = _hidden(system, placed, port, made, derivatives, {"signal": rate, "q": level, "v": 0.0})
+    return system.rebuild(rates=rates, states=hidden, parameters=made.declared)
+
+
+def _place_sampled(system: System, placed: Placed, port: Port, made: _Symbols) -> System:
+    """Leave a block to the simulator, which works on samples."""
+    from harness.physics.system import SampledBlock
+
+    channels = system.inputs if port.kind == "input" else system.outputs
+    index = [channel.name for channel in channels].index(port.name)
+    name = placed.name(placed.effect.parameters[0].name)
+    block = SampledBlock(placed.effect.sampled, index, name)  # type: ignore[arg-type]
+    return system.rebuild(parameters=made.declared, sampled=[block])
+
+
+# ---- helpers ---------------------------------------------------------------------------------------------------------
+
+
+def _placing_order(system: System, placed: Sequence[Placed]) -> list[Placed]:
+    """Return the order of substitution.
+
+    An input effect reaches into all that was there before, so the one that acts first is placed last. Tanks are placed
+    from the first one down, so that what spills counts in the next level.
+    """
+    kinds = [port_of(system, one).kind for one in placed]
+
+    def those(kind: str) -> list[Placed]:
+        return [one for one, its_kind in zip(placed, kinds, strict=True) if its_kind == kind]
+
+    forces = sorted(those("coordinate"), key=lambda one: one.effect.drives)
+    tanks = sorted(those("process"), key=lambda one: system.process.index(one.at))
+    return [*forces, *those("base"), *tanks, *reversed(those("input")), *those("output")]
+
+
+def _refuse_twice(placed: Sequence[Placed]) -> None:
+    """Raise if an effect stands twice at one port."""
+    names = [str(one) for one in placed]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"{name} is placed twice",
+                expected="an effect once at a port",
+                got=", ".join(names),
+                remedy="remove one of them",
+            )
+
+
+def _sizes(placed: Placed, sizes: Mapping[str, Mapping[str, float]] | None) -> Mapping[str, float]:
+    """Return the sizes that belong to one placed effect."""
+    for key in (str(placed), placed.at, ""):
+        if sizes is not None and key in sizes:
+            return sizes[key]
+    return {}
+
+
+def _units(system: System, port: Port) -> dict[str, str]:
+    """Return what the names in unit templates stand for at a port."""
+    force = system.coordinate(port.name).force_unit if port.kind == "coordinate" else ""
+    return port_units(port.kind, port.unit, force)
+
+
+def _motion(system: System, name: str) -> tuple[Any, Any]:
+    """Return the symbols of a coordinate and its rate."""
+    one = system.coordinate(name)
+    return system.x[one.q], system.x[one.v]

@@ -1,0 +1,390 @@
+"""What an effect is: a block with named parameters that attaches to a port of a system; ``@effect`` writes one."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any, Literal
+
+import numpy as np
+
+from harness.effects.parameter import EffectParameter, par
+from harness.effects.unit_templates import fill, rate_unit
+from harness.errors import InputError
+
+__all__ = ["Effect", "EffectParameter", "Kind", "Placed", "effect", "par", "port_units", "unit_of"]
+
+Kind = Literal["input", "coordinate", "output", "base", "process"]
+KINDS: tuple[Kind, ...] = ("input", "coordinate", "output", "base", "process")
+_FIXED_ARGUMENTS = 5
+_EXTRA_ARGUMENTS = ("t", "a", "load")
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """A physical effect that a model may lack; made with :func:`effect`.
+
+    Attributes
+    ----------
+    name : str
+        The name users write.
+    kinds : tuple of {"input", "coordinate", "output", "base", "process"}
+        Ports it fits.
+    parameters : tuple of EffectParameter
+    states : tuple of str
+        Hidden states.
+    function : callable
+        The block, see :func:`effect`.
+    summary : str
+        First line of the block's docstring.
+    formula, experiment : str
+        For the report: what it computes; what would separate it from its family.
+    family : tuple of str
+        Names easily taken for it; the ones that it also should be compared with.
+    same_as : dict
+        Names that cannot be told from it at all, each with the circumstance. ``"parameter"``: a nominal parameter.
+    limits : dict
+        Names that it approaches, each with the limit in which it does.
+    nests : tuple of str
+        Simpler effects that are special cases of it.
+    state_units : tuple of str
+        Unit templates of the hidden states.
+    drives : bool
+        It acts between an input and a coordinate: the coordinate must be driven by an input.
+    downstream : bool
+        A process effect that also feeds the next state.
+    sampled : str
+        ``"input_delay"``, ``"output_delay"`` or ``"quantise"`` for effects on samples rather than on equations; else
+        empty.
+    linearises : bool
+        Its columns in a regression mean something (False for hidden resonances).
+    angles : bool
+        It fits only coordinates that are angles.
+    initial : dict
+        Where a hidden state starts if not at 0: ``"signal"`` (what arrives at the port), ``"q"`` or ``"v"``.
+    """
+
+    name: str
+    kinds: tuple[Kind, ...]
+    parameters: tuple[EffectParameter, ...]
+    states: tuple[str, ...]
+    function: Callable[..., Any]
+    summary: str = ""
+    formula: str = ""
+    experiment: str = ""
+    family: tuple[str, ...] = ()
+    same_as: Mapping[str, str] = field(default_factory=dict)
+    limits: Mapping[str, str] = field(default_factory=dict)
+    nests: tuple[str, ...] = ()
+    state_units: tuple[str, ...] = ()
+    drives: bool = False
+    downstream: bool = False
+    sampled: str = ""
+    linearises: bool = True
+    angles: bool = False
+    initial: Mapping[str, str] = field(default_factory=dict)
+    extras: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return self.name
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The decorated name now holds the Effect, so its function cannot be pickled by name: travel by address.
+        return _find, (self.function.__module__, self.function.__qualname__)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters, in order."""
+        return tuple(one.name for one in self.parameters)
+
+    @property
+    def main(self) -> EffectParameter | None:
+        """The parameter that decides about acceptance; None for an effect without parameters."""
+        return next((one for one in self.parameters if one.main), None)
+
+    def parameter(self, name: str) -> EffectParameter:
+        """Return one parameter by name, or refuse the name."""
+        for one in self.parameters:
+            if one.name == name:
+                return one
+        raise InputError(
+            f"parameter of effect {self.name}",
+            expected=f"one of {', '.join(self.parameter_names) or 'none'}",
+            got=repr(name),
+            remedy="correct the name",
+        )
+
+    def complete(self, values: Mapping[str, float], sizes: Mapping[str, float] | None = None) -> dict[str, float]:
+        """Return a value for every parameter: those given, the others from their scale hints.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or a value is not a number within the bounds.
+        """
+        for name, value in values.items():
+            one = self.parameter(name)
+            if not (np.isfinite(value) and one.minimum <= value <= one.maximum):
+                raise InputError(
+                    f"parameter {name} of effect {self.name}",
+                    expected=f"a number in [{one.minimum:g}, {one.maximum:g}]",
+                    got=repr(value),
+                    remedy="choose a value within the bounds",
+                )
+        return {
+            one.name: float(values[one.name]) if one.name in values else one.start(sizes or {})
+            for one in self.parameters
+        }
+
+    def neutral(self, values: Mapping[str, float] | None = None) -> dict[str, float] | None:
+        """Return parameters at which the effect vanishes (the neutral ones replaced), None where there are none."""
+        if not any(one.neutral is not None for one in self.parameters):
+            return None
+        given = self.complete(values or {})
+        return {one.name: given[one.name] if one.neutral is None else one.neutral for one in self.parameters}
+
+    def evaluate(
+        self,
+        signal: Any,
+        states: Sequence[Any],
+        values: Mapping[str, Any],
+        q: Any,
+        v: Any,
+        **extras: Any,
+    ) -> tuple[Any, list[Any]]:
+        """Return what the block computes and the derivatives of its hidden states.
+
+        Parameters
+        ----------
+        signal : number, array (N,) or CasADi symbol
+            What arrives at the port: the input; the output; the input's force on the coordinate; the net rate of
+            the process state; the pair of gravity components.
+        states : sequence
+            Hidden states, of the same kind.
+        values : mapping
+            Parameter values by name.
+        q, v : number, array or symbol
+            The coordinate and its rate (0 where there is none).
+        **extras
+            ``t``, ``a`` (acceleration), ``load``: those that the block names as arguments must be given.
+        """
+        result = self.function(
+            signal,
+            SimpleNamespace(**dict(zip(self.states, states, strict=True))),
+            SimpleNamespace(**{name: values[name] for name in self.parameter_names}),
+            q,
+            v,
+            **{name: extras[name] for name in self.extras},
+        )
+        if not self.states:
+            return result, []
+        value, derivatives = result
+        if len(derivatives) != len(self.states):
+            raise InputError(
+                f"effect {self.name}",
+                expected=f"{len(self.states)} derivatives, one for each of {', '.join(self.states)}",
+                got=str(len(derivatives)),
+                remedy="return (value, [one derivative for each hidden state])",
+            )
+        return value, list(derivatives)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """An effect at a port.
+
+    Parameters
+    ----------
+    effect : Effect
+    at : str
+        Name of the input, coordinate, output or process state, or ``base``.
+    values : dict, optional
+        Start values or true values of some of its parameters.
+
+    Examples
+    --------
+    >>> from harness.effects.friction import coulomb_friction
+    >>> Placed(coulomb_friction, "theta").name("Fc")
+    'coulomb_friction@theta.Fc'
+    """
+
+    effect: Effect
+    at: str
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return f"{self.effect.name}@{self.at}"
+
+    def __hash__(self) -> int:
+        return hash((self.effect.name, self.at))
+
+    def name(self, parameter: str) -> str:
+        """Return the full name of a parameter or hidden state in a composed system."""
+        return f"{self.effect.name}@{self.at}.{parameter}"
+
+    def main(self) -> str | None:
+        """Return the full name of the main parameter."""
+        return None if self.effect.main is None else self.name(self.effect.main.name)
+
+    def with_values(self, values: Mapping[str, float]) -> Placed:
+        """Return the same effect at the same port with these values."""
+        return replace(self, values={**self.values, **values})
+
+
+def effect(
+    kind: str | Sequence[str],
+    params: Mapping[str, str | EffectParameter] | Sequence[EffectParameter] = (),
+    states: str | Mapping[str, str] = "",
+    *,
+    name: str | None = None,
+    family: Sequence[str] = (),
+    same_as: Mapping[str, str] | None = None,
+    limits: Mapping[str, str] | None = None,
+    nests: Sequence[str] = (),
+    experiment: str = "",
+    formula: str = "",
+    drives: bool = False,
+    downstream: bool = False,
+    sampled: str = "",
+    linearises: bool = True,
+    angles: bool = False,
+    initial: Mapping[str, str] | None = None,
+) -> Callable[[Callable[..., Any]], Effect]:
+    """Make an effect of a function.
+
+    Parameters
+    ----------
+    kind : str or sequence of str
+        Ports it fits: ``input``, ``coordinate``, ``output``, ``base``, ``process``.
+    params : mapping or sequence
+        Name to unit template, or to an :class:`EffectParameter` where more is to be said. The first is the main one
+        unless another says so.
+    states : str or mapping
+        Names of hidden states separated by spaces, or name to unit template. They start at 0 unless ``initial`` says
+        otherwise.
+    name, family, same_as, limits, nests, experiment, formula, drives, downstream, sampled, linearises, angles, initial
+        See :class:`Effect`; ``name`` is the function's own unless given.
+
+    Returns
+    -------
+    callable
+        A decorator for ``function(signal, s, p, q, v)``; more arguments are passed if they are named ``t`` (time),
+        ``a`` (acceleration of the coordinate; a force may depend on it linearly, hidden states may not) or ``load``
+        (force that the joint carries). It returns the new input or output; on a coordinate the force to *add*; on a
+        process state the rate to add (with the rate to add to the next state, if ``downstream``); on the base the
+        pair of gravity components. With hidden states it returns that and the list of their derivatives. A block that
+        fits both a coordinate and an input returns the force to add at either. Use the functions of
+        :mod:`harness.effects.functions`.
+
+    Raises
+    ------
+    InputError
+        If the kind or the function's arguments do not fit.
+
+    Examples
+    --------
+    >>> @effect("input", dict(tau="s"), states="z")
+    ... def my_lag(u, s, p, q, v):
+    ...     return s.z, [(u - s.z) / p.tau]
+    >>> my_lag.name, my_lag.parameter_names, my_lag.states
+    ('my_lag', ('tau',), ('z',))
+    """
+    kinds = (kind,) if isinstance(kind, str) else tuple(kind)
+    if not kinds or any(one not in KINDS for one in kinds):
+        raise InputError(
+            "kind of an effect", expected=f"among {', '.join(KINDS)}", got=repr(kind), remedy="name the ports it fits"
+        )
+    parameters = _parameters(params)
+    hidden = dict.fromkeys(states.split(), "1") if isinstance(states, str) else dict(states)
+
+    def decorate(function: Callable[..., Any]) -> Effect:
+        arguments = tuple(inspect.signature(function).parameters)
+        extras = arguments[_FIXED_ARGUMENTS:]
+        if len(arguments) < _FIXED_ARGUMENTS or any(one not in _EXTRA_ARGUMENTS for one in extras):
+            raise InputError(
+                f"arguments of effect {function.__name__}",
+                expected=f"(signal, s, p, q, v) and then any of {', '.join(_EXTRA_ARGUMENTS)}",
+                got=f"({', '.join(arguments)})",
+                remedy="name the arguments so, also those that are not used",
+            )
+        lines = (inspect.getdoc(function) or "").splitlines()
+        return Effect(
+            name=name or function.__name__,
+            kinds=kinds,  # type: ignore[arg-type]
+            parameters=parameters,
+            states=tuple(hidden),
+            function=function,
+            summary=lines[0] if lines else "",
+            formula=formula,
+            experiment=experiment,
+            family=tuple(family),
+            same_as=dict(same_as or {}),
+            limits=dict(limits or {}),
+            nests=tuple(nests),
+            state_units=tuple(hidden.values()),
+            drives=drives,
+            downstream=downstream,
+            sampled=sampled,
+            linearises=linearises,
+            angles=angles,
+            initial=dict(initial or {}),
+            extras=extras,
+        )
+
+    return decorate
+
+
+def port_units(kind: str, unit: str, force_unit: str = "") -> dict[str, str]:
+    """Return what the names in a unit template stand for at a port.
+
+    Examples
+    --------
+    >>> port_units("coordinate", "rad", "N m")["v"]
+    'rad/s'
+    """
+    if kind == "coordinate":
+        rate = rate_unit(unit)
+        force = force_unit or ("N m" if unit == "rad" else "N")
+        return {"q": unit, "v": rate, "a": rate_unit(rate), "F": force}
+    if kind == "process":
+        return {"x": unit}
+    return {"u": unit, "F": unit} if kind == "input" else {"y": unit}
+
+
+def unit_of(template: str, units: Mapping[str, str]) -> str:
+    """Return the unit text of a parameter or hidden state at a port."""
+    return fill(template, units)
+
+
+def _parameters(params: Mapping[str, str | EffectParameter] | Sequence[EffectParameter]) -> tuple[EffectParameter, ...]:
+    """Return the parameters with exactly one main one (none if there are none)."""
+    if isinstance(params, Mapping):
+        made = [
+            replace(one, name=name)
+            if isinstance(one, EffectParameter)
+            else EffectParameter(name, one, minimum=0.0 if one == "s" else -np.inf)
+            for name, one in params.items()
+        ]
+    else:
+        made = list(params)
+    if made and not any(one.main for one in made):
+        made[0] = replace(made[0], main=True)
+    return tuple(made)
+
+
+def _find(module: str, qualified_name: str) -> Effect:
+    """Return the effect that stands under a function's old name."""
+    found: Any = importlib.import_module(module)
+    for part in qualified_name.split("."):
+        found = getattr(found, part)
+    if not isinstance(found, Effect):
+        raise InputError(
+            f"no effect at {module}.{qualified_name}",
+            expected="an effect",
+            got=type(found).__name__,
+            remedy="import it",
+        )
+    return found

@@ -1,0 +1,29 @@
+"""Forces from outside that do not depend on the motion."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from harness.effects.effect import effect, par
+from harness.effects.functions import sin
+
+__all__ = ["periodic_disturbance"]
+
+
+@effect(
+    ("coordinate", "input"),
+    [
+        par("A", "F", scale="0.05 F", neutral=0.0, main=True, linear=True, meaning="amplitude"),
+        par("omega", "rad/s", scale="20 1/T", sign="+", minimum=1e-9, grid=(1.0, 0.3, 3.0, 10.0), meaning="frequency"),
+        par(
+            "phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), meaning="phase at time 0 of a record"
+        ),
+    ],
+    formula="F = A sin(omega t + phi) (at an input: u' = u + F)",
+    family=("cogging", "sensor_offset"),
+    limits={"cogging": "at constant speed"},
+    experiment="no excitation at all: the line stays; its phase is refitted on each record",
+)
+def periodic_disturbance(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
+    """Sinusoidal force from outside (unbalance of a neighbour, mains)."""
+    return p.A * sin(p.omega * t + p.phi)

@@ -1,0 +1,185 @@
+"""Friction and drag: forces against the motion of a coordinate.
+
+The sign of a velocity is ``tanh(v / w)``. The width w is a free nuisance parameter: fixed too wide, it turns Coulomb
+friction into Stribeck friction; below about 1e-3 rad/s it costs accuracy at a step of 2 ms.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from harness.effects.effect import EffectParameter, effect, par
+from harness.effects.functions import absolute, cos, exp, tanh
+
+__all__ = [
+    "asymmetric_friction",
+    "coulomb_friction",
+    "hysteresis",
+    "load_dependent_friction",
+    "position_dependent_friction",
+    "quadratic_drag",
+    "stribeck_friction",
+    "viscous_friction",
+]
+
+
+def _width() -> EffectParameter:
+    """Return the smoothing width of a sign."""
+    return par("w", "v", scale="0.02 v", floor="0.002 v", sign="+", minimum=1e-6, nuisance=True,
+               meaning="smoothing width of the sign")  # fmt: skip
+
+
+def _level(name: str, scale: str, *, main: bool, meaning: str) -> EffectParameter:
+    """Return a force level that should be positive."""
+    return par(name, "F", scale=scale, sign="+", neutral=0.0, main=main, linear=True, meaning=meaning)
+
+
+@effect(
+    "coordinate",
+    [par("b", "F/v", scale="0.05 F/v", sign="+", neutral=0.0, main=True, linear=True, meaning="viscous coefficient")],
+    formula="F = -b v",
+    family=("quadratic_drag", "coulomb_friction"),
+    same_as={"parameter": "where the nominal has a viscous term of its own on this coordinate"},
+    limits={"quadratic_drag": "at one constant speed"},
+    experiment="swings of several amplitudes: the decay per cycle of viscous friction does not depend on amplitude",
+)
+def viscous_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Friction proportional to speed."""
+    return -p.b * v
+
+
+@effect(
+    "coordinate",
+    [_level("Fc", "0.05 F", main=True, meaning="Coulomb level"), _width()],
+    formula="F = -Fc sgn(v), sgn(v) = tanh(v/w)",
+    family=("stribeck_friction", "asymmetric_friction", "viscous_friction", "hysteresis", "load_dependent_friction",
+            "position_dependent_friction"),
+    limits={"stribeck_friction": "at speeds far above the Stribeck speed"},
+    experiment="slow triangles through zero speed at several amplitudes: the force loop keeps its height",
+)  # fmt: skip
+def coulomb_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Dry friction: constant against the motion."""
+    return -p.Fc * tanh(v / p.w)
+
+
+@effect(
+    "coordinate",
+    [
+        par("Fs", "F", scale="0.08 F", sign="+", neutral=0.0, main=True, linear=True, meaning="level near standstill"),
+        par("Fc", "F", scale="0.04 F", sign="+", neutral=0.0, linear=True, meaning="Coulomb level at speed"),
+        par(
+            "vs",
+            "v",
+            scale="0.2 v",
+            floor="0.005 v",
+            sign="+",
+            minimum=1e-6,
+            grid=(1.0, 0.3, 3.0),
+            meaning="Stribeck speed",
+        ),
+        _width(),
+    ],
+    formula="F = -[Fc + (Fs - Fc) exp(-(v/vs)^2)] sgn(v), sgn(v) = tanh(v/w)",
+    family=("coulomb_friction", "asymmetric_friction", "viscous_friction", "hysteresis"),
+    nests=("coulomb_friction",),
+    limits={"coulomb_friction": "at speeds far above the Stribeck speed vs"},
+    experiment="a slow triangle through zero speed: the force must fall as the speed rises",
+)
+def stribeck_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Dry friction that is higher near standstill."""
+    return -(p.Fc + (p.Fs - p.Fc) * exp(-((v / p.vs) ** 2))) * tanh(v / p.w)
+
+
+@effect(
+    "coordinate",
+    [
+        _level("Fp", "0.06 F", main=True, meaning="level at positive speed"),
+        _level("Fm", "0.04 F", main=False, meaning="level at negative speed"),
+        _width(),
+    ],
+    formula="F = -(Fp + Fm)/2 sgn(v) - (Fp - Fm)/2, sgn(v) = tanh(v/w): -Fp forwards, +Fm backwards",
+    family=("coulomb_friction", "force_bias", "stribeck_friction"),
+    nests=("coulomb_friction", "force_bias"),
+    same_as={"coulomb_friction + force_bias": "always: level (Fp + Fm)/2 and bias -(Fp - Fm)/2"},
+    experiment="none on one joint tells it from Coulomb friction plus a bias; turning the joint round shows which",
+)
+def asymmetric_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Dry friction with another level in each direction."""
+    return -0.5 * (p.Fp + p.Fm) * tanh(v / p.w) - 0.5 * (p.Fp - p.Fm)
+
+
+@effect(
+    "coordinate",
+    [par("c", "F/v^2", scale="0.05 F/v^2", sign="+", neutral=0.0, main=True, linear=True, meaning="drag coefficient")],
+    formula="F = -c |v| v",
+    family=("viscous_friction", "coulomb_friction"),
+    limits={"viscous_friction": "at one constant speed"},
+    experiment="large swings: the decay per cycle grows with amplitude; needs a high peak speed",
+)
+def quadratic_drag(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Drag of a fluid at speed."""
+    return -p.c * absolute(v) * v
+
+
+@effect(
+    "coordinate",
+    [par("mu", "1", scale="0.05", sign="+", neutral=0.0, main=True, linear=True, meaning="friction coefficient"),
+     _width()],
+    formula="F = -mu |load| sgn(v), sgn(v) = tanh(v/w); load = what the guide carries, else the input's force",
+    family=("coulomb_friction", "position_dependent_friction", "hysteresis", "input_gain"),
+    limits={"coulomb_friction": "under a load of constant size"},
+    experiment="the same motion with and without a payload: Coulomb friction stays, this one grows",
+)  # fmt: skip
+def load_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any, load: Any) -> Any:
+    """Dry friction in proportion to the force that the joint carries."""
+    return -p.mu * absolute(load) * tanh(v / p.w)
+
+
+@effect(
+    "coordinate",
+    [
+        par("Fc", "F", scale="0.05 F", sign="+", neutral=0.0, main=True, linear=True, meaning="mean Coulomb level"),
+        par("a", "1", scale="0.5", minimum=-2.0, maximum=2.0, meaning="relative swing of the level"),
+        par("phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), meaning="phase of the level"),
+        _width(),
+    ],
+    formula="F = -[1 + a cos(q + phi)] Fc sgn(v), sgn(v) = tanh(v/w)",
+    family=("coulomb_friction", "load_dependent_friction", "cogging"),
+    nests=("coulomb_friction",),
+    angles=True,
+    experiment="slow full turns in both directions: the height of the force loop depends on the angle",
+)
+def position_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Dry friction whose level depends on the angle."""
+    return -(1.0 + p.a * cos(q + p.phi)) * p.Fc * tanh(v / p.w)
+
+
+@effect(
+    "coordinate",
+    [
+        _level("Fh", "0.05 F", main=True, meaning="largest hysteretic force"),
+        par(
+            "xs",
+            "q",
+            scale="0.05 q",
+            floor="0.001 q",
+            sign="+",
+            minimum=1e-9,
+            grid=(1.0, 0.2, 5.0),
+            meaning="presliding length",
+        ),
+        par("beta", "1", scale="0.5", minimum=0.0, maximum=1.0, fixed=True, meaning="1: Dahl; 1/2: elastic unloading"),
+    ],
+    states={"z": "1"},
+    formula="F = -Fh z, z' = [v - beta |v| z - (1 - beta) v |z|]/xs (Bouc-Wen of order 1, with k A = Fh/xs)",
+    family=("coulomb_friction", "linear_spring", "stribeck_friction", "backlash"),
+    limits={
+        "coulomb_friction": "for a presliding length far below the motion",
+        "linear_spring": "for motions far below the presliding length",
+    },
+    experiment="reversals of several small amplitudes: minor loops appear where Coulomb friction has none",
+)
+def hysteresis(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
+    """Bouc-Wen hysteresis: friction that builds up over a presliding length."""
+    rate = (v - p.beta * absolute(v) * s.z - (1.0 - p.beta) * v * absolute(s.z)) / p.xs
+    return -p.Fh * s.z, [rate]

@@ -1,0 +1,112 @@
+"""Where an effect fits: the ports of a system, and why one does not fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from harness.effects.effect import Effect, Placed
+from harness.errors import InputError
+
+if TYPE_CHECKING:
+    from harness.physics.system import Port, System
+
+__all__ = ["carried_load", "fits", "obstacle", "place_all", "port_of"]
+
+
+def place_all(system: System, effects: Iterable[Effect] | None = None) -> list[Placed]:
+    """Return every effect at every port of a system that it fits.
+
+    Parameters
+    ----------
+    system : harness.physics.System
+    effects : iterable of Effect, optional
+        The built-in dictionary if not given.
+
+    Examples
+    --------
+    >>> from harness.physics.models import pendulum
+    >>> [str(one) for one in place_all(pendulum().system()) if one.at == "base"]
+    ['gravity_tilt@base']
+    """
+    if effects is None:
+        from harness.effects import builtin
+
+        effects = builtin().values()
+    found = []
+    for one in effects:
+        for port in system.ports:
+            if port.kind in one.kinds and obstacle(system, one, port) is None:
+                found.append(Placed(one, port.name))
+    return found
+
+
+def fits(system: System, placed: Placed) -> bool:
+    """Return True if an effect fits the port it is placed at."""
+    return any(
+        port.name == placed.at and port.kind in placed.effect.kinds and obstacle(system, placed.effect, port) is None
+        for port in system.ports
+    )
+
+
+def port_of(system: System, placed: Placed) -> Port:
+    """Return the port that an effect acts on, or refuse it with what it would fit.
+
+    Raises
+    ------
+    InputError
+        If there is no such port, or the effect does not fit it.
+    """
+    reasons = []
+    for port in system.ports:
+        if port.name == placed.at and port.kind in placed.effect.kinds:
+            reason = obstacle(system, placed.effect, port)
+            if reason is None:
+                return port
+            reasons.append(reason)
+    where = [port.name for port in system.ports if fits(system, Placed(placed.effect, port.name))]
+    raise InputError(
+        f"{placed.effect.name} does not fit {placed.at!r} of {system.name}" + "".join(f" ({one})" for one in reasons),
+        expected=f"one of {', '.join(dict.fromkeys(where))}" if where else "a model with such a port",
+        got=repr(placed.at),
+        remedy=f"this effect acts on: {', '.join(placed.effect.kinds)}",
+    )
+
+
+def obstacle(system: System, effect: Effect, port: Port) -> str | None:
+    """Return why an effect of the right kind does not fit a port; None if it does."""
+    if port.kind == "input" and "coordinate" in effect.kinds and system.driven_by(port.name) is not None:
+        return "it acts on the coordinate that this input drives"
+    if port.kind == "coordinate":
+        if effect.angles and port.unit != "rad":
+            return "it needs an angle"
+        if effect.drives and not _driven(system, port.name):
+            return "no input drives this coordinate"
+        if "load" in effect.extras and carried_load(system, port.name) is None:
+            return "the joint carries no load"
+    if port.kind == "process" and effect.downstream and system.process[-1] == port.name:
+        return "nothing lies downstream"
+    return None
+
+
+def _driven(system: System, name: str) -> bool:
+    """Return True if an input's force acts on a coordinate."""
+    import casadi as ca
+
+    return bool(system.nu and ca.depends_on(system.input_forces[system.coordinate(name).force], system.u))
+
+
+def carried_load(system: System, name: str) -> Any:
+    """Return the force that the joint of a coordinate carries; None if there is none.
+
+    A load that never changes cannot be told from Coulomb friction, so the input's force goes before it.
+    """
+    import casadi as ca
+
+    row = system.coordinate(name).force
+    carried = None if system.loads is None else ca.SX(system.loads[row])
+    if carried is not None and (ca.depends_on(carried, system.x) or ca.depends_on(carried, system.u)):
+        return carried
+    if _driven(system, name):
+        return system.input_forces[row]
+    return None if carried is None or carried.is_zero() else carried

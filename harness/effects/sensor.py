@@ -1,0 +1,166 @@
+"""Sensors: what happens between an output and its record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.effects.effect import effect, par
+from harness.effects.functions import absolute, clip
+from harness.signals import FloatArray
+
+__all__ = [
+    "QuantisationTest",
+    "quantisation_test",
+    "sensor_delay",
+    "sensor_gain",
+    "sensor_offset",
+    "sensor_quantisation",
+    "sensor_rectification",
+    "sensor_saturation",
+]
+
+
+@effect(
+    "output",
+    [par("offset", "y", scale="0.05 y", neutral=0.0, main=True, linear=True, meaning="reading at zero")],
+    formula="y' = y + offset",
+    family=("gravity_tilt", "force_bias", "eccentric_load"),
+    same_as={"gravity_tilt": "an angle on one joint", "eccentric_load": "an angle on one joint, gravity free"},
+    limits={"force_bias": "at small angles"},
+    experiment="turn the base (tells from tilt); swing beyond 60 deg (tells from a bias)",
+)
+def sensor_offset(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Error of a sensor at zero."""
+    return y + p.offset
+
+
+@effect(
+    "output",
+    [par("gain", "1", scale="1.05", sign="+", minimum=0.0, neutral=1.0, main=True, linear=True,
+         meaning="reading per true value")],
+    formula="y' = gain y",
+    family=("input_gain", "sensor_saturation"),
+    same_as={"input_gain": "where the nominal is linear"},
+    experiment="angles beyond 90 deg: gravity knows the true angle; or a reference sensor",
+)  # fmt: skip
+def sensor_gain(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Wrong scale of a sensor."""
+    return p.gain * y
+
+
+@effect(
+    "output",
+    [par("tau", "s", scale="2 dt", sign="+", minimum=0.0, neutral=0.0, main=True, grid=(1.0, 0.5, 3.0, 8.0),
+         meaning="delay")],
+    formula="y'(t) = y(t - tau), interpolated; before a record the reading is held (plants) or continued (fits)",
+    family=("input_delay", "actuator_lag"),
+    same_as={"input_delay": "in open loop, but for the response to the initial state"},
+    sampled="output_delay",
+    experiment="closed loop or a free swing with a second, fast sensor",
+)  # fmt: skip
+def sensor_delay(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Delay of a reading."""
+    return y
+
+
+@effect(
+    "output",
+    formula="y' = |y|",
+    family=("sensor_saturation", "sensor_offset"),
+    experiment="reverse the motion: the reading does not change its sign",
+)
+def sensor_rectification(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Loss of the sign in a sensor (pulse counter, tachometer without direction)."""
+    return absolute(y)
+
+
+@effect(
+    "output",
+    [par("limit", "y", scale="1.2 y", sign="+", minimum=0.0, main=True, grid=(1.0, 0.7, 1.5),
+         meaning="largest reading")],
+    formula="y' = clip(y, -limit, limit) (corner rounded over limit/100)",
+    family=("end_stop", "level_saturation", "sensor_gain"),
+    limits={"level_saturation": "while the level stays at the limit"},
+    experiment="a histogram of the readings: they pile up at one value while the input goes on",
+)  # fmt: skip
+def sensor_saturation(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Largest value that a sensor can read."""
+    return clip(y, p.limit, 0.01 * p.limit + 1e-12)
+
+
+@effect(
+    "output",
+    [par("step", "y", scale="0.01 y", sign="+", minimum=0.0, neutral=0.0, main=True, meaning="size of one step")],
+    formula="y' = step round(y/step); no derivative: found by the grid on which the readings lie, not by a fit",
+    family=("sensor_saturation",),
+    sampled="quantise",
+    experiment="a slow ramp: the readings climb stairs of one height",
+)
+def sensor_quantisation(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Quantisation of a reading in steps of one size."""
+    return y
+
+
+@dataclass(frozen=True)
+class QuantisationTest:
+    """Whether the readings lie on a grid.
+
+    Attributes
+    ----------
+    step : float
+        Spacing of the grid, in the unit of the channel; nan if there is none.
+    on_grid : float
+        Share of the readings within 1 % of a step of a grid point.
+    noise : float
+        Standard deviation that rounding alone brings, ``step / sqrt(12)``.
+    """
+
+    step: float
+    on_grid: float
+    noise: float
+
+    @property
+    def quantised(self) -> bool:
+        """True if nearly all readings lie on the grid."""
+        return bool(np.isfinite(self.step) and self.on_grid > 0.99)
+
+
+def quantisation_test(y: FloatArray) -> QuantisationTest:
+    """Test whether a record was rounded to a grid.
+
+    Parameters
+    ----------
+    y : array (N,)
+        One channel.
+
+    Returns
+    -------
+    QuantisationTest
+        The step is the smallest difference between distinct readings, refined on all of them.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> y = rng.standard_normal(2000)
+    >>> quantisation_test(y).quantised, quantisation_test(np.round(y / 0.1) * 0.1).quantised
+    (False, True)
+    """
+    values = np.unique(np.asarray(y, dtype=float))
+    nothing = QuantisationTest(float("nan"), 0.0, float("nan"))
+    if values.size < 4:  # three readings are always on some grid
+        return nothing
+    steps = np.diff(values)
+    steps = steps[steps > 1e-9 * (values[-1] - values[0])]  # the last bits of a decimal number are no steps
+    if steps.size < 2 or steps.size > 0.9 * len(y):
+        return nothing
+    step = float(steps.min())
+    small = steps[steps < 1.5 * step]
+    step = float(small.mean())
+    for _ in range(2):  # a longer lever refines the step
+        counts = np.round((values - values[0]) / step)
+        step = float(counts @ (values - values[0]) / (counts @ counts))
+    distance = np.abs((values - values[0]) / step - np.round((values - values[0]) / step))
+    return QuantisationTest(step, float(np.mean(distance < 0.01)), step / np.sqrt(12.0))

@@ -1,0 +1,146 @@
+"""Springs, gravity and payload: forces that depend on where a coordinate stands.
+
+Angles are 0 hanging down, so a load at right angles to the nominal's own pulls with the cosine of the angle.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from harness.effects.effect import effect, par
+from harness.effects.functions import cos, dead_band, dead_band_slope, sigmoid, sin
+
+__all__ = [
+    "cubic_spring",
+    "eccentric_load",
+    "end_stop",
+    "gravity_tilt",
+    "linear_spring",
+    "payload_step",
+    "quadratic_spring",
+]
+
+
+@effect(
+    "coordinate",
+    [par("k", "F/q", scale="0.05 F/q", sign="+", neutral=0.0, main=True, linear=True, meaning="stiffness")],
+    formula="F = -k q",
+    family=("cubic_spring", "quadratic_spring", "eccentric_load", "force_bias", "hysteresis"),
+    same_as={"parameter": "where the nominal has a linear spring of its own; at small angles also its gravity"},
+    limits={"cubic_spring": "at small amplitude"},
+    experiment="angles beyond 90 deg: gravity turns back, a spring does not",
+)
+def linear_spring(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Force proportional to the coordinate."""
+    return -p.k * q
+
+
+@effect(
+    "coordinate",
+    [par("k2", "F/q^2", scale="0.05 F/q^2", neutral=0.0, main=True, linear=True, meaning="quadratic stiffness")],
+    formula="F = -k2 q^2",
+    family=("cubic_spring", "linear_spring", "force_bias"),
+    experiment="a static offset: the resonance shifts with its sign",
+)
+def quadratic_spring(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Force proportional to the square of the coordinate: unequal stiffness to the two sides."""
+    return -p.k2 * q**2
+
+
+@effect(
+    "coordinate",
+    [par("k3", "F/q^3", scale="0.05 F/q^3", neutral=0.0, main=True, linear=True, meaning="cubic stiffness")],
+    formula="F = -k3 q^3",
+    family=("linear_spring", "quadratic_spring", "end_stop"),
+    limits={"linear_spring": "at small amplitude"},
+    experiment="sweeps of two amplitudes: the resonance shifts with amplitude",
+)
+def cubic_spring(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Force proportional to the cube of the coordinate: hardening (k3 > 0) or softening."""
+    return -p.k3 * q**3
+
+
+@effect(
+    "base",
+    [par("alpha", "rad", scale="0.05", minimum=-1.6, maximum=1.6, neutral=0.0, main=True, meaning="tilt of the base")],
+    formula="gravity turned by alpha: a joint that hangs at q = 0 now hangs at q = -alpha",
+    family=("sensor_offset", "eccentric_load", "force_bias"),
+    same_as={
+        "sensor_offset": "on one joint: an encoder offset of the same angle gives the same motion",
+        "eccentric_load": "on one joint: gravity amplitude and tilt against two components of the load",
+    },
+    limits={"force_bias": "at small angles"},
+    experiment="turn the base: tilt turns with it, an encoder offset does not",
+)
+def gravity_tilt(g: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Tilt of the base."""
+    gx, gy = g
+    return gx * cos(p.alpha) + gy * sin(p.alpha), gy * cos(p.alpha) - gx * sin(p.alpha)
+
+
+@effect(
+    "coordinate",
+    [
+        par("A", "F", scale="0.05 F", neutral=0.0, main=True, linear=True, meaning="torque of the load at q = 0"),
+        par("phi", "rad", scale="0", nuisance=True, fixed=True, meaning="angle of the load from a right angle"),
+    ],
+    formula="F = -A cos(q + phi); phi is kept at 0 because the sine part adds to the nominal's own gravity",
+    family=("gravity_tilt", "sensor_offset", "force_bias", "linear_spring", "cogging"),
+    same_as={
+        "gravity_tilt": "on one joint, with its gravity amplitude free",
+        "sensor_offset": "on one joint, with its gravity amplitude free",
+    },
+    limits={"force_bias": "at small angles"},
+    angles=True,
+    experiment="turn the base by a known angle: the load's torque stays with the body, the tilt does not",
+)
+def eccentric_load(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Centre of mass beside the nominal's line."""
+    return -p.A * cos(q + p.phi)
+
+
+@effect(
+    "coordinate",
+    [
+        par("dJ", "F/a", scale="0.1 F/a", sign="+", neutral=0.0, main=True, linear=True, meaning="added inertia"),
+        par("dG", "F", scale="0.05 F", neutral=0.0, linear=True, angle_only=True, meaning="added gravity amplitude"),
+        par(
+            "t0",
+            "s",
+            scale="0.5 T",
+            minimum=0.0,
+            per_record=True,
+            grid=(1.0, 0.2, 0.4, 0.6, 0.8, 1.2, 1.4, 1.6, 1.8),
+            meaning="instant of the change",
+        ),
+        par("w", "s", scale="2 dt", minimum=1e-6, nuisance=True, fixed=True, meaning="duration of the change"),
+    ],
+    formula="F = -(dJ q'' + dG sin q) step((t - t0)/w)",
+    family=("eccentric_load", "force_bias", "input_gain"),
+    same_as={"parameter": "if t0 lies outside the record: an error of the nominal inertia and gravity"},
+    experiment="repeat the same excitation before and after the change",
+)
+def payload_step(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any, a: Any) -> Any:
+    """Load that is picked up during the record."""
+    return -(p.dJ * a + p.dG * sin(q)) * sigmoid((t - p.t0) / p.w)
+
+
+@effect(
+    "coordinate",
+    [
+        par("stop", "q", scale="1.2 q", sign="+", minimum=0.0, main=True, grid=(1.0, 0.8, 1.3),
+            meaning="half of the free travel"),
+        par("k", "F/q", scale="10 F/q", sign="+", minimum=0.0, neutral=0.0, linear=True, meaning="its stiffness"),
+        par("d", "F/v", scale="0.1 F/v", sign="+", minimum=0.0, neutral=0.0, linear=True, nuisance=True,
+            meaning="damping of the stop"),
+        par("centre", "q", scale="0", fixed=True, meaning="middle of the free travel"),
+    ],
+    formula="F = -k dz(q) - d dz'(q) v, dz: how far |q - centre| lies beyond the stop (corner rounded over stop/50)",
+    family=("cubic_spring", "sensor_saturation"),
+    limits={"cubic_spring": "if only the rounded edge of the stop is touched"},
+    experiment="drive slowly against both ends",
+)  # fmt: skip
+def end_stop(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Elastic limit of the travel."""
+    x, smoothing = q - p.centre, 0.02 * p.stop + 1e-9
+    return -p.k * dead_band(x, p.stop, smoothing) - p.d * dead_band_slope(x, p.stop, smoothing) * v

@@ -1,0 +1,94 @@
+"""Transmissions: what lies between the motor and the load of a driven coordinate.
+
+Hidden states are the motor's lead over the load, e, and the motor's own rate w (in the load's units): e = 0 and w = v
+is rest wherever the load stands.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from harness.effects.effect import EffectParameter, effect, par
+from harness.effects.functions import dead_band, dead_band_slope, sin
+
+__all__ = ["backlash", "cogging", "elasticity"]
+
+
+def _inertia() -> EffectParameter:
+    """Return the inertia of the motor's side."""
+    return par("Jm", "F/a", scale="0.4 F/a", sign="+", minimum=1e-12, nuisance=True, grid=(1.0, 0.2),
+               meaning="inertia of the motor's side, no longer part of the load's")  # fmt: skip
+
+
+def _stiffness(scale: str, *, main: bool) -> EffectParameter:
+    """Return the stiffness of the transmission."""
+    return par("k", "F/q", scale=scale, sign="+", minimum=1e-12, main=main, nuisance=not main, grid=(1.0, 0.1, 10.0),
+               meaning="stiffness of the transmission")  # fmt: skip
+
+
+def _damping(scale: str) -> EffectParameter:
+    """Return the damping of the transmission."""
+    return par("d", "F/v", scale=scale, sign="+", minimum=0.0, nuisance=True, meaning="damping in the transmission")
+
+
+@effect(
+    "coordinate",
+    [_stiffness("20 F/q", main=True), _inertia(), _damping("0.2 F/v")],
+    states={"e": "q", "w": "v"},
+    initial={"w": "v"},
+    formula="force on the load = k e + d e' in place of f; e' = w - v, Jm w' = f - k e - d e'",
+    family=("backlash", "actuator_lag", "input_delay"),
+    limits={"parameter": "for large k: the two inertias add up to the nominal's", "backlash": "for zero gap"},
+    drives=True,
+    linearises=False,
+    experiment="a chirp through the resonance and antiresonance of the two masses, with a sensor on each side",
+)
+def elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
+    """Flexible transmission between a motor mass and the load."""
+    passed = p.k * s.e + p.d * (s.w - v)
+    return passed - f, [s.w - v, (f - passed) / p.Jm]
+
+
+@effect(
+    "coordinate",
+    [
+        par("gap", "q", scale="0.1 q", sign="+", minimum=0.0, main=True, grid=(1.0, 0.5, 0.2, 2.0, 0.1),
+            meaning="half of the play"),
+        _stiffness("50 F/q", main=False),
+        _inertia(),
+        _damping("3 F/v"),  # gears hardly bounce: damping ratio near 1
+    ],
+    states={"e": "q", "w": "v"},
+    initial={"w": "v"},
+    formula="as elasticity, with k dz(e) + d dz'(e) e' passed on: nothing within |e| < gap (corner over gap/20)",
+    family=("elasticity", "dead_zone", "hysteresis", "coulomb_friction"),
+    nests=("elasticity",),
+    limits={"elasticity": "for zero gap"},
+    drives=True,
+    linearises=False,
+    experiment="small reversals, and a sensor on the load's side",
+)  # fmt: skip
+def backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
+    """Play between a motor mass and the load, with an elastic contact."""
+    smoothing = 0.05 * p.gap + 1e-12
+    passed = p.k * dead_band(s.e, p.gap, smoothing) + p.d * dead_band_slope(s.e, p.gap, smoothing) * (s.w - v)
+    return passed - f, [s.w - v, (f - passed) / p.Jm]
+
+
+@effect(
+    "coordinate",
+    [
+        par("A", "F", scale="0.05 F", neutral=0.0, main=True, linear=True, meaning="amplitude"),
+        par("k", "rad/q", scale="6", minimum=2.5, maximum=1000.0,
+            grid=(1.0, 0.5, 0.6666666666666666, 1.3333333333333333, 2.0, 3.0, 4.0),
+            meaning="periods per turn"),
+        par("phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), meaning="phase"),
+    ],
+    formula="F = A sin(k q + phi), k >= 2.5",
+    family=("position_dependent_friction", "periodic_disturbance", "eccentric_load"),
+    limits={"eccentric_load": "for one period per turn (excluded: k >= 2.5)"},
+    experiment="slow full turns in both directions: the force repeats with the angle whatever the speed",
+)  # fmt: skip
+def cogging(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Torque that repeats several times a turn (poles, teeth)."""
+    return p.A * sin(p.k * q + p.phi)

@@ -1,0 +1,76 @@
+"""Physics: one symbolic definition of a model, from which everything else is derived.
+
+Names are loaded when they are asked for: SymPy and CasADi take a moment.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from harness.physics.parameters import Parameter
+
+if TYPE_CHECKING:
+    from harness.physics import models
+    from harness.physics.equation_text import equations
+    from harness.physics.lumped_model import LumpedFit, LumpedModel, lumped
+    from harness.physics.mechanism import Mechanism
+    from harness.physics.models import load_model
+    from harness.physics.ode import Ode
+    from harness.physics.output_error import OutputErrorFit, fit_output_error, simulate_error
+    from harness.physics.simulator import Simulator
+    from harness.physics.system import BodyTerm, Coordinate, Hidden, Port, SampledBlock, System
+
+__all__ = [
+    "BodyTerm",
+    "Coordinate",
+    "Hidden",
+    "LumpedFit",
+    "LumpedModel",
+    "Mechanism",
+    "Ode",
+    "OutputErrorFit",
+    "Parameter",
+    "Port",
+    "SampledBlock",
+    "Simulator",
+    "System",
+    "equations",
+    "fit_output_error",
+    "load_model",
+    "lumped",
+    "models",
+    "simulate_error",
+]
+
+_WHERE = {
+    "BodyTerm": "system",
+    "Coordinate": "system",
+    "Hidden": "system",
+    "Port": "system",
+    "SampledBlock": "system",
+    "System": "system",
+    "LumpedFit": "lumped_model",
+    "LumpedModel": "lumped_model",
+    "lumped": "lumped_model",
+    "Mechanism": "mechanism",
+    "Ode": "ode",
+    "OutputErrorFit": "output_error",
+    "fit_output_error": "output_error",
+    "simulate_error": "output_error",
+    "Simulator": "simulator",
+    "equations": "equation_text",
+    "load_model": "models",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name on first use."""
+    if name == "models":
+        return importlib.import_module("harness.physics.models")
+    if name not in _WHERE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = importlib.import_module(f"harness.physics.{_WHERE[name]}")
+    value = getattr(module, name)
+    globals()[name] = value
+    return value

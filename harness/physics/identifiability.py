@@ -1,0 +1,123 @@
+"""Which parameters a regression determines: rank and dependent combinations by QR with column pivoting."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["Identifiability", "identifiability"]
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """What the columns of a regressor tell apart.
+
+    Attributes
+    ----------
+    names : tuple of str
+        One for each column.
+    rank : int
+    kept : tuple of int
+        Columns that are determined, in their own order; fitted alone they stand for the combinations.
+    combinations : tuple of str
+        What each kept column stands for: ``"I1 + 0.5 m2"``.
+    sizes : array
+        Diagonal of R, columns scaled to norm 1, in pivoting order.
+    gap : float
+        Ratio of the last kept to the first dropped (infinite at full rank).
+    unseen : tuple of str
+        Columns that are zero: parameters without any effect on these rows.
+    """
+
+    names: tuple[str, ...]
+    rank: int
+    kept: tuple[int, ...]
+    combinations: tuple[str, ...]
+    sizes: FloatArray
+    gap: float
+    unseen: tuple[str, ...]
+
+    def __str__(self) -> str:
+        text = f"rank {self.rank} of {len(self.names)}: {', '.join(self.combinations)}"
+        return text + (f"; without effect: {', '.join(self.unseen)}" if self.unseen else "")
+
+
+def identifiability(rows: FloatArray, names: Sequence[str], *, tolerance: float = 1e-8) -> Identifiability:
+    """Return rank and dependent columns of a regressor (Gautier 1991, numerical base parameters).
+
+    Parameters
+    ----------
+    rows : array (M, k)
+        The regressor.
+    names : sequence of str
+        One for each column.
+    tolerance : float
+        A column counts as dependent if what is new in it is smaller than this, relative to its norm.
+
+    Raises
+    ------
+    InputError
+        If the number of names is not that of the columns.
+
+    Examples
+    --------
+    >>> x = np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 2.0], [1.0, 1.0, 4.0]])
+    >>> print(identifiability(x, ["a", "b", "c"]))
+    rank 2 of 3: a + 2*c, b + 2*c
+    """
+    from scipy.linalg import qr, solve_triangular
+
+    rows = np.asarray(rows, dtype=float)
+    if rows.ndim != 2 or rows.shape[1] != len(names):
+        raise InputError(
+            "names of a regressor",
+            expected=f"{rows.shape[-1]}, one for each column",
+            got=str(len(names)),
+            remedy="name every column",
+        )
+    norms = np.linalg.norm(rows, axis=0)
+    largest = norms.max(initial=0.0)
+    seen = [k for k in range(len(names)) if norms[k] > 1e-14 * largest and norms[k] > 0]
+    unseen = tuple(names[k] for k in range(len(names)) if k not in seen)
+    if not seen:
+        return Identifiability(tuple(names), 0, (), (), np.zeros(0), np.inf, unseen)
+    scaled = rows[:, seen] / norms[seen]
+    if scaled.shape[0] > 4 * scaled.shape[1]:
+        scaled = np.linalg.qr(scaled, mode="r")  # tall: the pivoting sees the same inner products
+    # Among equally good columns the first is kept: a tiny preference, so that names do not depend on rounding.
+    preferred = scaled * (1.0 - 1e-7 * np.arange(len(seen)))
+    r, pivots = qr(preferred, mode="r", pivoting=True)
+    sizes = np.abs(np.diag(r[: min(r.shape)]))
+    rank = int(np.sum(sizes > tolerance))
+    gap = float(sizes[rank - 1] / sizes[rank]) if 0 < rank < len(sizes) and sizes[rank] > 0 else np.inf
+    order = np.argsort(pivots[:rank])
+    kept = [int(pivots[one]) for one in order]
+    dropped = [k for k in range(len(seen)) if k not in kept]
+    share = np.zeros((len(kept), len(dropped)))
+    if dropped:
+        q, upper = np.linalg.qr(scaled[:, kept])
+        share = solve_triangular(upper, q.T @ scaled[:, dropped])
+        share *= norms[seen][dropped] / norms[seen][kept][:, None]
+    combinations = []
+    for row, column in enumerate(kept):
+        text = names[seen[column]]
+        for place, other in enumerate(dropped):
+            size = share[row, place] * norms[seen][column] / norms[seen][other]
+            if abs(size) > 1e-6:
+                text += _term(share[row, place], names[seen[other]])
+        combinations.append(text)
+    return Identifiability(
+        tuple(names), rank, tuple(seen[column] for column in kept), tuple(combinations), sizes, gap, unseen
+    )
+
+
+def _term(factor: float, name: str) -> str:
+    """Return `` + 2*c``."""
+    sign, size = (" + ", factor) if factor > 0 else (" - ", -factor)
+    body = f"({name})" if " " in name else name
+    return sign + (body if abs(size - 1) < 1e-9 else f"{size:.6g}*{body}")

@@ -1,0 +1,148 @@
+"""Parameters of a model: name, unit, start value, bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.errors import InputError
+
+__all__ = ["Parameter", "as_parameter", "defaults", "names_of"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a model.
+
+    Parameters
+    ----------
+    name : str
+        Unique within the model; an effect's parameter is called ``effect@port.name``.
+    unit : str
+        SI unit as text.
+    value : float
+        Nominal value, and where a fit starts.
+    minimum, maximum : float
+        Physical bounds, in ``unit``. A parameter with ``minimum >= 0`` is fitted through its logarithm.
+    fixed : bool
+        True for a value that is known (measured with a ruler or a scale) and not fitted.
+
+    Raises
+    ------
+    InputError
+        If the name is empty, or the value lies outside its bounds.
+
+    Examples
+    --------
+    >>> Parameter("m", "kg", 2.0, minimum=0.0).positive
+    True
+    """
+
+    name: str
+    unit: str = "1"
+    value: float = 1.0
+    minimum: float = -np.inf
+    maximum: float = np.inf
+    fixed: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.name or not self.name.strip():
+            raise InputError("a parameter without a name", expected="a name", got=repr(self.name), remedy="name it")
+        for field in ("value", "minimum", "maximum"):
+            object.__setattr__(self, field, float(getattr(self, field)))
+        if not (np.isfinite(self.value) and self.minimum <= self.value <= self.maximum):
+            raise InputError(
+                f"value of parameter {self.name!r}",
+                expected=f"a finite number in [{self.minimum:g}, {self.maximum:g}]",
+                got=f"{self.value:g}",
+                remedy="correct the value or its bounds",
+            )
+
+    @property
+    def positive(self) -> bool:
+        """True if the parameter cannot be negative, so that a fit works on its logarithm."""
+        return self.minimum >= 0.0
+
+    def __str__(self) -> str:
+        return f"{self.name} = {self.value:g} {self.unit}"
+
+
+def as_parameter(name: str, given: Any, *, minimum: float = -np.inf) -> Parameter:
+    """Return a parameter from its compact form.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    given : Parameter, float or tuple
+        A number is the value; a tuple is ``(unit, value[, minimum[, maximum]])``.
+    minimum : float
+        Lower bound where none is given.
+
+    Raises
+    ------
+    InputError
+        If the compact form is none of these.
+
+    Examples
+    --------
+    >>> as_parameter("m", ("kg", 2.0), minimum=0.0)
+    Parameter(name='m', unit='kg', value=2.0, minimum=0.0, maximum=inf, fixed=False)
+    """
+    if isinstance(given, Parameter):
+        if given.name != name:
+            raise InputError(
+                "name of a parameter", expected=repr(name), got=repr(given.name), remedy="use the same name twice"
+            )
+        return given
+    if isinstance(given, int | float) and not isinstance(given, bool):
+        return Parameter(name, value=float(given), minimum=min(minimum, float(given)))
+    if isinstance(given, tuple) and 2 <= len(given) <= 4 and isinstance(given[0], str):
+        numbers = [float(number) for number in given[1:]]
+        low = numbers[1] if len(numbers) > 1 else min(minimum, numbers[0])
+        high = numbers[2] if len(numbers) > 2 else np.inf
+        return Parameter(name, given[0], numbers[0], low, high)
+    raise InputError(
+        f"parameter {name!r}",
+        expected="a Parameter, a number, or a tuple (unit, value[, minimum[, maximum]])",
+        got=repr(given),
+        remedy="write for example mass=('kg', 1.0)",
+    )
+
+
+def names_of(parameters: Iterable[Parameter]) -> tuple[str, ...]:
+    """Return the names of some parameters, in order."""
+    return tuple(parameter.name for parameter in parameters)
+
+
+def defaults(parameters: Iterable[Parameter], given: Mapping[str, float] | None = None) -> dict[str, float]:
+    """Return the value of every parameter by name, those in ``given`` replaced.
+
+    Raises
+    ------
+    InputError
+        If ``given`` names a parameter that there is not, or holds a value that is not finite.
+
+    Examples
+    --------
+    >>> defaults([Parameter("m", value=2.0), Parameter("k")], {"k": 3.0})
+    {'m': 2.0, 'k': 3.0}
+    """
+    values = {parameter.name: parameter.value for parameter in parameters}
+    for name, value in (given or {}).items():
+        if name not in values:
+            raise InputError(
+                "unknown parameter",
+                expected=f"one of {', '.join(values) or '(none)'}",
+                got=repr(name),
+                remedy="correct the name",
+            )
+        if not np.isfinite(value):
+            raise InputError(
+                f"value of parameter {name!r}", expected="a finite number", got=repr(value), remedy="correct the value"
+            )
+        values[name] = float(value)
+    return values

@@ -1,0 +1,248 @@
+"""Windows of records: simulating them all at once, and the normal equations of an output-error fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from harness.physics.smoothing import smooth
+from harness.signals import FloatArray, Trajectory
+
+if TYPE_CHECKING:
+    from harness.physics.simulator import Simulator
+
+__all__ = ["Evaluation", "Group", "Windows", "data_states"]
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Windows of equal length: which record each comes from and where it starts."""
+
+    record: list[int]
+    first: list[int]
+    length: int
+    order: list[int]
+    """Place of each window in the list of all windows."""
+
+
+@dataclass(eq=False)
+class Evaluation:
+    """What one simulation of all windows gave.
+
+    ``cost`` is half the sum of squared weighted residuals, infinite where a window diverged; ``costs`` (W,) by window.
+    ``gram`` (W, ns, ns) and ``slope`` (W, ns) are J'J and J'r of the weighted outputs by (p, x0), r = measured minus
+    predicted.
+    """
+
+    cost: float
+    costs: FloatArray
+    gram: FloatArray
+    slope: FloatArray
+    squares: FloatArray
+    """Sum of squared unweighted residuals by output (ny,)."""
+    residuals: list[FloatArray] = field(default_factory=list)
+    states: list[FloatArray] = field(default_factory=list)
+    """By window: (L, ny) and (L, nx)."""
+
+
+class Windows:
+    """All windows of some records at one horizon.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    trajectories : sequence of Trajectory
+    horizon : float or None
+        Length of a window [s]; None for whole records. A remainder shorter than half a window joins the last one.
+    sigma : array (ny,)
+        Weights are 1 / sigma.
+    """
+
+    def __init__(
+        self, simulator: Simulator, trajectories: Sequence[Trajectory], horizon: float | None, sigma: FloatArray
+    ) -> None:
+        self.simulator, self.trajectories, self.sigma = simulator, list(trajectories), np.asarray(sigma, dtype=float)
+        self.horizon = horizon
+        self.places: list[tuple[int, int, int]] = []
+        for number, record in enumerate(self.trajectories):
+            self.places += [(number, first, last) for first, last in _cuts(len(record), horizon, simulator.dt)]
+        lengths: dict[int, Group] = {}
+        for order, (number, first, last) in enumerate(self.places):
+            group = lengths.setdefault(last - first, Group([], [], last - first, []))
+            group.record.append(number)
+            group.first.append(first)
+            group.order.append(order)
+        self.groups = list(lengths.values())
+        self.periods = [channel.period for channel in simulator.spec.outputs]
+        self._y = [self._cut(group, [record.y for record in self.trajectories]) for group in self.groups]
+        self._t = [
+            np.array([self.trajectories[r].t[k] for r, k in zip(group.record, group.first, strict=True)])
+            for group in self.groups
+        ]
+        self._u: list[FloatArray] | None = None
+        if not simulator.sampled.input_delays:
+            self._u = [self._cut(group, [record.u for record in self.trajectories]) for group in self.groups]
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    @property
+    def n_data(self) -> int:
+        """Number of scalar measurements."""
+        return sum(len(record) * record.spec.ny for record in self.trajectories)
+
+    def _cut(self, group: Group, arrays: list[FloatArray]) -> FloatArray:
+        return np.stack([arrays[r][k : k + group.length] for r, k in zip(group.record, group.first, strict=True)])
+
+    def _inputs(self, p: FloatArray) -> tuple[list[FloatArray], list[FloatArray | None]]:
+        """Return the inputs that the equations see; delays reach back beyond the window into the record."""
+        if self._u is not None:
+            return self._u, [None] * len(self.groups)
+        seen, slopes = [], []
+        for record in self.trajectories:
+            u, slope = self.simulator.sampled.inputs(record.u[None], p[None], True)
+            assert slope is not None
+            seen.append(u[0])
+            slopes.append(slope[0])
+        return [self._cut(group, seen) for group in self.groups], [self._cut(group, slopes) for group in self.groups]
+
+    def evaluate(self, p: FloatArray, x0: FloatArray, *, keep: bool = False) -> Evaluation:
+        """Simulate all windows.
+
+        Parameters
+        ----------
+        p : array (np,)
+        x0 : array (W, nx)
+        keep : bool
+            Keep residuals and states of every window.
+        """
+        simulator = self.simulator
+        ns, ny = simulator.np + simulator.nx, simulator.spec.ny
+        count = len(self.places)
+        costs, gram, slope = np.zeros(count), np.zeros((count, ns, ns)), np.zeros((count, ns))
+        squares = np.zeros(ny)
+        result = Evaluation(0.0, costs, gram, slope, squares)
+        if keep:
+            result.residuals = [np.zeros(0)] * count
+            result.states = [np.zeros(0)] * count
+        inputs, slopes = self._inputs(p)
+        for number, group in enumerate(self.groups):
+            m = len(group.order)
+            values = np.ascontiguousarray(np.broadcast_to(p, (m, p.shape[0])))
+            x, y, s = simulator.windows(
+                values, np.ascontiguousarray(x0[group.order]), inputs[number], slopes[number], self._t[number]
+            )
+            assert s is not None
+            r = self._y[number] - y
+            for column, period in enumerate(self.periods):
+                if period is not None:
+                    r[..., column] = (r[..., column] + period / 2) % period - period / 2
+            with np.errstate(over="ignore", invalid="ignore"):
+                squares += np.einsum("wki,wki->i", r, r)
+                weighted = (r / self.sigma).reshape(m, -1)
+                s /= self.sigma[:, None]
+                j = s.reshape(m, -1, ns)
+                own = 0.5 * np.einsum("wk,wk->w", weighted, weighted)
+                gram[group.order] = j.transpose(0, 2, 1) @ j
+                slope[group.order] = (weighted[:, None, :] @ j)[:, 0]
+            broken = ~(np.isfinite(own) & np.isfinite(gram[group.order]).all(axis=(1, 2)))
+            own[broken] = np.inf
+            costs[group.order] = own
+            if keep:
+                for row, order in enumerate(group.order):
+                    result.residuals[order] = r[row]
+                    result.states[order] = x[row]
+        result.cost = float(np.sum(costs))
+        return result
+
+    def jacobian(self, p: FloatArray, x0: FloatArray) -> FloatArray:
+        """Return d(predicted / sigma)/dp (n_data, np), the directions of each window's x0 projected out.
+
+        Rows: windows in order, in each the samples in order, in each the outputs in order.
+        """
+        simulator = self.simulator
+        rows: list[FloatArray] = [np.zeros(0)] * len(self.places)
+        inputs, slopes = self._inputs(p)
+        for number, group in enumerate(self.groups):
+            values = np.ascontiguousarray(np.broadcast_to(p, (len(group.order), p.shape[0])))
+            _, _, s = simulator.windows(
+                values, np.ascontiguousarray(x0[group.order]), inputs[number], slopes[number], self._t[number]
+            )
+            assert s is not None
+            for row, order in enumerate(group.order):
+                j = (s[row] / self.sigma[:, None]).reshape(-1, simulator.np + simulator.nx)
+                by_p, by_x = j[:, : simulator.np], j[:, simulator.np :]
+                if by_x.shape[1]:
+                    left, sizes, _ = np.linalg.svd(by_x, full_matrices=False)
+                    left = left[:, sizes > 1e-10 * max(sizes[0], 1e-300)]
+                    by_p = by_p - left @ (left.T @ by_p)
+                rows[order] = by_p
+        return np.vstack(rows)
+
+    def together(self, parts: list[FloatArray]) -> list[FloatArray]:
+        """Return arrays by window put together by record."""
+        joined: list[list[FloatArray]] = [[] for _ in self.trajectories]
+        for (record, _, _), part in zip(self.places, parts, strict=True):
+            joined[record].append(part)
+        return [np.vstack(one) for one in joined]
+
+    def starts_from(self, states: list[FloatArray]) -> FloatArray:
+        """Return x0 (W, nx) of these windows from states by record (N_i, nx)."""
+        return np.array([states[record][first] for record, first, _ in self.places])
+
+
+def _cuts(n: int, horizon: float | None, dt: float) -> list[tuple[int, int]]:
+    """Return the first and last-plus-one sample of each window of a record."""
+    if horizon is None:
+        return [(0, n)]
+    length = max(2, round(horizon / dt))
+    count = max(1, n // length)
+    edges = [k * length for k in range(count)]
+    if n - count * length >= max(2, length / 2):
+        edges.append(count * length)
+    return list(zip(edges, [*edges[1:], n], strict=True))
+
+
+def data_states(simulator: Simulator, record: Trajectory, p: FloatArray) -> tuple[FloatArray, list[bool]]:
+    """Return what a record tells about the states (N, nx), and which states it tells.
+
+    An output that is a state is smoothed; the rate of a coordinate is the derivative of its smoothed output unless it
+    is measured itself. An unmeasured state is where a measured one of the same unit is, else 0; hidden states of
+    effects are at their declared start.
+    """
+    import casadi as ca
+
+    system = simulator.system
+    n = len(record)
+    x, known = np.zeros((n, system.nx)), [False] * system.nx
+    smoothed = {}
+    plain = ca.Function("c", [system.x, system.u, system.p, system.t], [ca.jacobian(system.h, system.x)])
+    slope = plain(np.full(system.nx, 0.1), np.zeros(system.nu), p, 0.0).full()
+    for row, channel in enumerate(system.outputs):
+        where = np.flatnonzero(np.abs(slope[row]) > 1e-12)
+        if len(where) != 1 or not np.isfinite(slope[row]).all():
+            continue
+        state = int(where[0])
+        # The output is c x + d (a gain or an offset of the sensor): undo it.
+        zero = simulator.functions.output(np.zeros(system.nx), np.zeros(system.nu), p, 0.0).full()[row, 0]
+        smoothed[state] = smooth((record.y[:, row] - zero) / slope[row, state], simulator.dt, period=channel.period)
+    for state, signal in smoothed.items():
+        x[:, state], known[state] = signal.value, True
+    for one in system.coordinates:
+        if known[one.q] and not known[one.v]:
+            x[:, one.v], known[one.v] = smoothed[one.q].rate, True
+    base = system.nx - system.hidden_count
+    for state in range(base):
+        if known[state]:
+            continue
+        same = [k for k in range(base) if known[k] and system.states[k].unit == system.states[state].unit != "1"]
+        if same and not system.coordinates:
+            x[:, state] = x[:, same[0]]
+    if system.hidden_count:
+        many = simulator.functions.initial.map(n)
+        found = many(x.T, record.u.T, np.tile(p[:, None], n)).full().T
+        x[:, base:] = np.where(np.isfinite(found), found, 0.0)
+    return x, known

@@ -1,0 +1,397 @@
+"""Scores: equation error (one step ahead), simulation error (free run), regret of online identifiers.
+
+Both errors are one definition, :func:`predict` with another horizon (Ljung 1999, *System Identification*, sec. 3.1 and
+16.5); regret is measured against the best fixed predictor of the same model class in hindsight (Hazan 2016,
+*Introduction to Online Convex Optimization*, eq. 1.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from harness.errors import FitError, InputError
+from harness.protocols import FreeRun, Model, OnlineIdentifier
+from harness.signals import FloatArray, PlantSpec, Trajectory, residual
+
+__all__ = ["Regret", "Score", "equation_error", "errors", "predict", "regret", "same_language", "simulation_error"]
+
+
+_FIRST = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """How far a model's predictions are from a record.
+
+    Parameters
+    ----------
+    rms : array (ny,)
+        Root mean square error of each output, in its unit; on a category output the share of wrong answers, rooted.
+    nrmse : array (ny,)
+        ``rms`` over the standard deviation of the measured output (on a category output: over the ``rms`` of always
+        naming the most frequent category). 0 where both vanish, inf where only the measured output stands still.
+    horizon : float or None
+        Seconds; None for a free run over the whole record.
+    burn_in : int
+        Samples at the start that were not scored.
+    initial_state : str
+        How the initial state was found.
+    samples : int
+        Samples scored.
+    """
+
+    rms: FloatArray
+    nrmse: FloatArray
+    horizon: float | None
+    burn_in: int
+    initial_state: str
+    samples: int
+
+    @property
+    def fit_percent(self) -> FloatArray:
+        """Fit of each output, ``100 (1 - NRMSE)`` (ny,)."""
+        return 100.0 * (1.0 - self.nrmse)
+
+    @property
+    def finite(self) -> bool:
+        """False if a prediction diverged."""
+        return bool(np.isfinite(self.rms).all())
+
+
+@dataclass(frozen=True, eq=False)
+class Regret:
+    """Loss of an online identifier beyond that of the best fixed predictor of its class.
+
+    Parameters
+    ----------
+    losses, hindsight : array (M,)
+        Loss at each predicted sample of the stream: of the identifier, and of the batch minimiser.
+    exact : bool
+        False where the batch minimiser is only the best that was found.
+    """
+
+    losses: FloatArray
+    hindsight: FloatArray
+    exact: bool
+
+    @property
+    def cumulative(self) -> FloatArray:
+        """Regret up to each sample (M,)."""
+        total: FloatArray = np.cumsum(self.losses - self.hindsight)
+        return total
+
+    @property
+    def total(self) -> float:
+        """Regret over the whole stream."""
+        return float(self.cumulative[-1])
+
+    @property
+    def average(self) -> float:
+        """Regret for each sample; goes to zero for an identifier that learns."""
+        return self.total / self.losses.size
+
+
+def same_language(spec: PlantSpec, data: Trajectory, what: str = "model") -> None:
+    """Refuse data whose channels or sample time are not those of a model.
+
+    Raises
+    ------
+    InputError
+        If names or units of inputs or outputs, or the sample time, differ.
+    """
+    other = data.spec
+    for side in ("inputs", "outputs"):
+        mine = [(channel.name, channel.unit) for channel in getattr(spec, side)]
+        theirs = [(channel.name, channel.unit) for channel in getattr(other, side)]
+        if mine != theirs:
+            raise InputError(
+                f"{side} of the data",
+                expected=f"those of the {what}: {', '.join(f'{n} [{u}]' for n, u in mine) or 'none'}",
+                got=", ".join(f"{n} [{u}]" for n, u in theirs) or "none",
+                remedy="rename or convert the signals, or fit a model to data of this kind",
+            )
+    if abs(spec.sample_time - other.sample_time) > 1e-9 * spec.sample_time:
+        raise InputError(
+            "sample time of the data",
+            expected=f"{spec.sample_time:g} s, that of the {what}",
+            got=f"{other.sample_time:g} s",
+            remedy="resample the data, or discretize the model anew",
+        )
+
+
+def predict(
+    model: Model,
+    data: Trajectory,
+    horizon: int | None = 1,
+    *,
+    initial: FloatArray | None = None,
+    initial_samples: int | None = None,
+) -> FloatArray:
+    """Predict the outputs of a record from what was known some steps before.
+
+    Parameters
+    ----------
+    model : Model
+    data : Trajectory
+    horizon : int or None
+        Steps ahead: the prediction of ``y[k]`` uses outputs up to ``y[k - horizon]`` and inputs up to ``u[k]``. None is
+        the free run: no output is used after the initial state.
+    initial : array (nx,), optional
+        State at ``data.t[0]``; by default the model estimates it from the record.
+    initial_samples : int, optional
+        Let it see only so many samples for that.
+
+    Returns
+    -------
+    array (N, ny)
+        NaN in the first ``horizon`` rows, and from where a free run diverges.
+
+    Raises
+    ------
+    InputError
+        If channels or sample time are not the model's, or the horizon is not positive.
+    """
+    same_language(model.spec, data)
+    if horizon is not None and horizon < 1:
+        raise InputError("horizon", expected="1, 2, ... or None", got=repr(horizon), remedy="use None for a free run")
+    x = _initial_state(model, data, initial, initial_samples)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        if horizon is None:
+            return _until_divergence(_free_run(model, x, data.u))
+        predictions = np.full((len(data), model.spec.ny), np.nan)
+        if len(data) <= horizon:
+            return predictions
+        states = _filtered(model, x, data)
+        predictions[horizon:] = _ahead(model, states, data.u, horizon)[:, -1]
+    return predictions
+
+
+def errors(
+    model: Model,
+    data: Trajectory,
+    horizon: float | None = None,
+    *,
+    initial_samples: int | None = None,
+) -> tuple[FloatArray, str]:
+    """Return measured minus simulated for a free run, whole or in windows.
+
+    Parameters
+    ----------
+    model : Model
+    data : Trajectory
+    horizon : float, optional
+        Length of a window [s]; by default one free run over the record. The initial state of a window is estimated from
+        the window by a model without memory of the past (``burn_in`` 0); any other model starts from the state that it
+        has filtered out of the record up to the window's first sample.
+    initial_samples : int, optional
+        See :func:`predict`.
+
+    Returns
+    -------
+    (array (N, ny), str)
+        The errors, wrapped on periodic channels; and how the initial state was found.
+    """
+    same_language(model.spec, data)
+    seen = "the whole record" if initial_samples is None else f"the first {initial_samples} samples"
+    if horizon is None:
+        predicted = predict(model, data, None, initial_samples=initial_samples)
+        return residual(data.spec.outputs, data.y, predicted), f"estimated from {seen}"
+    steps = max(1, round(horizon / data.spec.sample_time))
+    n = len(data)
+    predicted = np.full((n, model.spec.ny), np.nan)
+    starts = np.arange(0, n, steps)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        if model.burn_in == 0:
+            how = f"estimated in each window of {horizon:g} s"
+            states = np.array([_initial_state(model, data[k : k + steps], None, initial_samples) for k in starts])
+        else:
+            how = f"filtered up to the start of each window of {horizon:g} s"
+            states = _filtered(model, _initial_state(model, data, None, initial_samples or _FIRST), data)[starts]
+        whole = n // steps
+        if whole:
+            inputs = data.u[: whole * steps].reshape(whole, steps, -1)
+            predicted[: whole * steps] = _windows(model, states[:whole], inputs).reshape(whole * steps, -1)
+        if n > whole * steps:
+            predicted[whole * steps :] = _windows(model, states[whole:], data.u[None, whole * steps :])[0]
+    return residual(data.spec.outputs, data.y, predicted), how
+
+
+def equation_error(model: Model, data: Trajectory, *, burn_in: int | None = None) -> Score:
+    """Score the one-step-ahead predictions.
+
+    Parameters
+    ----------
+    model : Model
+    data : Trajectory
+        Held out from the fit.
+    burn_in : int, optional
+        Samples not scored; by default what the model declares, and at least 1.
+
+    Raises
+    ------
+    InputError
+        If the data do not fit the model, or are too short to be scored.
+    """
+    skip = max(1, model.burn_in) if burn_in is None else max(1, burn_in)
+    # The filter corrects the state at every sample, so that a short start is enough; over a whole record the free run
+    # of an unstable model says nothing about its first sample.
+    miss = residual(data.spec.outputs, data.y, predict(model, data, 1, initial_samples=_FIRST))
+    how = f"estimated from the first {min(_FIRST, len(data))} samples, corrected at each sample"
+    return _score(data, miss, skip, data.spec.sample_time, how)
+
+
+def simulation_error(
+    model: Model,
+    data: Trajectory,
+    *,
+    horizon: float | None = None,
+    burn_in: int | None = None,
+    initial_samples: int | None = None,
+) -> Score:
+    """Score the free run: over the whole record, or in windows of ``horizon`` seconds (see :func:`errors`).
+
+    A run that diverges scores infinity.
+    """
+    skip = model.burn_in if burn_in is None else burn_in
+    miss, how = errors(model, data, horizon, initial_samples=initial_samples)
+    return _score(data, miss, skip, horizon, how)
+
+
+def regret(online: OnlineIdentifier, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> Regret:
+    """Run an online identifier over records and compare it with the best fixed predictor of its class.
+
+    The loss is the squared error summed over the outputs (on a category output: 1 for a wrong answer). Every prediction
+    is made before the output is shown.
+
+    Parameters
+    ----------
+    online : OnlineIdentifier
+    trajectories : sequence of Trajectory
+        The stream; the identifier is told of each seam.
+    rng : numpy.random.Generator
+
+    Raises
+    ------
+    FitError
+        If there is nothing to predict, or the hindsight losses do not belong to the same samples.
+    """
+    if not trajectories or all(len(one) < 2 for one in trajectories):
+        raise FitError("an empty stream", expected="at least 2 samples", got="fewer", remedy="record more")
+    spec = trajectories[0].spec
+    state = online.init(spec, rng=rng)
+    losses: list[float] = []
+    for record in trajectories:
+        state = online.start(state, record.y[0])
+        for k in range(len(record) - 1):
+            guess = np.asarray(online.predict(state, record.u[k]), dtype=float)
+            losses.append(_loss(spec, record.y[k + 1], guess))
+            state = online.update(state, record.u[k], record.y[k + 1])
+    best = online.hindsight(trajectories)
+    own = np.array(losses)
+    if best.losses.shape != own.shape:
+        raise FitError(
+            "hindsight of the online identifier",
+            expected=f"one loss for each predicted sample, shape {own.shape}",
+            got=str(best.losses.shape),
+            remedy="let hindsight() predict the same samples, y[1:] of every record",
+        )
+    return Regret(own, np.asarray(best.losses, dtype=float), best.exact)
+
+
+def _loss(spec: PlantSpec, measured: FloatArray, guess: FloatArray) -> float:
+    """Return the squared error over the outputs, categories counted as right or wrong."""
+    miss = residual(spec.outputs, measured, guess)
+    for column, channel in enumerate(spec.outputs):
+        if channel.kind == "category":
+            miss[column] = float(miss[column] != 0.0)
+    return float(miss @ miss)
+
+
+def _initial_state(
+    model: Model, data: Trajectory, initial: FloatArray | None, initial_samples: int | None
+) -> FloatArray:
+    """Return the state at the first sample, given or estimated; the true states are never passed on."""
+    if initial is not None:
+        return np.asarray(initial, dtype=np.float64)
+    measured = data.measured()
+    found: FloatArray = model.initial_state(
+        measured if initial_samples is None else measured[: max(1, initial_samples)]
+    )
+    return found
+
+
+def _free_run(model: Model, x: FloatArray, u: FloatArray) -> FloatArray:
+    """Return the outputs (N, ny) of a free run."""
+    return _windows(model, x[None], u[None])[0]
+
+
+def _windows(model: Model, x: FloatArray, u: FloatArray) -> FloatArray:
+    """Return the outputs (M, N, ny) of free runs from states x (M, nx) under inputs u (M, N, nu)."""
+    if isinstance(model, FreeRun):
+        fast: FloatArray = model.free_run(x, u)
+        return fast
+    m, n = u.shape[:2]
+    outputs = np.empty((m, n, model.spec.ny))
+    for k in range(n):
+        outputs[:, k] = model.output(x, u[:, k])
+        if k + 1 < n:
+            x = model.step(x, u[:, k])
+    return outputs
+
+
+def _filtered(model: Model, x: FloatArray, data: Trajectory) -> FloatArray:
+    """Return the states (N, nx) after the output of the same sample was seen."""
+    n = len(data)
+    states = np.empty((n, x.shape[-1]))
+    for k in range(n):
+        states[k] = x = model.correct(x, data.u[k], data.y[k])
+        if k + 1 < n:
+            x = model.step(x, data.u[k])
+    return states
+
+
+def _ahead(model: Model, states: FloatArray, u: FloatArray, horizon: int) -> FloatArray:
+    """Return the predictions (N - h, 1, ny), h steps ahead of every filtered state but the last h."""
+    x = states[:-horizon]
+    count = x.shape[0]
+    for j in range(horizon):
+        x = model.step(x, u[j : j + count])
+    return model.output(x, u[horizon:])[:, None]
+
+
+def _until_divergence(outputs: FloatArray) -> FloatArray:
+    """Return the outputs with NaN from the first row on that is not finite."""
+    bad = ~np.isfinite(outputs).all(axis=1)
+    if bad.any():
+        outputs = outputs.copy()
+        outputs[int(np.argmax(bad)) :] = np.nan
+    return outputs
+
+
+def _score(data: Trajectory, miss: FloatArray, skip: int, horizon: float | None, how: str) -> Score:
+    """Return the score of errors, the first samples left out."""
+    if len(data) <= skip:
+        raise InputError(
+            "record too short to be scored",
+            expected=f"more than {skip} samples (burn-in)",
+            got=str(len(data)),
+            remedy="score on a longer record",
+        )
+    wrong = miss[skip:].copy()
+    spread = np.empty(data.spec.ny)
+    for column, channel in enumerate(data.spec.outputs):
+        measured = data.y[skip:, column]
+        if channel.kind == "category":
+            wrong[:, column] = np.where(np.isnan(wrong[:, column]), np.nan, wrong[:, column] != 0.0)
+            _, counts = np.unique(measured, return_counts=True)
+            spread[column] = np.sqrt(1.0 - counts.max() / measured.size)
+        else:
+            spread[column] = np.std(np.unwrap(measured, period=channel.period) if channel.period else measured)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        rms = np.sqrt(np.mean(wrong**2, axis=0))
+        rms[~np.isfinite(rms)] = np.inf
+        nrmse = np.where(rms == 0.0, 0.0, rms / spread)
+    return Score(rms, nrmse, horizon, skip, how, wrong.shape[0])

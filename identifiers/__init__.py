@@ -1,0 +1,1 @@
+"""Identifiers: one file for each family, each found through an entry point."""

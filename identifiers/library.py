@@ -1,0 +1,174 @@
+"""Libraries of candidate functions for sparse regression: polynomials, sines and cosines, each with a name."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from typing import Any
+
+import numpy as np
+
+from harness.signals import FloatArray
+
+__all__ = ["Library", "equation_text"]
+
+
+@dataclass(frozen=True)
+class Library:
+    """Monomials of the arguments up to a degree, optionally with sines and cosines of some of them.
+
+    Parameters
+    ----------
+    arguments : tuple of str
+        Names of the columns that are given to it.
+    degree : int
+        Monomials up to this total degree, at least 1.
+    angles : tuple of int
+        Columns that are angles: in the monomials their sine and cosine stand in place of the angle itself.
+    harmonics : int
+        Sine and cosine of ``1 .. harmonics`` times every angle.
+    constant : bool
+        The constant function too.
+    products : bool
+        With False only powers of single arguments, no products of two.
+
+    Examples
+    --------
+    >>> Library(("x", "u"), degree=2).names
+    ('1', 'x', 'u', 'x^2', 'x u', 'u^2')
+    >>> Library(("q",), degree=1, angles=(0,)).names
+    ('1', 'sin(q)', 'cos(q)')
+    """
+
+    arguments: tuple[str, ...]
+    degree: int = 2
+    angles: tuple[int, ...] = ()
+    harmonics: int = 1
+    constant: bool = True
+    products: bool = True
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of every function."""
+        letters = _letters(self)
+        texts = []
+        for pick in _monomials(self):
+            powers = [(letters[i], pick.count(i)) for i in sorted(set(pick))]
+            texts.append(" ".join(name if n == 1 else f"{name}^{n}" for name, n in powers) or "1")
+        return tuple(texts)
+
+    def __len__(self) -> int:
+        return len(_monomials(self))
+
+    def rows(self, values: Sequence[FloatArray], chosen: Sequence[int] | None = None) -> FloatArray:
+        """Return the functions (p, ...) of arguments given one by one, each (...).
+
+        Parameters
+        ----------
+        values : sequence of array (...)
+            One for each argument.
+        chosen : sequence of int, optional
+            Only these functions, in this order.
+        """
+        letters: list[FloatArray] = []
+        for column, x in enumerate(values):
+            if column in self.angles:
+                for k in range(1, self.harmonics + 1):
+                    letters += [np.sin(k * x), np.cos(k * x)]
+            else:
+                letters.append(x)
+        monomials = _monomials(self)
+        wanted = range(len(monomials)) if chosen is None else chosen
+        result = np.empty((len(wanted), *np.shape(values[0])))
+        place: dict[tuple[int, ...], int] = {}
+        # Each monomial is a shorter one times one letter where that one is there already.
+        for row, index in enumerate(wanted):
+            pick = monomials[index]
+            place[pick] = row
+            if not pick:
+                result[row] = 1.0
+            elif len(pick) == 1:
+                result[row] = letters[pick[0]]
+            elif pick[:-1] in place:
+                np.multiply(result[place[pick[:-1]]], letters[pick[-1]], out=result[row, ...])
+            else:
+                np.multiply(letters[pick[0]], letters[pick[1]], out=result[row, ...])
+                for i in pick[2:]:
+                    result[row] *= letters[i]
+        return result
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Return the functions (..., p) of arguments (..., n)."""
+        return np.moveaxis(self.rows([values[..., i] for i in range(values.shape[-1])]), 0, -1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+        return {
+            "arguments": list(self.arguments),
+            "degree": self.degree,
+            "angles": list(self.angles),
+            "harmonics": self.harmonics,
+            "constant": self.constant,
+            "products": self.products,
+        }
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Library:
+        """Return the library of a description."""
+        return cls(
+            tuple(map(str, content["arguments"])),
+            int(content["degree"]),
+            tuple(map(int, content["angles"])),
+            int(content["harmonics"]),
+            bool(content["constant"]),
+            bool(content["products"]),
+        )
+
+
+@functools.cache
+def _letters(library: Library) -> tuple[str, ...]:
+    """Return the names of what the monomials are made of."""
+    names: list[str] = []
+    for column, name in enumerate(library.arguments):
+        if column in library.angles:
+            for k in range(1, library.harmonics + 1):
+                inside = name if k == 1 else f"{k} {name}"
+                names += [f"sin({inside})", f"cos({inside})"]
+        else:
+            names.append(name)
+    return tuple(names)
+
+
+@functools.cache
+def _monomials(library: Library) -> tuple[tuple[int, ...], ...]:
+    """Return which letters each monomial multiplies; of one angle no two, since their product is a harmonic."""
+    owner: list[int] = []
+    for column in range(len(library.arguments)):
+        owner += [column] * (2 * library.harmonics if column in library.angles else 1)
+    found: list[tuple[int, ...]] = [()] if library.constant else []
+    for degree in range(1, library.degree + 1):
+        for pick in combinations_with_replacement(range(len(owner)), degree):
+            turning = [owner[i] for i in pick if owner[i] in library.angles]
+            if len(set(turning)) < len(turning) or (not library.products and len(set(pick)) > 1):
+                continue
+            found.append(pick)
+    return tuple(found)
+
+
+def equation_text(name: str, functions: Sequence[str], coefficients: FloatArray) -> str:
+    """Return ``name = 0.5 x - 2 u``, the terms that are zero left out.
+
+    Examples
+    --------
+    >>> equation_text("x'", ("1", "x", "u"), np.array([0.0, 0.5, -2.0]))
+    "x' = 0.5 x - 2 u"
+    """
+    terms = [(c, f) for c, f in zip(coefficients, functions, strict=True) if c != 0.0]
+    text = f"{name} ="
+    for number, (value, function) in enumerate(terms):
+        sign = "-" if value < 0 else "+"
+        body = f"{abs(value):.6g}" + ("" if function == "1" else f" {function}")
+        text += f" {sign} {body}" if number else f" {'-' if value < 0 else ''}{body}"
+    return text if terms else f"{text} 0"

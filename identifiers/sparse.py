@@ -1,0 +1,305 @@
+"""Sparse regression on a library of functions (SINDy): few terms, found by sequentially thresholded least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.errors import FitError
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.derivatives import Derivative, derivative_rows, measured_motion, unwrapped
+from identifiers.library import Library
+from identifiers.observers import alpha_beta_gains, best_gain
+from identifiers.records import moving, real_signals, usable
+from identifiers.sparse_model import SparseModel
+
+__all__ = ["NormalEquations", "SparseModel", "Stlsq", "stlsq"]
+
+Time = Literal["continuous", "discrete"]
+Blocks = Iterable[tuple[FloatArray, FloatArray]]
+
+_BLOCK = 8192
+_POOR = 1e-12  # squared condition number beyond which the Gram matrix has lost all digits
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """``gram`` (p, p), ``right`` (p, m), ``square`` (m,) of a regression, summed over ``rows`` rows in blocks."""
+
+    gram: FloatArray
+    right: FloatArray
+    square: FloatArray
+    rows: int
+
+    @classmethod
+    def of(cls, blocks: Blocks, p: int, m: int) -> NormalEquations:
+        """Return the sums over blocks ``(Phi (p, n), target (m, n))``; memory stays that of one block."""
+        gram, right, square, rows = np.zeros((p, p)), np.zeros((p, m)), np.zeros(m), 0
+        for phi, target in blocks:
+            gram += phi @ phi.T
+            right += phi @ target.T
+            square += np.einsum("ij,ij->i", target, target)
+            rows += phi.shape[1]
+        return cls(gram, right, square, rows)
+
+
+def stlsq(
+    equations: NormalEquations, threshold: float, *, ridge: float = 0.0, iterations: int = 20
+) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Return coefficients (p, m) and their support by sequentially thresholded least squares.
+
+    Brunton, Proctor & Kutz 2016 (PNAS 113:3932, algorithm 1), with the threshold on what a term contributes: a term is
+    dropped when its root mean square over the data is below ``threshold`` times that of the target. So the answer does
+    not depend on the units.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+    threshold : float
+        Relative to the root mean square of each target.
+    ridge : float
+        Tikhonov weight on columns scaled to unit length.
+    iterations : int
+        At most so many rounds.
+
+    Examples
+    --------
+    >>> phi = np.random.default_rng(0).normal(size=(3, 200))
+    >>> one = NormalEquations.of([(phi, 2.0 * phi[1:2])], 3, 1)
+    >>> stlsq(one, 0.01)[0].ravel().round(12).tolist()
+    [0.0, 2.0, 0.0]
+    """
+    p, m = equations.right.shape
+    size = np.sqrt(np.diag(equations.gram))
+    size = np.where(size > 0, size, 1.0)
+    gram = equations.gram / np.outer(size, size)
+    right = equations.right / size[:, None]
+    limit = threshold * np.sqrt(equations.square)
+    coefficients, support = np.zeros((p, m)), np.ones((p, m), dtype=bool)
+    support[np.diag(equations.gram) == 0.0] = False
+    for column in range(m):
+        keep = support[:, column]
+        for _ in range(iterations):
+            if not keep.any():
+                break
+            part = gram[np.ix_(keep, keep)] + ridge * np.eye(int(keep.sum()))
+            own = _solved(part, right[keep, column])
+            coefficients[:, column] = 0.0
+            coefficients[keep, column] = own
+            # columns have unit length: a coefficient is the length of its term's contribution
+            smaller = keep & (np.abs(coefficients[:, column]) >= limit[column])
+            if np.array_equal(smaller, keep):
+                break
+            keep = smaller
+            coefficients[~keep, column] = 0.0
+        if keep.any() and ridge > 0:  # the last fit without the shrinking
+            coefficients[keep, column] = _solved(gram[np.ix_(keep, keep)], right[keep, column])
+        support[:, column] = keep
+    return coefficients / size[:, None], support
+
+
+def _solved(gram: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the least-norm solution of normal equations with unit diagonal; directions without content are left out."""
+    values, vectors = np.linalg.eigh(gram)
+    good = values > _POOR * values[-1]
+    found: FloatArray = vectors[:, good] @ ((vectors[:, good].T @ right) / values[good])
+    return found
+
+
+@dataclass(frozen=True)
+class Stlsq:
+    """SINDy-style identification: sparse equations in a library of polynomials, sines and cosines.
+
+    Parameters
+    ----------
+    degree : int
+        Monomials of states and inputs up to this degree.
+    threshold : float
+        A term is dropped when its root mean square is below this fraction of that of the derivative.
+    order : int, optional
+        1: the outputs are the states; 2: the outputs are positions, their second derivatives are identified and the
+        rates belong to the state. By default the order whose model predicts ten steps ahead better on the estimation
+        records (1 where an output's rate is measured too, or time is discrete).
+    derivative : {"weak", "smooth", "difference"}
+        How derivatives are taken: weak form (bears noise), local cubics, central differences.
+    half : int, optional
+        Half width of the weak form's bumps in samples.
+    time : {"continuous", "discrete"}
+        With ``"discrete"`` the library gives the next output itself; no derivative is taken.
+    harmonics : int
+        Sines and cosines of so many multiples of every angle (a periodic output).
+    trigonometric : bool
+        Sines and cosines of every output, periodic or not.
+    ridge : float
+        Tikhonov weight while terms are dropped; the last fit is without it.
+    iterations : int
+        At most so many rounds of dropping terms.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel
+    >>> spec = PlantSpec((), (Channel("x"),), 0.01)
+    >>> t = np.arange(500) * 0.01
+    >>> x = 1.0 / (1.0 + 9.0 * np.exp(-t))
+    >>> data = Trajectory(t, np.zeros((500, 0)), x[:, None], spec)
+    >>> print(Stlsq(degree=3, order=1).fit([data], rng=np.random.default_rng(0)).equations[0])
+    x' = 1 x - 1 x^2
+    """
+
+    degree: int = 2
+    threshold: float = 0.02
+    order: int | None = None
+    derivative: Derivative = "weak"
+    half: int | None = None
+    time: Time = "continuous"
+    harmonics: int = 1
+    trigonometric: bool = False
+    ridge: float = 1e-6
+    iterations: int = 20
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> SparseModel:
+        """Return the sparse model; its equations and what was dropped stand in its notes."""
+        what = "stlsq"
+        self._check(what)
+        records, spec = usable(trajectories, samples=3 if self.time == "discrete" else 8, what=what)
+        real_signals(spec, what)
+        moving(records, what, inputs=False)
+        if self.time == "discrete" or self.order is not None or _rates_measured(spec):
+            return self._fitted(records, spec, self.order or 1, what)
+        models = [self._fitted(records, spec, order, what) for order in (1, 2)]
+        errors = [_ahead_error(model, records) for model in models]
+        best = 0 if errors[0] <= 1.05 * errors[1] else 1
+        notes = {**models[best].notes, "order_error": {"1": _json(errors[0]), "2": _json(errors[1])}}
+        return replace(models[best], notes=notes)
+
+    def _check(self, what: str) -> None:
+        """Refuse options that make no sense."""
+        fine = (
+            self.degree >= 1
+            and self.harmonics >= 1
+            and 0 <= self.threshold < 1
+            and self.order in (None, 1, 2)
+            and not (self.time == "discrete" and self.order == 2)
+            and self.derivative in ("weak", "smooth", "difference")
+            and self.time in ("continuous", "discrete")
+            and (self.half is None or self.half >= 2)
+            and self.ridge >= 0
+        )
+        if not fine:
+            raise FitError(
+                f"{what}: options",
+                expected="degree >= 1, harmonics >= 1, 0 <= threshold < 1, order 1 or 2 (1 in discrete time), "
+                "derivative weak, smooth or difference, time continuous or discrete, half >= 2, ridge >= 0",
+                got=str(self),
+                remedy="correct the options",
+            )
+
+    def _library(self, spec: PlantSpec, order: int) -> Library:
+        names = [c.name for c in spec.outputs]
+        names += [f"{name}'" for name in names] if order == 2 else []
+        names += [c.name for c in spec.inputs]
+        angles = tuple(
+            i for i, c in enumerate(spec.outputs) if (c.period is not None or self.trigonometric) and c.kind == "real"
+        )
+        return Library(tuple(names), self.degree, angles, self.harmonics)
+
+    def _blocks(self, records: Sequence[Trajectory], library: Library, order: int) -> Iterator[tuple[FloatArray, ...]]:
+        """Yield rows (p, n) and targets (ny, n), record by record."""
+
+        def functions(arguments: FloatArray) -> FloatArray:
+            return library.rows(list(arguments))
+
+        for record in records:
+            if self.time == "continuous":
+                yield from derivative_rows(record, functions, order=order, method=self.derivative, half=self.half)
+                continue
+            y = unwrapped(record)
+            for low in range(0, len(record) - 1, _BLOCK):
+                high = min(low + _BLOCK, len(record) - 1)
+                yield functions(np.hstack([y[low:high], record.u[low:high]]).T), y[low + 1 : high + 1].T
+
+    def _fitted(self, records: Sequence[Trajectory], spec: PlantSpec, order: int, what: str) -> SparseModel:
+        """Return the model of one order."""
+        library = self._library(spec, order)
+        equations = NormalEquations.of(self._blocks(records, library, order), len(library), spec.ny)
+        if equations.rows < len(library):
+            raise FitError(
+                f"{what}: fewer equations than functions",
+                expected=f"at least {len(library)} rows",
+                got=str(equations.rows),
+                remedy="record longer, or lower the degree",
+            )
+        if not (np.isfinite(equations.gram).all() and np.isfinite(equations.right).all()):
+            raise FitError(f"{what}: functions overflow", expected="finite", got="inf", remedy="scale the signals")
+        coefficients, support = stlsq(equations, self.threshold, ridge=self.ridge, iterations=self.iterations)
+        scaled = np.sqrt(np.clip(np.diag(equations.gram), 1e-300, None))
+        values = np.linalg.eigvalsh(equations.gram / np.outer(scaled, scaled))
+        lost = equations.square - 2 * np.einsum("ij,ij->j", coefficients, equations.right)
+        lost += np.einsum("ij,ij->j", coefficients, equations.gram @ coefficients)
+        notes = {
+            "terms": [int(n) for n in support.sum(axis=0)],
+            "candidates": len(library),
+            "condition": float(np.sqrt(values[-1] / max(values[0], 1e-32))),
+            "residual": [float(r) for r in np.sqrt(np.clip(lost, 0, None) / np.where(equations.square > 0,
+                                                                                     equations.square, 1.0))],
+            "rows": equations.rows,
+        }
+        model = SparseModel(
+            spec, library, coefficients.T, order, self.time, _range(records, order), _identity(spec, order), notes=notes
+        )
+        if order == 1:
+            return model
+        starts = [model.initial_state(one[: min(len(one), 200)]) for one in records]
+        gains = alpha_beta_gains(spec.ny, spec.sample_time)
+        return replace(model, filter_gain=best_gain(gains, model.step, model.output, starts, records))
+
+
+def _identity(spec: PlantSpec, order: int) -> FloatArray:
+    """Return the filter gain that takes a measured state as it is."""
+    return np.vstack([np.eye(spec.ny)] * 1 + [np.zeros((spec.ny, spec.ny))] * (order - 1))
+
+
+def _range(records: Sequence[Trajectory], order: int) -> FloatArray:
+    """Return the largest size of each state on the estimation records: far beyond it a run counts as diverged."""
+    sizes = []
+    for one in records:
+        y, rates = measured_motion(one, order)
+        sizes.append(np.abs(np.hstack([y, rates])).max(axis=0))
+    size: FloatArray = np.max(sizes, axis=0)
+    return np.where(size > 0, size, 1.0)
+
+
+def _rates_measured(spec: PlantSpec) -> bool:
+    """Return True if some output is the rate of another by its name."""
+    names = {c.name for c in spec.outputs}
+    return any(f"{name}{suffix}" in names for name in names for suffix in ("_rate", "_dot")) or any(
+        f"d{name}" in names for name in names
+    )
+
+
+def _ahead_error(model: SparseModel, records: Sequence[Trajectory], steps: int = 10) -> float:
+    """Return the error of predictions ten steps ahead, relative to the outputs' spread."""
+    from harness.scoring import predict
+    from harness.signals import residual
+
+    total, count = 0.0, 0
+    spread = np.concatenate([one.y for one in records]).std(axis=0)
+    spread = np.where(spread > 0, spread, 1.0)
+    for one in records[:4]:
+        part = one[: min(len(one), 400)]
+        skip = min(len(part) - 1, steps + 20)
+        guess = predict(model, part, steps)[skip:]
+        wrong = residual(part.spec.outputs, part.y[skip:], guess) / spread
+        total += float(np.sum(wrong**2))
+        count += wrong.size
+    error = float(np.sqrt(total / max(count, 1)))
+    return error if np.isfinite(error) else float("inf")
+
+
+def _json(value: float) -> float | None:
+    """Return a number that JSON can hold."""
+    return value if np.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""Plants: engines and data behind the one stepping interface of :mod:`harness.protocols`."""

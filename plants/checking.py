@@ -1,0 +1,158 @@
+"""Checks of arguments that the engine plants share."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NoReturn
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.signals import Channel, FloatArray, PlantSpec
+
+__all__ = ["checked_inputs", "checked_options", "initial_values", "per_item", "positive", "refuse_input"]
+
+
+def refuse_input(u: Any, spec: PlantSpec) -> NoReturn:
+    """Raise the error that fits an input ``step`` could not take; called only after the fast check failed."""
+    array = np.asarray(u, dtype=float)
+    names = ", ".join(channel.name for channel in spec.inputs) or "none"
+    if array.shape != (spec.nu,):
+        raise InputError(
+            "shape of the input",
+            expected=f"({spec.nu},) for the inputs ({names})",
+            got=str(array.shape),
+            remedy="give one number for each input",
+        )
+    bad = int(np.argmax(~np.isfinite(array)))
+    raise InputError(
+        f"value of input {spec.inputs[bad].name!r}",
+        expected="a finite number",
+        got=str(array[bad]),
+        remedy="check the controller or the excitation",
+    )
+
+
+def checked_inputs(inputs: FloatArray, spec: PlantSpec) -> FloatArray:
+    """Return the inputs of a rollout as float64 (N, nu), or refuse them.
+
+    Raises
+    ------
+    InputError
+        If the shape is not (N, nu) or a value is not finite.
+    """
+    array = np.asarray(inputs, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != spec.nu:
+        raise InputError(
+            "shape of the inputs",
+            expected=f"(N, {spec.nu})",
+            got=str(array.shape),
+            remedy="give one row for each step and one column for each input",
+        )
+    if not np.isfinite(array).all():
+        row = int(np.argmax(~np.isfinite(array).all(axis=1)))
+        raise InputError(
+            "value in the inputs",
+            expected="finite numbers",
+            got=f"{array[row].tolist()} in row {row}",
+            remedy="check the excitation",
+        )
+    return array
+
+
+def initial_values(x0: Mapping[str, float] | None, states: Sequence[Channel], default: Sequence[float]) -> list[float]:
+    """Return the initial states in order: the defaults, overwritten by name.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or a value is not finite.
+
+    Examples
+    --------
+    >>> initial_values({"v": 2.0}, [Channel("x", "m"), Channel("v", "m/s")], [0.5, 0.0])
+    [0.5, 2.0]
+    """
+    values = [float(value) for value in default]
+    places = {channel.name: place for place, channel in enumerate(states)}
+    for name, value in (x0 or {}).items():
+        if name not in places:
+            raise InputError(
+                "unknown initial state",
+                expected=f"one of {', '.join(places) or 'none (this plant has no settable state)'}",
+                got=repr(name),
+                remedy="correct the name in x0",
+            )
+        if not math.isfinite(value):
+            raise InputError(f"initial state {name!r}", expected="a finite number", got=str(value), remedy="correct x0")
+        values[places[name]] = float(value)
+    return values
+
+
+def positive(name: str, value: float, *, zero: bool = False, infinite: bool = False) -> float:
+    """Return a number that must be positive (or zero where that is allowed).
+
+    Raises
+    ------
+    InputError
+        If it is not.
+
+    Examples
+    --------
+    >>> positive("mass", 2)
+    2.0
+    """
+    number = float(value)
+    low_enough = number >= 0 if zero else number > 0
+    if not (low_enough and (infinite or math.isfinite(number))):
+        raise InputError(
+            f"option {name}",
+            expected="a number >= 0" if zero else "a positive number",
+            got=repr(value),
+            remedy=f"correct {name}",
+        )
+    return number
+
+
+def per_item(name: str, value: float | Sequence[float], n: int, what: str) -> list[float]:
+    """Return one number for each of ``n`` things, from one number for all or a sequence.
+
+    Examples
+    --------
+    >>> per_item("joint_damping", 0.5, 2, "joints")
+    [0.5, 0.5]
+    """
+    array = np.asarray(value, dtype=float)
+    if array.shape not in ((), (n,)) or not np.isfinite(array).all():
+        raise InputError(
+            f"option {name}",
+            expected=f"a finite number, or one for each of the {n} {what}",
+            got=repr(value),
+            remedy=f"correct {name}",
+        )
+    return [float(item) for item in np.broadcast_to(array, (n,))]
+
+
+def checked_options(
+    factory: str, maker: Callable[..., Any], defaults: Mapping[str, Any], options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return a factory's defaults overwritten by its options, refusing what ``maker`` does not know.
+
+    Raises
+    ------
+    InputError
+        If an option is unknown.
+    """
+    parameters = inspect.signature(maker).parameters.values()
+    known = {p.name for p in parameters if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)}
+    unknown = sorted(set(options) - known)
+    if unknown:
+        raise InputError(
+            f"options of {factory}",
+            expected=f"options among {', '.join(sorted(known))}",
+            got=", ".join(unknown),
+            remedy=f"remove {', '.join(unknown)}",
+        )
+    return {**defaults, **options}

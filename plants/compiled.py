@@ -1,0 +1,81 @@
+"""Where compiled things are kept: a content-hashed cache folder of the user, safe for several processes at once."""
+
+from __future__ import annotations
+
+import atexit
+import functools
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+__all__ = ["build_once", "cache_folder"]
+
+
+def cache_folder() -> Path:
+    """Return the folder for compiled files: ``$SYSID_HARNESS_CACHE``, else the user's cache folder.
+
+    Examples
+    --------
+    >>> cache_folder().is_absolute()
+    True
+    """
+    given = os.environ.get("SYSID_HARNESS_CACHE")
+    if given:
+        return Path(given).resolve()
+    import platformdirs
+
+    return Path(platformdirs.user_cache_dir("sysid-harness")).absolute()
+
+
+def build_once(key: str, name: str, make: Callable[[Path], None]) -> Path:
+    """Return a cached file, made at the first call.
+
+    Parameters
+    ----------
+    key : str
+        Hash of everything that the file depends on.
+    name : str
+        File name.
+    make : callable
+        ``make(target)`` writes the file. It is renamed into place when it is complete, so other processes see all of
+        it or nothing; two that build at once both succeed.
+
+    Returns
+    -------
+    Path
+        In the cache, or in a temporary folder if the cache cannot be written.
+    """
+    folder = cache_folder() / "fmu" / key
+    final = folder / name
+    if final.is_file():
+        return final
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle, part = tempfile.mkstemp(dir=folder, suffix=".part")
+        os.close(handle)
+    except OSError:  # a read-only home: build for this process only
+        folder = _own_folder() / key
+        folder.mkdir(exist_ok=True)
+        final = folder / name
+        if final.is_file():
+            return final
+        handle, part = tempfile.mkstemp(dir=folder, suffix=".part")
+        os.close(handle)
+    scratch = Path(part)
+    try:
+        make(scratch)
+        scratch.chmod(0o755)
+        scratch.replace(final)
+    finally:
+        scratch.unlink(missing_ok=True)
+    return final
+
+
+@functools.cache
+def _own_folder() -> Path:
+    """Return a temporary folder that is removed when the process ends."""
+    folder = tempfile.mkdtemp(prefix="sysid-cache-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)

@@ -1,0 +1,249 @@
+"""FMU files: unpacked only where that is safe, described by fmpy, refused in one line where they cannot be used."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import stat
+import tempfile
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from harness.errors import InputError
+
+__all__ = ["MAX_ENTRIES", "MAX_RATIO", "MAX_TOTAL", "FmuFile", "read_fmu"]
+
+MAX_ENTRIES = 20_000
+MAX_TOTAL = 2 << 30  # bytes, unpacked
+MAX_RATIO = 200  # unpacked to packed, for entries beyond LARGE
+LARGE = 32 << 20
+MAX_DESCRIPTION = 256 << 20
+
+Kind = Literal["cs", "me"]
+
+
+@dataclass(frozen=True, eq=False)
+class FmuFile:
+    """An FMU that was read and found safe to unpack.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    description : fmpy.model_description.ModelDescription
+        As fmpy reads it.
+    version : {1, 2, 3}
+        Major version of FMI.
+    problems : tuple of str
+        Where the description breaks the standard without being unusable.
+    """
+
+    path: Path
+    description: Any
+    version: int
+    problems: tuple[str, ...]
+
+    @property
+    def kinds(self) -> tuple[Kind, ...]:
+        """What the FMU offers among co-simulation and model exchange, in order of preference."""
+        d = self.description
+        return (*(("cs",) if d.coSimulation is not None else ()), *(("me",) if d.modelExchange is not None else ()))
+
+    def interface(self, kind: Kind) -> Any:
+        """Return fmpy's record of abilities of one kind."""
+        return self.description.coSimulation if kind == "cs" else self.description.modelExchange
+
+    def unpack(self) -> Path:
+        """Extract what running needs into a new temporary folder, which the caller removes.
+
+        Raises
+        ------
+        InputError
+            If there is no binary for this system, or an entry is damaged.
+        """
+        import fmpy
+
+        library = f"binaries/{fmpy.platform_tuple if self.version == 3 else fmpy.platform}/"
+        with zipfile.ZipFile(self.path) as archive:
+            names = archive.namelist()
+        if not any(name.startswith(library) and not name.endswith("/") for name in names):
+            others = sorted(
+                {name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1}
+            )
+            raise InputError(
+                "the FMU has no binary for this system",
+                expected=library,
+                got=", ".join(others) or "no binaries",
+                remedy="export it for this system, or compile its sources (fmusim, fmpy compile)",
+                file=self.path,
+            )
+        folder = Path(tempfile.mkdtemp(prefix="sysid-fmu-"))
+        wanted = (library, "resources/", "modelDescription.xml")
+        try:
+            fmpy.extract(str(self.path), str(folder), include=lambda name: name.startswith(wanted))
+        except Exception as error:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise InputError(
+                "the FMU cannot be unpacked",
+                expected="a sound zip archive",
+                got=f"{type(error).__name__}: {error}",
+                remedy="copy or export it again",
+                file=self.path,
+            ) from error
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+        return folder
+
+
+def read_fmu(path: str | Path) -> FmuFile:
+    """Read and check an FMU without unpacking or loading anything.
+
+    Parameters
+    ----------
+    path : path
+        The ``.fmu`` file.
+
+    Returns
+    -------
+    FmuFile
+        Its ``problems`` tell where the description breaks the standard.
+
+    Raises
+    ------
+    InputError
+        If it is not a zip archive, an entry is unsafe (path escape, link, duplicate, bomb), the description is
+        missing or unreadable, the FMI version is unknown, or it offers neither co-simulation nor model exchange.
+
+    Examples
+    --------
+    >>> from plants.mockups import mockup
+    >>> read_fmu(mockup("pendulum")).kinds
+    ('cs',)
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError("no such FMU", expected="a file", got=repr(str(path)), remedy="correct the path")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            _check_entries(path, archive)
+    except (zipfile.BadZipFile, OSError, ValueError) as error:
+        raise InputError(
+            "not an FMU",
+            expected="a zip archive with modelDescription.xml",
+            got=str(error) or type(error).__name__,
+            remedy="export or download it again",
+            file=path,
+        ) from error
+    description, problems = _describe(path)
+    version = int(str(description.fmiVersion).split(".")[0])
+    file = FmuFile(path, description, version, tuple(problems))
+    _check_description(file)
+    return file
+
+
+def _refuse(path: Path, what: str, expected: str, got: str, remedy: str, place: str | None = None) -> InputError:
+    return InputError(what, expected=expected, got=got, remedy=remedy, file=path, place=place)
+
+
+def _check_entries(path: Path, archive: zipfile.ZipFile) -> None:
+    """Refuse entries that must not be unpacked, and say which."""
+    entries = archive.infolist()
+    if len(entries) > MAX_ENTRIES:
+        raise _refuse(
+            path, "too many entries", f"at most {MAX_ENTRIES}", str(len(entries)), "check where it comes from"
+        )
+    seen: set[str] = set()
+    total = 0
+    for entry in entries:
+        name = entry.orig_filename
+        parts = name.rstrip("/").split("/")
+        if "\\" in name or ":" in name or name.startswith("/") or ".." in parts or "\0" in name:
+            raise _refuse(
+                path, "an entry leaves its folder", "a relative path with '/'", repr(name), "do not trust it", name
+            )
+        if entry.create_system == 3 and not _plain(entry.external_attr >> 16):
+            raise _refuse(path, "an entry is a link", "files and folders", repr(name), "do not trust it", name)
+        key = "/".join(part for part in parts if part not in ("", ".")).casefold()
+        if key in seen:
+            raise _refuse(path, "two entries share a name", "unique names", repr(name), "export it again", name)
+        seen.add(key)
+        if entry.flag_bits & 1:
+            raise _refuse(path, "an entry is encrypted", "readable entries", repr(name), "remove the password", name)
+        total += entry.file_size
+        if entry.file_size > LARGE and entry.file_size > MAX_RATIO * max(entry.compress_size, 1):
+            raise _refuse(
+                path,
+                "an entry unpacks like a bomb",
+                f"at most {MAX_RATIO} times its packed size",
+                f"{entry.file_size / max(entry.compress_size, 1):.0f} times ({entry.file_size >> 20} MiB)",
+                "do not trust it",
+                name,
+            )
+        if total > MAX_TOTAL:
+            raise _refuse(
+                path, "too large", f"at most {MAX_TOTAL >> 20} MiB unpacked", f"more, at {name!r}", "shrink it", name
+            )
+    described = [entry for entry in entries if entry.filename == "modelDescription.xml"]
+    if not described:
+        raise _refuse(path, "not an FMU", "modelDescription.xml at the top of the archive", "none", "export it again")
+    if described[0].file_size > MAX_DESCRIPTION:
+        size = f"{described[0].file_size >> 20} MiB"
+        raise _refuse(path, "modelDescription.xml", f"at most {MAX_DESCRIPTION >> 20} MiB", size, "shrink it")
+    if b"<!DOCTYPE" in archive.read(described[0]):
+        raise _refuse(path, "modelDescription.xml", "no document type", "a DOCTYPE", "do not trust it")
+
+
+def _plain(mode: int) -> bool:
+    """Return True for a regular file or folder, or where the archive does not say."""
+    return stat.S_IFMT(mode) in (0, stat.S_IFREG, stat.S_IFDIR)
+
+
+def _describe(path: Path) -> tuple[Any, list[str]]:
+    """Return fmpy's description; what breaks the standard but can be read is returned as problems."""
+    import fmpy
+    from fmpy.model_description import ValidationError
+
+    problems: list[str] = []
+    for validate in (True, False):
+        try:
+            with path.open("rb") as archive:  # given the path, fmpy leaves the file open when it fails
+                return fmpy.read_model_description(archive, validate=validate), problems
+        except ValidationError as error:
+            problems = [str(problem) for problem in error.problems]
+        except Exception as error:
+            raise _unreadable(path, error) from error
+    raise _unreadable(path, ValueError("; ".join(problems)))
+
+
+def _unreadable(path: Path, error: Exception) -> InputError:
+    """Return the one line for a description that fmpy cannot read."""
+    got = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+    return _refuse(path, "modelDescription.xml", "a valid description, FMI 1.0 to 3.0", got, "export it again")
+
+
+def _check_description(file: FmuFile) -> None:
+    """Refuse what would be run wrongly."""
+    d = file.description
+    if file.version not in (1, 2, 3):
+        raise _refuse(file.path, "FMI version", "1.0, 2.0 or 3.0", repr(d.fmiVersion), "export it as FMI 2.0 or 3.0")
+    if not file.kinds:
+        got = "scheduled execution only" if d.scheduledExecution is not None else "neither"
+        raise _refuse(
+            file.path, "nothing to run", "co-simulation or model exchange", got, "export it for co-simulation"
+        )
+    for kind in file.kinds:
+        identifier = str(file.interface(kind).modelIdentifier)
+        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,200}", identifier):  # it becomes part of a path
+            raise _refuse(
+                file.path, "modelIdentifier", "a C identifier", repr(identifier), "do not trust it", "modelIdentifier"
+            )
+    names: set[str] = set()
+    for variable in d.modelVariables:
+        if variable.name in names:
+            raise _refuse(
+                file.path, "two variables share a name", "unique names", repr(variable.name), "export it again"
+            )
+        names.add(variable.name)

@@ -1,0 +1,336 @@
+"""Foreign code kept in its place: any plant in a child process, with a time limit on every call.
+
+A segmentation fault, an abort, an exit, a hang or chatter on standard output ends (or disturbs) the child and never
+the caller. Whole chunks of input travel at once, so an open-loop rollout costs little more than a direct one.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import weakref
+from collections.abc import Callable, Mapping
+from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
+from typing import Any, Self, cast
+
+import numpy as np
+
+from harness.errors import HarnessError, InputError, PlantError
+from harness.protocols import Ability, Plant
+from harness.signals import FloatArray, PlantSpec
+from plants.checking import checked_inputs, refuse_input
+
+__all__ = ["IsolatedPlant", "isolated"]
+
+FIRST_CHUNK, LAST_CHUNK = 1024, 8192  # rows of input in one message
+
+
+class IsolatedPlant:
+    """A plant that lives in a child process.
+
+    Parameters
+    ----------
+    factory : str or callable
+        Id of a registered plant (``"pendulum-fmu"``), ``"module:attribute"``, or a callable that can be pickled.
+    options : mapping, optional
+        Keyword arguments of the factory.
+    timeout : float
+        Longest time [s] for one call; a rollout is cut into chunks that stay far below it. A call that takes longer
+        ends the child and raises PlantError with the status ``timeout``.
+    start_timeout : float
+        Longest time [s] for starting the child and making the plant.
+    recycle : int
+        Resets after which a fresh child is started (some FMUs leak or fail after about 1000 instances).
+    show_output : bool
+        Let what the plant prints reach standard error; otherwise it is dropped.
+
+    Raises
+    ------
+    InputError
+        If the factory refuses its options.
+    PlantError
+        If the child does not survive making the plant.
+
+    Notes
+    -----
+    After a crash or timeout the next ``reset`` starts a new child; snapshots of the old one are gone. The child gets
+    a temporary folder of its own, which is removed with it. Needs a POSIX system.
+
+    Examples
+    --------
+    >>> with IsolatedPlant("pendulum-fmu", {"sample_time": 0.02}, timeout=5.0) as plant:
+    ...     y = plant.reset(rng=np.random.default_rng(0), x0={"theta": 0.1})
+    ...     print(plant.spec, plant.rollout(np.zeros((100, 1))).shape)
+    u [N m] -> theta [rad] every 0.02 s (100, 1)
+    """
+
+    spec: PlantSpec
+    abilities: frozenset[Ability]
+
+    def __init__(
+        self,
+        factory: str | Callable[..., Plant],
+        options: Mapping[str, Any] | None = None,
+        *,
+        timeout: float = 10.0,
+        start_timeout: float = 60.0,
+        recycle: int = 500,
+        show_output: bool = False,
+    ) -> None:
+        for name, value in (("timeout", timeout), ("start_timeout", start_timeout), ("recycle", recycle)):
+            if not value > 0:
+                raise InputError(name, expected="a positive number", got=repr(value), remedy="give one")
+        try:
+            self._order = pickle.dumps((factory, dict(options or {})))
+        except Exception as error:
+            raise InputError(
+                "a factory that cannot travel to another process",
+                expected="an id, 'module:attribute', or a function and options that can be pickled",
+                got=f"{type(error).__name__}: {error}",
+                remedy="define the function at the top of a module",
+            ) from error
+        self._name = factory if isinstance(factory, str) else getattr(factory, "__qualname__", repr(factory))
+        self._timeout, self._start_timeout = float(timeout), float(start_timeout)
+        self._recycle, self._show = int(recycle), show_output
+        self._child: _Child | None = None
+        self._closed = False
+        self._resets = 0
+        self._doubtful = False
+        self._truth = np.zeros(0)
+        self._start()
+
+    def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
+        """Start anew, in a new child if the last one died; returns ``y[0]`` (ny,)."""
+        self._resets += 1
+        if self._child is None or self._doubtful or self._resets > self._recycle:
+            self._start()
+        return self._output(self._call("reset", rng, None if x0 is None else dict(x0)))
+
+    def step(self, u: FloatArray) -> FloatArray:
+        """Hold ``u`` (nu,) for one sample time; returns the next output (ny,)."""
+        return self._output(self._call("step", self._fitting(u)))
+
+    def output(self, u: FloatArray) -> FloatArray:
+        """Return the output (ny,) with ``u`` applied, where the plant declares feedthrough."""
+        return self._output(self._call("output", self._fitting(u)))
+
+    def rollout(self, inputs: FloatArray) -> FloatArray:
+        """Apply ``inputs`` (N, nu) in chunks; returns (N, ny), equal to stepping."""
+        rows = checked_inputs(inputs, self.spec)
+        outputs = np.empty((rows.shape[0], self.spec.ny))
+        done, size = 0, FIRST_CHUNK
+        while done < rows.shape[0]:
+            chunk = rows[done : done + size]
+            started = time.perf_counter()
+            outputs[done : done + len(chunk)] = self._output(self._call("rollout", chunk))
+            spent = time.perf_counter() - started
+            done += len(chunk)
+            # a chunk shall take about a fiftieth of the limit
+            size = int(np.clip(size * 0.02 * self._timeout / max(spent, 1e-6), 1, min(4 * size, LAST_CHUNK)))
+        return outputs
+
+    def truth(self) -> FloatArray:
+        """Return the present true state (nx,); it comes with every output."""
+        return self._truth.copy()
+
+    def get_state(self) -> _Ticket:
+        """Return a ticket for a state that the child keeps."""
+        child = self._living()
+        ticket = _Ticket(child, int(self._call("get_state")))
+        weakref.finalize(ticket, child.dropped.append, ticket.number)
+        return ticket
+
+    def set_state(self, state: _Ticket) -> None:
+        """Go back to a state of this same child."""
+        if state.child() is not self._living():
+            raise InputError(
+                "a state of another process",
+                expected="a state taken since this plant's child was started",
+                got="one of a child that is gone",
+                remedy="replay the inputs from reset",
+            )
+        self._truth = np.asarray(self._call("set_state", state.number)[1])
+
+    @property
+    def snapshot_tolerance(self) -> float | None:
+        """The tolerance that the plant inside declares for its snapshots."""
+        return self._living().tolerance
+
+    def close(self) -> None:
+        """End the child; harmless when called twice."""
+        self._closed = True
+        if self._child is not None:
+            self._child.end(polite=True)
+            self._child = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _start(self) -> None:
+        """Start a child and make the plant in it."""
+        if self._closed:
+            raise InputError("a closed plant", expected="an open one", got="a closed one", remedy="make a new one")
+        if self._child is not None:
+            self._child.end(polite=True)
+        self._child = _Child(self._show)
+        self._resets, self._doubtful = 0, False
+        spec, abilities, tolerance = self._call("make", self._order, limit=self._start_timeout)
+        self.spec, self.abilities = spec, frozenset(abilities) | {"batch"}
+        self._child.tolerance = tolerance
+
+    def _living(self) -> _Child:
+        if self._child is None:
+            raise InputError(
+                "a plant without a process",
+                expected="a living child",
+                got="one that is closed or died",
+                remedy="call reset first, or make a new plant if it is closed",
+            )
+        return self._child
+
+    def _call(self, name: str, *arguments: Any, limit: float | None = None) -> Any:
+        """Have the child do something, within the time limit."""
+        child = self._living()
+        try:
+            return child.call(name, arguments, self._timeout if limit is None else limit)
+        except _Gone as gone:
+            self._child = None
+            raise PlantError(f"{self._name}: {gone}", status=gone.status) from None
+        except BaseException as error:
+            self._doubtful = isinstance(error, PlantError) and error.status == "crashed"  # better a fresh child
+            if name == "make" or not isinstance(error, HarnessError):  # interrupted: the answer may still come
+                child.end(polite=False)
+                self._child = None
+            raise
+
+    def _output(self, answer: Any) -> FloatArray:
+        """Return the outputs of an answer, keep the truth that came with them; NaN is divergence."""
+        outputs, truth = answer
+        self._truth = np.asarray(truth)
+        if not np.isfinite(outputs).all():
+            raise PlantError(f"{self._name}: an output is not finite", status="diverged")
+        return cast(FloatArray, outputs)
+
+    def _fitting(self, u: FloatArray) -> FloatArray:
+        array = np.asarray(u, dtype=np.float64)
+        if array.shape != (self.spec.nu,) or not np.isfinite(array).all():
+            refuse_input(array, self.spec)
+        return array
+
+
+def isolated(plant: str, *, timeout: float = 10.0, **options: Any) -> IsolatedPlant:
+    """Any registered plant in a child process with a time limit.
+
+    Parameters
+    ----------
+    plant : str
+        Id of the plant.
+    timeout : float
+        Longest time [s] for one call.
+    **options
+        Options of the plant.
+    """
+    return IsolatedPlant(plant, options, timeout=timeout)
+
+
+class _Gone(Exception):
+    """The child did not survive, or had to be ended."""
+
+    def __init__(self, text: str, status: str) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+class _Ticket:
+    """Stands for a state that a child keeps."""
+
+    def __init__(self, child: _Child, number: int) -> None:
+        self.child, self.number = weakref.ref(child), number
+
+
+class _Child:
+    """The child process as the caller sees it."""
+
+    def __init__(self, show_output: bool) -> None:
+        self.dropped: list[int] = []  # numbers of states that nobody holds any more
+        self.tolerance: float | None = None
+        self.folder = Path(tempfile.mkdtemp(prefix="sysid-isolated-"))
+        self.pipe, theirs = Pipe()
+        environment = {
+            **os.environ,
+            "TMPDIR": str(self.folder),
+            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+        }
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", "from plants.isolated_child import serve; serve()", str(theirs.fileno())],
+            pass_fds=[theirs.fileno()],
+            stdin=subprocess.DEVNULL,
+            stdout=2 if show_output else subprocess.DEVNULL,
+            stderr=None if show_output else subprocess.DEVNULL,
+            env=environment,
+            start_new_session=True,  # an interrupt from the keyboard is the caller's to handle
+        )
+        theirs.close()
+        self._finalizer = weakref.finalize(self, _end, self.process, self.pipe, self.folder)
+
+    def call(self, name: str, arguments: tuple[Any, ...], limit: float) -> Any:
+        """Send an order and wait for the answer."""
+        dropped, self.dropped[:] = self.dropped.copy(), []
+        try:
+            self.pipe.send_bytes(pickle.dumps((name, arguments, dropped), protocol=5))
+            if not self.pipe.poll(limit):
+                self.end(polite=False)
+                raise _Gone(f"no answer to {name} within {limit:g} s", "timeout")
+            good, answer = pickle.loads(self.pipe.recv_bytes())
+        except (EOFError, OSError):
+            raise _Gone(f"{self._obituary()} during {name}", "crashed") from None
+        if not good:
+            raise answer
+        return answer
+
+    def _obituary(self) -> str:
+        """Return how the process ended."""
+        try:
+            code = self.process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            code = None
+        self.end(polite=False)
+        if code is None:
+            return "closed its pipe"
+        if code < 0:
+            try:
+                return f"killed by {signal.Signals(-code).name}"
+            except ValueError:
+                return f"killed by signal {-code}"
+        return f"exited with status {code}"
+
+    def end(self, *, polite: bool) -> None:
+        """End the process and remove its folder."""
+        if polite:
+            try:
+                self.pipe.close()
+                self.process.wait(2.0)
+            except (OSError, subprocess.TimeoutExpired):
+                polite = False
+        self._finalizer()
+
+
+def _end(process: subprocess.Popen[bytes], pipe: Connection, folder: Path) -> None:
+    """Kill the process with all it started, and remove what it left in its temporary folder."""
+    pipe.close()
+    try:
+        os.killpg(process.pid, signal.SIGKILL)
+    except (ProcessLookupError, PermissionError):
+        process.kill()
+    process.wait()
+    shutil.rmtree(folder, ignore_errors=True)

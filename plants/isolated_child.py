@@ -1,0 +1,102 @@
+"""The child's side of an isolated plant: make it, obey orders, tell how they went."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import os
+import pickle
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any, cast
+
+import numpy as np
+
+from harness.errors import HarnessError, InputError, PlantError
+from harness.protocols import Batch, Feedthrough, Plant, Snapshots, Truth
+from harness.signals import FloatArray
+
+__all__ = ["serve"]
+
+
+def serve() -> None:
+    """Run in the child: obey orders until the caller closes the pipe."""
+    pipe = Connection(int(sys.argv[1]))
+    parent = os.getppid()
+
+    def watch() -> None:
+        # a hung plant must not outlive the caller
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        shutil.rmtree(os.environ["TMPDIR"], ignore_errors=True)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+    plant: Plant | None = None
+    states: dict[int, Any] = {}
+    number = 0
+    while True:
+        try:
+            name, arguments, dropped = pickle.loads(pipe.recv_bytes())
+        except (EOFError, OSError):
+            break
+        for old in dropped:
+            states.pop(old, None)
+        answer: Any
+        good = True
+        try:
+            if name == "make":
+                plant = _made(*pickle.loads(arguments[0]))
+                answer = (plant.spec, set(plant.abilities), getattr(plant, "snapshot_tolerance", None))
+            elif plant is None:
+                raise PlantError("no plant was made")
+            elif name == "get_state":
+                number += 1
+                states[number] = cast(Snapshots, plant).get_state()
+                answer = number
+            else:
+                outputs = _obey(plant, name, arguments, states)
+                answer = (outputs, cast(Truth, plant).truth() if "truth" in plant.abilities else np.zeros(0))
+        except HarnessError as error:
+            good, answer = False, error
+        except Exception as error:
+            text = " ".join(f"raised {type(error).__name__}: {error}".split())
+            good, answer = False, PlantError(text[:500], status="crashed")
+        pipe.send_bytes(pickle.dumps((good, answer), protocol=5))
+    states.clear()
+    if plant is not None:
+        plant.close()
+
+
+def _obey(plant: Plant, name: str, arguments: tuple[Any, ...], states: dict[int, Any]) -> FloatArray:
+    """Carry out one order on the plant."""
+    if name == "reset":
+        return plant.reset(rng=arguments[0], x0=arguments[1])
+    if name == "step":
+        return plant.step(arguments[0])
+    if name == "output":
+        return cast(Feedthrough, plant).output(arguments[0])
+    if name == "set_state":
+        cast(Snapshots, plant).set_state(states[arguments[0]])
+        return np.zeros(0)
+    if "batch" in plant.abilities:
+        return cast(Batch, plant).rollout(arguments[0])
+    return np.array([plant.step(row) for row in arguments[0]]).reshape(len(arguments[0]), plant.spec.ny)
+
+
+def _made(factory: str | Callable[..., Plant], options: dict[str, Any]) -> Plant:
+    """Return the plant of an order."""
+    if not isinstance(factory, str):
+        return factory(**options)
+    if ":" in factory:
+        module, _, attribute = factory.partition(":")
+        return cast(Plant, getattr(importlib.import_module(module), attribute)(**options))
+    found = [p for p in importlib.metadata.entry_points(group="sysid_harness.plants") if p.name == factory]
+    if not found:
+        known = sorted({p.name for p in importlib.metadata.entry_points(group="sysid_harness.plants")})
+        raise InputError("unknown plant", expected=f"one of {', '.join(known)}", got=repr(factory), remedy="correct it")
+    return cast(Plant, found[0].load()(**options))

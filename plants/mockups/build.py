@@ -1,0 +1,227 @@
+"""Build our own FMUs with a C compiler: from model.c and modelDescription.xml to FMI 2.0 and FMI 3.0.
+
+Only the standard library is imported: the wheel's build hook runs this file before anything is installed. The
+committed descriptions are FMI 2.0; those of FMI 3.0 and the table of variables for the C code are derived from them.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+from xml.etree import ElementTree
+
+__all__ = [
+    "FLAGS",
+    "BuildError",
+    "binary_folder",
+    "build_fmu",
+    "compile_library",
+    "compiler",
+    "library_suffix",
+    "models",
+]
+
+FOLDER = Path(__file__).resolve().parent
+FLAGS = ("-O2", "-std=c11", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-Wall", "-Wextra")
+TYPES = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
+
+
+class BuildError(Exception):
+    """A compiler that is missing or complains."""
+
+
+def compiler() -> str | None:
+    """Return the C compiler: ``$CC``, else gcc, else cc; None if there is none."""
+    for name in (os.environ.get("CC"), "gcc", "cc"):
+        if name and (found := shutil.which(name)):
+            return found
+    return None
+
+
+def models() -> tuple[str, ...]:
+    """Return the names of the mockups: the folders with a modelDescription.xml."""
+    return tuple(sorted(path.parent.name for path in FOLDER.glob("*/modelDescription.xml")))
+
+
+def library_suffix() -> str:
+    """Return the ending of a shared library on this system."""
+    return {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+
+
+def binary_folder(version: int) -> str:
+    """Return the name of the folder in an FMU that holds this system's binary (FMI 2.0.5 sec. 2.3, FMI 3.0 sec. 2.5.1).
+
+    Examples
+    --------
+    >>> binary_folder(3).count("-")
+    1
+    """
+    system = {"win32": "win", "darwin": "darwin"}.get(sys.platform, "linux")
+    if version == 2:
+        return f"{system}{64 if sys.maxsize > 2**32 else 32}"
+    machine = platform.machine().lower()
+    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
+    return f"{machine}-{'windows' if system == 'win' else system}"
+
+
+def compile_library(sources: list[Path], target: Path, *options: str, libraries: tuple[str, ...] = ("-lm",)) -> None:
+    """Compile C sources to a shared library; raises :class:`BuildError` with what the compiler said."""
+    program = compiler()
+    if program is None:
+        raise BuildError("no C compiler: install gcc, or set CC")
+    command = [program, *FLAGS, *options, "-o", str(target), *map(str, sources), *libraries]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise BuildError(f"{program} does not run: {error}") from error
+    if done.returncode != 0:
+        raise BuildError(f"{program} failed: {' '.join(done.stderr.split())[:600]}")
+
+
+def build_fmu(model: str | Path, version: int, target: Path, *options: str) -> None:
+    """Write the FMU of a mockup.
+
+    Parameters
+    ----------
+    model : str or Path
+        One of :func:`models`, or a folder with ``model.c`` and ``modelDescription.xml`` (FMI 2.0). Beside them there
+        may be an ``entry.c`` that includes ``fmi.c`` and changes its entry points, and a ``modelDescription-fmi3.xml``
+        where the derived one would not do.
+    version : {2, 3}
+        FMI version.
+    target : Path
+        The ``.fmu`` to write.
+    *options : str
+        More options for the compiler.
+
+    Raises
+    ------
+    BuildError
+        If there is no compiler, or it fails.
+    """
+    source = FOLDER / model  # an absolute path stays as it is
+    root = ElementTree.parse(source / "modelDescription.xml").getroot()
+    interface = root.find("ModelExchange")
+    identifier = (_child(root, "CoSimulation") if interface is None else interface).attrib["modelIdentifier"]
+    with tempfile.TemporaryDirectory(prefix="sysid-mockup-") as scratch:
+        folder = Path(scratch)
+        (folder / "variables.h").write_text(_variables_header(root), encoding="utf-8")
+        library = folder / f"{identifier}{library_suffix()}"
+        entry = source / "entry.c"
+        compile_library(
+            [entry if entry.is_file() else FOLDER / "fmi.c"],
+            library,
+            f"-DFMI={version}",
+            *(f"-I{place}" for place in (folder, source, FOLDER)),
+            *options,
+        )
+        own = source / f"modelDescription-fmi{version}.xml"
+        if own.is_file():
+            description = ElementTree.parse(own).getroot()
+        else:
+            description = root if version == 2 else _fmi3_description(root)
+        ElementTree.indent(description)
+        text = ElementTree.tostring(description, encoding="utf-8", xml_declaration=True)
+        with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+            _add(archive, "modelDescription.xml", text)
+            _add(archive, f"binaries/{binary_folder(version)}/{library.name}", library.read_bytes())
+
+
+def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:
+    """Add an entry with a fixed date, so that equal sources give equal files."""
+    entry = zipfile.ZipInfo(name, (2020, 1, 1, 0, 0, 0))
+    entry.compress_type = zipfile.ZIP_DEFLATED
+    entry.external_attr = 0o644 << 16
+    archive.writestr(entry, content)
+
+
+def _child(node: ElementTree.Element, name: str) -> ElementTree.Element:
+    """Return a child that must be there."""
+    found = node.find(name)
+    if found is None:
+        raise BuildError(f"modelDescription.xml lacks {name}")
+    return found
+
+
+def _access(variable: ElementTree.Element) -> str:
+    """Return who may set a variable: u input, p tunable, f fixed, x start value of a state, c nobody (calculated)."""
+    causality, variability = variable.get("causality", "local"), variable.get("variability", "continuous")
+    if causality == "input":
+        return "u"
+    if causality == "parameter":
+        return "p" if variability == "tunable" else "f"
+    return "x" if variable.get("initial") == "exact" else "c"
+
+
+def _variables_header(root: ElementTree.Element) -> str:
+    """Return variables.h: value references as constants, start values, access."""
+    variables = list(_child(root, "ModelVariables"))
+    names, starts, access = ["V_time = 0"], ["0"], ["c"]
+    for expected, variable in enumerate(variables, start=1):
+        if int(variable.attrib["valueReference"]) != expected:
+            raise BuildError(f"value references must count from 1: {variable.attrib['name']}")
+        names.append(f"V_{re.sub('[^A-Za-z0-9]', '_', variable.attrib['name'])} = {expected}")
+        start = variable[0].get("start", "0")
+        starts.append({"true": "1", "false": "0"}.get(start, start))
+        access.append(_access(variable))
+    return (
+        f"enum {{ {', '.join(names)}, VARIABLES = {len(names)} }};\n"
+        f"static const double START[VARIABLES] = {{ {', '.join(starts)} }};\n"
+        f'static const char ACCESS[] = "{"".join(access)}";\n'
+        f'#define TOKEN "{root.attrib["guid"]}"\n'
+    )
+
+
+def _fmi3_description(old: ElementTree.Element) -> ElementTree.Element:
+    """Return the FMI 3.0 description of a model that is described for FMI 2.0."""
+    root = ElementTree.Element("fmiModelDescription", fmiVersion="3.0", modelName=old.attrib["modelName"])
+    root.set("instantiationToken", old.attrib["guid"])
+    for name in ("description", "generationTool", "variableNamingConvention"):
+        if name in old.attrib:
+            root.set(name, old.attrib[name])
+    interface = dict(_child(old, "CoSimulation").attrib)
+    for name in ("canGetAndSetFMU", "canSerializeFMU"):
+        interface[f"{name}State"] = interface.pop(f"{name}state")
+    ElementTree.SubElement(root, "CoSimulation", interface)
+    units = old.find("UnitDefinitions")
+    if units is not None:
+        root.append(units)
+    types = old.find("TypeDefinitions")
+    if types is not None:
+        new_types = ElementTree.SubElement(root, "TypeDefinitions")
+        for simple in types:
+            kind = ElementTree.SubElement(new_types, f"{TYPES[simple[0].tag]}Type", dict(simple.attrib))
+            kind.extend(simple[0])
+    if (experiment := old.find("DefaultExperiment")) is not None:
+        root.append(experiment)
+    variables = ElementTree.SubElement(root, "ModelVariables")
+    clock = ElementTree.SubElement(
+        variables, "Float64", name="time", valueReference="0", causality="independent", variability="continuous"
+    )
+    if units is not None and any(unit.get("name") == "s" for unit in units):
+        clock.set("unit", "s")
+    for variable in _child(old, "ModelVariables"):
+        attributes = dict(variable.attrib)
+        attributes.update(variable[0].attrib)
+        if "derivative" in attributes:  # an index in FMI 2.0, a value reference in FMI 3.0: ours are the same
+            attributes["derivative"] = str(int(attributes["derivative"]))
+        ElementTree.SubElement(variables, TYPES[variable[0].tag], attributes)
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    for group, name in (
+        ("Outputs", "Output"),
+        ("Derivatives", "ContinuousStateDerivative"),
+        ("InitialUnknowns", "InitialUnknown"),
+    ):
+        part = _child(old, "ModelStructure").find(group)
+        for unknown in () if part is None else part:
+            attributes = dict(unknown.attrib)
+            attributes["valueReference"] = attributes.pop("index")
+            ElementTree.SubElement(structure, name, attributes)
+    return root

@@ -1,0 +1,1 @@
+"""Scenarios: excitation, feedback, noise and the suites that combine them."""

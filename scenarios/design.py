@@ -1,0 +1,212 @@
+"""Design of experiments for arms: the reference that makes the inertial parameters best conditioned under limits.
+
+The reference of each joint is a finite Fourier series (Swevers et al., IEEE Trans. Robot. Autom. 13 (1997) 730),
+scaled so that it keeps the limits whatever its coefficients; the condition number of the regressor's identifiable
+columns, each of unit length, is then lowered by a random search whose step adapts itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["Design", "FourierReference", "JointLimits", "condition_number", "design_reference", "identifiable_columns"]
+
+Regressor = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class JointLimits:
+    """What a reference must keep: positions within [low, high] and rates within -+ rate; each an array (n,).
+
+    Parameters
+    ----------
+    low, high : array (n,)
+        rad.
+    rate : array (n,)
+        rad/s.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    rate: FloatArray
+
+    def __post_init__(self) -> None:
+        if not (np.all(self.low < self.high) and np.all(self.rate > 0) and np.all(np.isfinite(self.high - self.low))):
+            raise InputError(
+                "limits of the joints",
+                expected="finite low < high and rate > 0 for each joint",
+                got=f"low {self.low}, high {self.high}, rate {self.rate}",
+                remedy="give limits for every joint",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class FourierReference:
+    """Positions that are a Fourier series of one period.
+
+    Parameters
+    ----------
+    period : float
+        Seconds.
+    centre : array (n,)
+        Mean position [rad].
+    sine, cosine : array (n, L)
+        Coefficients of the harmonics 1 to L [rad].
+
+    Examples
+    --------
+    >>> swing = FourierReference(2.0, np.zeros(1), np.ones((1, 1)), np.zeros((1, 1)))
+    >>> [part.round(3).tolist() for part in swing.at(np.array([0.5]))]
+    [[[1.0]], [[0.0]], [[-9.87]]]
+    """
+
+    period: float
+    centre: FloatArray
+    sine: FloatArray
+    cosine: FloatArray
+
+    def at(self, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return position, rate and acceleration (N, n) at times (N,)."""
+        omega = 2 * np.pi / self.period * np.arange(1, self.sine.shape[1] + 1)
+        angle = np.outer(t, omega)
+        s, c = np.sin(angle), np.cos(angle)
+        q = self.centre + s @ self.sine.T + c @ self.cosine.T
+        v = c @ (self.sine * omega).T - s @ (self.cosine * omega).T
+        a = -s @ (self.sine * omega**2).T - c @ (self.cosine * omega**2).T
+        return q, v, a
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A designed reference, its condition number, and that of the best random start."""
+
+    reference: FourierReference
+    condition: float
+    start: float
+
+
+def identifiable_columns(W: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
+    """Return the indices of a largest set of independent columns, by QR with column pivoting.
+
+    Parameters
+    ----------
+    W : array (N, k)
+        Regressor on rich data.
+    tolerance : float
+        Smallest diagonal of R that counts, relative to the largest.
+
+    Examples
+    --------
+    >>> identifiable_columns(np.array([[1.0, 2.0, 0.0], [0.0, 0.0, 3.0], [1.0, 2.0, 1.0]])).tolist()
+    [1, 2]
+    """
+    from scipy.linalg import qr
+
+    R, pivots = qr(W, mode="r", pivoting=True)
+    diagonal = np.abs(np.diag(R))
+    kept = diagonal > tolerance * diagonal.max()
+    return np.sort(np.asarray(pivots)[: kept.size][kept])
+
+
+def condition_number(W: FloatArray, *, scaled: bool = True) -> float:
+    """Return the condition number, the columns scaled to unit length first; infinite if one is zero.
+
+    Examples
+    --------
+    >>> condition_number(np.diag([1.0, 100.0]))
+    1.0
+    """
+    gram = W.T @ W
+    length = np.sqrt(np.diag(gram))
+    if not np.all(length > 0):
+        return float("inf")
+    values = np.linalg.eigvalsh(gram / np.outer(length, length) if scaled else gram)
+    return float(np.sqrt(values[-1] / values[0])) if values[0] > 0 else float("inf")
+
+
+def design_reference(
+    regressor: Regressor,
+    limits: JointLimits,
+    *,
+    period: float = 10.0,
+    harmonics: int = 5,
+    samples: int = 100,
+    starts: int = 20,
+    steps: int = 1000,
+    scaled: bool = True,
+    rng: np.random.Generator,
+) -> Design:
+    """Return a reference under which the inertial parameters are well conditioned.
+
+    Parameters
+    ----------
+    regressor : callable
+        ``(q, v, a) -> W``; arrays (N, n) in, (N * n, k) out, e.g. ``Arm.regressor``.
+    limits : JointLimits
+        Kept at all times of the period.
+    period : float
+        Seconds.
+    harmonics : int
+        Of each joint.
+    samples : int
+        Instants of a period at which the regressor is taken.
+    starts, steps : int
+        Random references to choose from, and steps of the search from the best of them.
+    scaled : bool
+        Scale the columns to unit length first, so that the units of the parameters do not count.
+    rng : numpy.random.Generator
+        Draws both.
+
+    Returns
+    -------
+    Design
+
+    Notes
+    -----
+    The search is a (1+1) evolution strategy with the one-fifth success rule (Rechenberg 1973).
+    """
+    n = limits.low.size
+    t = np.arange(samples) * period / samples
+    dense = np.arange(20 * harmonics) * period / (20 * harmonics)
+    half = 0.5 * (limits.high - limits.low)
+
+    def made(raw: FloatArray) -> FourierReference:
+        shape = FourierReference(period, np.zeros(n), raw[0], raw[1])
+        q, v, _ = shape.at(dense)
+        middle, reach = 0.5 * (q.max(axis=0) + q.min(axis=0)), 0.5 * np.ptp(q, axis=0)
+        # 0.97: peaks between the points of the dense grid
+        scale = np.minimum(half / reach, limits.rate / np.abs(v).max(axis=0)) * 0.97
+        size = np.minimum(scale, 1.0)[:, None]
+        # the middle of the motion may lie anywhere that keeps the limits: raw[2] says where
+        room = np.maximum(half - reach * size[:, 0] / 0.97, 0.0)
+        centre = 0.5 * (limits.high + limits.low) - middle * size[:, 0] + np.tanh(raw[2, :, 0]) * room
+        return FourierReference(period, centre, raw[0] * size, raw[1] * size)
+
+    def draw() -> FloatArray:
+        return np.asarray(rng.standard_normal((3, n, harmonics)) * half[:, None] / np.sqrt(harmonics), dtype=float)
+
+    many = [made(draw()).at(t) for _ in range(5)]
+    columns = identifiable_columns(np.vstack([regressor(*motion) for motion in many]))
+
+    def cost(raw: FloatArray) -> float:
+        return condition_number(regressor(*made(raw).at(t))[:, columns], scaled=scaled)
+
+    trials = [draw() for _ in range(max(1, starts))]
+    costs = [cost(raw) for raw in trials]
+    best, value = trials[int(np.argmin(costs))], min(costs)
+    first, size = value, 0.3
+    for _ in range(steps):
+        mask = rng.random(best.shape) < 0.3
+        trial = best + size * mask * rng.standard_normal(best.shape) * half[:, None]
+        new = cost(trial)
+        if new < value:
+            best, value, size = trial, new, size * 1.22
+        else:
+            size = max(size * 0.951, 1e-3)
+    return Design(made(best), value, first)

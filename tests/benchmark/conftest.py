@@ -1,0 +1,181 @@
+"""A distribution of plug-ins that behave well, badly and terribly, installed for one test session in a folder."""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from harness import registry
+
+MODULE = '''
+"""Plug-ins for the tests of the benchmark: ordinary ones, and one for each way to break."""
+
+import ctypes
+import os
+import sys
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from harness.errors import FitError, PlantError
+from harness.protocols import Hindsight
+from harness.signals import Channel, PlantSpec
+
+SPEC = PlantSpec((Channel("u", "V", -2.0, 2.0),), (Channel("y", "m"),), 0.1)
+
+
+class Lag:
+    """First-order lag."""
+
+    spec = SPEC
+    abilities = frozenset()
+    made = 0
+
+    def __init__(self, pole: float = 0.8, fail: str = ""):
+        self.pole, self.fail, self.count = pole, fail, 0
+        type(self).made += 1
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exc):
+        self.close()
+
+    def close(self):
+        pass
+
+    def reset(self, *, rng, x0=None):
+        self.x = 0.0
+        return np.array([self.x])
+
+    def step(self, u):
+        self.count += 1
+        if self.count > 20:
+            misbehave(self.fail)
+        self.x = self.pole * self.x + (1 - self.pole) * float(u[0])
+        return np.array([self.x])
+
+
+def misbehave(how):
+    if how == "raise":
+        raise ZeroDivisionError("by intent")
+    if how == "diverge":
+        raise PlantError("an output is not finite at t = 2 s", status="diverged")
+    if how == "hang":
+        time.sleep(1000)
+    if how == "hang-in-c":
+        ctypes.PyDLL(None).sleep(1000)  # holds the interpreter's lock: only a C thread or a kill can end it
+    if how == "segfault":
+        ctypes.string_at(0)
+    if how == "exit":
+        os._exit(7)
+    if how == "sys-exit":
+        sys.exit("leaving")
+    if how == "unfit":
+        raise FitError("too little", expected="more", got="less", remedy="record more")
+
+
+@dataclass(frozen=True)
+class Model:
+    spec: PlantSpec
+    a: float
+    b: float
+    burn_in: int = 1
+
+    def initial_state(self, data):
+        return data.y[0].copy()
+
+    def output(self, x, u):
+        return x
+
+    def step(self, x, u):
+        return self.a * x + self.b * u
+
+    def correct(self, x, u, y):
+        return y
+
+    def to_dict(self):
+        return {"kind": "test-model", "a": self.a, "b": self.b}
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Least squares for the first-order lag; breaks on request."""
+
+    fail: str = ""
+    nap: float = 0.0
+
+    def fit(self, trajectories, *, rng):
+        assert all(trajectory.x is None for trajectory in trajectories)
+        time.sleep(self.nap)
+        misbehave(self.fail)
+        rows = np.vstack([np.column_stack([r.y[:-1], r.u[:-1]]) for r in trajectories])
+        goal = np.concatenate([r.y[1:, 0] for r in trajectories])
+        a, b = np.linalg.lstsq(rows, goal, rcond=None)[0]
+        if self.fail == "unstable":
+            a = 1e3
+        return Model(trajectories[0].spec, float(a), float(b))
+
+
+@dataclass(frozen=True)
+class Online:
+    """Predicts the last output; hindsight is the best constant gain on it."""
+
+    def init(self, spec, *, rng):
+        return np.zeros(spec.ny)
+
+    def start(self, state, y):
+        return y.copy()
+
+    def predict(self, state, u):
+        return state
+
+    def update(self, state, u, y):
+        return y.copy()
+
+    def hindsight(self, trajectories):
+        before = np.concatenate([r.y[:-1] for r in trajectories])
+        after = np.concatenate([r.y[1:] for r in trajectories])
+        gain = float((before * after).sum() / (before**2).sum())
+        return Hindsight(((after - gain * before) ** 2).sum(axis=1), True)
+
+
+class Nothing:
+    """Neither fits nor learns online."""
+'''
+
+ENTRY_POINTS = """
+[sysid_harness.plants]
+test-lag = bench_plugins:Lag
+[sysid_harness.identifiers]
+test-fit = bench_plugins:Fit
+test-online = bench_plugins:Online
+test-nothing = bench_plugins:Nothing
+"""
+
+
+@pytest.fixture(scope="session")
+def plugin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write the distribution."""
+    folder = tmp_path_factory.mktemp("bench-plugins")
+    (folder / "bench_plugins.py").write_text(textwrap.dedent(MODULE))
+    info = folder / "bench_plugins-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bench-plugins\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(ENTRY_POINTS)
+    return folder
+
+
+@pytest.fixture
+def plugins(plugin_folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Let the registry find the plug-ins, here and in the workers (which take over sys.path)."""
+    monkeypatch.syspath_prepend(str(plugin_folder))
+    registry._all.cache_clear()
+    yield plugin_folder
+    registry._all.cache_clear()
+    sys.modules.pop("bench_plugins", None)

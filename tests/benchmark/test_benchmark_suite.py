@@ -1,0 +1,99 @@
+"""Suites: what is read, what is refused, and with which words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from harness.benchmark.engines import make_engine
+from harness.benchmark.suite import cells_of, load_suite, tasks_of
+from harness.errors import InputError
+
+GROUP = """
+[[groups]]
+plants = [{id = "linear-ode"}]
+scenarios = [{id = "prbs"}]
+identifiers = [{id = "hold"}, {id = "dmdc"}]
+"""
+
+
+@pytest.mark.parametrize("name", ["quick", "smoke"])
+def test_bundled_suites_load(name: str) -> None:
+    suite = load_suite(name)
+    pairs = cells_of(tasks_of(suite))
+    assert suite.name == name
+    assert suite.description
+    assert len({cell.job for _, cell in pairs}) == len(pairs)
+
+
+def test_quick_has_every_family() -> None:
+    suite = load_suite("quick")
+    plants = {part.id for group in suite.groups for part in group.plants}
+    identifiers = {part.id for group in suite.groups for part in group.identifiers}
+    assert {"pendulum-fmu", "iiwa-bullet", "linear-ode", "grid-mdp"} <= plants
+    assert plants & {"cart-pole-pymunk", "cart-pole-ode"}
+    assert {"hold", "true-model", "dmdc", "edmdc", "ho-kalman", "stlsq", "mdp-counting", "rls"} <= identifiers
+    assert {"lumped-torque", "lumped-energy", "lumped-momentum"} <= identifiers
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('name = "x"\ncolour = 1\n' + GROUP, "colour"),
+        (
+            'name = "x"\n' + GROUP.replace('{id = "hold"}', '{id = "hold", optoins = {}}'),
+            "groups[0].identifiers[0].optoins",
+        ),
+        ('name = "x"\n' + GROUP.replace('"prbs"', '"prsb"'), "did you mean prbs"),
+        ('name = "x"\n' + GROUP.replace('"dmdc"', '"hold"'), "two rows with one name"),
+        ('name = "x"\nseeds = ["a"]\n' + GROUP, "seeds[0]"),
+        ('name = "x"\n' + GROUP + "seeds = [-1]\n", "numbers from 0 up"),
+        ('name = "x"\n' + GROUP + "score = {horizon = 0.0}\n", "horizon"),
+        ("name = \n", "not TOML"),
+        ('name = "x"\ngroups = []\n', "at least one group"),
+        (GROUP, "name"),
+    ],
+)
+def test_bad_suites_are_refused_with_file_and_key(tmp_path: Path, text: str, says: str) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_suite(path)
+    message = str(caught.value)
+    assert says in message
+    assert "bad.toml" in message
+    assert "remedy" in message
+    assert "\n" not in message
+
+
+def test_missing_suites() -> None:
+    with pytest.raises(InputError, match="no such suite"):
+        load_suite("nowhere.toml")
+    with pytest.raises(InputError, match="unknown suite"):
+        load_suite("quikc")
+
+
+def test_a_job_is_a_hash_of_what_decides_its_result(tmp_path: Path) -> None:
+    def jobs(text: str) -> list[str]:
+        path = tmp_path / "suite.toml"
+        path.write_text(text)
+        return [cell.job for _, cell in cells_of(tasks_of(load_suite(path), [0]))]
+
+    base = jobs('name = "x"\n' + GROUP)
+    assert jobs('name = "other"\ntime_limit = 1.0\n' + GROUP) == base
+    assert not set(jobs('name = "x"\n' + GROUP.replace('{id = "prbs"}', '{id = "prbs", options = {hold = 3}}'))) & set(
+        base
+    )
+    assert len(set(jobs('name = "x"\n' + GROUP.replace('{id = "hold"}, ', ""))) & set(base)) == 1
+
+
+@pytest.mark.parametrize("text", ["cloud", "dask://nowhere", "dask"])
+def test_unknown_engines(text: str) -> None:
+    with pytest.raises(InputError, match="local or dask"):
+        make_engine(text)
+
+
+def test_workers_must_be_positive() -> None:
+    with pytest.raises(InputError, match="at least 1"):
+        make_engine("local", workers=0)

@@ -1,0 +1,204 @@
+"""Bad input, tried by hand: one line on standard error, exit status 2, never a traceback."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from harness.cli import main
+
+ESTIMATION = "u [N m],theta [rad],time [s]\n" + "".join(
+    f"{0.1 * (-1) ** (k // 7)},{0.01 * k * (40 - k)},{0.01 * k:.2f}\n" for k in range(60)
+)
+DATASET = """
+name = "bench pendulum"
+sample_time = 0.01
+[nominal]
+model = "pendulum"
+[signals.u]
+role = "input"
+unit = "N m"
+column = "u [N m]"
+[signals.theta]
+role = "output"
+unit = "rad"
+column = "theta [rad]"
+[[runs]]
+file = "estimation.csv"
+use = "estimation"
+[[runs]]
+file = "validation.csv"
+use = "validation"
+"""
+
+
+def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the one line that the command leaves with."""
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    captured = capsys.readouterr()
+    assert caught.value.code == 2, captured.err
+    assert "Traceback" not in captured.err + captured.out
+    lines = [line for line in captured.err.splitlines() if line.strip()]
+    assert len(lines) == 1, captured.err
+    assert "remedy" in lines[0]
+    return lines[0]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder with a small data set that could be used."""
+    (tmp_path / "estimation.csv").write_text(ESTIMATION)
+    (tmp_path / "validation.csv").write_text(ESTIMATION.replace("0.1,", "0.2,"))
+    (tmp_path / "dataset.toml").write_text(DATASET)
+    return tmp_path
+
+
+def edit(name: str, old: str, new: str) -> Callable[[Path], None]:
+    """Return a change to one file of the folder."""
+
+    def change(folder: Path) -> None:
+        text = (folder / name).read_text()
+        assert old in text
+        (folder / name).write_text(text.replace(old, new))
+
+    return change
+
+
+def rewrite(name: str, rows: Callable[[list[str]], list[str]]) -> Callable[[Path], None]:
+    """Return a change to the rows of one file, its header kept."""
+
+    def change(folder: Path) -> None:
+        header, *body = (folder / name).read_text().splitlines()
+        (folder / name).write_text("\n".join([header, *rows(body)]) + "\n")
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda folder: (folder / "estimation.csv").unlink(), ["estimation.csv"]),
+        (lambda folder: (folder / "dataset.toml").unlink(), ["dataset.toml"]),
+        (edit("dataset.toml", '"theta [rad]"', '"thta"'), ["thta", "theta"]),
+        (edit("dataset.toml", 'unit = "rad"', 'unit = "V"'), ["signals.theta.unit", "rad", "V"]),
+        (edit("dataset.toml", 'unit = "rad"', 'unit = "gnats"'), ["signals.theta.unit", "gnats"]),
+        (edit("dataset.toml", 'role = "output"', 'roll = "output"'), ["dataset.toml", "roll"]),
+        (edit("dataset.toml", 'role = "output"', 'role = "sensor"'), ["dataset.toml", "sensor"]),
+        (edit("dataset.toml", "sample_time = 0.01", "sample_time = -1.0"), ["sample_time"]),
+        (edit("dataset.toml", 'model = "pendulum"', 'model = "pendulm"'), ["pendulm", "pendulum"]),
+        (edit("dataset.toml", "[signals.theta]", '[signals.theta]\nport = "u"'), ["u"]),
+        (edit("dataset.toml", "[nominal]", "[nominal"), ["dataset.toml"]),
+        (rewrite("estimation.csv", lambda rows: rows[:1]), ["estimation.csv"]),
+        (rewrite("estimation.csv", lambda rows: ["0.1,0.0," + row.split(",")[2] for row in rows]), ["never move"]),
+        (
+            rewrite("estimation.csv", lambda rows: [*rows[:30], "0.1,nan,0.30", *rows[31:]]),
+            ["estimation.csv", "nan"],
+        ),
+        (rewrite("estimation.csv", lambda rows: [*rows[:30], "0.1,oops,0.30", *rows[31:]]), ["estimation.csv", "oops"]),
+    ],
+)
+def test_a_data_set_that_cannot_be_used(
+    change: Callable[[Path], None], words: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change(folder)
+    line = refused(["close-loop", str(folder / "dataset.toml"), "--out", str(folder / "out")], capsys)
+    for word in words:
+        assert word.lower() in line.lower(), line
+    assert not (folder / "out" / "report.json").exists()
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        lambda rows: rows[:20] + rows[25:],  # a gap
+        lambda rows: [row.replace("0.30", "0.305") for row in rows],  # jitter
+        lambda rows: rows[:20] + rows[10:],  # time runs back
+    ],
+)
+def test_time_that_is_not_uniform(
+    rows: Callable[[list[str]], list[str]], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rewrite("estimation.csv", rows)(folder)
+    file = str(folder / "estimation.csv")
+    line = refused(["close-loop", file, "--model", "pendulum", "--out", str(folder / "out")], capsys)
+    assert "estimation.csv" in line
+    assert "resample" in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["simulate", "pendulum-od", "--scenario", "multisine"], ["pendulum-od", "did you mean pendulum-ode"]),
+        (["simulate", "pendulum-ode", "--scenario", "multisin"], ["did you mean multisine"]),
+        (["simulate", "pendulum-ode", "--scenario", "multisine", "--option", "mass=3"], ["mass"]),
+        (["simulate", "pendulum-ode", "--scenario", "multisine", "--option", "mass"], ["k=v"]),
+        (["simulate", "pendulum-ode", "--scenario", "multisine", "-o", "run.xlsx"], [".csv or .parquet"]),
+        (["simulate", "pendulum-ode", "--scenario", "multisine", "--hide", "coulomb_friction"], ["EFFECT@PORT"]),
+        (["simulate", "pendulum-ode", "--scenario", "multisine", "--hide", "gremlin@theta:k=1"], ["gremlin"]),
+        (["bench", "quik"], ["quik", "quick"]),
+        (["bench", "quick", "--seeds", "3..1"], ["A..B"]),
+        (["bench", "quick", "--engine", "slurm://x"], ["slurm"]),
+        (["list", "gadgets"], ["gadgets", "plants"]),
+        (["close-loop", "emp", "--out", "out"], ["emp"]),
+        (["close-loop", "no/such/file.csv", "--out", "out"], ["no/such/file.csv"]),
+        (["check", "no-such-part"], ["no-such-part"]),
+        (["table", "no/such/folder"], ["no/such/folder"]),
+        (["export", "no/such/folder", "-o", "m.fmu"], ["no/such/folder"]),
+        (["identify", "no/such.toml", "--identifier", "dmdc"], ["no/such.toml"]),
+        (["simulate"], ["PLANT"]),
+        (["frobnicate"], ["frobnicate"]),
+    ],
+)
+def test_words_that_mean_nothing(
+    arguments: list[str],
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    line = refused(arguments, capsys)
+    for word in words:
+        assert word in line
+    assert list(tmp_path.iterdir()) == [], "nothing is left behind"
+
+
+def test_an_fmu_that_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fake = tmp_path / "fake.fmu"
+    fake.write_text("not a zip")
+    for arguments in (["list", str(fake)], ["simulate", str(fake), "--scenario", "multisine"]):
+        line = refused(arguments, capsys)
+        assert "fake.fmu" in line
+        assert "zip" in line
+    assert "missing.fmu" in refused(["list", str(tmp_path / "missing.fmu")], capsys)
+
+
+def test_a_bare_csv_needs_its_model(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = refused(["close-loop", str(folder / "estimation.csv"), "--out", str(folder / "out")], capsys)
+    assert "--model" in line
+
+
+def test_a_missing_recording_says_where_to_get_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("SYSID_HARNESS_DATA", str(tmp_path))
+    line = refused(["close-loop", "emps", "--out", str(tmp_path / "out")], capsys)
+    assert "DATA_EMPS.mat" in line
+    assert "nonlinearbenchmark.org" in line or "http" in line
+
+
+def test_a_validation_run_that_is_the_estimation_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "validation.csv").write_text(ESTIMATION)
+    line = refused(["close-loop", str(folder / "dataset.toml"), "--out", str(folder / "out")], capsys)
+    assert "validation" in line
+
+
+def test_nothing_is_overwritten_unasked(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = folder / "run.csv"
+    out.write_text("mine")
+    line = refused(["simulate", "pendulum-ode", "--scenario", "multisine", "-o", str(out)], capsys)
+    assert "--force" in line
+    assert out.read_text() == "mine"

@@ -1,0 +1,118 @@
+"""What looks wrong is noticed, and what is right is left in peace."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from harness.data.sanity import check_run, check_runs
+from harness.errors import InputError
+from harness.signals import Channel, PlantSpec, Run, Trajectory, Use
+
+N, DT = 1200, 0.01
+SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"), Channel("theta_rate", "rad/s")), DT)
+MEASURED = (("theta", 0), ("theta", 1))
+
+
+def swing(seed: int = 0, *, noise: float = 1e-3, closed_loop: bool = False, smooth: bool = False) -> np.ndarray:
+    """Return columns u, theta, rate of a damped pendulum-like system."""
+    rng = np.random.default_rng(seed)
+    x, rows = np.array([0.3, 0.0]), []
+    u, filtered = 0.0, 0.0
+    for k in range(N):
+        if smooth:
+            filtered += 0.05 * (rng.normal() - filtered)
+            u = 10 * filtered
+        elif k % 7 == 0:
+            u = rng.choice([-1.0, 1.0])
+        force = u - (8.0 * x[0] + 2.0 * x[1] if closed_loop else 0.0)
+        rows.append([force, x[0] + noise * rng.normal(), x[1] + 10 * noise * rng.normal()])
+        for _ in range(4):
+            x = x + DT / 4 * np.array([x[1], 5 * force - 0.8 * x[1] - 20 * np.sin(x[0])])
+    return np.array(rows)
+
+
+def record(columns: np.ndarray) -> Trajectory:
+    return Trajectory(np.arange(len(columns)) * DT, columns[:, :1], columns[:, 1:], SPEC)
+
+
+@given(st.integers(0, 50), st.booleans(), st.booleans(), st.sampled_from([0.0, 1e-4, 1e-2]))
+def test_good_records_raise_no_suspicion(seed: int, closed_loop: bool, smooth: bool, noise: float) -> None:
+    columns = swing(seed, closed_loop=closed_loop, smooth=smooth, noise=noise)
+    assert check_run(record(columns), MEASURED) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: c[:1], "one sample"),
+        (lambda c: np.tile(c[3], (N, 1)), "the input and the outputs never move"),
+        (lambda c: np.column_stack([c[:, 0], np.tile(c[3, 1:], (N, 1))]), "the outputs never move"),
+        (lambda c: c * [1, 180 / np.pi, 1], "degrees"),
+        (lambda c: c * [1, 1, 180 / np.pi], "degrees"),
+        (lambda c: c * [1, 1000, 1], "1000"),
+        (lambda c: c * [1, 1, 1000], "1000"),
+        (lambda c: c * [1, 1, 60 / (2 * np.pi)], "rpm"),
+        (lambda c: c * [1, 1, -1], "sign"),
+        (lambda c: c[:, [0, 2, 1]], "swapped"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(change, words: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError, match=words):
+        check_run(record(change(swing())), MEASURED)
+
+
+def stuck(c: np.ndarray) -> np.ndarray:
+    c = c.copy()
+    c[400:460, 1] = c[400, 1]
+    return c
+
+
+def saturated(c: np.ndarray) -> np.ndarray:
+    return np.column_stack([c[:, 0], np.minimum(c[:, 1], np.quantile(c[:, 1], 0.9)), c[:, 2]])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (stuck, "stands still"),
+        (saturated, "largest value"),
+        (lambda c: np.column_stack([np.ones(N), c[:, 1:]]), "input u is constant"),
+        (lambda c: np.column_stack([c[:, :2], np.ones(N)]), "output theta_rate never moves"),
+        (lambda c: c * [1, 1, 2.2], "times the measured rate"),
+    ],
+)
+def test_what_may_be_wrong_is_said(change, words: str) -> None:  # type: ignore[no-untyped-def]
+    notes = check_run(record(change(swing())), MEASURED)
+    assert any(words in note for note in notes), notes
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_swapped_input_is_suspected(smooth: bool) -> None:
+    spec = PlantSpec(SPEC.inputs, SPEC.outputs[:1], DT)
+    columns = swing(smooth=smooth)
+    right = Trajectory(np.arange(N) * DT, columns[:, :1], columns[:, 1:2], spec)
+    wrong = Trajectory(np.arange(N) * DT, columns[:, 1:2], columns[:, :1], spec)
+    assert check_run(right, MEASURED[:1]) == []
+    assert any("input and output swapped" in note for note in check_run(wrong, MEASURED[:1]))
+
+
+def runs(*records: tuple[np.ndarray, Use]) -> list[Run]:
+    return [Run(record(columns), use) for columns, use in records]
+
+
+def test_runs_beside_each_other() -> None:
+    a, b = swing(0), swing(1)
+    assert check_runs(runs((a, "estimation"), (b, "validation"))) == []
+    with pytest.raises(InputError, match=r"the validation data are the estimation data"):
+        check_runs(runs((a, "estimation"), (a, "validation")))
+    with pytest.raises(InputError, match=r"the test data are the validation data"):
+        check_runs(runs((a, "estimation"), (b, "validation"), (b, "test")))
+    for factor, words in ((1000.0, "wrong by 1000"), (180 / np.pi, "degrees")):
+        notes = check_runs(runs((a, "estimation"), (b * [1, factor, factor], "validation")))
+        assert any(words in note and "theta" in note for note in notes)
+    big = a * [100, 1, 1], b * [100, 1, 1]
+    notes = check_runs(runs((big[0], "estimation"), (big[1][:, [1, 0, 2]], "validation")))
+    assert any("columns swapped" in note for note in notes)

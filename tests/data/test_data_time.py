@@ -1,0 +1,125 @@
+"""Time axes: uniform ones pass, the others are refused, split or resampled as declared, and it is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from harness.data.description import ResampleSection
+from harness.data.timebase import TimeRules, pieces_of, sample_time_of
+from harness.errors import InputError
+
+DT = 0.01
+TIME = 5.0 + np.arange(200) * DT
+VALUES = np.column_stack([np.repeat(np.arange(40.0), 5), np.sin(3 * TIME)])
+
+
+def pieces(time: np.ndarray | None, values: np.ndarray = VALUES, **rules: object) -> tuple[list, list[str]]:
+    return pieces_of(
+        time,
+        values,
+        names=("u", "y"),
+        inputs=(True, False),
+        rules=TimeRules(**rules),  # type: ignore[arg-type]
+    )
+
+
+def test_a_uniform_axis_passes_unchanged_and_unmentioned() -> None:
+    (piece,), notes = pieces(TIME)
+    assert notes == []
+    assert (piece.start, piece.sample_time) == (5.0, pytest.approx(DT, rel=1e-9))
+    assert np.array_equal(piece.values, VALUES)
+    (piece,), notes = pieces(None, sample_time=DT)
+    assert (piece.start, piece.sample_time, notes) == (0.0, DT, [])
+
+
+def test_jitter_is_said_or_refused() -> None:
+    noise = np.random.default_rng(0).uniform(-1, 1, 200)
+    _, notes = pieces(TIME + 1e-5 * DT * noise)
+    assert notes == []
+    _, notes = pieces(TIME + 1e-2 * DT * noise)
+    assert any("clock jitter" in note for note in notes)
+    with pytest.raises(InputError, match=r"clock jitter.*\[resample\]"):
+        pieces(TIME + 0.2 * DT * noise)
+
+
+def test_a_gap_is_refused_split_or_bridged() -> None:
+    keep = np.r_[0:80, 95:150, 153:200]
+    time, values = TIME[keep], VALUES[keep]
+    with pytest.raises(InputError, match=r"row 80: time is not uniform \(2 gaps\).*gaps = \"split\" or \[resample\]"):
+        pieces(time, values)
+    parts, notes = pieces(time, values, gaps="split")
+    assert [len(part.values) for part in parts] == [80, 55, 47]
+    assert [part.start for part in parts] == pytest.approx([TIME[0], TIME[95], TIME[153]])
+    assert np.array_equal(parts[1].values, VALUES[95:150])
+    assert any("3 pieces" in note for note in notes)
+    with pytest.raises(InputError, match="a gap too long"):
+        pieces(time, values, resample=ResampleSection())
+    (whole,), notes = pieces(time, values, resample=ResampleSection(max_gap=1.0, method="cubic"))
+    assert len(whole.values) == 200
+    assert whole.values[:, 1] == pytest.approx(VALUES[:, 1], abs=5e-4)
+    assert any("182 rows" in note and "200 samples" in note for note in notes)
+    parts, _ = pieces(time, values, resample=ResampleSection(), gaps="split")
+    assert [len(part.values) for part in parts] == [80, 105]
+
+
+def test_empty_rows_are_refused_split_or_bridged() -> None:
+    values = VALUES.copy()
+    values[50:53, 1] = np.nan
+    with pytest.raises(InputError, match=r"row 50, signal y.*nan"):
+        pieces(TIME, values)
+    parts, _ = pieces(TIME, values, gaps="split")
+    assert [len(part.values) for part in parts] == [50, 147]
+    (whole,), notes = pieces(TIME, values, resample=ResampleSection(method="cubic"))
+    assert whole.values[:, 1] == pytest.approx(VALUES[:, 1], abs=1e-4)
+    assert any("3 empty rows" in note for note in notes)
+
+
+def test_fragments_are_dropped_and_counted() -> None:
+    keep = np.r_[0:80, 100:104, 120:200]
+    parts, notes = pieces(TIME[keep], VALUES[keep], gaps="split")
+    assert [len(part.values) for part in parts] == [80, 80]
+    assert any("4 of 164 rows dropped" in note for note in notes)
+    with pytest.raises(InputError, match="only fragments"):
+        pieces(TIME[::20], np.where(np.arange(10)[:, None] % 2, np.nan, VALUES[::20]), gaps="split")
+
+
+def test_time_that_runs_back_or_is_in_another_unit_is_refused() -> None:
+    back = TIME.copy()
+    back[100:] -= 0.5
+    with pytest.raises(InputError, match=r"row 100: time runs back"):
+        pieces(back)
+    back = TIME.copy()
+    back[7] = back[6]
+    with pytest.raises(InputError, match="stands still"):
+        pieces(back)
+    with pytest.raises(InputError, match=r"sample_time: .*factor of 1000"):
+        pieces(1000 * TIME, sample_time=DT)
+    with pytest.raises(InputError, match="disagrees with sample_time"):
+        pieces(TIME, sample_time=0.011)
+    with pytest.raises(InputError, match="no time stamp"):
+        pieces(np.where(np.arange(200) == 3, np.nan, TIME))
+
+
+def test_a_resampled_input_is_held_and_never_seen_early() -> None:
+    jitter = TIME + 0.3 * DT * np.random.default_rng(1).uniform(-1, 1, 200)
+    (piece,), notes = pieces(jitter, resample=ResampleSection(sample_time=0.004))
+    grid = piece.start + 0.004 * np.arange(len(piece.values))
+    held = VALUES[np.searchsorted(jitter, grid + 1e-9, side="right") - 1, 0]
+    assert np.array_equal(piece.values[:, 0], held)
+    assert any("resampled to 0.004 s" in note for note in notes)
+    (piece,), notes = pieces(jitter, resample=ResampleSection(sample_time=0.05))
+    assert any("folds back" in note for note in notes)
+    (linear,), _ = pieces(jitter, resample=ResampleSection(sample_time=0.004), intersample="foh")
+    assert linear.values[:, 0] == pytest.approx(np.interp(grid, jitter, VALUES[:, 0]))
+
+
+@given(st.floats(1e-5, 1e3), st.integers(3, 60), st.floats(-1e3, 1e3))
+def test_the_sample_time_of_any_uniform_axis_is_found(dt: float, n: int, start: float) -> None:
+    time = start + np.arange(n) * dt
+    if np.diff(time).min() <= 0 or np.ptp(np.diff(time)) > 0.4 * dt:
+        return
+    tolerance = 1e-8 + 4 * np.finfo(float).eps * np.abs(time).max() / (dt * (n - 1))
+    assert sample_time_of(time) == pytest.approx(dt, rel=tolerance)

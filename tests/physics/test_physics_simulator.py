@@ -1,0 +1,232 @@
+"""Simulation: backends agree to the bit, sensitivities are derivatives, delays, divergence, the compile cache."""
+
+from __future__ import annotations
+
+import multiprocessing
+import pickle
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from harness.errors import InputError
+from harness.physics import Parameter, SampledBlock, ccode, models
+from harness.physics.sampled import delayed
+
+needs_compiler = pytest.mark.skipif(ccode.compiler() is None, reason="no C compiler: install gcc")
+NAMES = ["pendulum", "cart-pole", "acrobot", "two-tanks", "linear"]
+
+
+def delayed_cart():
+    """Return a cart-pole with a late input and a late angle sensor."""
+    late, sensor = ca.SX.sym("late"), ca.SX.sym("sensor")
+    return (
+        models.cart_pole()
+        .system()
+        .rebuild(
+            parameters=[(Parameter("input_delay@u.tau", "s", 0.011), late), (Parameter("lag", "s", 0.007), sensor)],
+            sampled=[SampledBlock("input_delay", 0, "input_delay@u.tau"), SampledBlock("output_delay", 1, "lag")],
+        )
+    )
+
+
+def excitation(system, count, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(count, system.nu)) * 0.3, np.abs(rng.normal(size=system.nx)) * 0.3
+
+
+@needs_compiler
+@pytest.mark.parametrize("intersample", ["zoh", "foh"])
+@pytest.mark.parametrize("name", [*NAMES, "delayed"])
+def test_compiled_code_and_virtual_machine_give_the_same_bits(name, intersample):
+    system = delayed_cart() if name == "delayed" else models.load_model(name)
+    u, x0 = excitation(system, 300)
+    p = system.vector()
+    found = [
+        system.simulator(0.01, substeps=3, intersample=intersample, backend=backend).sensitivities(p, x0, u, t0=0.3)
+        for backend in ("c", "casadi")
+    ]
+    for one, other in zip(*found, strict=True):
+        assert np.array_equal(one, other)
+    plain = system.simulator(0.01, substeps=3, intersample=intersample, backend="c").rollout(p, x0, u, t0=0.3)
+    assert np.array_equal(plain, found[0][0])
+
+
+@given(seed=st.integers(0, 10**6), name=st.sampled_from([*NAMES, "delayed"]))
+def test_sensitivities_are_the_derivatives_of_the_rollout(seed, name):
+    system = delayed_cart() if name == "delayed" else models.load_model(name)
+    u, x0 = excitation(system, 40, seed)
+    x0 = x0 + 0.1  # away from an empty tank
+    simulator = system.simulator(0.02, substeps=2, backend="casadi")
+    p = system.vector() * np.exp(0.3 * np.random.default_rng(seed).normal(size=system.np))
+    _, by_p, by_x = simulator.sensitivities(p, x0, u)
+    for column in range(system.np):
+        step = np.zeros(system.np)
+        step[column] = 1e-6 * max(abs(p[column]), 1e-3)
+        slope = (simulator.rollout(p + step, x0, u) - simulator.rollout(p - step, x0, u)) / (2 * step[column])
+        assert by_p[..., column] == pytest.approx(
+            slope, rel=2e-5, abs=2e-5 * np.abs(slope).max() + 1e-15 / np.max(step)
+        )
+    for column in range(system.nx):
+        step = np.zeros(system.nx)
+        step[column] = 1e-6
+        slope = (simulator.rollout(p, x0 + step, u) - simulator.rollout(p, x0 - step, u)) / 2e-6
+        assert by_x[..., column] == pytest.approx(
+            slope, rel=2e-5, abs=2e-5 * np.abs(slope).max() + 1e-15 / np.max(step)
+        )
+
+
+def test_a_batch_is_its_windows_one_by_one():
+    system = models.cart_pole().system()
+    rng = np.random.default_rng(1)
+    u, x0 = rng.normal(size=(5, 60, 1)), rng.normal(size=(5, 4)) * 0.2
+    p = system.vector() * np.exp(0.1 * rng.normal(size=(5, 5)))
+    simulator = system.simulator(0.01)
+    together = simulator.sensitivities(p, x0, u, t0=np.arange(5.0))
+    for row in range(5):
+        alone = simulator.sensitivities(p[row], x0[row], u[row], t0=float(row))
+        for one, other in zip(alone, together, strict=True):
+            assert np.array_equal(one, other[row])
+
+
+def test_steps_repeat_the_rollout():
+    system = models.pendulum().system()
+    u, x0 = excitation(system, 20)
+    simulator = system.simulator(0.05, substeps=2)
+    p = system.vector()
+    x = simulator.states(p, x0, u)
+    for k in range(19):
+        assert np.array_equal(simulator.step(x[k], u[k], p), x[k + 1])
+        assert simulator.output(x[k], u[k], p).tolist() == [x[k, 0]]
+
+
+def test_rollout_converges_to_an_independent_integrator():
+    system = models.cart_pole().system()
+    p = system.vector()
+    u = np.random.default_rng(2).normal(size=(40, 1)) * 3
+    x, dt = np.array([0.1, 0.5, 0.0, 0.0]), 0.05
+    exact = [x]
+    simulator = system.simulator(dt)
+    for k in range(39):
+        held = u[k]
+        found = solve_ivp(lambda t, y, h=held: simulator.derivative(y, h, p, t), (0, dt), x, rtol=1e-12, atol=1e-13)
+        x = found.y[:, -1]
+        exact.append(x)
+    errors = [np.abs(system.simulator(dt, substeps=s).states(p, exact[0], u) - exact).max() for s in (2, 4, 8)]
+    assert errors[0] / errors[1] > 11
+    assert errors[1] / errors[2] > 11
+    assert errors[2] < 1e-5
+
+
+def test_a_diverged_rollout_is_nan_from_there_on():
+    system = models.oscillator().system()
+    for backend in ("c", "casadi") if ccode.compiler() else ("casadi",):
+        simulator = system.simulator(0.01, substeps=1, backend=backend)
+        y, by_p, _ = simulator.sensitivities([1.0, -300.0, 1.0], [1.0, 0.0], np.zeros((3000, 1)))
+        first = int(np.argmax(np.isnan(y[:, 0])))
+        assert 10 < first < 1000
+        assert np.isnan(y[first:]).all()
+        assert np.isfinite(y[:first]).all()
+        assert np.isnan(by_p[first:]).all()
+
+
+def test_a_system_without_inputs_swings_freely():
+    system = models.pendulum()
+    system.u, system.Q = (), [-system.p[1] * system.v[0]]
+    y = system.system().simulator(0.01).rollout([1.0, 0.0, 1.0], [1e-3, 0.0], np.zeros((629, 0)))
+    assert y[628, 0] == pytest.approx(1e-3, rel=1e-5)
+
+
+@given(delay=st.floats(0, 0.5), seed=st.integers(0, 1000))
+def test_delay_blends_neighbours_and_knows_its_slope(delay, seed):
+    signal = np.random.default_rng(seed).normal(size=30)
+    late, slope = delayed(signal, delay, 0.1)
+    samples = np.arange(30) - delay / 0.1
+    wanted = np.interp(samples, np.arange(30), signal)
+    assert late == pytest.approx(wanted, abs=1e-9)
+    if 1e-5 < (delay / 0.1) % 1 < 1 - 1e-5:
+        numeric = (delayed(signal, delay + 1e-8, 0.1)[0] - delayed(signal, delay - 1e-8, 0.1)[0]) / 2e-8
+        assert slope == pytest.approx(numeric, abs=1e-5)
+
+
+def test_shapes_and_options_are_checked():
+    simulator = models.pendulum().system().simulator(0.01)
+    p, x0, u = [0.1, 0.1, 1.0], [0.0, 0.0], np.zeros((5, 1))
+    for bad in ((p[:2], x0, u), (p, [0.0], u), (p, x0, np.zeros(5)), (p, x0, np.zeros((5, 2)))):
+        with pytest.raises(InputError):
+            simulator.rollout(*bad)
+    with pytest.raises(InputError):
+        models.pendulum().system().simulator(0.01, intersample="linear")
+    with pytest.raises(InputError):
+        models.pendulum().system().simulator(0.01, substeps=0)
+
+
+def test_without_a_compiler_everything_works_but_c(monkeypatch):
+    monkeypatch.setenv("SYSID_HARNESS_NO_COMPILER", "1")
+    ccode.compiler.cache_clear()
+    try:
+        system = models.pendulum().system()
+        y = system.simulator(0.01).rollout(system.vector(), [0.1, 0.0], np.zeros((20000, 1)))
+        assert np.isfinite(y).all()
+        with pytest.raises(InputError, match="compiler"):
+            system.simulator(0.01, backend="c")
+    finally:
+        monkeypatch.undo()
+        ccode.compiler.cache_clear()
+
+
+def _roll(_):
+    system = models.cart_pole().system()
+    return system.simulator(0.013, backend="c").rollout(system.vector(), [0, 0.3, 0, 0], np.zeros((50, 1)))[-1].tolist()
+
+
+@needs_compiler
+def test_processes_share_the_cache_of_compiled_code(tmp_path, monkeypatch):
+    monkeypatch.setenv("SYSID_HARNESS_CACHE", str(tmp_path))
+    with multiprocessing.get_context("fork").Pool(4) as pool:
+        found = pool.map(_roll, range(8))
+    assert all(one == found[0] for one in found)
+    assert [file.suffix for file in tmp_path.iterdir()] == [".so"]
+
+
+@needs_compiler
+def test_c_source_is_static_and_needs_only_math(tmp_path):
+    source = ccode.system_source(models.cart_pole().system(), "cart")
+    functions = [line for line in source.splitlines() if line.endswith("{") and not line.startswith(" ")]
+    assert functions
+    assert all(line.startswith("static void cart_") for line in functions)
+    assert [line for line in source.splitlines() if line.startswith("#include")] == ["#include <math.h>"]
+
+
+@needs_compiler
+def test_the_exported_step_is_the_simulators_step(tmp_path):
+    import ctypes
+    import subprocess
+
+    system = models.cart_pole().system()
+    source = ccode.system_source(system) + (
+        "void go(double *x, const double *u, const double *p, double t, double h) { model_step(x, u, p, t, h); }\n"
+        "void *keep[] = {model_output, model_initial};\n"
+    )
+    library = tmp_path / "m.so"
+    subprocess.run(
+        [ccode.compiler(), "-O2", "-ffp-contract=off", "-shared", "-fPIC", "-x", "c", "-", "-o", library, "-lm"],
+        input=source.encode(), check=True,
+    )  # fmt: skip
+    x, u, p = np.array([0.1, 0.4, 0.0, 0.2]), np.array([0.7]), system.vector()
+    wanted = system.simulator(0.01, substeps=1).step(x, u, p)
+    pointer = [one.ctypes.data_as(ctypes.c_void_p) for one in (x, u, p)]
+    ctypes.CDLL(str(library)).go(*pointer, ctypes.c_double(0.0), ctypes.c_double(0.01))
+    assert np.array_equal(x, wanted)
+
+
+def test_simulators_of_a_pickled_system_agree():
+    system = delayed_cart()
+    again = pickle.loads(pickle.dumps(system))
+    u, x0 = excitation(system, 50)
+    p = system.vector()
+    one, other = (s.simulator(0.01, substeps=2, backend="casadi").rollout(p, x0, u) for s in (system, again))
+    assert np.array_equal(one, other)

@@ -1,0 +1,65 @@
+"""What the plants' tests share: golden records, and FMUs that misbehave, built once for a test session."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import plants
+from harness.signals import Trajectory
+
+GOLDEN = Path(plants.__file__).parent / "golden"
+FOLDER = Path(__file__).resolve().parent / "fmus"
+
+
+@pytest.fixture(scope="session")
+def odd_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Return a builder: name of a folder under fmus/, FMI version -> path of the FMU."""
+    from plants.mockups import build
+
+    if build.compiler() is None:
+        pytest.skip("no C compiler: install gcc")
+    folder = tmp_path_factory.mktemp("fmus")
+
+    def built(name: str, version: int = 2) -> Path:
+        target = folder / f"{name}-{version}.fmu"
+        if not target.is_file():
+            build.build_fmu(FOLDER / name, version, target)
+        return target
+
+    return built
+
+
+@pytest.fixture
+def temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Send temporary files to a folder of this test's own, so that it can see that none is left behind."""
+    import tempfile
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    return tmp_path
+
+
+@pytest.fixture
+def golden() -> Callable[[str, Trajectory, float], None]:
+    """Return a check of a trajectory against plants/golden/NAME.csv.
+
+    With SYSID_HARNESS_GOLDEN=write the file is written instead: do so only when the plant was meant to change.
+    """
+
+    def compare(name: str, trajectory: Trajectory, tolerance: float) -> None:
+        path = GOLDEN / f"{name}.csv"
+        spec = trajectory.spec
+        columns = ["time [s]", *(str(channel) for channel in (*spec.inputs, *spec.outputs))]
+        table = np.column_stack([trajectory.t, trajectory.u, trajectory.y])
+        if os.environ.get("SYSID_HARNESS_GOLDEN") == "write":
+            np.savetxt(path, table, fmt="%.17g", delimiter=",", header=",".join(columns), comments="")
+            return
+        assert path.read_text(encoding="utf-8").splitlines()[0] == ",".join(columns)
+        np.testing.assert_allclose(table, np.loadtxt(path, delimiter=",", skiprows=1), rtol=0, atol=tolerance)
+
+    return compare

@@ -1,0 +1,203 @@
+"""Plants in a child process: the same numbers, and every kind of sudden death becomes a named status, quickly."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from harness.errors import InputError, PlantError
+from harness.protocols import Experiment
+from harness.rng import Streams
+from harness.rollout import run
+from harness.signals import PlantSpec
+from plants.fmu_mockups import pendulum_fmu
+from plants.isolated import IsolatedPlant, isolated
+
+RNG = np.random.default_rng(0)
+MODES = (
+    "well segfault aborts exits hangs returns_nan chatters discards terminates fails fatal warns halves crawls pends "
+    "fails_start crashes_start hangs_start"
+).split()
+
+
+def waves(n: int) -> np.ndarray:
+    """A torque that swings the pendulum."""
+    return 0.5 * np.sin(0.05 * np.arange(n)).reshape(-1, 1)
+
+
+def test_gives_the_numbers_of_the_direct_plant() -> None:
+    u = waves(3000)
+    with pendulum_fmu() as direct:
+        first = direct.reset(rng=RNG, x0={"theta": 1.0})
+        expected = np.vstack([first, direct.rollout(u)])
+        spec, truth = direct.spec, direct.truth()
+    with isolated("pendulum-fmu", timeout=20.0) as plant:
+        assert plant.spec == spec
+        assert plant.abilities == {"batch", "snapshots", "truth"}
+        first = plant.reset(rng=RNG, x0={"theta": 1.0})
+        assert np.array_equal(np.vstack([first, plant.rollout(u)]), expected)
+        assert np.array_equal(plant.truth(), truth)
+        plant.reset(rng=RNG, x0={"theta": 1.0})
+        assert np.array_equal(np.array([plant.step(row) for row in u[:50]]), expected[1:51])
+        taken = plant.get_state()
+        plant.rollout(u[:100])
+        plant.set_state(taken)
+        assert np.array_equal(plant.rollout(u[50:100]), expected[51:101])
+
+
+class Waves:
+    """A scenario of one wave."""
+
+    def prepare(self, spec: PlantSpec, *, streams: Streams, role: str) -> Experiment:
+        """Return it."""
+        return Experiment(waves(200), x0={"theta": 0.5})
+
+
+def test_is_a_plant_for_the_stepping_loop() -> None:
+    streams = Streams("p", "s", 0)
+    with pendulum_fmu() as direct, IsolatedPlant(pendulum_fmu, {"fmi": 3}) as plant:
+        a, b = (run(one, Waves(), streams=streams) for one in (direct, plant))
+    assert np.array_equal(a.y, b.y)
+    assert a.x is not None
+    assert b.x is not None
+    assert np.array_equal(a.x, b.x)
+
+
+@pytest.mark.parametrize(
+    ("mode", "status", "words"),
+    [
+        ("segfault", "crashed", "SIGSEGV"),
+        ("aborts", "crashed", "SIGABRT"),
+        ("exits", "crashed", "exited with status 0"),
+        ("hangs", "timeout", "within 1 s"),
+        ("returns_nan", "diverged", "not finite"),
+        ("discards", "crashed", "discarded"),
+        ("crawls", "timeout", "does not end"),
+        ("terminates", "terminated", "ends the simulation"),
+        ("fatal", "crashed", "fatal"),
+    ],
+)
+def test_hostile_fmus_end_with_a_status(
+    mode: str, status: str, words: str, odd_fmu: Callable[..., Path], temporary_folder: Path
+) -> None:
+    options = {"path": str(odd_fmu("hostile")), "sample_time": 0.01, "parameters": {"mode": MODES.index(mode)}}
+    plant = IsolatedPlant("fmu", options, timeout=1.0)
+    for many in (True, False):
+        plant.reset(rng=RNG)
+        started = time.monotonic()
+        with pytest.raises(PlantError, match=words) as caught:
+            plant.rollout(np.ones((9, 1))) if many else [plant.step(np.ones(1)) for _ in range(9)]
+        assert caught.value.status == status
+        assert "\n" not in str(caught.value)
+        assert time.monotonic() - started < 5.0
+    plant.close()
+    assert list(temporary_folder.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("mode", "status", "words"),
+    [
+        ("fails_start", "crashed", "told to fail"),
+        ("crashes_start", "crashed", "SIGSEGV"),
+        ("hangs_start", "timeout", "1 s"),
+    ],
+)
+def test_hostile_starts(
+    mode: str, status: str, words: str, odd_fmu: Callable[..., Path], temporary_folder: Path
+) -> None:
+    options = {"path": str(odd_fmu("hostile")), "sample_time": 0.01, "parameters": {"mode": MODES.index(mode)}}
+    with IsolatedPlant("fmu", options, timeout=1.0) as plant:
+        with pytest.raises(PlantError, match=words) as caught:
+            plant.reset(rng=RNG)
+        assert caught.value.status == status
+    assert list(temporary_folder.iterdir()) == []
+
+
+def test_chatter_on_stdout_disturbs_nobody(odd_fmu: Callable[..., Path], capfd: pytest.CaptureFixture[str]) -> None:
+    options = {"path": str(odd_fmu("hostile")), "sample_time": 0.01, "parameters": {"mode": MODES.index("chatters")}}
+    with IsolatedPlant("fmu", options) as plant:
+        plant.reset(rng=RNG)
+        assert plant.rollout(np.ones((5, 1)))[-1] == pytest.approx([0.05])
+    assert capfd.readouterr().out == ""
+
+
+def test_errors_keep_their_kind_and_the_child_lives_on() -> None:
+    with isolated("pendulum-fmu") as plant:
+        with pytest.raises(InputError, match="did you mean theta"):
+            plant.reset(rng=RNG, x0={"thea": 1.0})
+        plant.reset(rng=RNG)
+        for bad in (np.zeros(2), np.array([np.nan])):
+            with pytest.raises(InputError):
+                plant.step(bad)
+        with pytest.raises(InputError, match=r"\(N, 1\)"):
+            plant.rollout(np.zeros((3, 2)))
+        plant.step(np.zeros(1))
+        old = plant.get_state()
+        plant._child.process.kill()  # type: ignore[union-attr]
+        with pytest.raises(PlantError, match="SIGKILL"):
+            plant.step(np.zeros(1))
+        with pytest.raises(InputError, match="without a process"):
+            plant.step(np.zeros(1))
+        plant.reset(rng=RNG)
+        with pytest.raises(InputError, match="another process"):
+            plant.set_state(old)
+    with pytest.raises(InputError, match="closed"):
+        plant.reset(rng=RNG)
+
+
+def test_bad_orders_are_refused() -> None:
+    with pytest.raises(InputError, match="unknown plant"):
+        isolated("no-such-plant")
+    with pytest.raises(InputError, match="cannot travel"):
+        IsolatedPlant(lambda: pendulum_fmu())
+    with pytest.raises(InputError, match="timeout"):
+        isolated("pendulum-fmu", timeout=0.0)
+    with pytest.raises(PlantError, match="TypeError"):
+        isolated("pendulum-fmu", colour="red")
+
+
+def test_recycles_its_child() -> None:
+    with IsolatedPlant("pendulum-fmu", recycle=1) as plant:
+        pids = set()
+        for _ in range(2):
+            plant.reset(rng=RNG)
+            pids.add(plant._child.process.pid)  # type: ignore[union-attr]
+        assert len(pids) == 2
+
+
+def test_a_hanging_child_does_not_outlive_its_caller(odd_fmu: Callable[..., Path], tmp_path: Path) -> None:
+    code = (
+        "import numpy as np, os, sys, threading\n"
+        "from plants.isolated import IsolatedPlant\n"
+        f"o = dict(path={str(odd_fmu('hostile'))!r}, sample_time=0.01, parameters=dict(mode=4, when=0.0))\n"
+        "p = IsolatedPlant('fmu', o)\n"
+        "p.reset(rng=np.random.default_rng(0))\n"
+        "print(p._child.process.pid, flush=True)\n"
+        "threading.Timer(0.5, os._exit, [0]).start()\n"
+        "p.step(np.ones(1))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(tmp_path)}, stdout=subprocess.PIPE, check=True
+    )
+    pid = int(done.stdout)
+    for _ in range(100):
+        if not _alive(pid):
+            break
+        time.sleep(0.1)
+    assert not _alive(pid)
+    assert [p.name for p in tmp_path.iterdir() if p.name.startswith("sysid")] == []
+
+
+def _alive(pid: int) -> bool:
+    """Return True while a process runs (an unreaped one does not)."""
+    try:
+        return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False

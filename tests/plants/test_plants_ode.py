@@ -1,0 +1,207 @@
+"""ODE plants: steps and batches alike, snapshots, hidden effects, noise, the golden records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import plants
+from harness.errors import InputError, PlantError
+from harness.physics import ccode
+from plants.ode import OdePlant, cart_pole_ode, linear_ode, pendulum_ode
+
+GOLDEN = Path(plants.__file__).parent / "golden"
+RNG = np.random.default_rng
+
+KINDS = {
+    "pendulum": lambda: pendulum_ode(),
+    "cart-pole": lambda: cart_pole_ode(),
+    "noisy": lambda: cart_pole_ode(process_noise=0.1),
+    "linear": lambda: linear_ode(order=5, inputs=2, outputs=2, process_noise=0.01),
+    "late": lambda: pendulum_ode(
+        effects=[("input_delay", "u", {"tau": 0.013}), ("sensor_delay", "theta", {"tau": 0.017})]
+    ),
+    "dry": lambda: pendulum_ode(
+        outputs=["theta", ("theta", 1)],
+        effects=[("coulomb_friction", "theta", {"Fc": 0.05}), ("sensor_quantisation", "theta", {"step": 1e-3})],
+    ),
+    "accelerometer": lambda: pendulum_ode(outputs=[("theta", 2, "acceleration")]),
+}
+
+
+def push(plant, count, seed=0):
+    return RNG(seed).normal(size=(count, plant.spec.nu)) * 0.5
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_batch_is_the_steps(kind):
+    with KINDS[kind]() as plant:
+        inputs = push(plant, 200)
+        first = plant.reset(rng=RNG(3))
+        steps = np.array([plant.step(u) for u in inputs])
+        assert np.array_equal(plant.reset(rng=RNG(3)), first)
+        again = np.vstack([plant.rollout(inputs[:70]), plant.rollout(inputs[70:])])
+        assert np.array_equal(steps, again)
+        assert np.isfinite(steps).all()
+        assert np.ptp(steps) > 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_snapshot_repeats_bit_for_bit(kind):
+    with KINDS[kind]() as plant:
+        inputs = push(plant, 100)
+        plant.reset(rng=RNG(1))
+        plant.rollout(inputs[:40])
+        state = plant.get_state()
+        once, truth = plant.rollout(inputs[40:]), plant.truth()
+        plant.set_state(state)
+        assert np.array_equal(plant.rollout(inputs[40:]), once)
+        assert np.array_equal(plant.truth(), truth)
+
+
+def test_without_a_compiler_the_bits_are_the_same(monkeypatch):
+    def run():
+        with cart_pole_ode() as plant:
+            plant.reset(rng=RNG(0), x0={"theta": 0.4})
+            return plant.rollout(push(plant, 50))
+
+    compiled = run()
+    monkeypatch.setenv("SYSID_HARNESS_NO_COMPILER", "1")
+    ccode.compiler.cache_clear()
+    try:
+        assert np.array_equal(run(), compiled)
+    finally:
+        monkeypatch.undo()
+        ccode.compiler.cache_clear()
+
+
+def test_a_hidden_effect_acts_and_the_nominal_model_stays_clean():
+    dry = pendulum_ode(parameters={"b": 0.0}, effects=[("coulomb_friction", "theta", {"Fc": 0.02, "w": 0.01})])
+    free = pendulum_ode(parameters={"b": 0.0})
+    swings = []
+    for plant in (dry, free):
+        plant.reset(rng=RNG(0), x0={"theta": 0.5})
+        y = plant.rollout(np.zeros((1000, 1)))[:, 0]
+        swings.append(np.abs(y[-200:]).max())
+    assert swings[1] == pytest.approx(0.5, rel=1e-3)
+    assert swings[0] < 0.25
+    assert dry.true_parameters["coulomb_friction@theta.Fc"] == 0.02
+    assert dry.nominal.parameter_names == ("J", "b", "mgl")
+
+
+def test_process_noise_depends_on_the_stream_only():
+    with cart_pole_ode(process_noise=1.0) as plant:
+        found = []
+        for seed in (0, 0, 1):
+            plant.reset(rng=RNG(seed))
+            found.append(plant.rollout(np.zeros((100, 1))))
+    assert np.array_equal(found[0], found[1])
+    assert not np.array_equal(found[0], found[2])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_linear_plant_is_its_matrices_and_is_stable(seed):
+    plant = linear_ode(order=4, inputs=2, outputs=2, seed=seed)
+    a, b, c = plant.discrete()
+    assert np.abs(np.linalg.eigvals(a)).max() < 1
+    reach = np.hstack([np.linalg.matrix_power(a, k) @ b for k in range(4)])
+    see = np.vstack([c @ np.linalg.matrix_power(a, k) for k in range(4)])
+    assert np.linalg.matrix_rank(reach) == np.linalg.matrix_rank(see) == 4
+    inputs = push(plant, 60, seed)
+    plant.reset(rng=RNG(0))
+    outputs = plant.rollout(inputs)
+    x = np.zeros(4)
+    for u, y in zip(inputs, outputs, strict=True):
+        x = a @ x + b @ u
+        assert c @ x == pytest.approx(y, abs=1e-12)
+
+
+def test_feedthrough_is_declared_and_answers_at_once():
+    plant = pendulum_ode(outputs=[("theta", 2, "acceleration")])
+    assert plant.spec.feedthrough
+    assert "feedthrough" in plant.abilities
+    plant.reset(rng=RNG(0))
+    assert plant.output(np.array([0.2])) == pytest.approx([2.0])
+    assert plant.truth().tolist() == [0.0, 0.0]
+
+
+def _many(plant, count):
+    for _ in range(count):
+        plant.step(np.zeros(1))
+
+
+def test_a_motion_that_diverges_is_said():
+    from harness.physics import models
+
+    m = models.oscillator()
+    m.parameters(c=("N s/m", -500.0, -np.inf), k=("N/m", 1.0), m=("kg", 1.0))
+    with OdePlant(model=m, initial={"q": 1.0}, substeps=1) as plant:
+        plant.reset(rng=RNG(0))
+        assert np.isnan(plant.rollout(np.zeros((500, 1)))[-1, 0])
+        plant.reset(rng=RNG(0))
+        with pytest.raises(PlantError, match="not finite") as caught:
+            _many(plant, 500)
+        assert caught.value.status == "diverged"
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"model": "pendolum"},
+        {"model": 3},
+        {"parameters": {"mass": 1.0}},
+        {"initial": {"angle": 1.0}},
+        {"sample_time": 0.0},
+        {"substeps": 0},
+        {"process_noise": -1.0},
+        {"effects": [("coulomb", "theta", {"Fc": 0.1})]},
+        {"effects": [("coulomb_friction", "y", {"Fc": 0.1})]},
+        {"effects": [("coulomb_friction", "theta")]},
+        {"outputs": ["phi"]},
+    ],
+)
+def test_options_that_cannot_be_are_refused(options):
+    with pytest.raises(InputError):
+        OdePlant(**options)
+    with pytest.raises(InputError):
+        pendulum_ode(length=3.0)
+
+
+def test_inputs_are_checked_and_a_closed_plant_is_closed():
+    plant = pendulum_ode()
+    plant.reset(rng=RNG(0))
+    for bad in (np.zeros(2), np.array([np.nan]), 1.0):
+        with pytest.raises(InputError):
+            plant.step(bad)
+    with pytest.raises(InputError):
+        plant.reset(rng=RNG(0), x0={"angle": 1.0})
+    plant.close()
+    plant.close()
+    with pytest.raises(PlantError):
+        plant.step(np.zeros(1))
+
+
+# Another processor or mathematical library may round sin and cos otherwise in the last bit.
+TOLERANCE = 1e-9
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "x0"),
+    [
+        ("pendulum-ode", pendulum_ode, {"theta": 0.5}),
+        ("cart-pole-ode", cart_pole_ode, {"theta": 0.5}),
+        ("linear-ode", linear_ode, {}),
+    ],
+)
+def test_golden_records(name, make, x0):
+    table = np.genfromtxt(GOLDEN / f"{name}.csv", delimiter=",", names=True)
+    with make() as plant:
+        header = (GOLDEN / f"{name}.csv").read_text().splitlines()[0]
+        channels = [*plant.spec.inputs, *plant.spec.outputs]
+        assert header == ",".join(["time [s]", *map(str, channels)])
+        data = np.array(table.tolist())
+        u, y = data[:, 1 : 1 + plant.spec.nu], data[:, 1 + plant.spec.nu :]
+        first = plant.reset(rng=RNG(0), x0=x0)
+        assert np.vstack([first, plant.rollout(u[:-1])]) == pytest.approx(y, abs=TOLERANCE)

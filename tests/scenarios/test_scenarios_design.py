@@ -1,0 +1,70 @@
+"""Designed references keep the limits and condition the parameters better than random ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness.errors import InputError
+from harness.physics.urdf import load_urdf
+from scenarios.design import JointLimits, condition_number, design_reference, identifiable_columns
+
+pybullet_data = pytest.importorskip("pybullet_data", reason="comes with pybullet, for CPython 3.10 and 3.11 only")
+
+
+def two_inertias(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Return the regressor of two pendulums and a column that repeats another."""
+    columns = [a[:, 0], np.sin(q[:, 0]), v[:, 0], a[:, 1], np.sin(q[:, 1]), 2 * a[:, 1]]
+    return np.column_stack(columns)
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 10_000), rate=st.floats(0.2, 5.0), low=st.floats(-2.0, -0.1), high=st.floats(0.1, 3.0))
+def test_limits_are_kept_at_all_times(seed: int, rate: float, low: float, high: float) -> None:
+    limits = JointLimits(np.full(2, low), np.full(2, high), np.array([rate, 2 * rate]))
+    made = design_reference(two_inertias, limits, steps=60, starts=3, rng=np.random.default_rng(seed))
+    q, v, _ = made.reference.at(np.linspace(0, 2 * made.reference.period, 2003))
+    assert (q >= limits.low).all()
+    assert (q <= limits.high).all()
+    assert (np.abs(v) <= limits.rate).all()
+    assert made.condition <= made.start
+
+
+def test_derivatives_belong_to_the_position() -> None:
+    limits = JointLimits(-np.ones(2), np.ones(2), np.ones(2))
+    made = design_reference(two_inertias, limits, steps=5, starts=2, rng=np.random.default_rng(0)).reference
+    t, h = np.linspace(0, 10, 50), 1e-5
+    (q, v, a), (ahead, *_), (behind, *_) = made.at(t), made.at(t + h), made.at(t - h)
+    np.testing.assert_allclose((ahead - behind) / (2 * h), v, atol=1e-7)
+    np.testing.assert_allclose((ahead - 2 * q + behind) / h**2, a, atol=1e-3)
+
+
+def test_identifiable_columns_and_condition() -> None:
+    rng = np.random.default_rng(0)
+    W = two_inertias(*rng.standard_normal((3, 50, 2)))
+    assert identifiable_columns(W).size == 5
+    assert condition_number(W * [1, 1, 1, 1, 1, 5]) > 1e6
+    assert condition_number(np.diag([1.0, 100.0]), scaled=False) == pytest.approx(100)
+
+
+@pytest.mark.slow
+def test_iiwa_is_conditioned_well_under_its_limits() -> None:
+    arm = load_urdf(Path(pybullet_data.getDataPath()) / "kuka_iiwa/model.urdf")
+    limits = JointLimits(
+        np.array([joint.lower for joint in arm.moving]),
+        np.array([joint.upper for joint in arm.moving]),
+        np.full(7, 1.5),
+    )
+    made = design_reference(arm.regressor, limits, steps=150, starts=10, rng=np.random.default_rng(0))
+    W = arm.regressor(*made.reference.at(np.arange(100) * 0.1))
+    assert identifiable_columns(W).size == 43
+    assert made.condition < min(0.8 * made.start, 25)
+
+
+def test_bad_limits_are_refused() -> None:
+    with pytest.raises(InputError, match="limits of the joints"):
+        JointLimits(np.zeros(2), np.array([1.0, np.inf]), np.ones(2))
