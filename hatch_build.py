@@ -20,14 +20,14 @@ class MockupHook(BuildHookInterface[Any]):
         self._scratch = tempfile.TemporaryDirectory(prefix="sysid-wheel-")
         if version == "editable":
             return
-        build = _load(Path(self.root) / "plants" / "mockups" / "build.py")
+        build = _load(Path(self.root) / "harness" / "fmi" / "build.py")
         folder = Path(self._scratch.name)
         try:
             library = folder / f"fmu_loop{build.library_suffix()}"
             build.compile_library([Path(self.root) / "plants" / "fmu_loop.c"], library)
-            for model in build.models():
+            for model in sorted((Path(self.root) / "plants" / "mockups").glob("*/modelDescription.xml")):
                 for fmi in (2, 3):
-                    build.build_fmu(model, fmi, folder / f"{model}-fmi{fmi}.fmu")
+                    build.build_fmu(model.parent, fmi, folder / f"{model.parent.name}-fmi{fmi}.fmu")
         except build.BuildError as error:
             self.app.display_warning(f"the wheel carries no built FMUs, they are built at first use: {error}")
             return

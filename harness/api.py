@@ -306,12 +306,16 @@ def close_loop(
     )
 
 
-def export(source: str | Path, *, out: str | Path, force: bool = False) -> Path:
-    """Write a repaired model as a co-simulation FMU; see :func:`harness.export.export`."""
+def export(source: str | Path, *, out: str | Path, fmi: str = "both", force: bool = False) -> list[Path]:
+    """Write a model as co-simulation FMUs; see :func:`harness.export.export`."""
     from harness import export as room
 
-    _refuse_overwrite(Path(out), force=force)
-    return room.export(source, out=out)
+    if fmi not in ("2", "3", "both"):
+        raise InputError("FMI version", expected="2, 3 or both", got=repr(fmi), remedy="choose one", place="--fmi")
+    target = Path(out)
+    for path in (target, target.with_name(f"{target.stem}-fmi3.fmu")) if fmi == "both" else (target,):
+        _refuse_overwrite(path, force=force)
+    return room.export(source, out=out, fmi=cast(Any, fmi))
 
 
 def check(name: str) -> list[CheckResult]:

@@ -218,10 +218,12 @@ def close_loop(
 def export(
     source: Annotated[str, typer.Argument(metavar="DIR_OR_MODEL", help="folder of close-loop, or a model")],
     out: Annotated[Path, typer.Option("--out", "-o", help="model.fmu")],
+    fmi: Annotated[str, typer.Option(help="2, 3 or both (then model.fmu is FMI 2.0, model-fmi3.fmu FMI 3.0)")] = "both",
     force: Force = False,
 ) -> None:
-    """Write a model as a co-simulation FMU."""
-    _say(f"wrote {api.export(source, out=out, force=force)}")
+    """Write a model as a co-simulation FMU, with its C source."""
+    for path in api.export(source, out=out, fmi=fmi, force=force):
+        _say(f"wrote {path}")
 
 
 @app.command()

@@ -274,7 +274,7 @@ class Dataset:
         For titles and reports.
     runs : tuple of Run
         At least one; all with the same :class:`PlantSpec`. Nothing is ever differenced across two runs.
-    intersample : {"zoh", "foh"}
+    intersample : {"zoh", "foh", "smooth"}
         How the input moves between samples.
     noise : dict
         Known standard deviation of the sensor of an output, by output name, in its SI unit.
@@ -292,7 +292,7 @@ class Dataset:
 
     name: str
     runs: tuple[Run, ...]
-    intersample: Literal["zoh", "foh"] = "zoh"
+    intersample: Literal["zoh", "foh", "smooth"] = "zoh"
     noise: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 

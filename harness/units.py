@@ -126,8 +126,8 @@ def base_units(unit: str) -> tuple[dict[str, float], float, float]:
     parsed = _parse(unit)
     based = registry.Quantity(1.0, parsed).to_base_units()
     offset = float(registry.Quantity(0.0, parsed).to_base_units().magnitude)
-    powers = {names[name]: power for name, power in based.unit_items() if name in names}
-    radians = dict(registry.Quantity(1.0, parsed).unit_items()).get("radian", 0)
+    powers = {names[name]: float(str(power)) for name, power in based.unit_items() if name in names}
+    radians = float(str(dict(registry.Quantity(1.0, parsed).unit_items()).get("radian", 0)))
     if radians:
         powers["rad"] = radians
     whole = {name: int(power) if power == int(power) else power for name, power in powers.items()}

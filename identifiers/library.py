@@ -99,6 +99,33 @@ class Library:
                     result[row] *= letters[i]
         return result
 
+    def source(self, coefficients: FloatArray) -> str:
+        """Return Python source of ``value(sin, cos, x0, x1, ...)``: the sums with these coefficients (m, p), one each.
+
+        Plain multiplications and additions, so that it runs on floats as on arrays.
+        """
+        n = len(self.arguments)
+        lines = [f"def value(sin, cos, {', '.join(f'x{i}' for i in range(n))}):"]
+        letters: list[str] = []
+        for column in range(n):
+            if column not in self.angles:
+                letters.append(f"x{column}")
+                continue
+            for k in range(1, self.harmonics + 1):
+                angle = f"x{column}" if k == 1 else f"{k}.0 * x{column}"
+                for wave in ("sin", "cos"):
+                    letters.append(f"{wave[0]}{column}_{k}")
+                    lines.append(f"    {letters[-1]} = {wave}({angle})")
+        results = []
+        for row in coefficients:
+            terms = []
+            for value, pick in zip(row, _monomials(self), strict=True):
+                if value != 0.0:
+                    terms.append(" * ".join([repr(float(value)), *(letters[i] for i in pick)]))
+            results.append(" + ".join(terms) or "0.0 * x0")
+        lines.append(f"    return {', '.join(results)},")
+        return "\n".join(lines)
+
     def __call__(self, values: FloatArray) -> FloatArray:
         """Return the functions (..., p) of arguments (..., n)."""
         return np.moveaxis(self.rows([values[..., i] for i in range(values.shape[-1])]), 0, -1)

@@ -135,7 +135,7 @@ def fitted_start(
             break
         damping = 1e-3
         now = misses(best[None], count)[0]
-        for _ in range(12):
+        for _ in range(8):
             cost = float(now @ now)
             if not np.isfinite(cost):
                 break
@@ -153,7 +153,7 @@ def fitted_start(
                     best, now, damping = trial, then, damping / 10
                     break
                 damping *= 10
-            if improved <= 1e-9 * cost:
+            if improved <= 1e-6 * cost:
                 break
         if count == len(data):
             break

@@ -17,7 +17,7 @@ from identifiers.observers import alpha_beta_gains, best_gain
 from identifiers.records import moving, real_signals, usable
 from identifiers.sparse_model import SparseModel
 
-__all__ = ["NormalEquations", "SparseModel", "Stlsq", "stlsq"]
+__all__ = ["NormalEquations", "SparseModel", "Stlsq", "eliminate", "stlsq"]
 
 Time = Literal["continuous", "discrete"]
 Blocks = Iterable[tuple[FloatArray, FloatArray]]
@@ -73,33 +73,100 @@ def stlsq(
     >>> stlsq(one, 0.01)[0].ravel().round(12).tolist()
     [0.0, 2.0, 0.0]
     """
-    p, m = equations.right.shape
-    size = np.sqrt(np.diag(equations.gram))
-    size = np.where(size > 0, size, 1.0)
-    gram = equations.gram / np.outer(size, size)
-    right = equations.right / size[:, None]
+    gram, right, size = _scaled(equations)
+    p, m = right.shape
     limit = threshold * np.sqrt(equations.square)
-    coefficients, support = np.zeros((p, m)), np.ones((p, m), dtype=bool)
-    support[np.diag(equations.gram) == 0.0] = False
+    coefficients, support = np.zeros((p, m)), np.zeros((p, m), dtype=bool)
     for column in range(m):
-        keep = support[:, column]
+        keep = np.diag(equations.gram) > 0.0
         for _ in range(iterations):
             if not keep.any():
                 break
             part = gram[np.ix_(keep, keep)] + ridge * np.eye(int(keep.sum()))
             own = _solved(part, right[keep, column])
-            coefficients[:, column] = 0.0
-            coefficients[keep, column] = own
             # columns have unit length: a coefficient is the length of its term's contribution
-            smaller = keep & (np.abs(coefficients[:, column]) >= limit[column])
+            smaller = keep.copy()
+            smaller[keep] = np.abs(own) >= limit[column]
             if np.array_equal(smaller, keep):
                 break
             keep = smaller
-            coefficients[~keep, column] = 0.0
-        if keep.any() and ridge > 0:  # the last fit without the shrinking
+        if keep.any():
             coefficients[keep, column] = _solved(gram[np.ix_(keep, keep)], right[keep, column])
         support[:, column] = keep
     return coefficients / size[:, None], support
+
+
+def eliminate(equations: NormalEquations, threshold: float) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Return coefficients (p, m) and their support by leaving out one term at a time.
+
+    Always the term goes whose loss raises the residual least, as long as the residual stays below ``threshold`` times
+    the target or 1.22 times the residual of the full library, both in the root mean square. Nearly dependent functions are told apart where plain thresholding keeps them all, large and
+    cancelling each other. (Backward elimination; Miller 2002, *Subset Selection in Regression*, sec. 3.2.)
+
+    Parameters
+    ----------
+    equations : NormalEquations
+    threshold : float
+        Relative to the root mean square of each target.
+
+    Examples
+    --------
+    >>> phi = np.random.default_rng(0).normal(size=(3, 200))
+    >>> phi[2] = phi[1] + 1e-3 * phi[0]
+    >>> one = NormalEquations.of([(phi, 2.0 * phi[1:2])], 3, 1)
+    >>> eliminate(one, 0.01)[0].ravel().round(9).tolist()
+    [0.0, 2.0, 0.0]
+    """
+    gram, right, size = _scaled(equations)
+    p, m = right.shape
+    coefficients, support = np.zeros((p, m)), np.zeros((p, m), dtype=bool)
+    start = _independent(gram)
+    for column in range(m):
+        square = float(equations.square[column])
+        keep = list(start)
+        inverse = np.linalg.inv(gram[np.ix_(keep, keep)])
+        own = inverse @ right[keep, column]
+        floor = max(square - float(own @ right[keep, column]), 0.0)
+        spent = floor
+        while len(keep) > 0:
+            costs = own**2 / np.diag(inverse)
+            cheapest = int(np.argmin(costs))
+            cost = float(costs[cheapest])
+            if spent + cost > max(1.5 * floor, threshold**2 * square):
+                break
+            spent += cost
+            rest = [i for i in range(len(keep)) if i != cheapest]
+            row = inverse[cheapest, rest] / inverse[cheapest, cheapest]
+            own = own[rest] - own[cheapest] * row
+            inverse = inverse[np.ix_(rest, rest)] - np.outer(row, inverse[cheapest, rest])
+            keep = [keep[i] for i in rest]
+        if keep:
+            coefficients[keep, column] = _solved(gram[np.ix_(keep, keep)], right[keep, column])
+        support[keep, column] = True
+    return coefficients / size[:, None], support
+
+
+def _scaled(equations: NormalEquations) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return Gram matrix and right-hand side of columns scaled to unit length, and their lengths."""
+    size = np.sqrt(np.diag(equations.gram))
+    size = np.where(size > 0, size, 1.0)
+    return equations.gram / np.outer(size, size), equations.right / size[:, None], size
+
+
+def _independent(gram: FloatArray) -> list[int]:
+    """Return columns, simplest first, that are independent of those before (Cholesky factorisation, row by row)."""
+    kept: list[int] = []
+    factor = np.zeros_like(gram)
+    for j in range(gram.shape[0]):
+        k = len(kept)
+        row = np.zeros(k)
+        for i in range(k):
+            row[i] = (gram[kept[i], j] - factor[i, :i] @ row[:i]) / factor[i, i]
+        rest = gram[j, j] - float(row @ row)
+        if rest > 1e-11:
+            factor[k, :k], factor[k, k] = row, np.sqrt(rest)
+            kept.append(j)
+    return kept
 
 
 def _solved(gram: FloatArray, right: FloatArray) -> FloatArray:
@@ -119,7 +186,8 @@ class Stlsq:
     degree : int
         Monomials of states and inputs up to this degree.
     threshold : float
-        A term is dropped when its root mean square is below this fraction of that of the derivative.
+        A term is dropped when what only it explains (under the classical rule: what it contributes) is below this
+        fraction of the derivative, in the root mean square.
     order : int, optional
         1: the outputs are the states; 2: the outputs are positions, their second derivatives are identified and the
         rates belong to the state. By default the order whose model predicts ten steps ahead better on the estimation
@@ -134,10 +202,13 @@ class Stlsq:
         Sines and cosines of so many multiples of every angle (a periodic output).
     trigonometric : bool
         Sines and cosines of every output, periodic or not.
+    rule : {"eliminate", "threshold"}
+        Terms leave one by one, always the one that is missed least (:func:`eliminate`), which bears nearly dependent
+        functions; or all those below the threshold at once, the classical rule (:func:`stlsq`).
     ridge : float
-        Tikhonov weight while terms are dropped; the last fit is without it.
+        Tikhonov weight of the classical rule while terms are dropped; the last fit is without it.
     iterations : int
-        At most so many rounds of dropping terms.
+        At most so many rounds of the classical rule.
 
     Examples
     --------
@@ -146,18 +217,20 @@ class Stlsq:
     >>> t = np.arange(500) * 0.01
     >>> x = 1.0 / (1.0 + 9.0 * np.exp(-t))
     >>> data = Trajectory(t, np.zeros((500, 0)), x[:, None], spec)
-    >>> print(Stlsq(degree=3, order=1).fit([data], rng=np.random.default_rng(0)).equations[0])
-    x' = 1 x - 1 x^2
+    >>> model = Stlsq(degree=3, order=1).fit([data], rng=np.random.default_rng(0))
+    >>> model.support, model.coefficients.round(4).ravel().tolist()
+    ((('x', 'x^2'),), [0.0, 1.0, -1.0, 0.0])
     """
 
     degree: int = 2
-    threshold: float = 0.02
+    threshold: float = 0.01
     order: int | None = None
     derivative: Derivative = "weak"
     half: int | None = None
     time: Time = "continuous"
     harmonics: int = 1
     trigonometric: bool = False
+    rule: Literal["eliminate", "threshold"] = "eliminate"
     ridge: float = 1e-6
     iterations: int = 20
 
@@ -188,6 +261,7 @@ class Stlsq:
             and self.time in ("continuous", "discrete")
             and (self.half is None or self.half >= 2)
             and self.ridge >= 0
+            and self.rule in ("eliminate", "threshold")
         )
         if not fine:
             raise FitError(
@@ -235,7 +309,10 @@ class Stlsq:
             )
         if not (np.isfinite(equations.gram).all() and np.isfinite(equations.right).all()):
             raise FitError(f"{what}: functions overflow", expected="finite", got="inf", remedy="scale the signals")
-        coefficients, support = stlsq(equations, self.threshold, ridge=self.ridge, iterations=self.iterations)
+        if self.rule == "threshold":
+            coefficients, support = stlsq(equations, self.threshold, ridge=self.ridge, iterations=self.iterations)
+        else:
+            coefficients, support = eliminate(equations, self.threshold)
         scaled = np.sqrt(np.clip(np.diag(equations.gram), 1e-300, None))
         values = np.linalg.eigvalsh(equations.gram / np.outer(scaled, scaled))
         lost = equations.square - 2 * np.einsum("ij,ij->j", coefficients, equations.right)
@@ -244,8 +321,7 @@ class Stlsq:
             "terms": [int(n) for n in support.sum(axis=0)],
             "candidates": len(library),
             "condition": float(np.sqrt(values[-1] / max(values[0], 1e-32))),
-            "residual": [float(r) for r in np.sqrt(np.clip(lost, 0, None) / np.where(equations.square > 0,
-                                                                                     equations.square, 1.0))],
+            "residual": (np.sqrt(np.clip(lost, 0, None)) / np.sqrt(np.clip(equations.square, 1e-300, None))).tolist(),
             "rows": equations.rows,
         }
         model = SparseModel(

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.errors import InputError
 from harness.scoring import same_language
@@ -93,10 +96,12 @@ class SparseModel:
         return tuple(tuple(n for n, c in zip(names, row, strict=True) if c != 0.0) for row in self.coefficients)
 
     @cached_property
-    def _active(self) -> tuple[list[int], FloatArray]:
-        """Functions that any equation uses, and their coefficients (ny, active)."""
-        used = [int(i) for i in np.flatnonzero(np.any(self.coefficients != 0.0, axis=0))]
-        return used, np.ascontiguousarray(self.coefficients[:, used])
+    def _equations(self) -> Callable[..., tuple[Any, ...]]:
+        """The equations as a function of floats or arrays, made of numbers and our own names only."""
+        names: dict[str, Any] = {}
+        exec(compile(self.library.source(self.coefficients), "<sparse model>", "exec"), names)
+        found: Callable[..., tuple[Any, ...]] = names["value"]
+        return found
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name in self.__dataclass_fields__}
@@ -109,14 +114,11 @@ class SparseModel:
         part = data[: min(len(data), 400)]
         value, rate = measured_motion(part, 2)
         # The smoothed angle is unwrapped: start on the turn that was measured.
-        value = value[0] - np.round((value[0] - part.y[0]) / self._periods) * self._periods
-        return fitted_start(
-            self.free_run, self.spec.outputs, part, np.concatenate([value, rate[0]]), scale=self.scale
-        )
-
-    @property
-    def _periods(self) -> FloatArray:
-        return np.array([np.inf if c.period is None else c.period for c in self.spec.outputs])
+        start = value[0].copy()
+        for i, channel in enumerate(self.spec.outputs):
+            if channel.period is not None:
+                start[i] -= np.round((start[i] - part.y[0, i]) / channel.period) * channel.period
+        return fitted_start(self.free_run, self.spec.outputs, part, np.concatenate([start, rate[0]]), scale=self.scale)
 
     def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (..., ny), the first part of the state."""
@@ -153,29 +155,67 @@ class SparseModel:
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (M, N, ny) from states x (M, nx) under inputs u (M, N, nu)."""
         m, n = u.shape[:2]
-        outputs = np.empty((m, n, self.spec.ny))
-        state = np.array(np.broadcast_to(x, (m, np.shape(x)[-1])), dtype=float)
+        outputs = np.full((m, n, self.spec.ny), np.nan)
+        states = np.array(np.broadcast_to(x, (m, np.shape(x)[-1])), dtype=float)
+        if m <= 24:
+            # numbers one by one are faster than short arrays
+            for window in range(m):
+                rows = self._run(states[window].tolist(), u[window].tolist())
+                outputs[window, : len(rows)] = rows
+            return outputs
         for k in range(n):
-            outputs[:, k] = state[:, : self.spec.ny]
-            if not np.isfinite(state).any():
-                outputs[:, k:] = np.nan
+            outputs[:, k] = states[:, : self.spec.ny]
+            if not np.isfinite(states).any():
                 break
             if k + 1 < n:
-                state = self.step(state, u[:, k])
+                states = self.step(states, u[:, k])
         return outputs
 
+    def _run(self, x: list[float], inputs: list[list[float]]) -> list[list[float]]:
+        """Return the outputs of a free run, in plain numbers, up to where it diverges."""
+        ny, nx = self.spec.ny, len(x)
+        value, sin, cos = self._equations, math.sin, math.cos
+        second, discrete = self.order == 2, self.time == "discrete"
+        h = self.spec.sample_time / self.substeps
+        limits = [math.inf if turns else _FAR * s for turns, s in zip(self._turning, self.scale.tolist(), strict=True)]
+        both = range(nx)
+
+        def slope(state: list[float], u: list[float]) -> list[float]:
+            found = value(sin, cos, *state, *u)
+            return [*state[ny:], *found] if second else list(found)
+
+        rows: list[list[float]] = []
+        try:
+            for k, u in enumerate(inputs):
+                if not all(
+                    abs(x[i]) <= limits[i] < math.inf or math.isfinite(x[i]) and limits[i] == math.inf for i in both
+                ):
+                    break
+                rows.append(x[:ny])
+                if k + 1 == len(inputs):
+                    break
+                if discrete:
+                    x = list(value(sin, cos, *x, *u))
+                    continue
+                for _ in range(self.substeps):
+                    a = slope(x, u)
+                    b = slope([x[i] + 0.5 * h * a[i] for i in both], u)
+                    c = slope([x[i] + 0.5 * h * b[i] for i in both], u)
+                    d = slope([x[i] + h * c[i] for i in both], u)
+                    x = [x[i] + h / 6 * (a[i] + 2 * b[i] + 2 * c[i] + d[i]) for i in both]
+        except (OverflowError, ValueError):  # the sine of infinity
+            pass
+        return rows
+
     @cached_property
-    def _turning(self) -> FloatArray:
+    def _turning(self) -> npt.NDArray[np.bool_]:
         """Which states are angles."""
         return np.array([c.period is not None for c in self.spec.outputs] + [False] * (self.spec.ny * (self.order - 1)))
 
     def _value(self, x: FloatArray, inputs: list[FloatArray]) -> FloatArray:
         """Return what the equations give (..., ny)."""
-        used, coefficients = self._active
-        if not used:
-            return np.zeros((*x.shape[:-1], self.spec.ny))
-        rows = self.library.rows([*np.moveaxis(x, -1, 0), *inputs], used)
-        return np.moveaxis(np.tensordot(coefficients, rows, axes=1), 0, -1)
+        found = self._equations(np.sin, np.cos, *np.moveaxis(x, -1, 0), *inputs)
+        return np.stack([np.broadcast_to(one, x.shape[:-1]) for one in found], axis=-1)
 
     def _slope(self, x: FloatArray, inputs: list[FloatArray]) -> FloatArray:
         value = self._value(x, inputs)

@@ -19,7 +19,7 @@ from plants.fmu_engine import INPUT_NOT_FINITE, Engine, Timing
 from plants.fmu_instance import Instance, Snapshot
 from plants.fmu_stops import finish, stopped
 from plants.fmu_values import encode
-from plants.fmu_variables import Port, channels, choose, describe, feeds_through, port, states_of, unknown
+from plants.fmu_variables import Port, channels, choose, describe, feeds_through, port, starts, states_of, unknown
 
 __all__ = ["FmuPlant", "describe"]
 
@@ -267,6 +267,11 @@ class FmuPlant:
         """What is odd about units."""
         ports = (*self._inputs, *self._outputs, *self._truth)
         return tuple(dict.fromkeys(p.complaint for p in ports if p.complaint is not None))
+
+    @property
+    def input_starts(self) -> FloatArray:
+        """Start values of the inputs (nu,), in SI."""
+        return np.array(starts(self._inputs))
 
     @property
     def substeps(self) -> int:

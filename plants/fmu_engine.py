@@ -93,11 +93,12 @@ class _Loop(ctypes.Structure):
 @functools.cache
 def native_library() -> Any:
     """Return the compiled loop, or None where there is no C compiler (then the loop runs in Python, slower)."""
-    from plants.compiled import build_once
-    from plants.mockups import build
+    from harness.compiled import build_once
+    from harness.fmi import build
+    from plants.mockups import FOLDER
 
     source = Path(__file__).with_name("fmu_loop.c")
-    carried = build.FOLDER / "built" / f"fmu_loop{build.library_suffix()}"
+    carried = FOLDER / "built" / f"fmu_loop{build.library_suffix()}"
     try:
         if carried.is_file():
             path = carried

@@ -93,7 +93,8 @@ def probe(
     samples : int
         Length of each run.
     amplitude : float
-        Of the inputs, in SI, cut to each input's declared range.
+        Of the inputs, in SI, for those that start at 0; the others move by a fifth of their start value. All are cut
+        to their declared range.
     isolate : bool
         Run it in a child process, where it can do no harm.
     timeout : float
@@ -126,6 +127,7 @@ def probe(
         return FmuPlant(**{**wanted, **more})
 
     with FmuPlant(**wanted) as described:  # loads, but does not run
+        inputs = _excitation(described.spec, described.input_starts, samples, amplitude)
         odd_units, others = described.unit_complaints, described.warnings
         dt, kind, tolerance = described.spec.sample_time, described.kind, described.tolerance
         finer = {"step": dt / described.substeps / 2} if kind == "cs" else {"tolerance": 0.01 * tolerance}
@@ -135,7 +137,6 @@ def probe(
         Finding("description", None if others else True, None, "; ".join(others) or "sound"),
     ]
     with made() as plant:
-        inputs = _excitation(plant.spec, samples, amplitude)
         first = _tried(lambda: _run(plant, inputs), findings)
         if first is not None:
             findings += _repeat(plant, inputs, first)
@@ -144,14 +145,14 @@ def probe(
     return ProbeResult(str(path), dt, tuple(findings))
 
 
-def _excitation(spec: PlantSpec, samples: int, amplitude: float) -> FloatArray:
-    """Return steps of random size inside the declared ranges."""
+def _excitation(spec: PlantSpec, starts: FloatArray, samples: int, amplitude: float) -> FloatArray:
+    """Return steps of random size around the start values, inside the declared ranges."""
     rng = stream("plants.fmu_probe", samples)
     levels = rng.uniform(-1, 1, size=(samples // 20 + 1, spec.nu))
-    rows: FloatArray = np.repeat(amplitude * levels, 20, axis=0)[:samples]
+    size = np.where(starts == 0.0, amplitude, 0.2 * np.abs(starts))
+    rows: FloatArray = np.repeat(starts + size * levels, 20, axis=0)[:samples]
     for column, channel in enumerate(spec.inputs):
-        low = max(channel.minimum, -amplitude)
-        rows[:, column] = np.clip(rows[:, column], low, min(channel.maximum, max(low, amplitude)))
+        rows[:, column] = np.clip(rows[:, column], channel.minimum, channel.maximum)
         if channel.kind != "real":
             rows[:, column] = np.rint(rows[:, column])
     return rows

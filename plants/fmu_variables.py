@@ -14,7 +14,7 @@ from harness.signals import Channel
 from plants.fmu_archive import FmuFile, Kind, read_fmu
 from plants.fmu_units import si_conversion
 
-__all__ = ["Port", "channels", "choose", "describe", "feeds_through", "port", "states_of"]
+__all__ = ["Port", "channels", "choose", "describe", "feeds_through", "port", "starts", "states_of"]
 
 REALS = frozenset({"Real", "Float64", "Float32"})
 INTEGERS = frozenset(
@@ -128,6 +128,17 @@ def choose(file: FmuFile, names: Sequence[str] | None, causality: Literal["input
             f"{causality} chosen twice", expected="each once", got=", ".join(names), remedy="remove one", file=file.path
         )
     return tuple(found)
+
+
+def starts(ports: Iterable[Port]) -> list[float]:
+    """Return the start values of all channels in SI; 0 where the description gives none."""
+    values: list[float] = []
+    for one in ports:
+        words = str(one.variable.start or "").split()
+        raw = [{"true": 1.0, "false": 0.0}.get(word) if word in ("true", "false") else _number(word) for word in words]
+        listed = [0.0 if value is None else one.scale * value + one.offset for value in raw] or [0.0]
+        values += (listed * one.size)[: one.size]
+    return values
 
 
 def _without_aliases(variables: Iterable[Any]) -> list[Any]:

@@ -73,6 +73,7 @@ class IsolatedPlant:
 
     spec: PlantSpec
     abilities: frozenset[Ability]
+    snapshot_tolerance: float
 
     def __init__(
         self,
@@ -158,11 +159,6 @@ class IsolatedPlant:
             )
         self._truth = np.asarray(self._call("set_state", state.number)[1])
 
-    @property
-    def snapshot_tolerance(self) -> float | None:
-        """The tolerance that the plant inside declares for its snapshots."""
-        return self._living().tolerance
-
     def close(self) -> None:
         """End the child; harmless when called twice."""
         self._closed = True
@@ -186,7 +182,8 @@ class IsolatedPlant:
         self._resets, self._doubtful = 0, False
         spec, abilities, tolerance = self._call("make", self._order, limit=self._start_timeout)
         self.spec, self.abilities = spec, frozenset(abilities) | {"batch"}
-        self._child.tolerance = tolerance
+        if tolerance is not None:  # only where the plant inside declares one
+            self.snapshot_tolerance = float(tolerance)
 
     def _living(self) -> _Child:
         if self._child is None:
@@ -263,7 +260,6 @@ class _Child:
 
     def __init__(self, show_output: bool) -> None:
         self.dropped: list[int] = []  # numbers of states that nobody holds any more
-        self.tolerance: float | None = None
         self.folder = Path(tempfile.mkdtemp(prefix="sysid-isolated-"))
         self.pipe, theirs = Pipe()
         environment = {

@@ -23,7 +23,7 @@ class Engine:
     """One sample at a time through the compiled rollout, buffers allocated once; CasADi where there is no compiler."""
 
     def __init__(self, simulator: Any, p: FloatArray) -> None:
-        from harness.physics.ccode import compiler
+        from harness.fmi.build import compiler
 
         self.simulator, self.p = simulator, np.ascontiguousarray(p)
         self.nu, self.nx, self.ny = simulator.spec.nu, simulator.nx, simulator.spec.ny

@@ -95,7 +95,7 @@ def _check_registered(kind: str, id: str) -> list[CheckResult]:
     if kind == "models":
         return check_model(lambda: registry.create(kind, id))
     options: dict[str, Any] = {}
-    kinds = KINDS
+    kinds: tuple[str, ...] = KINDS
     if kind == "identifiers":
         known = registry.named_options(kind, id)
         if "plant" in known:  # one that is told the plant learns from that plant's records only

@@ -7,6 +7,7 @@ from harness.data.load import DATA_FOLDER, load_dataset
 from harness.data.loaded import LoadedDataset, Nominal
 from harness.data.si import si_unit
 from harness.data.trajectories import columns_of, read_trajectory, write_trajectory
+from harness.data.views import from_control, from_fmpy, to_pandas, to_polars, to_xarray
 
 __all__ = [
     "DATA_FOLDER",
@@ -15,10 +16,15 @@ __all__ = [
     "NominalParameter",
     "SourceSection",
     "columns_of",
+    "from_control",
+    "from_fmpy",
     "load_dataset",
     "parse_description",
     "read_description",
     "read_trajectory",
     "si_unit",
+    "to_pandas",
+    "to_polars",
+    "to_xarray",
     "write_trajectory",
 ]

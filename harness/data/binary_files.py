@@ -25,7 +25,7 @@ def broken(path: Path, kind: str, error: Exception) -> InputError:
     )
 
 
-def optional(package: str, kind: str, extra: str = "data") -> Any:
+def optional(package: str, kind: str, install: str = "'sysid-harness[data]'") -> Any:
     """Return an optional package, or refuse with the words that install it."""
     import importlib
 
@@ -33,10 +33,10 @@ def optional(package: str, kind: str, extra: str = "data") -> Any:
         return importlib.import_module(package)
     except ImportError as error:
         raise InputError(
-            f"reading {kind} needs the package {package}",
+            f"{kind} needs the package {package}",
             expected=f"{package} installed",
             got="it is not",
-            remedy=f"pip install 'sysid-harness[{extra}]'",
+            remedy=f"pip install {install}",
         ) from error
 
 

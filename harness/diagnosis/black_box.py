@@ -160,7 +160,7 @@ def _fit(structure: _Structure, records: Sequence[_Record]) -> FloatArray | None
     values, vectors = np.linalg.eigh(gram / np.outer(diagonal, diagonal))
     keep = values > 1e-13 * values[-1]
     inverse = (vectors[:, keep] / values[keep]) @ vectors[:, keep].T
-    return (inverse @ (moment / diagonal[:, None])) / diagonal[:, None]
+    return np.asarray((inverse @ (moment / diagonal[:, None])) / diagonal[:, None])
 
 
 def _one_step(structure: _Structure, theta: FloatArray, records: Sequence[_Record]) -> list[FloatArray]:

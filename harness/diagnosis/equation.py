@@ -43,9 +43,12 @@ class Equations:
 
     def input_size(self, motion: Motion, p: FloatArray) -> float:
         """Return the rms force of the inputs as the model passes them on; 0 without inputs."""
+        return float(np.sqrt(np.mean(self.force_of(motion, motion.u, p) ** 2)))
+
+    def force_of(self, motion: Motion, u: FloatArray, p: FloatArray) -> FloatArray:
+        """Return the force (N, n) of inputs u (N, nu) along a motion."""
         tile = np.repeat(np.asarray(p, dtype=float)[:, None], motion.q.shape[0], axis=1)
-        force = np.array(self.drive(motion.q.T, motion.v.T, motion.u.T, tile, motion.t[None]), dtype=float)
-        return float(np.sqrt(np.mean(force**2)))
+        return np.array(self.drive(motion.q.T, motion.v.T, u.T, tile, motion.t[None]), dtype=float).T
 
     def residual(
         self, motion: Motion, p: FloatArray, form: Form = "strong", columns: Sequence[int] | None = None

@@ -14,7 +14,7 @@ import numpy as np
 
 from harness.diagnosis.equation import Equations, equations_of, expressible
 from harness.diagnosis.forms import Fitted
-from harness.diagnosis.motion import Motion, measured_coordinates, smooth_motion
+from harness.diagnosis.motion import Motion, measured_coordinates, smooth_motion, thinned
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.errors import FitError
@@ -59,9 +59,11 @@ class EquationForm:
         self.sizes = sizes
         self.columns = tuple((one.name, one.force_unit) for one in nominal.coordinates)
         self.motions: dict[str, tuple[Motion, ...]] = {
-            use: tuple(smooth_motion(run, columns) for run in dataset.using(use))  # type: ignore[arg-type]
+            use: tuple(smooth_motion(run, columns) for run in dataset.using(use))
             for use in ("estimation", "validation", "test")
         }
+        if shape == "weak":  # a screen: it need not see every sample
+            self.motions = {use: tuple(map(thinned, motions)) for use, motions in self.motions.items()}
         self.weights = np.ones(len(self.columns))
         self.floors: tuple[float | None, ...] = (None,) * len(self.columns)
         self._equations: dict[tuple[str, ...], Equations] = {}
@@ -86,7 +88,7 @@ class EquationForm:
         equations = self.equations(tuple(effects))
         system = equations.system
         best: tuple[float, dict[str, float], bool, str] | None = None
-        for start in starts or ({},):
+        for start in list(starts)[:2] or ({},):
             known = {**system.values(), **start}
             found = self._solve(equations, {name: known[name] for name in system.parameter_names})
             if best is None or found[0] < best[0]:
@@ -189,13 +191,20 @@ class EquationForm:
         if not free:
             r, _ = both(z0)
             return float(r @ r), dict(zip(names, p0.tolist(), strict=True)), True, "nothing to fit"
+
+        def residual(z: FloatArray) -> FloatArray:
+            return both(z)[0]
+
+        def jacobian(z: FloatArray) -> FloatArray:
+            return both(z)[1]
+
         found = least_squares(
-            lambda z: both(z)[0],
+            residual,
             np.clip(z0, low, high),
-            jac=lambda z: both(z)[1],
+            jac=jacobian,
             bounds=(low, high),
             x_scale="jac",
-            max_nfev=80,
+            max_nfev=40,
         )
         p = inflate(found.x)
         return 2 * float(found.cost), dict(zip(names, map(float, p), strict=True)), bool(found.success), found.message

@@ -92,7 +92,7 @@ def _figure(name: str, width: float, height: float) -> Iterator[tuple[Figure, li
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure as MakeFigure
 
-    style = {
+    style: Any = {
         "font.family": "sans-serif",
         "font.sans-serif": ["DejaVu Sans"],
         "font.size": 9,
@@ -269,7 +269,7 @@ def _surrogates(null: FloatArray, observed: Mapping[str, float]) -> str:
         floor = max(float(null[null > 0].min(initial=1e-6)), 1e-9)
         top = max([float(null.max()), *(value for _, value in leaders)])
         edges = np.geomspace(floor, max(top, floor * 1.01) * 1.3, 50)
-        axis.hist(np.maximum(null, floor), bins=edges, color=DATA, label=f"{null.size} surrogates")
+        axis.hist(np.maximum(null, floor), bins=edges.tolist(), color=DATA, label=f"{null.size} surrogates")
         axis.axvline(float(np.quantile(null, 0.99)), color=INK, lw=1, ls=":", label="99 % of surrogates")
         for rank, (name, value) in enumerate(leaders):
             axis.axvline(max(value, floor), color=BEFORE if rank == 0 else GREY, lw=1.6 if rank == 0 else 0.8)

@@ -38,7 +38,7 @@ from harness.signals import Dataset
 __all__ = ["Diagnosis", "Report", "close_loop", "close_loop_file", "diagnose"]
 
 Progress = Callable[[float, str], None]
-JSON, HTML = "report.json", "report.html"
+JSON, HTML, MODEL = "report.json", "report.html", "model.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,6 +239,7 @@ def close_loop(
     dictionary: Sequence[Effect] | None = None,
     inverse_dynamics: bool | None = None,
     workers: int | None = None,
+    name: str | None = None,
 ) -> Report:
     """Find the effect that a model lacks, add it, report the error before and after.
 
@@ -264,6 +265,9 @@ def close_loop(
         Overwrite a finished report in ``out``.
     dictionary, inverse_dynamics, workers
         See :func:`diagnose`.
+    name : str, optional
+        What the nominal model is loaded by (``NAME`` or ``FILE.py:NAME``), for ``model.json``; by default the name of
+        the model.
 
     Returns
     -------
@@ -298,6 +302,8 @@ def close_loop(
         import json
 
         write_html(found, data, folder / HTML)
+        repaired = _repaired(found, name or system.name)
+        write_atomic(folder / MODEL, json.dumps(repaired, indent=1, allow_nan=False) + "\n")
         write_atomic(folder / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
     if progress is not None:
         progress(1.0, data["summary"])
@@ -330,8 +336,30 @@ def close_loop_file(
     loaded = load_dataset(path, model=model, validation=validation)
     system = loaded.system()
     return close_loop(
-        loaded.for_system(system), system, out=out, resume=resume, force=force, seed=seed, progress=progress
+        loaded.for_system(system),
+        system,
+        out=out,
+        resume=resume,
+        force=force,
+        seed=seed,
+        progress=progress,
+        name="" if loaded.nominal is None else loaded.nominal.model,
     )
+
+
+def _repaired(found: Diagnosis, name: str) -> dict[str, Any]:
+    """Return the repaired model as a grey box that ``sysid export`` reads."""
+    from harness.specs import spec_to_dict
+
+    return {
+        "kind": "grey-box",
+        "spec": spec_to_dict(found.dataset.spec),
+        "model": name,
+        "parameters": {key: float(value) for key, value in found.final.system.values(found.final.values).items()},
+        "effects": [[placed.effect.name, placed.at] for placed in found.final.system.effects],
+        "intersample": found.dataset.intersample,
+        "notes": {"verdict": found.verdict},
+    }
 
 
 # ---- steps -----------------------------------------------------------------------------------------------------------

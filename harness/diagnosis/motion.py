@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Motion", "measured_coordinates", "motion_band", "smooth_motion"]
+__all__ = ["Motion", "measured_coordinates", "motion_band", "smooth_motion", "thinned"]
 
 ORDER = 4
 MOST = 20
@@ -128,5 +128,38 @@ def smooth_motion(run: Trajectory, columns: dict[str, tuple[int | None, int | No
     factor = int(np.clip(1 / (10 * band * dt), 1, MOST))
     while factor > 1 and (n - 2 * edge) // factor < 100:
         factor -= 1
-    columns_of = [np.stack(one, axis=1) for one in (q, v, a)]
-    return Motion(run.t, *columns_of, run.u, slice(edge, n - edge), factor, dt)
+    position_of, speed_of, acceleration_of = (np.stack(one, axis=1) for one in (q, v, a))
+    return Motion(run.t, position_of, speed_of, acceleration_of, run.u, slice(edge, n - edge), factor, dt)
+
+
+def thinned(motion: Motion, most: int = 6000) -> Motion:
+    """Return a motion with fewer samples where its band allows, the input averaged over each step.
+
+    Parameters
+    ----------
+    motion : Motion
+    most : int
+        Samples wanted at most; never thinned to less than five decimated samples in one.
+    """
+    n = motion.q.shape[0]
+    step = max(1, min(motion.factor // 5, -(-n // most)))
+    if step == 1:
+        return motion
+    rows = n // step
+    middle = step // 2
+
+    def pick(x: FloatArray) -> FloatArray:
+        return np.asarray(x[middle : middle + (rows - 1) * step + 1 : step])
+
+    u = motion.u[: rows * step].reshape(rows, step, motion.u.shape[1]).mean(axis=1)
+    edge = -(-motion.inside.start // step)
+    return Motion(
+        pick(motion.t),
+        pick(motion.q),
+        pick(motion.v),
+        pick(motion.a),
+        u,
+        slice(edge, rows - edge),
+        motion.factor // step,
+        motion.sample_time * step,
+    )

@@ -145,8 +145,8 @@ def top_octave(y: FloatArray) -> TopOctave:
     x = np.asarray(y, dtype=float)
     if np.ptp(x) == 0:
         return TopOctave(False, "the output does not move", 0.0)
-    x = x - np.linspace(x[0], x[-1], n)
-    f, power = signal.welch(x, window="blackman", nperseg=per, detrend="linear")
+    x = signal.detrend(x - np.linspace(x[0], x[-1], n))
+    f, power = signal.welch(x, window="blackman", nperseg=per)
     octave = (f >= 0.25) & (f < 0.495)
     f, power = f[octave], power[octave]
     average = float(power.mean())

@@ -65,8 +65,7 @@ class OutputForm:
         self.sample_time = dataset.spec.sample_time
         self.intersample = dataset.intersample
         self.records: dict[str, tuple[Trajectory, ...]] = {
-            use: tuple(run.measured() for run in dataset.using(use))  # type: ignore[arg-type]
-            for use in ("estimation", "validation", "test")
+            use: tuple(run.measured() for run in dataset.using(use)) for use in ("estimation", "validation", "test")
         }
         self._systems: dict[tuple[str, ...], Any] = {}
 

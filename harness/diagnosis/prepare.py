@@ -12,7 +12,8 @@ from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.motion import measured_coordinates, smooth_motion
 from harness.diagnosis.noise import NoiseFloor
 from harness.diagnosis.output_form import OutputForm
-from harness.effects.columns import Signals, motion_sizes
+from harness.effects import Signals
+from harness.effects.columns import motion_sizes
 from harness.errors import InputError
 from harness.signals import Dataset, FloatArray
 
@@ -40,7 +41,7 @@ def checked(dataset: Dataset, system: Any) -> Dataset:
     """
     spec = dataset.spec
     for use in ("estimation", "validation"):
-        if not dataset.using(use):  # type: ignore[arg-type]
+        if not dataset.using(use):
             raise InputError(
                 f"no {use} run in {dataset.name!r}",
                 expected="at least one estimation and one validation run",

@@ -3,21 +3,22 @@
 Keys of ``sysid-harness/close-loop/1``:
 
 ``verdict``
-    ``effects_found``; ``nothing_missing`` (no effect accepted, the rest is not predictable); ``unexplained`` (the rest is
-    predictable, no effect accepted).
+    ``effects_found``; ``nothing_missing`` (no effect accepted, and the rest is not predictable); ``unexplained`` (no
+    effect accepted, though the rest is predictable).
 ``adequacy``
-    ``explained``, ``mostly_explained``, ``proxy_or_incomplete``: the predictable part of what is left, over the noise floor.
+    ``explained``, ``mostly_explained``, ``proxy_or_incomplete``: the predictable part of what is left, over the noise.
 ``effects``
-    Accepted effects: ``name``, ``at``, ``parameters`` with ``value``, ``low``, ``high`` (95 %), ``unit``, and ``delta_bic``.
+    Accepted effects: ``name``, ``at``, ``delta_bic``, and ``parameters`` with ``value``, ``low``, ``high`` (95 %) and
+    ``unit``.
 ``tie_sets``
     One list for each accepted effect: all that these data cannot tell from it, itself first.
 ``errors``
-    ``before`` and ``after``: ``equation_error``, ``simulation_error`` (by use and output: ``rms``, ``nrmse``, ``unit``; with
-    ``horizon_s``, ``initial_state``, ``other_horizons``), ``residual_to_noise``.
+    ``before`` and ``after``: ``equation_error``, ``simulation_error`` (by use and output ``rms``, ``nrmse``, ``unit``;
+    with ``horizon_s``, ``initial_state``, ``other_horizons``), ``residual_to_noise``.
 ``parameters``
     ``before`` and ``after``: every parameter with its interval (null limits: fixed, or not determined).
 ``noise_floor``
-    By output: ``value``, ``unit``, ``source`` (``declared | repeated_periods | fourth_difference | black_box | null``).
+    By output: ``value``, ``unit``, ``source`` (declared, repeated_periods, fourth_difference, black_box, null).
 ``disturbance``
     By output: what is left and cannot be predicted, where it exceeds the noise floor.
 ``candidates``
@@ -311,7 +312,6 @@ def _force_map(found: Diagnosis) -> dict[str, Any] | None:
     if not found.adequacy.predictable or best is None:
         return None
     family = found.families[best.axes]
-    count = 9 if len(family.axes) == 1 else 6
     return {
         "warning": "not physical: a table fitted to what is left; invalid outside its hull",
         "place": family.place,
@@ -319,10 +319,10 @@ def _force_map(found: Diagnosis) -> dict[str, Any] | None:
             {
                 "name": axis.name,
                 "unit": axis.unit,
-                "knots": axis.knots(count).tolist(),
+                "knots": knots.tolist(),
                 "hull": [known(v) for v in axis.hull],
             }
-            for axis in family.axes
+            for axis, knots in zip(family.axes, family.knots(), strict=True)
         ],
         "values": [known(v) for v in best.coefficients],
         "share": known(best.share),

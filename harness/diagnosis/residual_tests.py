@@ -82,7 +82,7 @@ def autocorrelation(r: FloatArray, lags: int = 25) -> FloatArray:
     size = 1 << int(np.ceil(np.log2(2 * x.size)))
     spectrum = np.fft.rfft(x, size)
     full = np.fft.irfft(np.abs(spectrum) ** 2, size)[: lags + 1]
-    return full / full[0] if full[0] > 0 else np.r_[1.0, np.zeros(lags)]
+    return np.asarray(full / full[0] if full[0] > 0 else np.r_[1.0, np.zeros(lags)])
 
 
 def max_autocorrelation(r: FloatArray, lags: int = 25) -> float:
@@ -102,7 +102,7 @@ def cross_correlation(u: FloatArray, r: FloatArray, lags: int = 25) -> FloatArra
         return np.zeros(2 * lags + 1)
     size = 1 << int(np.ceil(np.log2(2 * x.size)))
     full = np.fft.irfft(np.fft.rfft(e, size) * np.conj(np.fft.rfft(x, size)), size)
-    return np.r_[full[-lags:] if lags else [], full[: lags + 1]] / scale
+    return np.asarray(np.r_[full[-lags:] if lags else [], full[: lags + 1]] / scale)
 
 
 def ljung_box(r: FloatArray, lags: int = 25, fitted: int = 0) -> Outcome:
@@ -253,7 +253,7 @@ def _running_median(power: FloatArray) -> FloatArray:
     wide = median_filter(power, size=min(101, power.size | 1), mode="reflect")
     index = np.arange(power.size)
     background = np.where(index < 15, narrow, wide)
-    return background / np.log(2.0)
+    return np.asarray(background / np.log(2.0))
 
 
 def _peak(power: FloatArray, k: int) -> float:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.adequacy import hat_basis, joint_basis
-from harness.diagnosis.equation import decimated
+from harness.diagnosis.equation import bump_rows, decimated
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, stacked
 from harness.diagnosis.output_form import OutputForm
@@ -24,7 +24,7 @@ from harness.signals import FloatArray
 __all__ = ["Axis", "Family", "equation_families", "output_families", "responses_of"]
 
 KNOTS = 9
-JOINT_KNOTS = 6
+JOINT_KNOTS = (9, 6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +59,14 @@ class Family:
         """Such as ``"force on theta of theta, theta'"``."""
         return f"{self.place} of {', '.join(axis.name for axis in self.axes)}"
 
+    def knots(self) -> list[FloatArray]:
+        """Return the knots of each axis."""
+        counts = (KNOTS,) if len(self.axes) == 1 else JOINT_KNOTS
+        return [axis.knots(count) for axis, count in zip(self.axes, counts, strict=True)]
+
     def basis(self, use: str) -> list[FloatArray]:
         """Return the functions (N_i, K) on every record of a use."""
-        count = KNOTS if len(self.axes) == 1 else JOINT_KNOTS
-        knots = [axis.knots(count) for axis in self.axes]
+        knots = self.knots()
         result = []
         for number in range(len(self.axes[0].values[use])):
             parts = [hat_basis(axis.values[use][number], k) for axis, k in zip(self.axes, knots, strict=True)]
@@ -87,12 +91,17 @@ def responses_of(form: Any, fitted: Fitted) -> tuple[Responses, dict[str, Family
         families, raw = output_families(form, fitted)
         outside = _output_jacobian(form, fitted)
     inside = list(fitted.jacobian)
+    if isinstance(form, EquationForm):
+        # all parameters and all inputs scaled together leave no residual at all: that is no prediction
+        inside = [np.concatenate(pair, axis=2) for pair in zip(inside, _pushes(form, "estimation"), strict=True)]
+        outside = [np.concatenate(pair, axis=2) for pair in zip(outside, _pushes(form, "validation"), strict=True)]
+    known = inside[0].shape[2] > 0
     result: Responses = {}
     flat, other = stacked(inside), stacked(outside)
-    left = orthonormal(other, tolerance=1e-9) if fitted.free else np.zeros((other.shape[0], 0))
+    left = orthonormal(other, tolerance=1e-9) if known else np.zeros((other.shape[0], 0))
     for family in families:
         phi, psi = raw["estimation"][family.name], raw["validation"][family.name]
-        if fitted.free:
+        if known:
             share = np.linalg.lstsq(flat, stacked(phi), rcond=1e-10)[0]
             phi = [one - j @ share for one, j in zip(phi, inside, strict=True)]
             psi = _without(left, psi)
@@ -139,12 +148,30 @@ def _on_equations(form: EquationForm, families: Sequence[Family], use: str) -> d
         row = names.index(family.place.removeprefix("force on "))
         parts = []
         for motion, phi in zip(form.motions[use], family.basis(use), strict=True):
-            slim = decimated(phi, motion)
+            slim = decimated(phi, motion) if form.shape == "strong" else bump_rows(phi, motion)
             full = np.zeros((slim.shape[0], len(names), slim.shape[1]))
             full[:, row] = slim / form.weights[row]
             parts.append(full)
         result[family.name] = parts
     return result
+
+
+def _pushes(form: EquationForm, use: str) -> list[FloatArray]:
+    """Return the force of each input on each coordinate, as it appears in the residual."""
+    equations = form.equations(())
+    p = equations.system.vector()
+    parts = []
+    for motion in form.motions[use]:
+        columns = []
+        for k in range(motion.u.shape[1]):
+            alone = np.zeros_like(motion.u)
+            alone[:, k] = motion.u[:, k]
+            force = equations.force_of(motion, alone, p)
+            slim = decimated(force, motion) if form.shape == "strong" else bump_rows(force, motion)
+            columns.append(slim / form.weights)
+        rows = (decimated if form.shape == "strong" else bump_rows)(motion.q, motion).shape
+        parts.append(np.stack(columns, axis=2) if columns else np.zeros((*rows, 0)))
+    return parts
 
 
 def _equation_jacobian(form: EquationForm, fitted: Fitted) -> list[FloatArray]:
@@ -193,8 +220,18 @@ def output_families(form: OutputForm, fitted: Fitted) -> tuple[list[Family], dic
     return families, made
 
 
+def _turning(axis: Axis) -> Axis:
+    """Return an angle folded into one turn, where it makes more than one."""
+    low, high = axis.hull
+    if axis.unit != "rad" or high - low <= 2.2 * np.pi:
+        return axis
+    folded = {use: [(x + np.pi) % (2 * np.pi) - np.pi for x in parts] for use, parts in axis.values.items()}
+    return Axis(f"{axis.name} (folded)", axis.unit, folded)
+
+
 def _of(place: str, q: Axis, v: Axis | None, t: Axis, inputs: Sequence[Axis]) -> list[Family]:
     """Return the families at one place: each axis alone, position with speed, speed with the first input."""
+    q = _turning(q)
     single = [q, *([v] if v is not None else []), *inputs[:2], t]
     moving = [axis for axis in single if axis.hull[1] > axis.hull[0]]
     families = [Family(place, (axis,)) for axis in moving]

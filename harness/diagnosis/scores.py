@@ -107,7 +107,7 @@ def equation_error(
         p = equations.system.vector(fitted.values)
         for use in USES:
             parts = [equations.residual(motion, p, "strong", ())[0] for motion in strong.motions[use]]
-            pushes = [_inputs_like(equations, motion, p) for motion in strong.motions[use]]
+            pushes = [equations.force_of(motion, motion.u, p) for motion in strong.motions[use]]
             result[use] = figures(parts, pushes, strong.columns)
         result["meaning"] = "residual force on measured motion, low-passed and decimated"
         return result
@@ -134,10 +134,3 @@ def noise_ratios(parts: Mapping[str, Sequence[FloatArray]], floors: Sequence[flo
         value = max(known, default=None) if known else None
         result[use] = value if value is not None and np.isfinite(value) else None
     return result
-
-
-def _inputs_like(equations: Any, motion: Any, p: FloatArray) -> FloatArray:
-    """Return the inputs' force along a motion (N, n), for the NRMSE of the force residual."""
-    tile = np.repeat(np.asarray(p, dtype=float)[:, None], motion.q.shape[0], axis=1)
-    force = equations.drive(motion.q.T, motion.v.T, motion.u.T, tile, motion.t[None])
-    return np.array(force, dtype=float).T

@@ -19,7 +19,8 @@ from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.residual_tests import effective_samples
 from harness.diagnosis.screens import SEEN, Probe, Screen
 from harness.diagnosis.surrogates import orthonormal
-from harness.effects.columns import Signals, column_blocks
+from harness.effects import Signals
+from harness.effects.columns import column_blocks
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
 from harness.signals import FloatArray

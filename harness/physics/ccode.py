@@ -7,7 +7,6 @@ import functools
 import hashlib
 import os
 import platform
-import shutil
 import subprocess
 import tempfile
 from pathlib import Path
@@ -15,7 +14,10 @@ from typing import Any
 
 import casadi as ca
 
-__all__ = ["Compilation", "c_function", "cache_folder", "compiler", "system_source"]
+from harness.compiled import cache_folder
+from harness.fmi.build import compiler
+
+__all__ = ["Compilation", "c_function", "system_source"]
 
 # No fused multiply-add: the compiled code repeats CasADi's virtual machine bit for bit.
 FLAGS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off", "-fno-math-errno", "-std=c99")
@@ -197,41 +199,6 @@ static void PREFIX_step(double *x, const double *u, const double *p, double t, d
 
 
 # ---- compilation -------------------------------------------------------------------------------------------------
-
-
-def cache_folder() -> Path:
-    """Return the folder of compiled rollouts: ``$SYSID_HARNESS_CACHE``, or the user's cache folder."""
-    given = os.environ.get("SYSID_HARNESS_CACHE")
-    if given:
-        folder = Path(given)
-    else:
-        import platformdirs
-
-        folder = Path(platformdirs.user_cache_dir("sysid-harness"))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        writable = os.access(folder, os.W_OK)
-    except OSError:
-        writable = False
-    if not writable:
-        folder = Path(tempfile.gettempdir()) / f"sysid-harness-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return folder
-
-
-@functools.cache
-def compiler() -> str | None:
-    """Return the path of the C compiler (``$CC``, gcc, cc), None where there is none or it is switched off.
-
-    ``SYSID_HARNESS_NO_COMPILER=1`` switches it off.
-    """
-    if os.environ.get("SYSID_HARNESS_NO_COMPILER", "") not in ("", "0"):
-        return None
-    for name in (os.environ.get("CC", ""), "gcc", "cc", "clang"):
-        found = shutil.which(name) if name else None
-        if found:
-            return found
-    return None
 
 
 class Compilation:

@@ -40,7 +40,7 @@ def fit_output_error(
     noise: Mapping[str, float] | None = None,
     starts: int = 1,
     rng: np.random.Generator | None = None,
-    intersample: Literal["zoh", "foh"] = "zoh",
+    intersample: Literal["zoh", "foh", "smooth"] = "zoh",
     max_iterations: int = 60,
     x0: Sequence[FloatArray] | None = None,
     prefer_parameters_of: OutputErrorFit | None = None,
@@ -75,7 +75,7 @@ def fit_output_error(
         Number of starts; from the second on they are drawn around the first, and the best minimum counts.
     rng : numpy.random.Generator
         For more than one start.
-    intersample : {"zoh", "foh"}
+    intersample : {"zoh", "foh", "smooth"}
         How the input moves between samples.
     max_iterations : int
         At each horizon.
@@ -154,7 +154,7 @@ def simulate_error(
     *,
     horizon: float | None,
     x0: Literal["estimated", "data"] | Sequence[FloatArray] = "estimated",
-    intersample: Literal["zoh", "foh"] = "zoh",
+    intersample: Literal["zoh", "foh", "smooth"] = "zoh",
     substeps: int | None = None,
     continuation: Sequence[float | None] = (2.0, 6.0, None),
     noise: Mapping[str, float] | None = None,

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 from typing import TYPE_CHECKING, Any, Literal
 
 import casadi as ca
 import numpy as np
 
 from harness.errors import InputError
-from harness.physics.ccode import Compilation, compiler
+from harness.fmi.build import compiler
+from harness.physics.ccode import Compilation
 from harness.physics.rollout_code import Functions, rollout_source
 from harness.physics.sampled import SampledBlocks
 from harness.signals import FloatArray, PlantSpec
@@ -17,13 +19,16 @@ from harness.signals import FloatArray, PlantSpec
 if TYPE_CHECKING:
     from harness.physics.system import System
 
-__all__ = ["Backend", "Simulator", "default_substeps"]
+__all__ = ["Backend", "Intersample", "Simulator", "default_substeps"]
 
 Backend = Literal["auto", "c", "casadi"]
+Intersample = Literal["zoh", "foh", "smooth"]
 
 # "auto" starts the compiler in the background once the virtual machine has simulated so many samples.
 _PATIENCE = 2000
 _MAXIMUM_SUBSTEPS = 50
+# A smooth input is followed in at least so many straight pieces per sample.
+_SMOOTH_PIECES = 4
 
 
 def default_substeps(system: System, dt: float, p: FloatArray | None = None) -> int:
@@ -52,8 +57,9 @@ class Simulator:
     system : System
     dt : float
         Sample time [s].
-    intersample : {"zoh", "foh"}
-        Input held, or moving on a straight line to the next sample (held after the last).
+    intersample : {"zoh", "foh", "smooth"}
+        Input held; moving on a straight line to the next sample (held after the last); or on the cubic spline through
+        the samples, for an input that was measured behind an anti-aliasing filter and not held by a converter.
     substeps : int, optional
         Runge-Kutta steps in a sample; by default from the eigenvalues of the system at its nominal parameters.
     backend : {"auto", "c", "casadi"}
@@ -93,14 +99,14 @@ class Simulator:
         system: System,
         dt: float,
         *,
-        intersample: Literal["zoh", "foh"] = "zoh",
+        intersample: Intersample = "zoh",
         substeps: int | None = None,
         backend: Backend = "auto",
     ) -> None:
-        if backend not in ("auto", "c", "casadi") or intersample not in ("zoh", "foh"):
+        if backend not in ("auto", "c", "casadi") or intersample not in ("zoh", "foh", "smooth"):
             raise InputError(
                 "option of a simulator",
-                expected="backend auto, c or casadi; intersample zoh or foh",
+                expected="backend auto, c or casadi; intersample zoh, foh or smooth",
                 got=f"backend {backend!r}, intersample {intersample!r}",
                 remedy="use one of these",
             )
@@ -111,13 +117,17 @@ class Simulator:
         self.nx, self.np, self.parameter_names = system.nx, system.np, system.parameter_names
         self.dt, self.intersample = float(dt), intersample
         self.substeps = default_substeps(system, dt) if substeps is None else int(substeps)
+        if intersample == "smooth":
+            self.substeps = max(self.substeps, _SMOOTH_PIECES)
         self.backend = backend
+        self._finer: list[tuple[FloatArray, FloatArray]] = []
         self.functions = Functions(system)
         self.sampled = SampledBlocks(system, self.dt)
         self._compilation: dict[bool, Compilation] = {}
         self._work = 0
+        self._compiles = compiler() is not None
         if backend == "c":
-            if compiler() is None:
+            if not self._compiles:
                 raise InputError(
                     "no C compiler", expected="gcc or cc", got="none", remedy='install one, or use backend "casadi"'
                 )
@@ -231,10 +241,16 @@ class Simulator:
         values, start, times = p, x0, t0
         m, n = seen.shape[:2]
         library = self._library(sensitivities, m * n)
-        if library is not None:
-            x, y, s = self._in_c(library, values, start, seen, slope, times, sensitivities)
+        run = self._in_casadi if library is None else functools.partial(self._in_c, library)
+        if self.intersample != "smooth":
+            x, y, s = run(values, start, seen, slope, times, sensitivities, self.dt, self.substeps)
         else:
-            x, y, s = self._in_casadi(values, start, seen, slope, times, sensitivities)
+            pieces = self.substeps
+            seen, slope = self._refined(seen), None if slope is None else self._refined(slope)
+            found = run(values, start, seen, slope, times, sensitivities, self.dt / pieces, 1)
+            x, y, s = (None if one is None else np.ascontiguousarray(one[:, ::pieces]) for one in found)
+            assert x is not None
+            assert y is not None
         y, s = self.sampled.outputs(y, s, values)
         return x, y, s
 
@@ -253,6 +269,26 @@ class Simulator:
             array = np.broadcast_to(array, (m, size))
         return np.ascontiguousarray(array)
 
+    def _refined(self, signal: FloatArray) -> FloatArray:
+        """Return a signal (M, N, ...) on the finer grid of its cubic spline, ((N - 1) substeps + 1) samples.
+
+        A fit asks for the same windows again and again: the last few answers are kept.
+        """
+        from scipy.interpolate import CubicSpline
+
+        for known, answer in self._finer:
+            if known is signal:
+                return answer
+        n, pieces = signal.shape[1], self.substeps
+        grid = np.arange((n - 1) * pieces + 1) / pieces
+        if n < 4 or signal.size == 0:
+            held = np.minimum(np.round(grid).astype(int), n - 1)
+            finer = np.ascontiguousarray(signal[:, held])
+        else:
+            finer = np.ascontiguousarray(CubicSpline(np.arange(n), signal, axis=1)(grid))
+        self._finer = [*self._finer[-7:], (signal, finer)]
+        return finer
+
     def _compiled(self, sensitivities: bool) -> Compilation:
         if sensitivities not in self._compilation:
             source = rollout_source(self.functions, sensitivities, self.sampled.delay_columns)
@@ -261,7 +297,7 @@ class Simulator:
 
     def _library(self, sensitivities: bool, samples: int) -> ctypes.CDLL | None:
         """Return the compiled rollout if it is there, or worth waiting for."""
-        if self.backend == "casadi" or compiler() is None:
+        if self.backend == "casadi" or not self._compiles:
             return None
         compilation = self._compiled(sensitivities)
         if self.backend == "c":
@@ -287,6 +323,8 @@ class Simulator:
         slope: FloatArray | None,
         t0: FloatArray,
         sensitivities: bool,
+        dt: float,
+        substeps: int,
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
         m, n = u.shape[:2]
         ny, ns = self.spec.ny, self.np + self.nx
@@ -302,9 +340,9 @@ class Simulator:
             _pointer(u),
             _pointer(slope),
             _pointer(t0),
-            ctypes.c_double(self.dt),
-            ctypes.c_long(self.substeps),
-            ctypes.c_int(self.intersample == "foh"),
+            ctypes.c_double(dt),
+            ctypes.c_long(substeps),
+            ctypes.c_int(self.intersample != "zoh"),
             _pointer(x),
             _pointer(y),
             _pointer(s),
@@ -321,12 +359,14 @@ class Simulator:
         slope: FloatArray | None,
         t0: FloatArray,
         sensitivities: bool,
+        dt: float,
+        substeps: int,
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
         m, n = u.shape[:2]
         ny, ns = self.spec.ny, self.np + self.nx
         x, y = np.full((m, n, self.nx), np.nan), np.full((m, n, ny), np.nan)
         s = np.full((m, n, ny, ns), np.nan) if sensitivities else None
-        foh = self.intersample == "foh"
+        foh = self.intersample != "zoh"
         for window in range(m):
             held = u[window]
             after = np.vstack([held[1:], held[-1:]]) if foh else held
@@ -335,8 +375,8 @@ class Simulator:
                 d_held = slope[window].reshape(n, -1)
                 d_after = np.vstack([d_held[1:], d_held[-1:]]) if foh else d_held
             k = self.functions.virtual_machine(
-                self.dt,
-                self.substeps,
+                dt,
+                substeps,
                 foh,
                 sensitivities,
                 self.sampled.delay_columns,

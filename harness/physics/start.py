@@ -30,7 +30,7 @@ def first_values(
     values: dict[str, float],
     free: npt.NDArray[np.bool_],
     given: set[str],
-    intersample: Literal["zoh", "foh"],
+    intersample: Literal["zoh", "foh", "smooth"],
 ) -> list[FloatArray]:
     """Return parameter vectors worth starting from, the plain one first.
 
@@ -44,7 +44,7 @@ def first_values(
         Which parameters are fitted.
     given : set of str
         Those whose value the caller chose; they stay.
-    intersample : {"zoh", "foh"}
+    intersample : {"zoh", "foh", "smooth"}
 
     Returns
     -------

@@ -413,7 +413,7 @@ class System:
         self,
         dt: float,
         *,
-        intersample: Literal["zoh", "foh"] = "zoh",
+        intersample: Literal["zoh", "foh", "smooth"] = "zoh",
         substeps: int | None = None,
         backend: Backend = "auto",
     ) -> Simulator:

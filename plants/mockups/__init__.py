@@ -6,11 +6,18 @@ import hashlib
 import platform
 from pathlib import Path
 
+from harness.compiled import build_once
 from harness.errors import InputError
-from plants.compiled import build_once
-from plants.mockups import build
+from harness.fmi import build
 
-__all__ = ["mockup"]
+__all__ = ["FOLDER", "mockup", "models"]
+
+FOLDER = Path(__file__).resolve().parent
+
+
+def models() -> tuple[str, ...]:
+    """Return the names of the mockups: the folders with a modelDescription.xml."""
+    return tuple(sorted(path.parent.name for path in FOLDER.glob("*/modelDescription.xml")))
 
 
 def mockup(model: str, version: int = 2) -> Path:
@@ -39,24 +46,26 @@ def mockup(model: str, version: int = 2) -> Path:
     >>> mockup("pendulum").name
     'pendulum-fmi2.fmu'
     """
-    if model not in build.models() or version not in (2, 3):
+    if model not in models() or version not in (2, 3):
         raise InputError(
             "unknown mockup",
-            expected=f"one of {', '.join(build.models())}, FMI version 2 or 3",
+            expected=f"one of {', '.join(models())}, FMI version 2 or 3",
             got=f"{model!r}, version {version!r}",
             remedy="correct the name",
         )
     name = f"{model}-fmi{version}.fmu"
-    carried = build.FOLDER / "built" / name
+    carried = FOLDER / "built" / name
     if carried.is_file():
         return carried
     digest = hashlib.sha256()
-    for file in sorted([*build.FOLDER.glob("fmi*.[ch]"), Path(build.__file__), *(build.FOLDER / model).iterdir()]):
+    for file in sorted([*build.FOLDER.glob("fmi*.[ch]"), Path(build.__file__), *(FOLDER / model).iterdir()]):
         if file.is_file():
             digest.update(file.name.encode() + b"\0" + file.read_bytes())
     digest.update(repr((version, platform.machine(), platform.system(), build.FLAGS)).encode())
     try:
-        return build_once(digest.hexdigest()[:24], name, lambda target: build.build_fmu(model, version, target))
+        return build_once(
+            digest.hexdigest()[:24], name, lambda target: build.build_fmu(FOLDER / model, version, target)
+        )
     except build.BuildError as error:
         raise InputError(
             f"the FMU of {model!r} cannot be built",

@@ -19,7 +19,7 @@ FOLDER = Path(__file__).resolve().parent / "fmus"
 @pytest.fixture(scope="session")
 def odd_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Return a builder: name of a folder under fmus/, FMI version -> path of the FMU."""
-    from plants.mockups import build
+    from harness.fmi import build
 
     if build.compiler() is None:
         pytest.skip("no C compiler: install gcc")

@@ -14,11 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.errors import InputError, PlantError
+from harness.fmi import build
 from harness.signals import FloatArray
 from plants import fmu_engine
 from plants.fmu import FmuPlant, describe
 from plants.fmu_mockups import pendulum_fmu
-from plants.mockups import build, mockup
+from plants.mockups import FOLDER, mockup, models
 
 GOLDEN = Path(fmu_engine.__file__).parent / "golden" / "pendulum-fmu.csv"
 RNG = np.random.default_rng(0)
@@ -246,11 +247,11 @@ def test_twin_builds_against_the_headers_of_the_standard(tmp_path: Path) -> None
     headers = Path(fmpy.__file__).parent / "c-code"
     for model in ("pendulum", "quantiser"):
         for version in (2, 3):
-            build.build_fmu(model, version, tmp_path / "x.fmu", "-DFMI_HEADERS", f"-I{headers}", "-Werror")
+            build.build_fmu(FOLDER / model, version, tmp_path / "x.fmu", "-DFMI_HEADERS", f"-I{headers}", "-Werror")
 
 
 @pytest.mark.parametrize("version", [2, 3])
-@pytest.mark.parametrize("model", build.models())
+@pytest.mark.parametrize("model", models())
 def test_mockups_pass_fmpys_validation_and_start_as_described(model: str, version: int) -> None:
     from fmpy.validation import validate_fmu
 

@@ -14,7 +14,8 @@ from harness.errors import HarnessError, InputError
 from plants.fmu import FmuPlant, describe
 from plants.fmu_archive import read_fmu
 from plants.fmu_probe import ProbeResult, probe
-from plants.mockups import build, mockup
+from plants.isolated import IsolatedPlant
+from plants.mockups import mockup, models
 
 MODES = {"segfault": 1, "hangs": 4, "nan": 5, "terminates": 8}
 
@@ -24,7 +25,7 @@ def verdicts(result: ProbeResult) -> dict[str, bool | None]:
     return {finding.check: finding.passed for finding in result.findings}
 
 
-@pytest.mark.parametrize("model", build.models())
+@pytest.mark.parametrize("model", models())
 def test_our_own_fmus_pass(model: str) -> None:
     result = probe(mockup(model), samples=60, isolate=False)
     assert result.passed, str(result)
@@ -98,9 +99,11 @@ def test_foreign_fmus_run_and_repeat(path: Path) -> None:
         assert found.get("reset") is not False, str(result)
         assert found.get("restore") is not False, str(result)
         if kind == "cs" and found["runs"]:
-            with FmuPlant(path, sample_time=0.01, kind=kind) as plant:
+            options = {"path": str(path), "sample_time": 0.01, "kind": kind}
+            with FmuPlant(path, sample_time=0.01, kind=kind) as described:
+                u = np.tile(described.input_starts, (50, 1))
+            with IsolatedPlant("plants.fmu:FmuPlant", options) as plant:
                 rng = np.random.default_rng(0)
-                u = np.zeros((50, plant.spec.nu))
                 plant.reset(rng=rng)
                 stepped = np.array([plant.step(row) for row in u])
                 plant.reset(rng=rng)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from harness.errors import PlantError
+from harness.fmi import build
 from plants import fmu_engine
 from plants.fmu import FmuPlant
-from plants.mockups import build
 
 RNG = np.random.default_rng(0)
 FOLDER = Path(__file__).resolve().parent / "fmus" / "old"

@@ -16,6 +16,8 @@ __all__ = ["build_once", "cache_folder"]
 def cache_folder() -> Path:
     """Return the folder for compiled files: ``$SYSID_HARNESS_CACHE``, else the user's cache folder.
 
+    It exists; where it cannot be written (a read-only home) a temporary folder of this process takes its place.
+
     Examples
     --------
     >>> cache_folder().is_absolute()
@@ -23,10 +25,16 @@ def cache_folder() -> Path:
     """
     given = os.environ.get("SYSID_HARNESS_CACHE")
     if given:
-        return Path(given).resolve()
-    import platformdirs
+        folder = Path(given).resolve()
+    else:
+        import platformdirs
 
-    return Path(platformdirs.user_cache_dir("sysid-harness")).absolute()
+        folder = Path(platformdirs.user_cache_dir("sysid-harness")).absolute()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return _own_folder()
+    return folder if os.access(folder, os.W_OK) else _own_folder()
 
 
 def build_once(key: str, name: str, make: Callable[[Path], None]) -> Path:
@@ -45,24 +53,15 @@ def build_once(key: str, name: str, make: Callable[[Path], None]) -> Path:
     Returns
     -------
     Path
-        In the cache, or in a temporary folder if the cache cannot be written.
+        In :func:`cache_folder`.
     """
     folder = cache_folder() / "fmu" / key
     final = folder / name
     if final.is_file():
         return final
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle, part = tempfile.mkstemp(dir=folder, suffix=".part")
-        os.close(handle)
-    except OSError:  # a read-only home: build for this process only
-        folder = _own_folder() / key
-        folder.mkdir(exist_ok=True)
-        final = folder / name
-        if final.is_file():
-            return final
-        handle, part = tempfile.mkstemp(dir=folder, suffix=".part")
-        os.close(handle)
+    folder.mkdir(parents=True, exist_ok=True)
+    handle, part = tempfile.mkstemp(dir=folder, suffix=".part")
+    os.close(handle)
     scratch = Path(part)
     try:
         make(scratch)

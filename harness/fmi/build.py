@@ -1,7 +1,7 @@
-"""Build our own FMUs with a C compiler: from model.c and modelDescription.xml to FMI 2.0 and FMI 3.0.
+"""Build FMUs with a C compiler: from model.c and modelDescription.xml to FMI 2.0 and FMI 3.0.
 
 Only the standard library is imported: the wheel's build hook runs this file before anything is installed. The
-committed descriptions are FMI 2.0; those of FMI 3.0 and the table of variables for the C code are derived from them.
+descriptions are FMI 2.0; those of FMI 3.0 and the table of variables for the C code are derived from them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ __all__ = [
     "compile_library",
     "compiler",
     "library_suffix",
-    "models",
 ]
 
 FOLDER = Path(__file__).resolve().parent
@@ -38,16 +37,16 @@ class BuildError(Exception):
 
 
 def compiler() -> str | None:
-    """Return the C compiler: ``$CC``, else gcc, else cc; None if there is none."""
-    for name in (os.environ.get("CC"), "gcc", "cc"):
+    """Return the C compiler: ``$CC``, else gcc, cc or clang; None if there is none or it is switched off.
+
+    ``SYSID_HARNESS_NO_COMPILER=1`` switches it off.
+    """
+    if os.environ.get("SYSID_HARNESS_NO_COMPILER", "") not in ("", "0"):
+        return None
+    for name in (os.environ.get("CC"), "gcc", "cc", "clang"):
         if name and (found := shutil.which(name)):
             return found
     return None
-
-
-def models() -> tuple[str, ...]:
-    """Return the names of the mockups: the folders with a modelDescription.xml."""
-    return tuple(sorted(path.parent.name for path in FOLDER.glob("*/modelDescription.xml")))
 
 
 def library_suffix() -> str:
@@ -85,13 +84,13 @@ def compile_library(sources: list[Path], target: Path, *options: str, libraries:
         raise BuildError(f"{program} failed: {' '.join(done.stderr.split())[:600]}")
 
 
-def build_fmu(model: str | Path, version: int, target: Path, *options: str) -> None:
-    """Write the FMU of a mockup.
+def build_fmu(model: Path, version: int, target: Path, *options: str, sources: bool = False) -> None:
+    """Write an FMU.
 
     Parameters
     ----------
-    model : str or Path
-        One of :func:`models`, or a folder with ``model.c`` and ``modelDescription.xml`` (FMI 2.0). Beside them there
+    model : Path
+        Folder with ``model.c`` and ``modelDescription.xml`` (FMI 2.0). Beside them there
         may be an ``entry.c`` that includes ``fmi.c`` and changes its entry points, and a ``modelDescription-fmi3.xml``
         where the derived one would not do.
     version : {2, 3}
@@ -100,29 +99,30 @@ def build_fmu(model: str | Path, version: int, target: Path, *options: str) -> N
         The ``.fmu`` to write.
     *options : str
         More options for the compiler.
+    sources : bool
+        Put the C sources into the FMU, too.
 
     Raises
     ------
     BuildError
         If there is no compiler, or it fails.
     """
-    source = FOLDER / model  # an absolute path stays as it is
-    root = ElementTree.parse(source / "modelDescription.xml").getroot()
+    root = ElementTree.parse(model / "modelDescription.xml").getroot()
     interface = root.find("ModelExchange")
     identifier = (_child(root, "CoSimulation") if interface is None else interface).attrib["modelIdentifier"]
     with tempfile.TemporaryDirectory(prefix="sysid-mockup-") as scratch:
         folder = Path(scratch)
-        (folder / "variables.h").write_text(_variables_header(root), encoding="utf-8")
+        (folder / "variables.h").write_text(_variables_header(root, version), encoding="utf-8")
         library = folder / f"{identifier}{library_suffix()}"
-        entry = source / "entry.c"
+        entry = model / "entry.c"
         compile_library(
             [entry if entry.is_file() else FOLDER / "fmi.c"],
             library,
             f"-DFMI={version}",
-            *(f"-I{place}" for place in (folder, source, FOLDER)),
+            *(f"-I{place}" for place in (folder, model, FOLDER)),
             *options,
         )
-        own = source / f"modelDescription-fmi{version}.xml"
+        own = model / f"modelDescription-fmi{version}.xml"
         if own.is_file():
             description = ElementTree.parse(own).getroot()
         else:
@@ -132,6 +132,27 @@ def build_fmu(model: str | Path, version: int, target: Path, *options: str) -> N
         with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
             _add(archive, "modelDescription.xml", text)
             _add(archive, f"binaries/{binary_folder(version)}/{library.name}", library.read_bytes())
+            for source in _sources(folder, model, version) if sources else ():
+                _add(archive, f"sources/{source.name}", source.read_bytes())
+            if sources and version == 3:
+                _add(archive, "sources/buildDescription.xml", _build_description(identifier))
+
+
+def _sources(folder: Path, model: Path, version: int) -> list[Path]:
+    """Return the files that a compiler needs: the glue, the model and its table of variables."""
+    return [FOLDER / "fmi.c", FOLDER / f"fmi{version}.h", model / "model.c", folder / "variables.h"]
+
+
+def _build_description(identifier: str) -> bytes:
+    """Return the instructions to compile the sources of an FMI 3.0 FMU (FMI 3.0 sec. 2.5.1.4)."""
+    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=identifier)
+    files = ElementTree.SubElement(configuration, "SourceFileSet", language="C11")
+    ElementTree.SubElement(files, "SourceFile", name="fmi.c")
+    ElementTree.SubElement(files, "PreprocessorDefinition", name="FMI", value="3")
+    ElementTree.SubElement(configuration, "Library", name="m", external="true")
+    text: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    return text
 
 
 def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:
@@ -160,7 +181,7 @@ def _access(variable: ElementTree.Element) -> str:
     return "x" if variable.get("initial") == "exact" else "c"
 
 
-def _variables_header(root: ElementTree.Element) -> str:
+def _variables_header(root: ElementTree.Element, version: int) -> str:
     """Return variables.h: value references as constants, start values, access."""
     variables = list(_child(root, "ModelVariables"))
     names, starts, access = ["V_time = 0"], ["0"], ["c"]
@@ -172,6 +193,7 @@ def _variables_header(root: ElementTree.Element) -> str:
         starts.append({"true": "1", "false": "0"}.get(start, start))
         access.append(_access(variable))
     return (
+        f"#ifndef FMI\n#define FMI {version}\n#endif\n"
         f"enum {{ {', '.join(names)}, VARIABLES = {len(names)} }};\n"
         f"static const double START[VARIABLES] = {{ {', '.join(starts)} }};\n"
         f'static const char ACCESS[] = "{"".join(access)}";\n'

@@ -1,0 +1,163 @@
+"""Write a grey-box model as co-simulation FMUs, FMI 2.0 and FMI 3.0, each with its C source."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from harness.errors import InputError
+from harness.export.c_model import description, model_source
+
+if TYPE_CHECKING:
+    from harness.physics.simulator import Simulator
+
+__all__ = ["export", "write_fmu"]
+
+MODEL = "model.json"
+
+
+def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"] = "both") -> list[Path]:
+    """Write a model as co-simulation FMUs.
+
+    Parameters
+    ----------
+    source : path or str
+        A folder that ``sysid close-loop`` wrote, the ``model.json`` of ``sysid identify`` or of such a folder, or the
+        name of a built-in model (``sysid list models``; its nominal parameters, sample time 0.01 s).
+    out : path
+        ``model.fmu``. With ``fmi="both"`` this is FMI 2.0 and ``model-fmi3.fmu`` beside it is FMI 3.0.
+    fmi : {"2", "3", "both"}
+        Version.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
+    Raises
+    ------
+    InputError
+        If the source is missing or is no grey-box model, or there is no C compiler.
+    """
+    target = Path(out)
+    if target.suffix != ".fmu":
+        raise InputError("output", expected="a name that ends in .fmu", got=str(out), remedy="rename it")
+    simulator, parameters = _load(source)
+    names = {"2": [(2, target)], "3": [(3, target)]}
+    both = [(2, target), (3, target.with_name(f"{target.stem}-fmi3.fmu"))]
+    return [write_fmu(simulator, parameters, path, version=version) for version, path in names.get(fmi, both)]
+
+
+def write_fmu(
+    simulator: Simulator,
+    parameters: Mapping[str, float],
+    target: str | Path,
+    *,
+    version: Literal[2, 3] | int = 2,
+    x0: Mapping[str, float] | None = None,
+) -> Path:
+    """Write one FMU that repeats a simulator's roll-outs at its sample time.
+
+    Parameters
+    ----------
+    simulator : Simulator
+        Of the system, at the sample time and with the substeps wanted.
+    parameters : mapping
+        Values by name, in SI units; they become tunable parameters.
+    target : path
+        The ``.fmu`` to write.
+    version : {2, 3}
+        FMI version.
+    x0 : mapping, optional
+        Start values of the states; they are the start values of the local variables ``state.NAME``.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If there is no C compiler, a name is unknown, or the simulator interpolates its input (an FMU's is held).
+    """
+    from harness.fmi import build
+
+    if simulator.intersample != "zoh":
+        raise InputError(
+            "export to an FMU",
+            expected="a model with held input (intersample 'zoh')",
+            got=repr(simulator.intersample),
+            remedy="fit the model with intersample 'zoh': FMI co-simulation holds its inputs over a step",
+        )
+    target = Path(target)
+    with tempfile.TemporaryDirectory(prefix="sysid-export-") as scratch:
+        folder = Path(scratch)
+        (folder / "model.c").write_text(model_source(simulator), encoding="utf-8")
+        (folder / "modelDescription.xml").write_text(description(simulator, parameters, x0), encoding="utf-8")
+        part = target.with_name(target.name + ".part")
+        try:
+            build.build_fmu(folder, version, part, sources=True)
+            part.replace(target)
+        except build.BuildError as error:
+            raise InputError(
+                "the FMU cannot be built", expected="a C compiler", got=str(error), remedy="install gcc, or set CC"
+            ) from error
+        finally:
+            part.unlink(missing_ok=True)
+    return target
+
+
+def _load(source: str | Path) -> tuple[Simulator, dict[str, float]]:
+    """Return the simulator and the parameters of a stored or built-in model."""
+    from harness import registry
+
+    path = Path(source)
+    if path.is_dir():
+        path = path / MODEL
+    if path.is_file():
+        return _stored(path)
+    if path.suffix or "/" in str(source) or path.parent != Path():
+        raise InputError(
+            "nothing to export",
+            expected="a folder of sysid close-loop, a model.json, or the name of a model",
+            got="no such file",
+            remedy="run sysid close-loop or sysid identify first",
+            file=source,
+        )
+    registry.entry("models", str(source))
+    from harness.physics.models import load_model
+
+    system = load_model(str(source))
+    return system.simulator(0.01), system.values()
+
+
+def _stored(path: Path) -> tuple[Simulator, dict[str, float]]:
+    """Return the simulator of a stored grey-box model."""
+    from harness import registry
+
+    try:
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
+        kind = content["kind"]
+    except (ValueError, KeyError, TypeError, UnicodeDecodeError) as error:
+        raise InputError(
+            "not a model",
+            expected="JSON with a 'kind', as sysid identify writes it",
+            got=f"{type(error).__name__}: {error}",
+            remedy="give the file that sysid identify -o or sysid close-loop wrote",
+            file=path,
+        ) from error
+    if kind != "grey-box":
+        raise InputError(
+            "model cannot be exported to an FMU",
+            expected="kind 'grey-box' (a physical model)",
+            got=repr(kind),
+            remedy="fit one with --identifier output-error or lumped-momentum, or close the loop",
+            file=path,
+        )
+    model = registry.load("model_readers", kind).from_dict(content)
+    system = model.system()
+    return system.simulator(model.spec.sample_time, intersample=model.intersample), dict(model.parameters)
