@@ -12,8 +12,8 @@ from harness.errors import FitError, InputError
 from harness.protocols import Model, Plant
 from harness.scoring import same_language
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
-from identifiers.records import usable
 from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.records import usable
 
 __all__ = ["HoldLast", "HoldModel", "PlantModel", "TrueModel"]
 

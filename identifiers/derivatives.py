@@ -1,4 +1,4 @@
-"""Rows of a regression for derivatives of sampled signals: weak form, smoothed, plain differences. Within one record."""
+"""Rows of a regression for derivatives of sampled signals: weak form, smoothed, or plain differences."""
 
 from __future__ import annotations
 
@@ -42,7 +42,8 @@ def bump(half: int, dt: float, order: int = 0, power: int = 6) -> FloatArray:
     polynomial = np.polynomial.Polynomial([1.0, 0.0, -1.0]) ** power
     area = polynomial(s).sum()
     values: FloatArray = polynomial.deriv(order)(s) if order else polynomial(s)
-    return values / area / (width * dt) ** order
+    scaled: FloatArray = values / area / (width * dt) ** order
+    return scaled
 
 
 def measured_motion(record: Trajectory, order: int) -> tuple[FloatArray, FloatArray]:

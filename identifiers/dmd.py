@@ -12,10 +12,10 @@ import numpy as np
 from harness.errors import FitError
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.linear import LinearModel, lag_model
 from identifiers.records import lagged, moving, real_signals, usable
 from identifiers.regression import Solution, solve
-from harness.specs import spec_from_dict, spec_to_dict
 
 __all__ = ["Dictionary", "Dmdc", "Edmdc", "KoopmanModel"]
 

@@ -289,9 +289,10 @@ class GreyBoxModel:
 
 
 def default_gain(model: GreyBoxModel) -> FloatArray:
-    """Return the gain (nx, ny) of an alpha-beta filter, or of a Kalman filter at rest where there are no coordinates."""
+    """Return the gain (nx, ny) of an alpha-beta filter; of a Kalman filter at rest without coordinates."""
     system, n = model.system(), model.simulator.nx
-    x = np.zeros((n, n + 1 + sum(size * k for size, k in zip(model._memory, (model.spec.nu, model.spec.ny), strict=True))))
+    before, after = model._memory
+    x = np.zeros((n, n + 1 + before * model.spec.nu + after * model.spec.ny))
     step = np.zeros_like(x)
     step[:, :n] = 1e-6 * np.eye(n)
     u = np.zeros((n, model.spec.nu))
@@ -301,7 +302,7 @@ def default_gain(model: GreyBoxModel) -> FloatArray:
     if not system.coordinates:
         a = (model.step(x + step, u) - model.step(x - step, u))[:, :n].T / 2e-6
         return stationary_gain(a, c) if np.isfinite(a).all() else np.zeros((n, model.spec.ny))
-    back = np.linalg.pinv(c)
+    back = np.asarray(np.linalg.pinv(c), dtype=np.float64)
     gain: FloatArray = 0.5 * back
     for one in system.coordinates:
         if not np.any(c[:, one.v]):

@@ -129,7 +129,7 @@ class Lumped:
             rows.append(phi)
             targets.append(target)
         phi, target = np.concatenate(rows), np.concatenate(targets)
-        if not np.any(target) and not np.any(regression.parts.known_forces if False else 0):
+        if not np.any(target):
             raise FitError(
                 f"{what}: nothing known drives the motion",
                 expected="a moving input or a known parameter",
@@ -164,9 +164,7 @@ class Lumped:
         for _ in range(2):
             miss = (target - phi @ np.array(list(found.values.values()))).reshape(-1, n)
             size = np.maximum(np.sqrt(np.mean(miss**2, axis=0)), 1e-9 * scale)
-            found = regression.solve(
-                phi, target, weights=np.tile(1.0 / size, len(miss)), tolerance=self.tolerance
-            )
+            found = regression.solve(phi, target, weights=np.tile(1.0 / size, len(miss)), tolerance=self.tolerance)
         return found
 
     def _refuse_unphysical(

@@ -12,8 +12,8 @@ from harness.errors import FitError, InputError
 from harness.protocols import Hindsight
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from identifiers.records import usable
 from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.records import usable
 
 __all__ = ["MdpCounting", "MdpModel", "OnlineCounting", "count_transitions", "weissman_bound"]
 

@@ -96,9 +96,7 @@ def _unwrapped(record: Trajectory, column: int) -> FloatArray:
     return np.asarray(signal if period is None else np.unwrap(signal, period=period), dtype=float)
 
 
-def _derivatives(
-    signal: FloatArray, dt: float, smoothing: Smoothing
-) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+def _derivatives(signal: FloatArray, dt: float, smoothing: Smoothing) -> tuple[FloatArray, FloatArray, FloatArray, int]:
     """Return the signal, its first and second derivative, and the samples that the smoothing spans."""
     if smoothing == "forward":
         rate = np.append(np.diff(signal), 0.0) / dt

@@ -34,7 +34,9 @@ class Solution:
         return float(self.singular_values[0]) / low if low > 0 else float("inf")
 
 
-def solve(blocks: Blocks, what: str, *, ridge: float = 0.0, rank_tolerance: float = 1e-11) -> Solution:
+def solve(
+    blocks: Blocks, what: str, *, ridge: float = 0.0, rank_tolerance: float = 1e-11, least_norm: bool = False
+) -> Solution:
     """Solve ``min ||Y - Phi C||`` for rows that come in blocks.
 
     Parameters
@@ -47,6 +49,8 @@ def solve(blocks: Blocks, what: str, *, ridge: float = 0.0, rank_tolerance: floa
         Tikhonov weight relative to the mean squared column length.
     rank_tolerance : float
         Relative to the largest singular value of the scaled columns.
+    least_norm : bool
+        Answer dependent columns with the solution of least norm instead of refusing them.
 
     Returns
     -------
@@ -55,7 +59,8 @@ def solve(blocks: Blocks, what: str, *, ridge: float = 0.0, rank_tolerance: floa
     Raises
     ------
     FitError
-        If the columns are linearly dependent (and there is no ridge), or there are fewer rows than columns.
+        If the columns are linearly dependent (with neither a ridge nor ``least_norm``), or there are fewer rows than
+        columns.
     """
     gram = right = square = None
     rows = 0
@@ -92,10 +97,12 @@ def solve(blocks: Blocks, what: str, *, ridge: float = 0.0, rank_tolerance: floa
         if np.all(lost > 1e-10 * square):
             return Solution(coefficients, values, np.sqrt(lost / rows), rows, "normal equations")
         return Solution(coefficients, values, _residual(blocks, coefficients), rows, "normal equations")
-    return _by_qr(blocks, scale, ridge, rows, what, rank_tolerance)
+    return _by_qr(blocks, scale, ridge, rows, what, rank_tolerance, least_norm)
 
 
-def _by_qr(blocks: Blocks, scale: FloatArray, ridge: float, rows: int, what: str, tolerance: float) -> Solution:
+def _by_qr(
+    blocks: Blocks, scale: FloatArray, ridge: float, rows: int, what: str, tolerance: float, least_norm: bool
+) -> Solution:
     """Solve by a QR factorisation updated block by block (Golub & Van Loan 2013, sec. 6.5)."""
     p = scale.size
     triangle: FloatArray | None = None
@@ -108,6 +115,11 @@ def _by_qr(blocks: Blocks, scale: FloatArray, ridge: float, rows: int, what: str
         q, r = np.linalg.qr(np.vstack([r, np.sqrt(ridge) * np.eye(p)]))
         z = q[:p].T @ z
     left, values, right = np.linalg.svd(r)
+    if values[-1] <= tolerance * values[0] and least_norm:
+        kept = values > tolerance * values[0]
+        some = right[kept].T @ ((left[:, kept].T @ z) / values[kept, None]) / scale[:, None]
+        method = f"QR, least norm (rank {int(kept.sum())} of {p})"
+        return Solution(some, values, _residual(blocks, some), rows, method)
     if values[-1] <= tolerance * values[0]:
         rank = int(np.sum(values > tolerance * values[0]))
         raise FitError(

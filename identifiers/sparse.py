@@ -100,8 +100,9 @@ def eliminate(equations: NormalEquations, threshold: float) -> tuple[FloatArray,
     """Return coefficients (p, m) and their support by leaving out one term at a time.
 
     Always the term goes whose loss raises the residual least, as long as the residual stays below ``threshold`` times
-    the target or 1.22 times the residual of the full library, both in the root mean square. Nearly dependent functions are told apart where plain thresholding keeps them all, large and
-    cancelling each other. (Backward elimination; Miller 2002, *Subset Selection in Regression*, sec. 3.2.)
+    the target or 1.22 times the residual of the full library, both in the root mean square. Nearly dependent functions
+    are told apart where plain thresholding keeps them all, large and cancelling each other. (Backward elimination;
+    Miller 2002, *Subset Selection in Regression*, sec. 3.2.)
 
     Parameters
     ----------
@@ -170,7 +171,7 @@ def _independent(gram: FloatArray) -> list[int]:
 
 
 def _solved(gram: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the least-norm solution of normal equations with unit diagonal; directions without content are left out."""
+    """Return the least-norm solution of normal equations with unit diagonal."""
     values, vectors = np.linalg.eigh(gram)
     good = values > _POOR * values[-1]
     found: FloatArray = vectors[:, good] @ ((vectors[:, good].T @ right) / values[good])
@@ -281,7 +282,9 @@ class Stlsq:
         )
         return Library(tuple(names), self.degree, angles, self.harmonics)
 
-    def _blocks(self, records: Sequence[Trajectory], library: Library, order: int) -> Iterator[tuple[FloatArray, ...]]:
+    def _blocks(
+        self, records: Sequence[Trajectory], library: Library, order: int
+    ) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Yield rows (p, n) and targets (ny, n), record by record."""
 
         def functions(arguments: FloatArray) -> FloatArray:

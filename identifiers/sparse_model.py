@@ -14,10 +14,10 @@ import numpy.typing as npt
 from harness.errors import InputError
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
+from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.derivatives import measured_motion
 from identifiers.library import Library, equation_text
 from identifiers.observers import fitted_start
-from harness.specs import spec_from_dict, spec_to_dict
 
 __all__ = ["SparseModel"]
 
@@ -188,7 +188,7 @@ class SparseModel:
         try:
             for k, u in enumerate(inputs):
                 if not all(
-                    abs(x[i]) <= limits[i] < math.inf or math.isfinite(x[i]) and limits[i] == math.inf for i in both
+                    abs(x[i]) <= limits[i] < math.inf or (math.isfinite(x[i]) and limits[i] == math.inf) for i in both
                 ):
                     break
                 rows.append(x[:ny])

@@ -2,124 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from harness.errors import FitError
-from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.signals import FloatArray, Trajectory
 from identifiers.filters import stationary_gain
 from identifiers.linear import LinearModel
-from identifiers.records import moving, real_signals, usable
+from identifiers.markov import markov_parameters
+from identifiers.records import lagged, moving, real_signals, usable
+from identifiers.regression import solve
 
-__all__ = ["HoKalman", "markov_parameters", "realize"]
-
-
-def markov_parameters(
-    trajectories: Sequence[Trajectory], length: int, *, offset: bool = True
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the impulse response of a finite-impulse-response model, by least squares.
-
-    ``y[k] = sum_{i=0}^{length-1} G[i] u[k-i] + c`` for k >= length - 1 of every record: no window crosses a seam. The
-    normal equations are block Toeplitz but for the ends of the records; they are summed by FFT correlations and the
-    ends are corrected exactly.
-
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-    length : int
-        Number of Markov parameters, the direct term G[0] included.
-    offset : bool
-        Fit a constant output too.
-
-    Returns
-    -------
-    G (length, ny, nu), c (ny,), residual rms (ny,)
-
-    Raises
-    ------
-    FitError
-        If the records are too short or the input does not excite so many lags.
-    """
-    what = "ho-kalman"
-    records, spec = usable(trajectories, samples=length + 1, what=what)
-    nu, ny = spec.nu, spec.ny
-    size = length * nu + int(offset)
-    rows = sum(len(one) - length + 1 for one in records)
-    if rows < size:
-        raise FitError(
-            f"{what}: fewer equations than Markov parameters",
-            expected=f"at least {size} windows of {length} samples",
-            got=str(rows),
-            remedy="record longer, or ask for fewer Markov parameters",
-        )
-    gram, right, square = np.zeros((size, size)), np.zeros((size, ny)), np.zeros(ny)
-    for one in records:
-        _accumulate(one, length, offset, gram, right, square)
-    scale = np.sqrt(np.clip(np.diag(gram), 1e-300, None))
-    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    if values[0] <= 1e-10 * values[-1]:
-        rank = int(np.sum(values > 1e-10 * values[-1]))
-        raise FitError(
-            f"{what}: the input does not excite all lags",
-            expected=f"persistent excitation of order {size}",
-            got=f"rank {rank}",
-            remedy="use a richer input (PRBS, more lines), or fewer Markov parameters",
-        )
-    theta = (vectors @ ((vectors.T @ (right / scale[:, None])) / values[:, None])) / scale[:, None]
-    lost = square - np.einsum("ij,ij->j", theta, right)
-    blocks = theta[: length * nu].reshape(length, nu, ny).transpose(0, 2, 1)
-    return blocks, theta[-1] if offset else np.zeros(ny), np.sqrt(np.clip(lost, 0.0, None) / rows)
-
-
-def _accumulate(
-    record: Trajectory, length: int, offset: bool, gram: FloatArray, right: FloatArray, square: FloatArray
-) -> None:
-    """Add one record's normal equations: first block row by FFT, the others by moving the window of the sums.
-
-    With S[i, j] = sum_k u[k-i] u[k-j]' over k = m-1 .. N-1 (m = length), S[i+1, j+1] is S[i, j] with the sample that
-    enters at the front added and the one that leaves at the back removed.
-    """
-    u, y = record.u, record.y
-    n, nu = u.shape
-    m = length
-    late = u[m - 1 :]
-    first = _correlate(late, u, m)  # (m, nu, nu): sum_k u[k] u[k-j]'
-    s = gram[: m * nu, : m * nu].reshape(m, nu, m, nu)
-    corner = np.empty((m, m, nu, nu))
-    corner[0] = first
-    for i in range(1, m):
-        corner[i, 0] = first[i].T
-    # u[k-i-1] u[k-j-1]' for k = m-1..N-1 is u[k-i] u[k-j]' for k = m-2..N-2: row m-2 enters, row N-1 leaves.
-    for i in range(1, m):
-        entering = u[m - 1 - i][:, None] * u[m - 1 - np.arange(1, m)][:, None, :]
-        leaving = u[n - i][:, None] * u[n - np.arange(1, m)][:, None, :]
-        corner[i, 1:] = corner[i - 1, :-1] + entering - leaving
-    s += corner.transpose(0, 2, 1, 3)
-    right[: m * nu] += _correlate(y[m - 1 :], u, m).transpose(0, 2, 1).reshape(m * nu, -1)
-    square += np.einsum("ij,ij->j", y[m - 1 :], y[m - 1 :])
-    if offset:
-        total = np.concatenate([np.zeros((1, nu)), np.cumsum(u, axis=0)])
-        sums = (total[n - np.arange(m)] - total[m - 1 - np.arange(m)]).ravel()
-        gram[-1, :-1] += sums
-        gram[:-1, -1] += sums
-        gram[-1, -1] += n - m + 1
-        right[-1] += y[m - 1 :].sum(axis=0)
-
-
-def _correlate(late: FloatArray, u: FloatArray, m: int) -> FloatArray:
-    """Return sum_k late[k - (m - 1)] u[k - j]' over k = m-1 .. N-1 for j = 0 .. m-1, shape (m, nlate, nu)."""
-    from scipy.fft import irfft, next_fast_len, rfft
-
-    n = u.shape[0]
-    size = next_fast_len(n + m, real=True)
-    a = rfft(late, size, axis=0)
-    b = rfft(u, size, axis=0)
-    both = irfft(np.conj(a)[:, :, None] * b[:, None, :], size, axis=0)  # lag l: sum_k late[k] u[k + l]
-    result: FloatArray = both[m - 1 - np.arange(m)]
-    return result
+__all__ = ["HoKalman", "markov_parameters", "observer_markov", "realize"]
 
 
 def realize(
@@ -201,12 +98,15 @@ class HoKalman:
         State dimension; by default from the largest gap of the Hankel singular values.
     rows : int, optional
         Block rows of the Hankel matrix.
+    observer : int, optional
+        Memory of an observer through which the Markov parameters are estimated (OKID), instead of directly: the
+        response need not have died away, and the model gets the filter gain of the noise in the data.
     offset : bool
         Fit a constant output too.
     direct : bool
         Keep the direct term D; without it y[k] does not depend on u[k].
     stable : bool
-        Move eigenvalues on or outside the unit circle to radius 0.999.
+        Move eigenvalues on or outside the unit circle to radius 0.999, and fit B anew.
 
     Examples
     --------
@@ -225,55 +125,121 @@ class HoKalman:
     markov: int = 100
     order: int | None = None
     rows: int | None = None
+    observer: int | None = None
     offset: bool = True
     direct: bool = False
     stable: bool = False
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
-        """Return a balanced model in output-error form (no filter gain)."""
+        """Return a balanced model; in innovation form with ``observer``, else in output-error form."""
         what = "ho-kalman"
         records, spec = usable(trajectories, samples=3, what=what)
         real_signals(spec, what)
         if spec.nu == 0:
             raise FitError(f"{what}: no input", expected="an input", got="none", remedy="use dmdc for free motion")
+        if self.markov < 3 or (self.observer is not None and self.observer < 1):
+            raise FitError(
+                f"{what}: options",
+                expected="markov >= 3, observer >= 1",
+                got=f"markov={self.markov}, observer={self.observer}",
+                remedy="correct the options",
+            )
         moving(records, what)
-        response, level, rms = markov_parameters(records, self.markov, offset=self.offset)
-        a, b, c, values = realize(response[1:], order=self.order, rows=self.rows)
+        if self.observer is None:
+            response, level, rms = markov_parameters(records, self.markov, offset=self.offset)
+            both = response[1:]
+        else:
+            response, innovation, level, rms = observer_markov(
+                records, self.observer, self.markov, offset=self.offset, direct=self.direct
+            )
+            both = np.concatenate([response[1:], innovation[1:]], axis=2)
+        a, inward, c, values = realize(both, order=self.order, rows=self.rows)
+        b = inward[:, : spec.nu]
         notes: dict[str, Any] = {
             "hankel_singular_values": values[:20].tolist(),
             "order": int(a.shape[0]),
             "residual_rms": rms.tolist(),
         }
-        moduli = np.abs(np.linalg.eigvals(a))
-        if self.stable and moduli.max() >= 1.0:
+        if self.stable and np.abs(np.linalg.eigvals(a)).max() >= 1.0:
             a = _stabilized(a)
+            b = _input_matrix(a, c, response[1:])
             notes["stabilized"] = True
-        return _output_error_model(spec, a, b, c, response[0], level, self.direct, notes)
+        gain = stationary_gain(a, c)
+        if self.observer is not None and "stabilized" not in notes:
+            gain = np.linalg.lstsq(a, inward[:, spec.nu :], rcond=1e-10)[0]  # K = A L
+            if np.abs(np.linalg.eigvals(a - a @ gain @ c)).max() >= 1.0:
+                gain = stationary_gain(a, c)
+        d = response[0] if self.direct else np.zeros((spec.ny, spec.nu))
+        return LinearModel(spec, a, b, c, d, gain, np.zeros(a.shape[0]), level, notes=notes)
 
 
-def _output_error_model(
-    spec: PlantSpec,
-    a: FloatArray,
-    b: FloatArray,
-    c: FloatArray,
-    d: FloatArray,
-    level: FloatArray,
-    direct: bool,
-    notes: dict[str, Any],
-) -> LinearModel:
-    """Return the model; its one-step predictions are corrected by the gain of a slow observer."""
-    n, ny = a.shape[0], c.shape[0]
-    return LinearModel(
-        spec,
-        a,
-        b,
-        c,
-        d if direct else np.zeros_like(d),
-        stationary_gain(a, c),
-        np.zeros(n),
-        level if ny else np.zeros(0),
-        notes=notes,
-    )
+def observer_markov(
+    trajectories: Sequence[Trajectory], lags: int, length: int, *, offset: bool = True, direct: bool = False
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return Markov parameters by way of an observer: OKID (Juang, Phan, Horta & Longman 1993, J. Guidance 16:320).
+
+    ``y[k] = D u[k] + sum_{i=1}^{p} (P_i u[k-i] + Q_i y[k-i]) + c`` is fitted; the response of the system follows from
+    ``G[k] = P_k + sum_{i=1}^{k} Q_i G[k-i]``, that to the innovation from ``H[k] = Q_k + sum_{i=1}^{k-1} Q_i H[k-i]``.
+
+    Parameters
+    ----------
+    trajectories : sequence of Trajectory
+    lags : int
+        p, the length of the observer's memory.
+    length : int
+        Number of Markov parameters wanted, the direct term included.
+    offset, direct : bool
+        Fit a constant; fit D.
+
+    Returns
+    -------
+    G (length, ny, nu), H (length, ny, ny), output offset (ny,), residual rms (ny,)
+    """
+    what = "ho-kalman"
+    records, spec = usable(trajectories, samples=lags + 2, what=what)
+    ny, nu = spec.ny, spec.nu
+
+    def blocks() -> Iterator[tuple[FloatArray, FloatArray]]:
+        for record in records:
+            for start in range(0, len(record) - lags, 20_000):
+                part = record[start : start + 20_000 + lags]
+                if len(part) <= lags:
+                    continue
+                rows = [lagged(part, lags)]
+                if direct:
+                    rows.append(part.u[lags:])
+                if offset:
+                    rows.append(np.ones((len(part) - lags, 1)))
+                yield np.hstack(rows), part.y[lags:]
+
+    solution = solve(blocks, what, least_norm=True)
+    theta = solution.coefficients.T
+    seen = theta[:, : lags * ny].reshape(ny, lags, ny).transpose(1, 0, 2)
+    pushed = theta[:, lags * ny : lags * (ny + nu)].reshape(ny, lags, nu).transpose(1, 0, 2)
+    response, innovation = np.zeros((length, ny, nu)), np.zeros((length, ny, ny))
+    if direct:
+        response[0] = theta[:, lags * (ny + nu) : lags * (ny + nu) + nu]
+    for k in range(1, length):
+        few = min(k, lags)
+        if k <= lags:
+            response[k], innovation[k] = pushed[k - 1], seen[k - 1]
+        response[k] += np.einsum("iab,ibc->ac", seen[:few], response[k - 1 :: -1][:few])
+        innovation[k] += np.einsum("iab,ibc->ac", seen[:few], innovation[k - 1 :: -1][:few])
+    level = np.zeros(ny)
+    if offset:
+        rest = np.eye(ny) - seen.sum(axis=0)
+        level = np.linalg.lstsq(rest, theta[:, -1], rcond=1e-10)[0]
+    return response, innovation, level, solution.residual_rms
+
+
+def _input_matrix(a: FloatArray, c: FloatArray, markov: FloatArray) -> FloatArray:
+    """Return B with which A and C come closest to the Markov parameters G[1], G[2], ..."""
+    rows, power = [], c
+    for _ in range(len(markov)):
+        rows.append(power)
+        power = power @ a
+    found: FloatArray = np.linalg.lstsq(np.vstack(rows), markov.reshape(-1, markov.shape[2]), rcond=1e-12)[0]
+    return found
 
 
 def _stabilized(a: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -19,6 +20,8 @@ from harness.signals import PlantSpec, Trajectory
 __all__ = ["check_identifier", "identifier_checks"]
 
 Factory = Callable[[], Any]
+_SLOW = 1.0
+# seconds for two fits, beyond which each check draws two systems only
 
 
 def check_identifier(
@@ -39,7 +42,7 @@ def check_identifier(
     expected_failures : mapping, optional
         Name of a check to the reason why it is known to fail; strict.
     examples : int
-        Systems drawn for each check.
+        Systems drawn for each check; 2 for an identifier that takes seconds to fit.
 
     Returns
     -------
@@ -57,22 +60,33 @@ def identifier_checks(*, kinds: tuple[str, ...] = KINDS, examples: int = EXAMPLE
     ['interface', 'learns', 'no_mutation']
     """
     cache: dict[int, tuple[str, ...]] = {}
+    drawn: dict[int, int] = {}
+    models: dict[tuple[int, Workload], Any] = {}
 
     def accepted(factory: Factory) -> tuple[str, ...]:
         """Return the kinds of data that this identifier accepts, found once."""
         if id(factory) not in cache:
+            started = time.perf_counter()
             found, refused = kinds_for(lambda w: fit(factory(), [w.first.measured(), w.second.measured()]), kinds)
             why = "; ".join(f"{kind}: {reason}" for kind, reason in refused.items())
             demand(found, f"it refuses every kind of data ({why})")
-            cache[id(factory)] = found
+            slow = (time.perf_counter() - started) / len(found) > _SLOW
+            cache[id(factory)], drawn[id(factory)] = found, min(examples, 2) if slow else examples
         return cache[id(factory)]
 
     def on_all(body: Callable[[Factory, Workload], None]) -> Callable[[Factory], None]:
-        return lambda factory: for_all(accepted(factory), lambda workload: body(factory, workload), examples)
+        def hold(factory: Factory) -> None:
+            found = accepted(factory)
+            for_all(found, lambda workload: body(factory, workload), drawn[id(factory)])
+
+        return hold
 
     def on_models(body: Callable[[Any, Trajectory], None]) -> Callable[[Factory], None]:
         def run(factory: Factory, workload: Workload) -> None:
-            body(fit(factory(), _shown(workload)), workload.probe.measured())
+            key = (id(factory), workload)  # the checks of models draw the same systems: fit them once
+            if key not in models:
+                models[key] = fit(factory(), _shown(workload))
+            body(models[key], workload.probe.measured())
 
         return on_all(run)
 

@@ -21,7 +21,7 @@ from harness.diagnosis.forms import Fitted, Form
 from harness.diagnosis.residual_tests import detect, fisher_g, max_autocorrelation
 from harness.diagnosis.screens import SEEN, Probe, Screen, sensitivity_screen, shortlist
 from harness.diagnosis.surrogates import SurrogateTest, surrogate_test
-from harness.diagnosis.ties import simplest, tie_set
+from harness.diagnosis.ties import leader, simplest, tie_set
 from harness.diagnosis.weak_screen import WeakScreen, weak_screen
 from harness.effects.effect import Placed
 from harness.rng import stream
@@ -165,8 +165,41 @@ class Search:
         probes = {str(one.placed): one for one in screen.probes}
         tasks = [Task((*model.effects, one), self._starts(model, [one], probes, line, weak)) for one in chosen]
         self.say(f"refitting {len(tasks)} candidates")
-        candidates = self._judge(model, tasks, [(one,) for one in chosen], p if line is None else None)
+        null = p if line is None else None
+        candidates = self._judge(model, tasks, [(one,) for one in chosen], null)
+        again = self._polished(tasks, candidates)
+        if again:
+            self.say(f"refitting {len(again)} rivals from where the best one ended")
+            records = {**dict(zip((one.key for one in tasks), self.refitter.solve(tasks), strict=True))}
+            for old, new, record in zip(again, again.values(), self.refitter.solve(list(again.values())), strict=True):
+                if "failed" not in record and ("failed" in records[old] or record["cost"] < records[old]["cost"]):
+                    tasks = [new if one.key == old else one for one in tasks]
+            candidates = self._judge(model, tasks, [(one,) for one in chosen], null)
         return Round(model, screen, weak, test, p, line, tuple(candidates))
+
+    def _polished(self, tasks: Sequence[Task], candidates: Sequence[Candidate]) -> dict[str, Task]:
+        """Return second refits for the close rivals of the best candidate, by the key of the first.
+
+        They start from the parameters at which the best one ended: rivals must not lose by a local minimum.
+        """
+        ranked = [one for one in candidates if one.fitted is not None and np.isfinite(one.delta_bic)]
+        if not ranked:
+            return {}
+        best = max(ranked, key=lambda one: one.delta_bic)
+        assert best.fitted is not None
+        first = best.added[0]
+        shared = {one.name: best.fitted.values[first.name(one.name)] for one in first.effect.parameters}
+        result: dict[str, Task] = {}
+        for task, one in zip(tasks, candidates, strict=True):
+            placed = one.added[0]
+            if one is best or one.fitted is None or one.delta_bic < 0.5 * best.delta_bic or best.delta_bic <= 10:
+                continue
+            start = {k: v for k, v in best.fitted.values.items() if not k.startswith(f"{first}.")}
+            for other in placed.effect.parameters:
+                own = one.fitted.values[placed.name(other.name)]
+                start[placed.name(other.name)] = shared.get(other.name, own) if other.nuisance else own
+            result[task.key] = Task(task.effects, (start,))
+        return result
 
     def _judge(
         self, before: Fitted, tasks: Sequence[Task], added: Sequence[tuple[Placed, ...]], p: float | None
@@ -184,7 +217,7 @@ class Search:
         accepted = [one for one in candidates if one.accepted]
         if not accepted:
             return None
-        best = max(accepted, key=lambda one: one.delta_bic)
+        best = leader(accepted, seed=self.seed)
         return simplest(tie_set(self.form, best, candidates, seed=self.seed))
 
     def _weak_screen(self, model: Fitted, rest: Sequence[Placed]) -> WeakScreen | None:
@@ -339,7 +372,7 @@ class Search:
             judged = list(rounds[0].candidates)
             own = next((one for one in judged if one.added == (picked[0],)), None)
             if own is not None and own.fitted is not None and _same(own.fitted, model):
-                best = max((one for one in judged if one.accepted), key=lambda one: one.delta_bic)
+                best = leader([one for one in judged if one.accepted], seed=self.seed)
                 tied = [one for one in tie_set(self.form, best, judged, seed=self.seed) if one is not own]
                 return [Accepted(picked[0], own.delta_bic, ((picked[0],), *(one.added for one in tied)))], []
         probes = {str(one.placed): one for here in rounds for one in here.screen.probes}

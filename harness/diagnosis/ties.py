@@ -12,7 +12,7 @@ from harness.diagnosis.forms import Fitted, Form, placed_name
 from harness.rng import stream
 from harness.signals import FloatArray
 
-__all__ = ["simplest", "tie_set"]
+__all__ = ["leader", "simplest", "tie_set"]
 
 WITHIN = 10.0
 VAGUE = 0.5
@@ -43,6 +43,19 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
         if not versus.distinguishable or abs(versus.gain) < 1e-3:
             tied.append(one)
     return tied
+
+
+def leader(accepted: Sequence[Candidate], *, seed: int) -> Candidate:
+    """Return the best accepted candidate by BIC; of those within 10 of it, one that validation tells to be better."""
+    best = max(accepted, key=lambda one: one.delta_bic)
+    for one in accepted:
+        if one is best or best.delta_bic - one.delta_bic > WITHIN or one.fitted is None or best.fitted is None:
+            continue
+        key = f"{placed_name(best.added)} against {placed_name(one.added)}"
+        versus = compare_blocks(best.fitted.validation, one.fitted.validation, rng=stream("diagnosis-tie", key, seed))
+        if versus.gain >= 1e-3 and versus.p <= 0.01:
+            best = one
+    return best
 
 
 def simplest(tied: Sequence[Candidate]) -> Candidate:

@@ -247,10 +247,9 @@ class Simulator:
         else:
             pieces = self.substeps
             seen, slope = self._refined(seen), None if slope is None else self._refined(slope)
-            found = run(values, start, seen, slope, times, sensitivities, self.dt / pieces, 1)
-            x, y, s = (None if one is None else np.ascontiguousarray(one[:, ::pieces]) for one in found)
-            assert x is not None
-            assert y is not None
+            x, y, s = run(values, start, seen, slope, times, sensitivities, self.dt / pieces, 1)
+            x, y = np.ascontiguousarray(x[:, ::pieces]), np.ascontiguousarray(y[:, ::pieces])
+            s = None if s is None else np.ascontiguousarray(s[:, ::pieces])
         y, s = self.sampled.outputs(y, s, values)
         return x, y, s
 

@@ -1,0 +1,173 @@
+"""Other criteria than least squares for one-step equations: instruments, total least squares, l1 and l-infinity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from harness.errors import FitError
+from harness.signals import FloatArray, Trajectory
+
+__all__ = ["absolute_deviations", "instrumental_variables", "total_least_squares"]
+
+
+def instrumental_variables(records: Sequence[Trajectory], offset: bool, what: str, lags: int = 3) -> FloatArray:
+    """Return theta (p, ny) of ``y[k+1] = theta' [y[k], u[k], 1]`` by instruments that sensor noise does not reach.
+
+    Outputs measured before k and inputs up to k move with the regressors, but white noise on the outputs at k and k + 1
+    is none of theirs (Soderstrom & Stoica 1983, *Instrumental Variable Methods for System Identification*, eq. 3.10).
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    offset : bool
+        Fit a constant too.
+    what : str
+        For messages.
+    lags : int
+        How many earlier outputs and inputs serve as instruments.
+    """
+    regressors, instruments, targets = [], [], []
+    for one in records:
+        n = len(one)
+        if n < lags + 2:
+            continue
+        now = slice(lags, n - 1)
+        constant = [np.ones((n - 1 - lags, 1))] if offset else []
+        regressors.append(np.hstack([one.y[now], one.u[now], *constant]))
+        earlier = [one.y[lags - j : n - 1 - j] for j in range(1, lags + 1)]
+        earlier += [one.u[lags - j : n - 1 - j] for j in range(lags + 1)]
+        instruments.append(np.hstack([*earlier, *constant]))
+        targets.append(one.y[lags + 1 :])
+    if not regressors:
+        raise FitError(f"{what}: records too short", expected=f"{lags + 2} samples", got="fewer", remedy="record longer")
+    x, z, y = map(np.concatenate, (regressors, instruments, targets))
+    size, lengths = _lengths(x), _lengths(z)
+    # The regressors as far as the instruments explain them.
+    q, s, _ = np.linalg.svd(z / lengths, full_matrices=False)
+    q = q[:, s > 1e-10 * s[0]]
+    seen = q @ (q.T @ (x / size))
+    return _determined(seen, q @ (q.T @ y), size, what)
+
+
+def total_least_squares(records: Sequence[Trajectory], offset: bool, what: str) -> FloatArray:
+    """Return theta (p, ny) of ``y[k+1] = theta' [y[k], u[k], 1]`` with noise on both sides, none on inputs.
+
+    Exact columns are projected out first; outputs weigh by the least-squares residual (Golub, Hoffman & Stewart 1987,
+    Linear Algebra Appl. 88:317; Van Huffel & Vandewalle 1991, algorithm 3.1).
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    offset : bool
+        Fit a constant too.
+    what : str
+        For messages.
+    """
+    before = np.concatenate([one.y[:-1] for one in records])
+    after = np.concatenate([one.y[1:] for one in records])
+    exact = np.concatenate([one.u[:-1] for one in records])
+    if offset:
+        exact = np.hstack([exact, np.ones((len(exact), 1))])
+    ny, size = before.shape[1], _lengths(exact)
+    noise = _noise_sizes(records)
+    both = np.hstack([before, after]) / np.tile(noise, 2)
+    q, r = np.linalg.qr(exact / size) if exact.shape[1] else (np.zeros((len(before), 0)), np.zeros((0, 0)))
+    rest = both - q @ (q.T @ both)
+    vectors = np.linalg.svd(rest, full_matrices=True)[2] if rest.shape[0] < 2 * ny else _right_vectors(rest)
+    upper, lower = vectors[ny:, :ny], vectors[ny:, ny:]
+    if np.linalg.cond(lower) > 1e10:
+        raise FitError(
+            f"{what}: no total least squares solution",
+            expected="states excited in every direction",
+            got="a direction without motion",
+            remedy="excite the plant more richly",
+        )
+    states = -np.linalg.solve(lower, upper).T  # (ny, ny): next = before @ states, in scaled outputs
+    inputs = np.linalg.lstsq(r, q.T @ (both[:, ny:] - both[:, :ny] @ states), rcond=None)[0]
+    theta: FloatArray = np.vstack([states / noise[:, None] * noise, inputs / size[:, None] * noise])
+    return theta
+
+
+def _noise_sizes(records: Sequence[Trajectory]) -> FloatArray:
+    """Return what each output's noise may be: the residual of its least-squares equation, never 0."""
+    x = np.concatenate([np.hstack([one.y[:-1], one.u[:-1]]) for one in records])
+    y = np.concatenate([one.y[1:] for one in records])
+    size = _lengths(x)
+    miss = y - x / size @ np.linalg.lstsq(x / size, y, rcond=None)[0]
+    spread = np.maximum(np.std(y, axis=0), 1e-300)
+    found: FloatArray = np.maximum(np.sqrt(np.mean(miss**2, axis=0)), 1e-9 * spread)
+    return found
+
+
+def _right_vectors(rows: FloatArray) -> FloatArray:
+    """Return the right singular vectors of tall rows, largest first."""
+    vectors: FloatArray = np.linalg.svd(np.linalg.qr(rows, mode="r"))[2]
+    return vectors
+
+
+def absolute_deviations(x: FloatArray, y: FloatArray, what: str, *, largest: bool = False) -> FloatArray:
+    """Return theta (p, m) that minimises the sum of absolute errors of each column, or the largest one.
+
+    Linear programs, solved by HiGHS (Boyd & Vandenberghe 2004, *Convex Optimization*, sec. 6.1).
+
+    Parameters
+    ----------
+    x, y : array (N, p), (N, m)
+    what : str
+        For messages.
+    largest : bool
+        l-infinity in place of l1.
+
+    Examples
+    --------
+    >>> x = np.ones((5, 1))
+    >>> y = np.array([[1.0], [1.0], [1.0], [1.0], [50.0]])
+    >>> float(absolute_deviations(x, y, "median")[0, 0]), float(absolute_deviations(x, y, "middle", largest=True)[0, 0])
+    (1.0, 25.5)
+    """
+    from scipy import sparse
+    from scipy.optimize import linprog
+
+    n, p = x.shape
+    size = _lengths(x)
+    scaled = sparse.csr_matrix(x / size)
+    theta = np.empty((p, y.shape[1]))
+    slack = sparse.csr_matrix(np.ones((n, 1))) if largest else sparse.identity(n, format="csr")
+    cost = np.concatenate([np.zeros(p), np.ones(slack.shape[1])])
+    above = sparse.vstack([sparse.hstack([scaled, -slack]), sparse.hstack([-scaled, -slack])]).tocsr()
+    bounds = [(None, None)] * p + [(0, None)] * slack.shape[1]
+    for column in range(y.shape[1]):
+        unit = float(np.abs(y[:, column]).max()) or 1.0
+        target = y[:, column] / unit
+        found = linprog(cost, A_ub=above, b_ub=np.concatenate([target, -target]), bounds=bounds, method="highs")
+        if found.status != 0:
+            raise FitError(
+                f"{what}: the linear program has no solution",
+                expected="a bounded optimum",
+                got=str(found.message),
+                remedy="use least squares",
+            )
+        theta[:, column] = found.x[:p] * unit / size
+    return theta
+
+
+def _lengths(columns: FloatArray) -> FloatArray:
+    """Return the length of each column, 1 for an empty one."""
+    size = np.linalg.norm(columns, axis=0)
+    return np.where(size > 0, size, 1.0)
+
+
+def _determined(x: FloatArray, y: FloatArray, size: FloatArray, what: str) -> FloatArray:
+    """Return theta of ``y = (x * size) theta``, or refuse dependent columns."""
+    left, values, right = np.linalg.svd(x, full_matrices=False)
+    if values[-1] <= 1e-9 * values[0]:
+        raise FitError(
+            f"{what}: the instruments do not determine the model",
+            expected=f"rank {len(values)}",
+            got=f"rank {int(np.sum(values > 1e-9 * values[0]))}",
+            remedy="excite the plant more richly",
+        )
+    theta: FloatArray = (right.T @ ((left.T @ y) / values[:, None])) / size[:, None]
+    return theta

@@ -1,0 +1,77 @@
+"""Every registered identifier keeps the public contract, on data of the kinds that it accepts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from harness.conformance import check_identifier, check_online_identifier
+from harness.registry import create, entries
+
+LINEAR = ("linear", "linear, state measured")
+BATCH: list[tuple[str, dict[str, Any], tuple[str, ...]]] = [
+    ("hold", {}, ("linear", "finite")),
+    ("least-squares", {}, ("linear, state measured", "pendulum, rate measured")),
+    ("arx", {}, (*LINEAR, "pendulum")),
+    ("arx", {"order": 2, "ridge": 1e-8, "offset": False}, LINEAR),
+    ("dmdc", {}, LINEAR),
+    ("dmdc", {"delays": 2, "offset": True}, ("pendulum", "cart-pole")),
+    ("dmdc", {"rank": 1}, LINEAR),
+    ("dmdc", {"rank": 1, "total": True}, LINEAR),
+    ("edmdc", {}, (*LINEAR, "pendulum, rate measured")),
+    ("edmdc", {"delays": 2, "radial": 3, "trigonometric": True}, ("pendulum",)),
+    ("ho-kalman", {"markov": 20, "order": 2}, LINEAR),
+    ("ho-kalman", {"markov": 30, "direct": True, "stable": True}, LINEAR),
+    ("stlsq", {"order": 1}, ("linear, state measured", "pendulum, rate measured")),
+    ("stlsq", {"time": "discrete"}, ("linear, state measured",)),
+    ("stlsq", {"order": 2}, ("pendulum",)),
+    ("mdp-counting", {}, ("finite",)),
+    ("mdp-counting", {"prior": 0.5}, ("finite",)),
+]
+TESTED_ELSEWHERE = {
+    "true-model": "needs a plant: tested beside the baselines",
+    "output-error": "seconds for each fit: tested beside the grey boxes",
+    "lumped-torque": "needs its own mechanism: tested beside the lumped forms",
+    "lumped-energy": "needs its own mechanism: tested beside the lumped forms",
+    "lumped-momentum": "needs its own mechanism: tested beside the lumped forms",
+}
+ONLINE = [("rls", {}), ("rls", {"order": 1, "offset": False, "forgetting": 0.99}), ("mdp-online", {})]
+
+
+def _name(case: tuple[Any, ...]) -> str:
+    return " ".join([case[0], *(f"{key}={value}" for key, value in case[1].items())])
+
+
+@pytest.mark.parametrize("case", BATCH, ids=_name)
+def test_batch_identifiers_keep_the_contract(case):
+    identifier, options, kinds = case
+    for kind in kinds:
+        results = check_identifier(lambda: create("identifiers", identifier, **options), kinds=(kind,), examples=2)
+        broken = [f"{one.name}: {one.reason}" for one in results if not one.passed]
+        assert not broken, f"{kind}: {broken}"
+
+
+@pytest.mark.parametrize("case", ONLINE, ids=_name)
+def test_online_identifiers_keep_the_contract(case):
+    results = check_online_identifier(lambda: create("identifiers", case[0], **case[1]), examples=2)
+    broken = [f"{one.name}: {one.reason}" for one in results if not one.passed]
+    assert not broken
+
+
+def test_no_registered_identifier_is_forgotten():
+    tested = {case[0] for case in (*BATCH, *ONLINE)} | set(TESTED_ELSEWHERE)
+    own = {one.id for one in entries("identifiers") if one.distribution == "sysid-harness"}
+    assert own <= tested, f"write tests for {sorted(own - tested)}"
+
+
+def test_no_fit_touches_the_global_random_state():
+    from harness.conformance.workloads import draw_workload
+
+    data = draw_workload("linear, state measured", 0)
+    np.random.seed(7)  # noqa: NPY002
+    before = np.random.get_state()[1].tolist()  # noqa: NPY002
+    for identifier in ("least-squares", "dmdc", "edmdc", "arx"):
+        create("identifiers", identifier).fit([data.first], rng=np.random.default_rng(0))
+    assert np.random.get_state()[1].tolist() == before  # noqa: NPY002
