@@ -227,7 +227,7 @@ def identify(
     from harness.data import load_dataset
     from harness.scoring import equation_error, simulation_error
 
-    loaded = load_dataset(dataset, model=model, validation=validation)
+    loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation)
     data = loaded.dataset
     made = registry.create("identifiers", identifier, **dict(options or {}))
     if not isinstance(made, Identifier):

@@ -19,7 +19,7 @@ from typing import Any
 
 from harness.errors import HarnessError, InputError, PluginError
 
-__all__ = ["KINDS", "Entry", "create", "entries", "entry", "load", "named_options"]
+__all__ = ["KINDS", "Entry", "create", "dataset_path", "entries", "entry", "load", "named_options"]
 
 DISTRIBUTION = "sysid-harness"
 KINDS = ("plants", "identifiers", "scenarios", "effects", "models", "suites", "recordings", "model_readers")
@@ -48,10 +48,16 @@ class Entry:
         if not attribute or found.origin is None or not found.origin.endswith(".py"):
             return ""
         tree = ast.parse(Path(found.origin).read_text(encoding="utf-8"))
-        for node in tree.body:
+        for number, node in enumerate(tree.body):
+            text = ""
             if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == attribute:
                 text = ast.get_docstring(node) or ""
-                return text.splitlines()[0] if text else ""
+            elif isinstance(node, ast.Assign) and any(getattr(t, "id", "") == attribute for t in node.targets):
+                after = tree.body[number + 1] if number + 1 < len(tree.body) else None
+                if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+                    text = str(after.value.value)
+            if text:
+                return text.strip().splitlines()[0]
         return ""
 
 
@@ -133,6 +139,25 @@ def load(kind: str, id: str) -> Any:
             f"{kind[:-1]} {id!r} of {found.distribution} ({found.target}) does not load: "
             f"{type(error).__name__}: {error}; remedy: repair or uninstall {found.distribution}"
         ) from error
+
+
+def dataset_path(dataset: str | Path) -> Path:
+    """Return the file of a data set: a path as it is, or the recipe of a recording by its name.
+
+    Raises
+    ------
+    InputError
+        If a bare name is no recording.
+
+    Examples
+    --------
+    >>> dataset_path("emps").name
+    'emps.toml'
+    """
+    path = Path(dataset)
+    if path.suffix or len(path.parts) != 1 or path.exists():
+        return path
+    return Path(load("recordings", str(dataset)))
 
 
 def named_options(kind: str, id: str) -> dict[str, inspect.Parameter]:

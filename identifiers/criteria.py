@@ -41,7 +41,9 @@ def instrumental_variables(records: Sequence[Trajectory], offset: bool, what: st
         instruments.append(np.hstack([*earlier, *constant]))
         targets.append(one.y[lags + 1 :])
     if not regressors:
-        raise FitError(f"{what}: records too short", expected=f"{lags + 2} samples", got="fewer", remedy="record longer")
+        raise FitError(
+            f"{what}: records too short", expected=f"{lags + 2} samples", got="fewer", remedy="record longer"
+        )
     x, z, y = map(np.concatenate, (regressors, instruments, targets))
     size, lengths = _lengths(x), _lengths(z)
     # The regressors as far as the instruments explain them.

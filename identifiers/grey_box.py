@@ -44,7 +44,7 @@ class OutputError:
         error would grow beyond exp(6) over them.
     starts : int
         Number of starts; the best minimum counts.
-    intersample : {"zoh", "foh"}
+    intersample : {"zoh", "foh", "smooth"}
 
     Examples
     --------
@@ -66,7 +66,7 @@ class OutputError:
     start: Mapping[str, float] = field(default_factory=dict)
     horizon: float | Literal["record", "auto"] = "auto"
     starts: int = 1
-    intersample: Literal["zoh", "foh"] = "zoh"
+    intersample: Literal["zoh", "foh", "smooth"] = "zoh"
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> GreyBoxModel:
         """Return the grey box; whether the fit converged, and its covariance, stand in its notes."""

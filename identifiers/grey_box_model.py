@@ -39,7 +39,7 @@ class GreyBoxModel:
     filter_gain : array (nx, ny), optional
         How a seen output corrects the system's state. By default a measured coordinate moves half way to its
         measurement and its rate by 0.15 of the miss in a sample, the same wherever the plant stands.
-    intersample : {"zoh", "foh"}
+    intersample : {"zoh", "foh", "smooth"}
     substeps : int, optional
         Runge-Kutta steps in a sample; by default from the system's eigenvalues.
     notes : dict
@@ -49,7 +49,7 @@ class GreyBoxModel:
     recipe: Recipe
     parameters: dict[str, float]
     filter_gain: FloatArray | None = None
-    intersample: Literal["zoh", "foh"] = "zoh"
+    intersample: Literal["zoh", "foh", "smooth"] = "zoh"
     substeps: int | None = None
     notes: dict[str, Any] = field(default_factory=dict)
 

@@ -131,7 +131,7 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     nominal: NominalSection | None = None
     sample_time: float | None = None
     time: TimeSection | None = None
-    intersample: Literal["zoh", "foh"] = "zoh"
+    intersample: Literal["zoh", "foh", "smooth"] = "zoh"
     gaps: Gaps = "refuse"
     resample: ResampleSection | None = None
     source: SourceSection | None = None

@@ -32,7 +32,7 @@ class TimeRules:
     sample_time: float | None = None
     gaps: Gaps = "refuse"
     resample: ResampleSection | None = None
-    intersample: Literal["zoh", "foh"] = "zoh"
+    intersample: Literal["zoh", "foh", "smooth"] = "zoh"
 
 
 @dataclass(frozen=True, eq=False)

@@ -325,15 +325,11 @@ def close_loop_file(
 
     Parameters are those of :func:`close_loop`; see :func:`harness.api.close_loop`.
     """
+    from harness import registry
     from harness.data import load_dataset
 
     _folder(out, resume=resume, force=force, make=False)
-    path = Path(dataset)
-    if not path.suffix and not path.exists():  # the name of a recording
-        from harness import registry
-
-        path = Path(registry.load("recordings", str(dataset)))
-    loaded = load_dataset(path, model=model, validation=validation)
+    loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation)
     system = loaded.system()
     return close_loop(
         loaded.for_system(system),

@@ -15,6 +15,10 @@ from harness.signals import FloatArray
 __all__ = ["leader", "simplest", "tie_set"]
 
 WITHIN = 10.0
+SHARE = 0.002
+"""Candidates also tie within this share of what the best gains: at N = 5000 a numerical detail is worth 10 in BIC."""
+ALIKE = 0.02
+"""Validation errors that differ by less than this count as equal, whatever the bootstrap says."""
 VAGUE = 0.5
 """A parameter whose interval is wider than this share of its value (to each side) is not determined."""
 
@@ -22,7 +26,8 @@ VAGUE = 0.5
 def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, seed: int) -> list[Candidate]:
     """Return the candidates that the data cannot tell from the best one, the best first.
 
-    A candidate ties if it is within 10 of the best in BIC and the paired bootstrap on validation cannot tell the two.
+    A candidate ties if it is within 10 of the best in BIC (or within 0.2 % of what the best gains), and the paired
+    bootstrap on validation cannot tell the two (or they differ by less than 2 %).
     A more complex one whose additional parameters are not determined by the data (Stribeck friction seen only at high
     speed) also ties: only the penalty separates it, not the data.
     """
@@ -32,7 +37,7 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
     for one in candidates:
         if one is best or one.fitted is None or not one.fitted.finite:
             continue
-        close = best.delta_bic - one.delta_bic <= WITHIN
+        close = best.delta_bic - one.delta_bic <= max(WITHIN, SHARE * best.delta_bic)
         if not close:
             gap = _deviance(one.fitted, samples) - _deviance(best.fitted, samples)
             close = gap <= WITHIN and one.parameters > best.parameters and _vague(one)
@@ -40,28 +45,46 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
             continue
         key = f"{placed_name(best.added)} against {placed_name(one.added)}"
         versus = compare_blocks(best.fitted.validation, one.fitted.validation, rng=stream("diagnosis-tie", key, seed))
-        if not versus.distinguishable or abs(versus.gain) < 1e-3:
+        if not versus.distinguishable or abs(versus.gain) < ALIKE:
             tied.append(one)
     return tied
 
 
 def leader(accepted: Sequence[Candidate], *, seed: int) -> Candidate:
-    """Return the best accepted candidate by BIC; of those within 10 of it, one that validation tells to be better."""
+    """Return the best accepted candidate.
+
+    By BIC; but one that validation tells to be better wins if it is no more complex and gains nearly as much (5 %), or
+    lies within 10 in BIC: what is left between those two is a detail of the estimation record.
+    """
     best = max(accepted, key=lambda one: one.delta_bic)
-    for one in accepted:
-        if one is best or best.delta_bic - one.delta_bic > WITHIN or one.fitted is None or best.fitted is None:
+    for one in sorted(accepted, key=lambda one: -one.delta_bic):
+        if one is best or one.fitted is None or best.fitted is None:
+            continue
+        lost = best.delta_bic - one.delta_bic
+        simpler = one.parameters <= best.parameters and lost <= 0.05 * best.delta_bic
+        if not (simpler or lost <= WITHIN):
             continue
         key = f"{placed_name(best.added)} against {placed_name(one.added)}"
         versus = compare_blocks(best.fitted.validation, one.fitted.validation, rng=stream("diagnosis-tie", key, seed))
-        if versus.gain >= 1e-3 and versus.p <= 0.01:
+        if versus.gain >= ALIKE and versus.p <= 0.05:
             best = one
     return best
 
 
 def simplest(tied: Sequence[Candidate]) -> Candidate:
-    """Return the accepted member with the fewest parameters, of those the one with the best BIC."""
-    accepted = [one for one in tied if one.accepted]
-    return min(accepted or list(tied), key=lambda one: (one.parameters, -one.delta_bic))
+    """Return the accepted member with the fewest parameters; of those the one that is a special case of most others."""
+    accepted = [one for one in tied if one.accepted] or list(tied)
+
+    def cases(one: Candidate) -> int:
+        names = {placed.effect.name for placed in one.added}
+        return sum(
+            bool(names & {*placed.effect.nests, *placed.effect.limits})
+            for other in tied
+            if other is not one
+            for placed in other.added
+        )
+
+    return min(accepted, key=lambda one: (one.parameters, -cases(one), -one.delta_bic))
 
 
 def _deviance(fitted: Fitted, samples: float) -> float:

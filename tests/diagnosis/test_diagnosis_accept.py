@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from harness.diagnosis.accept import Comparison, Interval, bic, block_interval, compare_blocks, information_samples, judge
+from harness.diagnosis.accept import (
+    Comparison,
+    Interval,
+    bic,
+    block_interval,
+    compare_blocks,
+    information_samples,
+    judge,
+)
 
 
 def good(**changes: object) -> dict[str, object]:

@@ -1,0 +1,154 @@
+"""Control-oriented score: what the LQR that is designed on an identified model costs on the true plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["CostRatio", "lqr_cost_ratio", "reachable", "state_observable"]
+
+
+@dataclass(frozen=True)
+class CostRatio:
+    """Closed-loop cost of a design on the true plant over the least possible.
+
+    Parameters
+    ----------
+    ratio : float
+        At least 1; infinite where the design does not stabilise the plant or cannot be made.
+    status : {"ok", "unstable", "no design"}
+    spectral_radius : float
+        Of the true closed loop; NaN without a design.
+    """
+
+    ratio: float
+    status: str
+    spectral_radius: float
+
+
+def lqr_cost_ratio(
+    model: tuple[FloatArray, FloatArray],
+    plant: tuple[FloatArray, FloatArray],
+    *,
+    q: FloatArray | None = None,
+    r: FloatArray | None = None,
+    x0: FloatArray | None = None,
+) -> CostRatio:
+    """Return the cost of a model's LQR on the true plant over that of the plant's own LQR.
+
+    Parameters
+    ----------
+    model, plant : (A, B)
+        Discrete-time matrices (nx, nx) and (nx, nu) in the same coordinates.
+    q, r : array (nx, nx), (nu, nu), optional
+        Weights; identities by default.
+    x0 : array (nx, nx), optional
+        Covariance of the initial state; the identity by default.
+
+    Returns
+    -------
+    CostRatio
+        The cost is trace(P x0), with P from the Lyapunov equation of the closed loop.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, or the true plant itself has no LQR.
+
+    Examples
+    --------
+    >>> plant = np.array([[1.1]]), np.array([[1.0]])
+    >>> round(lqr_cost_ratio((np.array([[1.0]]), np.array([[1.0]])), plant).ratio, 4)
+    1.0031
+    >>> lqr_cost_ratio((np.array([[0.1]]), np.array([[1.0]])), plant).status
+    'unstable'
+    """
+    (a_model, b_model), (a, b) = model, plant
+    if np.shape(a_model) != np.shape(a) or np.shape(b_model) != np.shape(b):
+        raise InputError(
+            "model and plant of an LQR cost ratio",
+            expected=f"A {np.shape(a)} and B {np.shape(b)}",
+            got=f"A {np.shape(a_model)} and B {np.shape(b_model)}",
+            remedy="bring the model into the plant's coordinates",
+        )
+    nx, nu = np.shape(b)
+    q = np.eye(nx) if q is None else q
+    r = np.eye(nu) if r is None else r
+    x0 = np.eye(nx) if x0 is None else x0
+    best = _gain(a, b, q, r)
+    if best is None or _radius(a - b @ best) >= 1.0:
+        raise InputError(
+            "the plant has no LQR",
+            expected="a stabilisable plant",
+            got="no solution of its Riccati equation",
+            remedy="choose weights that see every unstable state, or another plant",
+        )
+    gain = _gain(a_model, b_model, q, r)
+    if gain is None:
+        return CostRatio(float("inf"), "no design", float("nan"))
+    radius = _radius(a - b @ gain)
+    if radius >= 1.0:
+        return CostRatio(float("inf"), "unstable", radius)
+    return CostRatio(_cost(a, b, gain, q, r, x0) / _cost(a, b, best, q, r, x0), "ok", radius)
+
+
+def reachable(a: FloatArray, b: FloatArray, tolerance: float = 1e-9) -> int:
+    """Return the dimension of the controllable subspace of a model that is handed to control design.
+
+    Examples
+    --------
+    >>> reachable(np.diag([0.5, 0.4]), np.array([[1.0], [0.0]]))
+    1
+    """
+    basis = np.zeros((a.shape[0], 0))
+    block = np.asarray(b, dtype=float)
+    # A staircase: only what is new in A times the last directions is added (Van Dooren 1981).
+    for _ in range(a.shape[0]):
+        new = block - basis @ (basis.T @ block)
+        left, size, _ = np.linalg.svd(new, full_matrices=False)
+        largest = max(float(np.linalg.norm(block, 2)) if block.size else 0.0, 1e-300)
+        kept = left[:, size > tolerance * largest]
+        if not kept.shape[1]:
+            break
+        basis = np.linalg.qr(np.hstack([basis, kept]))[0]
+        block = a @ kept
+    return int(basis.shape[1])
+
+
+def state_observable(a: FloatArray, c: FloatArray, tolerance: float = 1e-9) -> int:
+    """Return the dimension of the observable quotient.
+
+    Examples
+    --------
+    >>> state_observable(np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[1.0, 0.0]]))
+    2
+    """
+    return reachable(a.T, c.T, tolerance)
+
+
+def _gain(a: FloatArray, b: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray | None:
+    """Return the LQR gain; None where the Riccati equation has no stabilising solution."""
+    from scipy.linalg import LinAlgError, solve_discrete_are
+
+    try:
+        p = solve_discrete_are(a, b, q, r)
+    except (LinAlgError, ValueError):
+        return None
+    gain: FloatArray = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
+    return gain if np.isfinite(gain).all() else None
+
+
+def _radius(a: FloatArray) -> float:
+    return float(np.abs(np.linalg.eigvals(a)).max())
+
+
+def _cost(a: FloatArray, b: FloatArray, gain: FloatArray, q: FloatArray, r: FloatArray, x0: FloatArray) -> float:
+    """Return trace(P x0) of a stable closed loop."""
+    from scipy.linalg import solve_discrete_lyapunov
+
+    p = solve_discrete_lyapunov((a - b @ gain).T, q + gain.T @ r @ gain)
+    return float(np.trace(p @ x0))

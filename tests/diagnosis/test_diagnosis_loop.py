@@ -1,0 +1,139 @@
+"""The whole loop on truth made elsewhere, and its promises to the user: report, resume, errors."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from harness.diagnosis import close_loop
+from harness.errors import InputError
+from harness.physics.models import pendulum
+from harness.signals import Run
+
+
+def dry(q: float, v: float, u: float, t: float) -> float:
+    return -0.05 * math.copysign(1.0, v) if v else 0.0
+
+
+@pytest.fixture(scope="module")
+def dry_report(foreign_pendulum, tmp_path_factory):
+    out = tmp_path_factory.mktemp("dry")
+    data = foreign_pendulum(1, dry)
+    return close_loop(data, "pendulum", out=out, workers=1), out, data
+
+
+def test_dry_friction_is_named_with_its_size(dry_report) -> None:
+    report, _, _ = dry_report
+    assert report.verdict == "effects_found"
+    (effect,) = report.data["effects"]
+    assert (effect["name"], effect["at"]) == ("coulomb_friction", "theta")
+    level = effect["parameters"]["Fc"]
+    assert level["value"] == pytest.approx(0.05, rel=0.03)
+    assert level["low"] < level["value"] < level["high"]
+    assert report.data["tie_sets"][0][0] == {"name": "coulomb_friction", "at": "theta"}
+    for name, true in (("J", 0.1), ("b", 0.05), ("mgl", 1.0)):
+        assert report.data["parameters"]["after"][name]["value"] == pytest.approx(true, rel=0.05)
+    before, after = (report.data["errors"][key]["simulation_error"]["validation"] for key in ("before", "after"))
+    assert before["theta"]["rms"] > 10 * after["theta"]["rms"]
+    assert after["theta"]["rms"] < 1.2e-3
+
+
+def test_report_json_is_complete_and_has_no_nan(dry_report) -> None:
+    report, out, _ = dry_report
+    stored = json.loads((out / "report.json").read_text(), parse_constant=lambda word: pytest.fail(word))
+    assert stored == json.loads(json.dumps(report.data))
+    assert stored["format"] == "sysid-harness/close-loop/1"
+    wanted = {"dataset", "model", "verdict", "adequacy", "effects", "tie_sets", "errors", "parameters", "noise_floor",
+              "disturbance", "candidates", "warnings", "seconds"}  # fmt: skip
+    assert wanted <= set(stored)
+    for key in ("before", "after"):
+        errors = stored["errors"][key]
+        assert set(errors) == {"equation_error", "simulation_error", "residual_to_noise"}
+        assert set(errors["simulation_error"]["estimation"]["theta"]) == {"rms", "nrmse", "unit"}
+        assert errors["simulation_error"]["test"] == {}
+    assert stored["noise_floor"]["theta"]["source"] == "fourth_difference"
+    assert stored["noise_floor"]["theta"]["value"] == pytest.approx(1e-3, rel=0.1)
+    assert any("validation used for selection" in text for text in stored["warnings"])
+    rejected = [row for row in stored["candidates"] if not row["accepted"]]
+    assert rejected
+    assert all(row["reason"] for row in rejected)
+
+
+def test_page_is_one_file_that_says_the_verdict_first(dry_report) -> None:
+    _, out, _ = dry_report
+    page = (out / "report.html").read_text()
+    assert "http://" not in page.replace("http://www.w3.org", "").replace("http://purl.org", "").replace(
+        "http://creativecommons.org", ""
+    )
+    assert page.index("lacks coulomb friction") < page.index("<svg")
+    assert page.count("<svg") >= 6
+
+
+def test_a_report_is_not_overwritten_and_resume_uses_what_is_there(dry_report) -> None:
+    report, out, data = dry_report
+    with pytest.raises(InputError, match="--force"):
+        close_loop(data, "pendulum", out=out, workers=1)
+    again = close_loop(data, "pendulum", out=out, workers=1, resume=True)
+    first, second = ({k: v for k, v in one.data.items() if k != "seconds"} for one in (report, again))
+    assert first == second
+
+
+def test_nothing_missing_on_white_noise(foreign_pendulum) -> None:
+    report = close_loop(foreign_pendulum(2), pendulum(), workers=1)
+    assert report.verdict == "nothing_missing"
+    assert report.data["effects"] == []
+    assert report.data["adequacy"] == "explained"
+
+
+@pytest.mark.slow
+def test_a_coloured_disturbance_is_no_effect(foreign_pendulum) -> None:
+    for seed in (3, 4):
+        report = close_loop(foreign_pendulum(seed, coloured=0.02), "pendulum", workers=1)
+        assert report.verdict == "nothing_missing"
+        assert report.data["disturbance"]["theta"]["ratio_to_noise"] > 1.15
+
+
+@pytest.mark.slow
+def test_a_dead_zone_of_the_actuator_is_named_at_the_input(foreign_pendulum) -> None:
+    data = foreign_pendulum(5, command=lambda u: np.sign(u) * np.maximum(np.abs(u) - 0.08, 0.0))
+    report = close_loop(data, "pendulum", workers=1)
+    (effect,) = report.data["effects"]
+    assert (effect["name"], effect["at"]) == ("dead_zone", "u")
+    assert effect["parameters"]["width"]["value"] == pytest.approx(0.08, rel=0.05)
+
+
+@pytest.mark.slow
+def test_tilt_offset_and_eccentric_load_are_tied(foreign_pendulum) -> None:
+    report = close_loop(foreign_pendulum(6, lambda q, v, u, t: -0.05 * math.cos(q)), "pendulum", workers=1)
+    tied = {member["name"] for member in report.data["tie_sets"][0]}
+    assert {"gravity_tilt", "sensor_offset", "eccentric_load"} <= tied
+    assert report.data["separating_experiments"][0]
+
+
+@pytest.mark.slow
+def test_outside_the_dictionary_is_never_called_explained(foreign_pendulum) -> None:
+    data = foreign_pendulum(7, lambda q, v, u, t: 0.06 * math.tanh(3 * math.sin(4 * q) * v), amplitude=0.5)
+    report = close_loop(data, "pendulum", workers=1)
+    assert report.verdict == "unexplained" or report.data["adequacy"] != "explained"
+
+
+def test_data_that_cannot_be_judged_are_refused(foreign_pendulum) -> None:
+    data = foreign_pendulum(1, n=200)
+    only = replace(data, runs=data.runs[:1])
+    with pytest.raises(InputError, match="validation"):
+        close_loop(only, "pendulum")
+    with pytest.raises(InputError, match="inputs"):
+        close_loop(data, "oscillator")
+    short = replace(data, runs=tuple(Run(run.trajectory[:20], run.use) for run in data))
+    with pytest.raises(InputError, match="too short"):
+        close_loop(short, "pendulum")
+    still = replace(
+        data,
+        runs=tuple(Run(replace(run.trajectory, u=np.zeros((200, 1)), y=np.zeros((200, 1))), run.use) for run in data),
+    )
+    with pytest.raises(InputError, match="never move"):
+        close_loop(still, "pendulum")
