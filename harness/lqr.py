@@ -63,7 +63,7 @@ def lqr_cost_ratio(
     --------
     >>> plant = np.array([[1.1]]), np.array([[1.0]])
     >>> round(lqr_cost_ratio((np.array([[1.0]]), np.array([[1.0]])), plant).ratio, 4)
-    1.0031
+    1.0149
     >>> lqr_cost_ratio((np.array([[0.1]]), np.array([[1.0]])), plant).status
     'unstable'
     """

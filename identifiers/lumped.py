@@ -43,9 +43,10 @@ class Lumped:
         the records are free of noise, wider as they need more smoothing.
     known : mapping, optional
         Physical parameters that are known, by name.
-    smoothing : {"auto", "local", "spline", "forward"}
+    smoothing : {"auto", "local", "spline", "kalman", "forward"}
         How rates and accelerations come of what was measured: local cubics with the width of least leave-one-out
-        error; an interpolating spline; forward differences; or the spline where there is no noise to speak of.
+        error; an interpolating spline; a Kalman filter with its backward pass; forward differences; or the spline
+        where there is no noise to speak of.
     intersample : {"zoh", "smooth"}
         The input was held over each sample, or moved smoothly through the samples.
     tolerance : float

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Motion", "Smoothing", "motion"]
 
-Smoothing = Literal["auto", "local", "spline", "forward"]
+Smoothing = Literal["auto", "local", "spline", "kalman", "forward"]
 # Leave-one-out errors below this fraction of the signal's travel are the cubics' own, not noise.
 _CLEAN = 1e-6
 
@@ -53,7 +53,7 @@ def motion(system: System, record: Trajectory, smoothing: Smoothing = "auto") ->
         Its coordinates are wanted.
     record : Trajectory
         Outputs named after the coordinates, rates ``NAME_rate`` or ``NAME_dot``.
-    smoothing : {"auto", "local", "spline", "forward"}
+    smoothing : {"auto", "local", "spline", "kalman", "forward"}
 
     Raises
     ------
@@ -101,6 +101,10 @@ def _derivatives(signal: FloatArray, dt: float, smoothing: Smoothing) -> tuple[F
     if smoothing == "forward":
         rate = np.append(np.diff(signal), 0.0) / dt
         return signal, rate, np.append(np.diff(rate), 0.0) / dt, 1
+    if smoothing == "kalman":
+        from identifiers.kalman import rts
+
+        return (*rts(signal, dt), 9)
     from harness.physics.smoothing import smooth
 
     if smoothing in ("auto", "local"):

@@ -11,6 +11,7 @@ import numpy as np
 from harness.errors import FitError
 from harness.signals import FloatArray, Trajectory
 from identifiers.filters import stationary_gain
+from identifiers.hankel import leading_singular_vectors
 from identifiers.linear import LinearModel
 from identifiers.markov import markov_parameters
 from identifiers.records import lagged, moving, real_signals, usable
@@ -39,7 +40,7 @@ def realize(
 
     Returns
     -------
-    A (n, n), B (n, nu), C (ny, n), Hankel singular values
+    A (n, n), B (n, nu), C (ny, n), Hankel singular values (of a large matrix with a given order: the leading ones)
 
     Examples
     --------
@@ -57,11 +58,13 @@ def realize(
             got=str(p),
             remedy="ask for more Markov parameters",
         )
-    index = np.arange(p)[:, None] + np.arange(q)
-    hankel = markov[index].transpose(0, 2, 1, 3).reshape(p * ny, q * nu)
-    shifted = markov[np.minimum(index + 1, count - 1)]
-    shifted[(index + 1) >= count] = 0.0
-    left, values, right = np.linalg.svd(hankel[:, : (q - 1) * nu] if q > 1 else hankel, full_matrices=False)
+    columns = max(1, q - 1)  # the last block column is only shifted in
+    found = leading_singular_vectors(markov[: p + columns - 1], p, columns, order) if order is not None else None
+    index = np.arange(p)[:, None] + np.arange(columns + 1)
+    hankel = markov[np.minimum(index, count - 1)]
+    hankel[index >= count] = 0.0
+    hankel = hankel.transpose(0, 2, 1, 3).reshape(p * ny, (columns + 1) * nu)
+    left, values, right = found or np.linalg.svd(hankel[:, : columns * nu], full_matrices=False)
     if values[0] == 0:
         raise FitError("ho-kalman: no response", expected="Markov parameters", got="zeros", remedy="excite the plant")
     n = _gap(values, tolerance) if order is None else order
@@ -70,16 +73,16 @@ def realize(
     root = np.sqrt(values[:n])
     observe = left[:, :n] * root
     control = root[:, None] * right[:n]
-    moved = hankel[:, nu:] if q > 1 else shifted.transpose(0, 2, 1, 3).reshape(p * ny, q * nu)
-    a = (left[:, :n].T / root[:, None]) @ moved @ (right[:n].T / root)
+    a = (left[:, :n].T / root[:, None]) @ hankel[:, nu:] @ (right[:n].T / root)
     return a, control[:, :nu], observe[:ny], values
 
 
 def _gap(values: FloatArray, tolerance: float) -> int:
-    """Return the order at the largest relative gap of the singular values."""
-    kept = values[values > tolerance * values[0]]
-    if kept.size < values.size and kept.size <= max(1, values.size // 2):
-        return max(1, int(kept.size))
+    """Return the numerical rank where it is clear; else the order at the largest gap among the larger half."""
+    rank = int(np.sum(values > tolerance * values[0]))
+    if rank < values.size and values[rank - 1] > 1e3 * values[rank]:
+        return rank
+    kept = values[:rank]
     ratios = kept[:-1] / kept[1:]
     half = max(1, ratios.size // 2)
     return int(np.argmax(ratios[:half])) + 1 if ratios.size else 1
@@ -110,7 +113,7 @@ class HoKalman:
 
     Examples
     --------
-    >>> from harness.signals import Channel
+    >>> from harness.signals import Channel, PlantSpec
     >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
     >>> u = np.random.default_rng(0).choice([-1.0, 1.0], size=(400, 1))
     >>> y = np.zeros((400, 1))
@@ -147,14 +150,14 @@ class HoKalman:
         moving(records, what)
         if self.observer is None:
             response, level, rms = markov_parameters(records, self.markov, offset=self.offset)
-            both = response[1:]
+            innovation = np.zeros((self.markov, spec.ny, 0))
         else:
             response, innovation, level, rms = observer_markov(
                 records, self.observer, self.markov, offset=self.offset, direct=self.direct
             )
-            both = np.concatenate([response[1:], innovation[1:]], axis=2)
-        a, inward, c, values = realize(both, order=self.order, rows=self.rows)
-        b = inward[:, : spec.nu]
+        # The response to the innovation is far less certain than that to the input: with both in one Hankel matrix the
+        # noise of the former ends up in A.
+        a, b, c, values = realize(response[1:], order=self.order, rows=self.rows)
         notes: dict[str, Any] = {
             "hankel_singular_values": values[:20].tolist(),
             "order": int(a.shape[0]),
@@ -166,7 +169,7 @@ class HoKalman:
             notes["stabilized"] = True
         gain = stationary_gain(a, c)
         if self.observer is not None and "stabilized" not in notes:
-            gain = np.linalg.lstsq(a, inward[:, spec.nu :], rcond=1e-10)[0]  # K = A L
+            gain = np.linalg.lstsq(a, _input_matrix(a, c, innovation[1:]), rcond=1e-10)[0]  # K = A L
             if np.abs(np.linalg.eigvals(a - a @ gain @ c)).max() >= 1.0:
                 gain = stationary_gain(a, c)
         d = response[0] if self.direct else np.zeros((spec.ny, spec.nu))
@@ -219,12 +222,20 @@ def observer_markov(
     response, innovation = np.zeros((length, ny, nu)), np.zeros((length, ny, ny))
     if direct:
         response[0] = theta[:, lags * (ny + nu) : lags * (ny + nu) + nu]
-    for k in range(1, length):
-        few = min(k, lags)
-        if k <= lags:
-            response[k], innovation[k] = pushed[k - 1], seen[k - 1]
-        response[k] += np.einsum("iab,ibc->ac", seen[:few], response[k - 1 :: -1][:few])
-        innovation[k] += np.einsum("iab,ibc->ac", seen[:few], innovation[k - 1 :: -1][:few])
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(1, length):
+            few = min(k, lags)
+            if k <= lags:
+                response[k], innovation[k] = pushed[k - 1], seen[k - 1]
+            response[k] += np.einsum("iab,ibc->ac", seen[:few], response[k - 1 :: -1][:few])
+            innovation[k] += np.einsum("iab,ibc->ac", seen[:few], innovation[k - 1 :: -1][:few])
+    if not (np.abs(response) < 1e12).all() or not np.isfinite(innovation).all():
+        raise FitError(
+            f"{what}: the observer's model grows without bound",
+            expected="Markov parameters that stay finite",
+            got=f"above 1e12 within {length} samples",
+            remedy="use direct=True if an output depends on the input of the same sample, or another observer",
+        )
     level = np.zeros(ny)
     if offset:
         rest = np.eye(ny) - seen.sum(axis=0)

@@ -306,6 +306,9 @@ def _judge_one(
         if not (other.nuisance or other.fixed or other is parameter)
         and _on_bound(other, fitted.values[placed.name(other.name)])
     ]
+    shape = {other.name: abs(fitted.values[placed.name(other.name)]) for other in placed.effect.parameters}
+    if "vs" in shape and "w" in shape and shape["vs"] < 2 * shape["w"]:
+        wrong.append("its Stribeck speed lies within the smoothing of the sign: no Stribeck branch is seen")
     if wrong:
         verdict = Judgement(False, (*verdict.reasons, *wrong))
     return verdict, interval

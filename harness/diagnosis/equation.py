@@ -140,11 +140,11 @@ def decimated(rows: FloatArray, motion: Motion) -> FloatArray:
 def bump_rows(rows: FloatArray, motion: Motion, *, slope: bool = False) -> FloatArray:
     """Return the mean of rows (N, k) over half overlapping bumps, or of minus their product with the bump's slope.
 
-    The bump is (1 - s^2)^2 on s in (-1, 1), so both it and its slope vanish at its ends; it is as wide as ten
+    The bump is (1 - s^2)^2 on s in (-1, 1), so both it and its slope vanish at its ends; it is as wide as five
     decimated samples. With ``slope`` the result is the mean of the derivative of the rows, by parts.
     """
     dt = motion.sample_time
-    width = max(10 * motion.factor, 16)
+    width = max(5 * motion.factor, 8)
     rows = rows[motion.inside]
     width = min(width, rows.shape[0] // 4)
     s = (np.arange(width) + 0.5) / width * 2 - 1

@@ -39,7 +39,7 @@ def test_dry_friction_is_named_with_its_size(dry_report) -> None:
         assert report.data["parameters"]["after"][name]["value"] == pytest.approx(true, rel=0.05)
     before, after = (report.data["errors"][key]["simulation_error"]["validation"] for key in ("before", "after"))
     assert before["theta"]["rms"] > 10 * after["theta"]["rms"]
-    assert after["theta"]["rms"] < 1.2e-3
+    assert after["theta"]["rms"] < 1.5e-3
 
 
 def test_report_json_is_complete_and_has_no_nan(dry_report) -> None:
@@ -126,7 +126,7 @@ def test_data_that_cannot_be_judged_are_refused(foreign_pendulum) -> None:
     only = replace(data, runs=data.runs[:1])
     with pytest.raises(InputError, match="validation"):
         close_loop(only, "pendulum")
-    with pytest.raises(InputError, match="inputs"):
+    with pytest.raises(InputError, match="do not fit the model"):
         close_loop(data, "oscillator")
     short = replace(data, runs=tuple(Run(run.trajectory[:20], run.use) for run in data))
     with pytest.raises(InputError, match="too short"):

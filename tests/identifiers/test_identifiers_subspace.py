@@ -1,0 +1,230 @@
+"""Ho-Kalman and its relatives: exact on exact responses, never across a seam, fast where the Hankel matrix is large."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from harness.errors import FitError
+from harness.scoring import equation_error, simulation_error
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
+from identifiers.hankel import leading_singular_vectors
+from identifiers.linear import LinearModel
+from identifiers.subspace import HoKalman, markov_parameters, realize
+
+RNG = np.random.default_rng(0)
+SPEC = PlantSpec((Channel("u", "N"),), (Channel("y", "m"),), 0.1)
+A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.0, -0.5]])
+B, C = np.array([[0.0], [1.0], [1.0]]), np.array([[1.0, 0.5, -1.0]])
+
+
+def response(a: FloatArray, b: FloatArray, c: FloatArray, count: int) -> FloatArray:
+    """Return G[1] .. G[count] (count, ny, nu)."""
+    found, x = [], b
+    for _ in range(count):
+        found.append(c @ x)
+        x = a @ x
+    return np.array(found)
+
+
+def of_model(model: LinearModel, count: int) -> FloatArray:
+    return response(model.a_matrix, model.b_matrix, model.c_matrix, count)
+
+
+def relative(found: FloatArray, true: FloatArray) -> float:
+    return float(np.linalg.norm(found - true) / np.linalg.norm(true))
+
+
+def run(
+    n: int, seed: int, *, noise: float = 0.0, a: FloatArray = A, b: FloatArray = B, c: FloatArray = C
+) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    nx, nu, ny = a.shape[0], b.shape[1], c.shape[0]
+    u, x = rng.normal(size=(n, nu)), np.zeros((n, nx))
+    for k in range(n - 1):
+        x[k + 1] = a @ x[k] + b @ u[k]
+    spec = PlantSpec(
+        tuple(Channel(f"u{i}", "N") for i in range(nu)), tuple(Channel(f"y{i}", "m") for i in range(ny)), 0.1
+    )
+    return Trajectory(np.arange(n) * 0.1, u, x @ c.T + noise * rng.normal(size=(n, ny)), spec)
+
+
+@pytest.fixture(scope="module")
+def keypoints(recordings_folder):
+    """Return the textbook's cart-pole seen by keypoints, and its true impulse response."""
+    with np.load(recordings_folder / "textbook" / "cartpole_keypoints.npz") as file:
+        spec = PlantSpec((Channel("u", "N"),), tuple(Channel(f"k{i}", "m") for i in range(24)), 0.1)
+        t = np.arange(file["U"].shape[2]) * 0.1
+        records = [Trajectory(t, u.T, y.T, spec) for u, y in zip(file["U"], file["Y"], strict=True)]
+        return records, file["A"], file["B"], file["C"]
+
+
+@pytest.mark.parametrize("order", [3, None])
+@pytest.mark.parametrize("count", [12, 13, 40, 101])
+def test_exact_markov_parameters_give_exact_eigenvalues(order, count):
+    a, b, c, values = realize(response(A, B, C, count), order=order)
+    assert np.sort_complex(np.linalg.eigvals(a)) == pytest.approx(np.sort_complex(np.linalg.eigvals(A)), abs=1e-13)
+    assert response(a, b, c, count) == pytest.approx(response(A, B, C, count), abs=1e-13)
+    assert values[3] < 1e-13 * values[0] if len(values) > 3 else True
+
+
+@pytest.mark.parametrize("rows", [3, 7, 30])
+def test_the_window_may_be_chosen(rows):
+    a, b, c, _ = realize(response(A, B, C, 40), order=3, rows=rows)
+    assert response(a, b, c, 40) == pytest.approx(response(A, B, C, 40), abs=1e-12)
+
+
+def test_a_realization_is_balanced():
+    a, b, c, values = realize(response(0.5 * A, B, C, 80), order=3)
+    reach = sum(np.linalg.matrix_power(a, k) @ b @ b.T @ np.linalg.matrix_power(a, k).T for k in range(80))
+    watch = sum(np.linalg.matrix_power(a, k).T @ c.T @ c @ np.linalg.matrix_power(a, k) for k in range(80))
+    assert reach == pytest.approx(np.diag(values[:3]), abs=1e-9)
+    assert watch == pytest.approx(np.diag(values[:3]), abs=1e-9)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+@pytest.mark.parametrize("size", [(1, 1), (2, 1), (2, 3)])
+def test_a_large_hankel_matrix_gives_the_same_by_products_alone(noise, size):
+    rng = np.random.default_rng(1)
+    b, c = rng.normal(size=(3, size[1])), rng.normal(size=(size[0], 3))
+    G = response(A, b, c, 699)
+    G += noise * rng.normal(size=G.shape)
+    found = leading_singular_vectors(G, 350, 350, 3)
+    assert found is not None
+    index = np.arange(350)[:, None] + np.arange(350)
+    dense = G[index].transpose(0, 2, 1, 3).reshape(350 * size[0], 350 * size[1])
+    u, s, v = np.linalg.svd(dense, full_matrices=False)
+    assert found[1] == pytest.approx(s[:3], rel=1e-11)
+    assert found[0] @ found[0].T == pytest.approx(u[:, :3] @ u[:, :3].T, abs=1e-6)
+    assert (found[0] * found[1]) @ found[2] == pytest.approx((u[:, :3] * s[:3]) @ v[:3], abs=1e-6)
+
+
+def test_where_there_is_no_gap_the_dense_way_is_taken():
+    assert leading_singular_vectors(np.random.default_rng(0).normal(size=(799, 1, 1)), 400, 400, 3) is None
+
+
+@pytest.mark.parametrize("length", [5, 40, 90])
+@pytest.mark.parametrize("offset", [False, True])
+def test_markov_parameters_equal_plain_least_squares(length, offset):
+    records = [run(n, seed, noise=0.1, b=np.hstack([B, B[::-1]])) for seed, n in ((0, 300), (1, 91), (2, 700))]
+    G, level, rms = markov_parameters(records, length, offset=offset)
+    rows, targets = [], []
+    for one in records:
+        for k in range(length - 1, len(one)):
+            past = one.u[k - length + 1 : k + 1][::-1].ravel()
+            rows.append(np.r_[past, 1.0] if offset else past)
+            targets.append(one.y[k])
+    theta = np.linalg.lstsq(np.array(rows), np.array(targets), rcond=None)[0]
+    assert G == pytest.approx(theta[: 2 * length].reshape(length, 2, 1).transpose(0, 2, 1), abs=1e-8)
+    assert level == pytest.approx(theta[-1] if offset else [0.0], abs=1e-8)
+    miss = np.array(targets) - np.array(rows) @ theta
+    assert rms == pytest.approx(np.sqrt(np.mean(miss**2, axis=0)), rel=1e-6)
+
+
+def test_the_model_is_exact_once_the_response_has_died_away():
+    model = HoKalman(markov=400, order=3, offset=False).fit([run(3000, 0)], rng=RNG)
+    assert np.sort_complex(model.eigenvalues) == pytest.approx(np.sort_complex(np.linalg.eigvals(A)), abs=1e-7)
+    assert simulation_error(model, run(300, 5)).nrmse[0] < 1e-6
+
+
+def test_the_order_is_found_from_the_gap():
+    model = HoKalman(markov=120).fit([run(8000, 0, noise=0.01)], rng=RNG)
+    assert model.notes["order"] == 3
+
+
+@pytest.mark.parametrize(
+    ("u", "words"),
+    [(np.sin(np.arange(400.0)), "does not excite"), (np.ones(400), "constant"), (np.zeros(400), "constant")],
+)
+def test_poor_inputs_are_refused_in_words(u, words):
+    y = np.convolve(u, 0.8 ** np.arange(50))[:400] + 0.1 * RNG.normal(size=400)
+    data = Trajectory(np.arange(400) * 0.1, u[:, None], y[:, None], SPEC)
+    for length in (20, 90):
+        with pytest.raises(FitError, match=words):
+            HoKalman(markov=length).fit([data], rng=RNG)
+
+
+def test_short_records_and_no_input_are_refused():
+    with pytest.raises(FitError, match="too short"):
+        HoKalman(markov=100).fit([run(50, 0)], rng=RNG)
+    with pytest.raises(FitError, match="fewer equations"):
+        HoKalman(markov=100).fit([run(120, 0)], rng=RNG)
+    free = Trajectory(
+        np.arange(90) * 0.1, np.zeros((90, 0)), RNG.normal(size=(90, 1)), PlantSpec((), SPEC.outputs, 0.1)
+    )
+    with pytest.raises(FitError, match="no input"):
+        HoKalman().fit([free], rng=RNG)
+
+
+# ---- keypoints ------------------------------------------------------------------------------------------------------
+
+
+def test_keypoints_within_seven_percent_where_no_window_crosses_a_seam(keypoints):
+    records, a, b, c = keypoints
+    model = HoKalman(markov=100, order=4).fit(records, rng=RNG)
+    assert relative(of_model(model, 99), response(a, b, c, 99)) <= 0.07  # measured 0.041
+    joined = Trajectory(
+        np.arange(sum(map(len, records))) * 0.1,
+        np.concatenate([one.u for one in records]),
+        np.concatenate([one.y for one in records]),
+        records[0].spec,
+    )
+    across = HoKalman(markov=100, order=4).fit([joined], rng=RNG)
+    assert relative(of_model(across, 99), response(a, b, c, 99)) > 0.1, "the test would see a crossed seam"
+
+
+def test_stacked_keypoints_have_rank_four_of_forty_eight(keypoints):
+    _, a, b, c = keypoints
+    data = run(400, 0, a=a, b=b, c=c)
+    stacked = np.hstack([data.y[1:], data.y[:-1]])
+    values = np.linalg.svd(stacked - data.u[:-1] @ np.hstack([(c @ b).T, 0 * (c @ b).T]), compute_uv=False)
+    assert stacked.shape[1] == 48
+    assert (values > 1e-10 * values[0]).sum() == 4
+
+
+def test_through_an_observer_the_response_need_not_have_died_away(keypoints):
+    _, a, b, c = keypoints
+    records = [run(151, seed, noise=1e-3, a=a, b=b, c=c) for seed in range(25)]
+    true = response(a, b, c, 99)
+    direct = relative(of_model(HoKalman(markov=100, order=4).fit(records, rng=RNG), 99), true)
+    model = HoKalman(markov=100, order=4, observer=8).fit(records, rng=RNG)
+    through = relative(of_model(model, 99), true)
+    assert through < 0.0024  # measured 3e-5
+    assert through < 0.1 * direct
+    held = run(151, 99, noise=1e-3, a=a, b=b, c=c)
+    assert equation_error(model, held, burn_in=20).rms.mean() < 1.1e-3, "its filter reaches the sensor's noise"
+
+
+def test_the_error_falls_with_the_root_of_the_samples():
+    true = response(A, B, C, 59)
+    scaled = []
+    for n in (500, 2000, 8000, 32000):
+        errors = []
+        for seed in range(6):
+            data = run(n + 59, 10 * seed + n, noise=0.5, a=0.8 * A)
+            G = markov_parameters([data], 60, offset=False)[0][1:]
+            errors.append(np.linalg.norm(G - response(0.8 * A, B, C, 59)))
+        scaled.append(np.mean(errors) * np.sqrt(n))
+    assert true.shape == (59, 1, 1)
+    assert max(scaled) / min(scaled) < 1.2  # measured 1.09
+
+
+def test_unstable_fits_are_made_stable_at_no_cost():
+    """Short noisy records of a slow plant: many fits are unstable, none with ``stable``, and none is worse for it."""
+    rng = np.random.default_rng(0)
+    slow = np.array([[0.995, 0.02], [-0.02, 0.99]])
+    b, c = np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
+    unstable, errors = 0, []
+    for seed in range(40):
+        data = run(240, seed, noise=1.0 + rng.random(), a=slow, b=b, c=c)
+        plain = HoKalman(markov=60, order=3).fit([data], rng=RNG)
+        stable = HoKalman(markov=60, order=3, stable=True).fit([data], rng=RNG)
+        assert np.abs(stable.eigenvalues).max() < 1.0
+        if np.abs(plain.eigenvalues).max() < 1.0:
+            assert np.array_equal(stable.a_matrix, plain.a_matrix), "a stable fit is left alone"
+            continue
+        unstable += 1
+        true = response(slow, b, c, 59)
+        errors.append(relative(of_model(stable, 59), true) / relative(of_model(plain, 59), true))
+    assert 4 <= unstable <= 36
+    assert np.median(errors) < 1.05

@@ -1,0 +1,309 @@
+"""Linear systems of the textbook, each with the check that says that its method works."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from harness.errors import FitError
+from harness.lqr import lqr_cost_ratio, reachable, state_observable
+from harness.scoring import equation_error, predict, simulation_error
+from harness.signals import Channel, PlantSpec, Trajectory
+from identifiers.linear import Arx, StateLeastSquares
+from identifiers.markov import markov_parameters
+from identifiers.subspace import HoKalman, realize
+
+RNG = np.random.default_rng(0)
+OSCILLATOR = np.array([[0.9, 0.3], [-0.2, 0.85]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
+
+
+def spec_of(nu: int, ny: int, dt: float = 0.1) -> PlantSpec:
+    return PlantSpec(
+        tuple(Channel(f"u{i}", "V") for i in range(nu)), tuple(Channel(f"y{i}", "m") for i in range(ny)), dt
+    )
+
+
+def simulate(a, b, c, n, *, rng, noise=0.0, x0=None, amplitude=1.0):
+    """Return a record under white input, sensor noise relative to each output's standard deviation."""
+    u = amplitude * rng.normal(size=(n, b.shape[1]))
+    x = np.zeros((n, a.shape[0]))
+    x[0] = 0.0 if x0 is None else x0
+    for k in range(n - 1):
+        x[k + 1] = a @ x[k] + b @ u[k]
+    y = x @ c.T
+    y = y + noise * y.std(axis=0) * rng.normal(size=y.shape)
+    return Trajectory(np.arange(n) * 0.1, u, y, spec_of(b.shape[1], c.shape[0]))
+
+
+def impulse_response(model, n):
+    """Return C A^k B of a linear model (n, ny, nu)."""
+    rows, x = [], model.b_matrix
+    for _ in range(n):
+        rows.append(model.c_matrix @ x)
+        x = model.a_matrix @ x
+    return np.array(rows)
+
+
+def truth(a, b, c, n):
+    rows, x = [], b
+    for _ in range(n):
+        rows.append(c @ x)
+        x = a @ x
+    return np.array(rows)
+
+
+def relative(found, wanted):
+    return float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
+
+
+def test_simulation_error_beats_equation_error_twentyfold_under_output_noise():
+    """Item 1: a second-order system, 10 % output noise, N = 600; error of the impulse response."""
+    from identifiers.grey_box import OutputError
+
+    a, b, c = OSCILLATOR
+    wanted = truth(a, b, c, 60)
+    ratios = []
+    for seed in range(3):
+        data = simulate(a, b, c, 600, rng=np.random.default_rng(seed), noise=0.1)
+        arx = Arx(order=2, offset=False).fit([data], rng=RNG)
+        oe = OutputError(model="linear", options={"order": 2, "time_scale": 0.5}, horizon="record").fit([data], rng=RNG)
+        simulator = oe.simulator
+        p = oe.system().vector(oe.parameters)
+        u = np.zeros((61, 1))
+        still = simulator.rollout(p, np.zeros(2), u)
+        u[0] = 1.0
+        response = (simulator.rollout(p, np.zeros(2), u) - still)[1:]
+        ratios.append(relative(impulse_response(arx, 60), wanted) / relative(response[:, :, None], wanted))
+    assert np.median(ratios) >= 20.0, ratios
+
+
+@pytest.mark.parametrize("method", ["iv", "tls"])
+def test_noise_on_the_states_biases_least_squares_at_any_length_and_the_remedies_do_not(method):
+    """Item 4."""
+    a, b, _ = OSCILLATOR
+    bias, rest = [], []
+    for n in (2000, 20000):
+        data = simulate(a, b, np.eye(2), n, rng=np.random.default_rng(5), noise=0.5)
+        plain = StateLeastSquares(least_excitation=0.0).fit([data], rng=RNG)
+        better = StateLeastSquares(method=method, least_excitation=0.0).fit([data], rng=RNG)
+        bias.append(float(np.abs(plain.a_matrix - a).max()))
+        rest.append(float(np.abs(better.a_matrix - a).max()))
+    assert min(bias) > 0.15
+    assert bias[1] > 0.9 * bias[0]
+    assert rest[1] < 0.02
+
+
+def test_outliers_hurt_least_squares_and_not_least_absolute_deviations():
+    """Item 21: 5 % outliers."""
+    a, b, _ = OSCILLATOR
+    clean = simulate(a, b, np.eye(2), 400, rng=np.random.default_rng(3))
+    rng = np.random.default_rng(4)
+    y = clean.y + 1e-3 * rng.normal(size=clean.y.shape)
+    y[rng.random(400) < 0.05] += 3.0
+    data = Trajectory(clean.t, clean.u, y, clean.spec)
+    errors = {}
+    for method in ("ls", "l1", "linf"):
+        model = StateLeastSquares(method=method, least_excitation=0.0).fit([data], rng=RNG)
+        errors[method] = float(np.abs(model.a_matrix - a).max())
+    assert errors["l1"] < 5e-3
+    assert errors["ls"] > 20 * errors["l1"]
+
+
+def test_each_criterion_minimises_its_own_norm():
+    """Item 21: l2, l1 and l-infinity fits, each the best of the three in its own norm."""
+    a, b, _ = OSCILLATOR
+    data = simulate(a, b, np.eye(2), 150, rng=np.random.default_rng(3), noise=0.05)
+    miss = {}
+    for method in ("ls", "l1", "linf"):
+        model = StateLeastSquares(method=method, least_excitation=0.0).fit([data], rng=RNG)
+        miss[method] = data.y[1:] - predict(model, data, 1)[1:]
+    for column in range(2):
+        for method, norm in (("ls", 2), ("l1", 1), ("linf", np.inf)):
+            own = np.linalg.norm(miss[method][:, column], norm)
+            assert all(own <= np.linalg.norm(other[:, column], norm) * (1 + 1e-9) for other in miss.values())
+
+
+def balance(folder: Path, name: str, noise: float = 0.0):
+    content = np.load(folder / "textbook" / f"cartpole_balance_wrongLQR_{name}.npz")
+    spec = PlantSpec(
+        (Channel("u", "N"),),
+        tuple(Channel(n, u) for n, u in (("x", "m"), ("theta", "rad"), ("v", "m/s"), ("w", "rad/s"))),
+        0.1,
+    )
+    rng = np.random.default_rng(0)
+    runs = [
+        Trajectory(np.arange(81) * 0.1, u.T, x.T + noise * rng.normal(size=(81, 4)), spec)
+        for x, u in zip(content["X"], content["U"], strict=True)
+    ]
+    return runs, content
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6])
+def test_balancing_under_pure_state_feedback_is_refused(recordings_folder, noise):
+    """Item 20: rank 4 of 5, also where noise makes the numeric rank 5."""
+    runs, _ = balance(recordings_folder, "pure", noise)
+    with pytest.raises(FitError, match="rank 4 of 5"):
+        StateLeastSquares().fit(runs, rng=RNG)
+
+
+def test_balancing_with_a_little_excitation_gives_a_controller_as_good_as_the_true_one(recordings_folder):
+    """Items 20 and 5: A to 1.3e-4, LQR cost ratio 1 + 7e-9."""
+    runs, content = balance(recordings_folder, "excited")
+    model = StateLeastSquares().fit(runs, rng=RNG)
+    assert relative(model.a_matrix, content["A"]) < 2e-4
+    found = lqr_cost_ratio((model.a_matrix, model.b_matrix), (content["A"], content["B"]))
+    assert found.status == "ok"
+    assert 1.0 - 1e-9 <= found.ratio < 1.0 + 1e-7
+    assert reachable(model.a_matrix, model.b_matrix) == 4
+    assert state_observable(model.a_matrix, model.c_matrix) == 4
+
+
+def test_a_design_that_does_not_stabilise_costs_infinity():
+    plant = np.array([[1.1]]), np.array([[1.0]])
+    assert lqr_cost_ratio(plant, plant).ratio == pytest.approx(1.0, abs=1e-12)
+    assert lqr_cost_ratio((np.array([[0.1]]), np.array([[1.0]])), plant).ratio == np.inf
+    assert lqr_cost_ratio((np.array([[1.1]]), np.array([[0.0]])), plant).status == "no design"
+
+
+def test_exact_markov_parameters_give_the_eigenvalues_to_rounding():
+    """Item 25."""
+    a = np.diag([0.9, 0.6, -0.4])
+    b, c = np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 1.0, 1.0], [0.0, 1.0, -1.0]])
+    found, _, _, values = realize(truth(a, b, c, 40), order=3)
+    assert np.abs(np.sort(np.linalg.eigvals(found).real) - [-0.4, 0.6, 0.9]).max() < 1e-13
+    assert values[3] < 1e-12 * values[0]
+
+
+def test_the_realization_is_balanced():
+    a, b, c = OSCILLATOR
+    found, into, out, values = realize(truth(a, b, c, 200), order=2)
+    reach = sum(
+        np.linalg.matrix_power(found, k) @ into @ into.T @ np.linalg.matrix_power(found, k).T for k in range(99)
+    )
+    see = sum(np.linalg.matrix_power(found, k).T @ out.T @ out @ np.linalg.matrix_power(found, k) for k in range(99))
+    assert np.allclose(reach, np.diag(values[:2]), atol=1e-6)
+    assert np.allclose(see, np.diag(values[:2]), atol=1e-6)
+
+
+def test_error_of_the_impulse_response_falls_with_the_square_root_of_the_samples():
+    """Item 25: error times sqrt(N) is constant."""
+    a, b, c = OSCILLATOR
+    wanted = truth(a, b, c, 79)
+    scaled = []
+    for n in (1000, 4000, 16000):
+        errors = []
+        for seed in range(4):
+            data = simulate(a, b, c, n, rng=np.random.default_rng(seed), noise=0.2)
+            errors.append(np.linalg.norm(markov_parameters([data], 80)[0][1:] - wanted))
+        scaled.append(np.mean(errors) * np.sqrt(n))
+    assert max(scaled) / min(scaled) < 1.25, scaled
+
+
+def keypoints(folder: Path, noise: float = 0.0):
+    """Return the records; in the file y[k] is measured after u[k] was applied, so the outputs are moved by one."""
+    content = np.load(folder / "textbook" / "cartpole_keypoints.npz")
+    rng = np.random.default_rng(0)
+    spec = spec_of(1, 24)
+    runs = []
+    for y, u in zip(content["Y"], content["U"], strict=True):
+        y = y.T[:-1] + noise * rng.normal(size=(150, 24))
+        runs.append(Trajectory(np.arange(150) * 0.1, u.T[1:], y, spec))
+    return runs, truth(content["A"], content["B"], content["C"], 100)
+
+
+def test_keypoints_by_ho_kalman_without_crossing_seams(recordings_folder):
+    """Item 25: at most .07; .16 to .60 where windows cross seams."""
+    runs, wanted = keypoints(recordings_folder)
+    model = HoKalman(markov=100, order=4).fit(runs, rng=RNG)
+    assert relative(impulse_response(model, 100), wanted) <= 0.07
+    joined = Trajectory(
+        np.arange(150 * len(runs)) * 0.1,
+        np.concatenate([r.u for r in runs]),
+        np.concatenate([r.y for r in runs]),
+        runs[0].spec,
+    )
+    crossed = HoKalman(markov=100, order=4).fit([joined], rng=RNG)
+    assert relative(impulse_response(crossed, 100), wanted) > 0.16
+
+
+def test_keypoints_by_an_observer_are_far_better(recordings_folder):
+    """Item 26: where the response has not died away, an observer's memory is enough."""
+    runs, wanted = keypoints(recordings_folder)
+    direct = HoKalman(markov=100, order=4).fit(runs, rng=RNG)
+    observer = HoKalman(markov=100, order=4, observer=4).fit(runs, rng=RNG)
+    error = relative(impulse_response(observer, 100), wanted)
+    assert error < 0.005
+    assert error < 0.2 * relative(impulse_response(direct, 100), wanted)
+
+
+def test_an_observer_model_that_grows_without_bound_is_refused(recordings_folder):
+    content = np.load(recordings_folder / "textbook" / "cartpole_keypoints.npz")
+    runs = [
+        Trajectory(np.arange(151) * 0.1, u.T, y.T, spec_of(1, 24))
+        for y, u in zip(content["Y"], content["U"], strict=True)
+    ]
+    with pytest.raises(FitError, match="direct=True"):
+        HoKalman(observer=4).fit(runs, rng=RNG)
+
+
+def test_stability_constraint_leaves_no_unstable_model_at_no_cost():
+    """Item 27: a slow system, short noisy records."""
+    a, b, c = np.array([[0.995, 0.1], [-0.1, 0.99]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
+    unstable, errors = 0, {False: [], True: []}
+    test = simulate(a, b, c, 400, rng=np.random.default_rng(99))
+    for seed in range(20):
+        data = simulate(a, b, c, 260, rng=np.random.default_rng(seed), noise=0.5)
+        for stable in (False, True):
+            model = HoKalman(markov=40, order=4, stable=stable).fit([data], rng=RNG)
+            radius = np.abs(model.eigenvalues).max()
+            unstable += int(radius >= 1.0 and not stable)
+            assert not stable or radius < 1.0
+            errors[stable].append(equation_error(model, test).nrmse[0])
+    assert unstable > 0, "the case is too easy to show anything"
+    assert np.median(errors[True]) <= 1.05 * np.median(errors[False])
+
+
+def test_many_markov_parameters_by_conjugate_gradients_equal_the_dense_solution(monkeypatch):
+    import identifiers.markov as room
+
+    rng = np.random.default_rng(0)
+    a, b = np.array([[0.8, 0.2], [-0.3, 0.7]]), rng.normal(size=(2, 2))
+    runs = [simulate(a, b, rng.normal(size=(3, 2)), n, rng=rng, noise=0.1) for n in (700, 420)]
+    fast = markov_parameters(runs, 60)
+    monkeypatch.setattr(room, "_DENSE", 10_000)
+    dense = markov_parameters(runs, 60)
+    for one, two in zip(fast, dense, strict=True):
+        assert np.abs(one - two).max() < 1e-9
+
+
+def test_markov_parameters_equal_plain_least_squares_on_windows():
+    a, b, c = OSCILLATOR
+    runs = [simulate(a, b, c, n, rng=np.random.default_rng(n), noise=0.1) for n in (80, 120)]
+    windows = np.concatenate([[r.u[k - np.arange(10), 0] for k in range(9, len(r))] for r in runs])
+    target = np.concatenate([r.y[9:] for r in runs])
+    wanted = np.linalg.lstsq(np.hstack([windows, np.ones((len(windows), 1))]), target, rcond=None)[0]
+    found, level, _ = markov_parameters(runs, 10)
+    assert np.allclose(found[:, 0, 0], wanted[:-1, 0], atol=1e-10)
+    assert np.allclose(level, wanted[-1], atol=1e-10)
+
+
+def test_an_input_that_does_not_excite_all_lags_is_refused():
+    a, b, c = OSCILLATOR
+    t = np.arange(500)
+    u = np.sin(0.3 * t)[:, None]
+    x = np.zeros((500, 2))
+    for k in range(499):
+        x[k + 1] = a @ x[k] + b @ u[k]
+    data = Trajectory(t * 0.1, u, x @ c.T, spec_of(1, 1))
+    with pytest.raises(FitError, match="does not excite all lags"):
+        HoKalman(markov=100).fit([data], rng=RNG)
+
+
+def test_fitted_models_simulate_held_out_data():
+    a, b, c = OSCILLATOR
+    data = simulate(a, b, c, 4000, rng=np.random.default_rng(0), noise=0.1)
+    test = simulate(a, b, c, 1000, rng=np.random.default_rng(1))
+    for identifier in (HoKalman(order=2), HoKalman(order=2, observer=12), Arx(order=20)):
+        assert simulation_error(identifier.fit([data], rng=RNG), test).nrmse[0] < 0.02, identifier
