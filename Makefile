@@ -19,9 +19,10 @@ $(READY): pyproject.toml constraints.txt
 demo: $(READY)
 	@rm -rf demo-out && mkdir demo-out
 	$(BIN)/sysid bench quick --out demo-out/quick
-	$(BIN)/sysid simulate arm-bullet --scenario multisine --option joint_friction=0.15 --seed 1 -o demo-out/arm.csv
-	$(BIN)/sysid simulate arm-bullet --scenario multisine --option joint_friction=0.15 --seed 1 --role validation/0 \
-	  -o demo-out/arm-validation.csv
+	$(BIN)/sysid simulate arm-bullet --scenario multisine --option joint_friction=0.15 \
+	  --scenario-option noise=0.001 --seed 1 -o demo-out/arm.csv
+	$(BIN)/sysid simulate arm-bullet --scenario multisine --option joint_friction=0.15 \
+	  --scenario-option noise=0.001 --seed 1 --role validation/0 -o demo-out/arm-validation.csv
 	$(BIN)/sysid close-loop demo-out/arm.csv --model pendulum --validation demo-out/arm-validation.csv --out demo-out/arm
 	@echo; echo "reports: $(CURDIR)/demo-out/quick/report.html"; echo "         $(CURDIR)/demo-out/arm/report.html"
 

@@ -1,7 +1,8 @@
 """The contracts: what a plant, a model, an identifier and a scenario are. Structural: nothing to inherit.
 
-The abilities beyond the minimum (:class:`Snapshots`, :class:`Feedthrough`, :class:`Batch`, :class:`Truth`) are
-declared in ``Plant.abilities`` and proved by :mod:`harness.conformance`; nothing is ever guessed.
+The abilities beyond the minimum (:class:`Snapshots`, :class:`Feedthrough`, :class:`Batch`, :class:`Truth`,
+:class:`BatchTruth`) are declared in ``Plant.abilities`` and proved by :mod:`harness.conformance`; nothing is
+ever guessed.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 __all__ = [
     "Ability",
     "Batch",
+    "BatchTruth",
     "Controller",
     "Experiment",
     "Feedthrough",
@@ -32,7 +34,7 @@ __all__ = [
     "Truth",
 ]
 
-Ability = Literal["snapshots", "feedthrough", "batch", "truth"]
+Ability = Literal["snapshots", "feedthrough", "batch", "truth", "batch-truth"]
 
 
 @runtime_checkable
@@ -111,6 +113,15 @@ class Truth(Protocol):
 
     def truth(self) -> FloatArray:
         """Return the present true state (nx,)."""
+        ...
+
+
+@runtime_checkable
+class BatchTruth(Protocol):
+    """Ability ``"batch-truth"``: a batch that brings the true states along; needs ``"batch"`` and ``"truth"``."""
+
+    def rollout_truth(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what ``rollout`` returns (N, ny), and the true states (N, nx) at the same instants."""
         ...
 
 

@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 
 from harness.errors import InputError, PlantError
-from harness.protocols import Batch, Experiment, Feedthrough, Plant, Scenario, Truth
+from harness.protocols import Batch, BatchTruth, Experiment, Feedthrough, Plant, Scenario, Truth
 from harness.rng import Streams
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
@@ -73,15 +73,20 @@ def perform(
     inputs = excitation.copy()
     truth = "truth" in plant.abilities
     open_loop = experiment.controller is None and not spec.feedthrough
-    if open_loop and "batch" in plant.abilities and not truth:
+    states = np.empty((n, len(spec.states))) if truth else None
+    if open_loop and ("batch-truth" if truth else "batch") in plant.abilities:
         outputs[0] = y
-        if n > 1:
-            outputs[1:] = cast(Batch, plant).rollout((inputs + hidden)[:-1])
+        applied = (inputs + hidden)[:-1]
+        if states is not None:
+            states[0] = cast(Truth, plant).truth()
+            if n > 1:
+                outputs[1:], states[1:] = cast(BatchTruth, plant).rollout_truth(applied)
+        elif n > 1:
+            outputs[1:] = cast(Batch, plant).rollout(applied)
         _refuse_divergence(outputs, spec)
         for k in range(n):
             outputs[k] = experiment.measure(k, outputs[k])
-        return Trajectory(_instants(n, spec), inputs, outputs, spec)
-    states = np.empty((n, len(spec.states))) if truth else None
+        return Trajectory(_instants(n, spec), inputs, outputs, spec, states)
     for k in range(n):
         t = k * spec.sample_time
         if spec.feedthrough and experiment.controller is None:

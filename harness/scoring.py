@@ -79,7 +79,7 @@ class Regret:
 
     @property
     def cumulative(self) -> FloatArray:
-        """Regret up to each sample (M,)."""
+        """Loss so far beyond that of the minimiser of the *whole* stream (M,); for the regret after fewer samples, score these."""
         total: FloatArray = np.cumsum(self.losses - self.hindsight)
         return total
 
@@ -193,8 +193,20 @@ def errors(
     -------
     (array (N, ny), str)
         The errors, wrapped on periodic channels; and how the initial state was found.
+
+    Raises
+    ------
+    InputError
+        If channels or sample time are not the model's, or the horizon is not positive.
     """
     same_language(model.spec, data)
+    if horizon is not None and not (np.isfinite(horizon) and horizon > 0):
+        raise InputError(
+            "horizon of a simulation",
+            expected="seconds, more than 0",
+            got=repr(horizon),
+            remedy="use None for a free run",
+        )
     seen = "the whole record" if initial_samples is None else f"the first {initial_samples} samples"
     if horizon is None:
         predicted = predict(model, data, None, initial_samples=initial_samples)

@@ -99,7 +99,7 @@ class Dmdc:
     def _reduced(self, records: Sequence[Trajectory], spec: PlantSpec, what: str) -> LinearModel:
         """Fit on the leading directions of the outputs."""
         ny, nu = spec.ny, spec.nu
-        rank = int(self.rank or ny)
+        rank = ny if self.rank is None else int(self.rank)
         if not 1 <= rank <= ny:
             raise FitError(f"{what}: rank", expected=f"1 to {ny}", got=str(rank), remedy="correct it")
         before = np.concatenate([one.y[:-1] for one in records])
@@ -182,8 +182,8 @@ class KoopmanModel:
 
     @property
     def burn_in(self) -> int:
-        """Samples of the past in the lifted state."""
-        return self.delays - 1
+        """Samples until the lifted state has seen its whole past; none without delays."""
+        return self.delays if self.delays > 1 else 0
 
     @property
     def lifted(self) -> int:
@@ -191,11 +191,15 @@ class KoopmanModel:
         return int(self.a_matrix.shape[0])
 
     def initial_state(self, data: Trajectory) -> FloatArray:
-        """Return the state of a record that stood at its first sample before it began."""
+        """Return the state (nx,) at the first sample; the past is the straight line through the first samples."""
         same_language(self.spec, data)
-        first = np.tile(data.y[0], self.delays)
+        back = np.arange(self.delays)[:, None]
+        slope = np.zeros(self.spec.ny)
+        few = min(len(data), 2 * self.delays)
+        if self.delays > 1 and few > 1:
+            slope = np.polyfit(np.arange(few), data.y[:few], 1)[0]
         held = np.tile(data.u[0], self.delays - 1)
-        return self._state(np.concatenate([first, held]))
+        return self._state(np.concatenate([(data.y[0] - back * slope).ravel(), held]))
 
     def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the output (..., ny), the first arguments of the lifted state."""

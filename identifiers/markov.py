@@ -207,7 +207,10 @@ def _iterated(
         if np.all(np.sqrt(np.einsum("ijk,ijk->k", r, r)) <= tolerance * scale):
             break
         q = product(p)
-        step = rho / np.where((bent := np.einsum("ijk,ijk->k", p, q)) > 0, bent, 1.0)
+        bent = np.einsum("ijk,ijk->k", p, q)
+        if not (np.isfinite(bent).all() and np.all((bent > 0) | (rho <= 0))):
+            return None  # the input excites not all lags: the dense equations say so in words
+        step = rho / np.where(bent > 0, bent, 1.0)
         x += step * p
         r -= step * q
         z = precondition(r)

@@ -124,12 +124,15 @@ class MdpModel:
 
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the distribution (..., S) one step later."""
-        if self.spec.nu:
-            action = np.broadcast_to(np.asarray(u)[..., 0], x.shape[:-1]).astype(np.int64)
-        else:
-            action = np.zeros(x.shape[:-1], dtype=np.int64)
-        rows = np.moveaxis(self.transition, 1, 0)[action]
-        new: FloatArray = np.einsum("...s,...st->...t", x, rows)
+        x = np.asarray(x, dtype=float)
+        if not self.spec.nu:
+            return np.asarray(x @ self.transition[:, 0])
+        action = np.broadcast_to(np.asarray(u)[..., 0], x.shape[:-1]).astype(np.int64)
+        new = np.empty_like(x)
+        # One product for each action: a matrix for each row would not fit into memory.
+        for a in range(self.transition.shape[1]):
+            chosen = action == a
+            new[chosen] = x[chosen] @ self.transition[:, a]
         return new
 
     def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:

@@ -86,7 +86,7 @@ def stlsq(
             own = _solved(part, right[keep, column])
             # columns have unit length: a coefficient is the length of its term's contribution
             smaller = keep.copy()
-            smaller[keep] = np.abs(own) >= limit[column]
+            smaller[keep] = np.abs(own) > limit[column]
             if np.array_equal(smaller, keep):
                 break
             keep = smaller

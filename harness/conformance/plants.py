@@ -12,7 +12,7 @@ from harness.conformance.excitation import inputs_for
 from harness.conformance.results import Broken, Check, CheckResult, NotApplicable, demand, run_checks
 from harness.conformance.running import seeded
 from harness.errors import HarnessError, PlantError
-from harness.protocols import Batch, Feedthrough, Plant, Snapshots, Truth
+from harness.protocols import Batch, BatchTruth, Feedthrough, Plant, Snapshots, Truth
 from harness.signals import FloatArray, PlantSpec
 from harness.units import fits
 
@@ -59,6 +59,7 @@ def plant_checks() -> list[Check]:
         Check("unknown_x0_refused", "an unknown initial state is refused by name", _bad_x0),
         Check("snapshot_equals_replay", "a restored state continues as it did", _snapshot),
         Check("batch_equals_stepping", "rollout gives what step gives", _batch),
+        Check("batch_truth_equals_stepping", "rollout_truth gives what step and truth give", _batch_truth),
         Check("feedthrough_output_pure", "output(u) lets no time pass", _feedthrough),
         Check("truth", "the true state has its declared shape and lets no time pass", _truth),
         Check("closes_twice", "close may be called again, and with closes", _closes),
@@ -94,7 +95,13 @@ def _interface(factory: Factory) -> None:
 
 
 def _abilities(factory: Factory) -> None:
-    protocols = {"snapshots": Snapshots, "feedthrough": Feedthrough, "batch": Batch, "truth": Truth}
+    protocols = {
+        "snapshots": Snapshots,
+        "feedthrough": Feedthrough,
+        "batch": Batch,
+        "truth": Truth,
+        "batch-truth": BatchTruth,
+    }
     with _made(factory) as plant:
         declared = plant.abilities
         demand(isinstance(declared, frozenset), f"abilities is a {type(declared).__name__}, expected a frozenset")
@@ -110,6 +117,10 @@ def _abilities(factory: Factory) -> None:
             f"spec.feedthrough is {plant.spec.feedthrough}, and the ability is {'feedthrough' in declared}",
         )
         demand("truth" not in declared or plant.spec.states, "declares 'truth' and names no states")
+        demand(
+            "batch-truth" not in declared or {"batch", "truth"} <= declared,
+            "declares 'batch-truth' without both 'batch' and 'truth'",
+        )
 
 
 def _shapes(factory: Factory) -> None:
@@ -231,6 +242,22 @@ def _batch(factory: Factory) -> None:
         )
         off = np.abs(np.vstack([first, rest]) - reference[1:]).max()
         demand(off == 0.0, f"rollout differs from stepping by {off:.3g}")
+
+
+def _batch_truth(factory: Factory) -> None:
+    with _made(factory) as plant:
+        if "batch-truth" not in plant.abilities:
+            raise NotApplicable("batches with the truth are not declared")
+        inputs = inputs_for(plant.spec)[:-1]
+        plant.reset(rng=seeded())
+        pairs = [(np.array(plant.step(u)), np.array(plant.truth())) for u in inputs]
+        plant.reset(rng=seeded())
+        parts = [plant.rollout_truth(inputs[:25]), plant.rollout_truth(inputs[25:])]
+        for what, row, size in (("outputs", 0, plant.spec.ny), ("true states", 1, len(plant.spec.states))):
+            shape = np.shape(parts[0][row])
+            demand(shape == (25, size), f"rollout_truth returns {what} of shape {shape}, expected (25, {size})")
+            off = np.abs(np.vstack([part[row] for part in parts]) - np.array([pair[row] for pair in pairs])).max()
+            demand(off == 0.0, f"{what} of rollout_truth differ from stepping by {off:.3g}")
 
 
 def _feedthrough(factory: Factory) -> None:

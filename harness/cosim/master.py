@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from math import isfinite
 from typing import Any, Literal, Self, cast
 
 import numpy as np
 
-from harness.cosim.wiring import Connection, Part, channel_of, check_wires, locate, place, strong_components
+from harness.cosim.graph import followers, reached_at_once, strong_components
+from harness.cosim.wiring import Connection, Part, channel_of, check_wires, locate, place, reader
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability, Feedthrough, Plant, Snapshots, Truth
 from harness.signals import Channel, FloatArray, PlantSpec
@@ -65,6 +67,9 @@ class Coupled:
     push [N m] -> left.theta [rad], right.theta [rad] every 0.01 s
     """
 
+    snapshot_tolerance: float
+    """Sum of the parts' tolerances; not there where every part repeats bit for bit."""
+
     def __init__(
         self,
         parts: Mapping[str, Plant],
@@ -96,18 +101,21 @@ class Coupled:
             lenders = {name: name for name in inputs}
             wanted = [*connections, *(Connection(name, name) for name in inputs)]
         external = [replace(channel_of(self._parts, lender, "inputs"), name=name) for name, lender in lenders.items()]
-        self._nu = sum(part.plant.spec.nu for part in self._parts)
         self._ny = sum(part.plant.spec.ny for part in self._parts)
         self._wires = check_wires(
             self._parts, [c if isinstance(c, Connection) else Connection(*c) for c in wanted], external
         )
-        self._shown = np.array([locate(self._parts, name, "outputs") for name in outputs], dtype=int)
+        self._late = [wire for wire in self._wires if wire.delay]
+        self._shown = [locate(self._parts, name, "outputs") for name in outputs]
         by_name = {part.name: part for part in self._parts}
         chosen = list(sequence) if sequence is not None else names
         if sorted(chosen) != sorted(names):
             raise InputError("sequence", expected=f"each of {names} once", got=repr(chosen), remedy="list them all")
         self._sequence = [by_name[name] for name in chosen]
-        self._direct, cycles = self._feedthrough_order()
+        after = {part.name: followers(part, self._parts, self._wires) for part in self._parts}
+        self._self_fed = [part for part in self._parts if part in after[part.name]]
+        self._direct = strong_components([p for p in self._parts if p.feeds_through], lambda part: after[part.name])
+        cycles = [[p.name for p in group] for group in self._direct if len(group) > 1 or group[0] in self._self_fed]
         if cycles and loops == "refuse":
             raise InputError(
                 "algebraic loop",
@@ -118,6 +126,9 @@ class Coupled:
         abilities: set[Ability] = set()
         if all("snapshots" in part.plant.abilities for part in self._parts):
             abilities.add("snapshots")
+            tolerances = [getattr(part.plant, "snapshot_tolerance", 0.0) for part in self._parts]
+            if any(tolerances):
+                self.snapshot_tolerance = float(sum(tolerances))
         elif iterations > 1:
             lacking = [part.name for part in self._parts if "snapshots" not in part.plant.abilities]
             raise InputError(
@@ -132,14 +143,22 @@ class Coupled:
                 abilities.add("truth")
                 states += [replace(c, name=f"{part.name}.{c.name}") for c in part.plant.spec.states]
         shown = [replace(channel_of(self._parts, name, "outputs"), name=name) for name in outputs]
-        through = self._feeds_outputs(len(external))
+        touched = reached_at_once(self._parts, self._wires)
+        through = any(part.outputs.start <= i < part.outputs.stop for part in touched for i in self._shown)
         if through:
             abilities.add("feedthrough")
+        self._show = reader(self._shown)
         self._spec = PlantSpec(tuple(external), tuple(shown), step, tuple(states), through)
         self._abilities = frozenset(abilities)
+        self._on_close: list[Callable[[], object]] = []
+        self._outside = slice(self._ny, self._ny + len(external))
+        self._shape = (len(external),)
+        self._exposed = [group for group in self._direct if any(part in touched for part in group)]
+        self._one_rate = all(part.every == 1 for part in self._parts)
+        # bound methods looked up once: the loop over the parts is the hot path
+        self._calls = [(part, part.read, part.plant.step, part.outputs, part.plant.spec.ny) for part in self._sequence]
         self._tick = 0
-        self._in = np.zeros(self._nu)
-        self._out = np.zeros(self._ny)
+        self._signals = [0.0] * (self._ny + len(external) + len(self._late))
 
     @property
     def spec(self) -> PlantSpec:
@@ -165,47 +184,38 @@ class Coupled:
                 )
             own[head][tail] = value
         for part, stream in zip(self._parts, rng.spawn(len(self._parts)), strict=True):
-            self._out[part.outputs] = part.plant.reset(rng=stream, x0=own[part.name] or None)
+            self._put(part, part.plant.reset(rng=stream, x0=own[part.name] or None))
         self._tick = 0
-        self._in[:] = 0.0
-        for wire in self._wires:
-            wire.memory.clear()
-        self._settle(np.zeros(self._spec.nu))
-        for wire in self._wires:
-            first = 0.0 if wire.external else self._out[wire.source]
-            wire.memory.extend([first] * wire.delay)
-        self._settle(np.zeros(self._spec.nu))
+        signals = self._signals
+        signals[self._outside] = [0.0] * len(self._spec.inputs)
+        for group in self._direct:  # a delay line starts with its source's first value
+            self._fill_lines()
+            self._evaluate([group])
+        self._fill_lines()
+        for wire in self._late:
+            wire.memory = deque([signals[wire.source]] * wire.delay)
+        self._evaluate(self._direct)
         return self._shown_outputs()
 
     def output(self, u: FloatArray) -> FloatArray:
         """Return the outputs with ``u`` (nu,) applied, while no time passes."""
-        self._settle(self._checked(u))
+        self._apply(u)
         return self._shown_outputs()
 
     def step(self, u: FloatArray) -> FloatArray:
         """Advance every part that is due by the communication step; returns the outputs (ny,)."""
-        external = self._checked(u)
-        self._settle(external)
-        before = self._snapshot() if self._iterations > 1 else None
-        start = self._out.copy()
-        guess: FloatArray | None = None
-        for _ in range(self._iterations):
-            if guess is not None and before is not None:
-                self._restore(before)
-                self._out[:] = guess
-                self._wire_inputs(external)
-                self._out[:] = start
-            held = self._in.copy()
-            self._advance(external, held, refresh=guess is None)
-            if guess is not None and np.allclose(self._out, guess, rtol=self._tolerance, atol=self._tolerance):
-                break
-            guess = self._out.copy()
-        for wire in self._wires:
-            if wire.delay:
-                wire.memory.append(float(external[wire.source] if wire.external else start[wire.source]))
-                wire.memory.popleft()
+        self._apply(u)
+        if self._iterations > 1:
+            self._iterate()
+        elif self._late:
+            start = self._signals.copy()
+            self._advance(None)
+            self._move_lines(start)
+        else:
+            self._advance(None)
         self._tick += 1
-        self._settle(external)
+        if self._direct:
+            self._evaluate(self._direct)
         return self._shown_outputs()
 
     def truth(self) -> FloatArray:
@@ -225,6 +235,13 @@ class Coupled:
         """Close every part."""
         for part in self._parts:
             part.plant.close()
+        for job in self._on_close:
+            job()
+        self._on_close.clear()
+
+    def after_close(self, job: Callable[[], object]) -> None:
+        """Have something done once when the coupled plant is closed (a temporary folder removed)."""
+        self._on_close.append(job)
 
     def __enter__(self) -> Self:
         return self
@@ -233,67 +250,114 @@ class Coupled:
         self.close()
 
     def _shown_outputs(self) -> FloatArray:
-        shown: FloatArray = self._out[self._shown]
-        return shown
+        return self._show(self._signals)
 
-    def _advance(self, external: FloatArray, held: FloatArray, *, refresh: bool) -> None:
+    def _apply(self, u: FloatArray) -> None:
+        """Take the external inputs over, and what they reach within the instant."""
+        values = u.tolist() if isinstance(u, np.ndarray) and u.shape == self._shape else self._checked(u)
+        if values == self._signals[self._outside]:
+            return  # all signals agree already
+        if not isfinite(sum(values)):
+            values = self._checked(u)
+        self._signals[self._outside] = values
+        if self._exposed:
+            self._evaluate(self._exposed)
+
+    def _put(self, part: Part, y: FloatArray) -> None:
+        """Store a part's outputs."""
+        values = y.tolist()
+        if len(values) != part.outputs.stop - part.outputs.start:
+            raise PlantError(f"part {part.name!r}: {len(values)} outputs instead of {part.plant.spec.ny}")
+        self._signals[part.outputs] = values
+
+    def _advance(self, held: dict[str, FloatArray] | None) -> None:
         """Step the parts that are due, in sequence; under Gauss-Seidel with what is already new."""
-        for part in self._sequence:
-            if self._tick % part.every == 0:
-                if self._order == "gauss-seidel" and refresh:
-                    self._wire_inputs(external)
-                    held = self._in
-                part.held = held[part.inputs].copy()
-            if (self._tick + 1) % part.every:
-                continue  # a slow part: its next output appears when its own sample time has passed
-            self._out[part.outputs] = part.plant.step(part.held)
-            if not np.isfinite(self._out[part.outputs]).all():
-                t = (self._tick + 1) * self._spec.sample_time
-                raise PlantError(f"part {part.name!r}: an output is not finite at t = {t:g} s", status="diverged")
-
-    def _wire_inputs(self, external: FloatArray) -> None:
-        """Carry the signals along all wires."""
-        self._in[:] = 0.0
-        for wire in self._wires:
-            if wire.memory:
-                value = wire.memory[0]
-            else:
-                value = external[wire.source] if wire.external else self._out[wire.source]
-            self._in[wire.target] += wire.factor * value + wire.shift
-
-    def _settle(self, external: FloatArray) -> None:
-        """Bring inputs and fed-through outputs of one instant into agreement; loops by Newton's method."""
-        for group in self._direct:
-            if len(group) == 1 and not self._is_loop(group[0]):
-                self._refresh(group[0], external)
-            else:
-                self._solve_loop(group, external)
-        self._wire_inputs(external)
-
-    def _refresh(self, part: Part, external: FloatArray) -> None:
-        """Recompute the outputs of one part with direct feedthrough, if it is its time."""
-        if self._tick % part.every:
+        tick, signals = self._tick, self._signals
+        if held is None and self._order == "jacobi":
+            held = {part.name: part.read(signals) for part in self._sequence if tick % part.every == 0}
+        if held is None and self._one_rate:
+            for part, read, step, place, count in self._calls:
+                values = step(read(signals)).tolist()
+                if len(values) != count or not isfinite(sum(values)):
+                    self._check_outputs(part, values)
+                signals[place] = values
             return
-        self._wire_inputs(external)
-        self._out[part.outputs] = cast(Feedthrough, part.plant).output(self._in[part.inputs].copy())
+        for part in self._sequence:
+            if tick % part.every == 0:
+                part.held = part.read(signals) if held is None else held[part.name]
+            if (tick + 1) % part.every == 0:  # else its next output appears when its own sample time has passed
+                values = part.plant.step(part.held).tolist()
+                self._check_outputs(part, values)
+                signals[part.outputs] = values
 
-    def _solve_loop(self, group: list[Part], external: FloatArray) -> None:
+    def _check_outputs(self, part: Part, values: list[float]) -> None:
+        """Refuse outputs of a wrong number or that are not finite."""
+        t = (self._tick + 1) * self._spec.sample_time
+        if len(values) != part.plant.spec.ny:
+            raise PlantError(f"part {part.name!r}: {len(values)} outputs instead of {part.plant.spec.ny}")
+        if not all(map(isfinite, values)):
+            raise PlantError(f"part {part.name!r}: an output is not finite at t = {t:g} s", status="diverged")
+
+    def _iterate(self) -> None:
+        """Repeat the step with the outputs of the pass before as inputs, until they agree (strong coupling)."""
+        before = self._snapshot()
+        start, ny = self._signals.copy(), self._ny
+        self._advance(None)
+        for _ in range(1, self._iterations):
+            guess = self._signals[:ny]
+            self._restore(before)
+            self._signals[:ny] = guess
+            held = {part.name: part.read(self._signals) for part in self._parts}
+            self._signals[:ny] = start[:ny]
+            self._advance(held)
+            if np.allclose(self._signals[:ny], guess, rtol=self._tolerance, atol=self._tolerance):
+                break
+        self._move_lines(start)
+
+    def _fill_lines(self) -> None:
+        """Let every delayed wire show its source as it is now."""
+        for wire in self._late:
+            self._signals[wire.slot] = self._signals[wire.source]
+
+    def _move_lines(self, start: list[float]) -> None:
+        """Take the signals of the step's beginning into the delay lines, and show what comes out of them next."""
+        for wire in self._late:
+            wire.memory.append(start[wire.source])
+            wire.memory.popleft()
+            self._signals[wire.slot] = wire.memory[0]
+
+    def _evaluate(self, groups: list[list[Part]]) -> None:
+        """Bring inputs and fed-through outputs of one instant into agreement; loops by Newton's method."""
+        for group in groups:
+            if len(group) == 1 and group[0] not in self._self_fed:
+                self._refresh(group[0])
+            else:
+                self._solve_loop(group)
+
+    def _refresh(self, part: Part) -> None:
+        """Recompute the outputs of one part with direct feedthrough, if it is its time."""
+        if self._tick % part.every == 0:
+            self._put(part, cast(Feedthrough, part.plant).output(part.read(self._signals)))
+
+    def _solve_loop(self, group: list[Part]) -> None:
         """Solve y = g(y) for the outputs of a cycle, with a Jacobian by finite differences."""
-        places = np.concatenate([np.arange(self._ny)[part.outputs] for part in group])
+        places = [i for part in group for i in range(part.outputs.start, part.outputs.stop)]
 
         def miss(values: FloatArray) -> FloatArray:
-            self._out[places] = values
+            for i, value in zip(places, values.tolist(), strict=True):
+                self._signals[i] = value
             for part in group:
-                self._refresh(part, external)
-            gap: FloatArray = self._out[places] - values
+                self._refresh(part)
+            gap: FloatArray = np.array([self._signals[i] for i in places]) - values
             return gap
 
-        values = self._out[places].copy()
+        values = np.array([self._signals[i] for i in places])
         gap = miss(values)
         for _ in range(50):
             scale = 1.0 + np.abs(values)
             if np.all(np.abs(gap) <= self._tolerance * scale):
-                self._out[places] = values
+                for i, value in zip(places, values.tolist(), strict=True):
+                    self._signals[i] = value
                 return
             jacobian = np.empty((len(places), len(places)))
             for j in range(len(places)):
@@ -307,61 +371,29 @@ class Coupled:
         t = self._tick * self._spec.sample_time
         raise PlantError(f"algebraic loop {names} has no solution that Newton's method finds at t = {t:g} s")
 
-    def _is_loop(self, part: Part) -> bool:
-        return part in self._followers(part)
-
-    def _followers(self, part: Part) -> list[Part]:
-        """Return the parts with direct feedthrough that an undelayed wire leads to from this part."""
-        found = []
-        for wire in self._wires:
-            if wire.external or wire.delay or not part.outputs.start <= wire.source < part.outputs.stop:
-                continue
-            target = next(p for p in self._parts if p.inputs.start <= wire.target < p.inputs.stop)
-            if target.feeds_through and target not in found:
-                found.append(target)
-        return found
-
-    def _feedthrough_order(self) -> tuple[list[list[Part]], list[list[str]]]:
-        """Return the strongly connected groups of feedthrough parts in order of evaluation, and the cycles' names."""
-        direct = [part for part in self._parts if part.feeds_through]
-        groups = strong_components(direct, self._followers)
-        cycles = [[p.name for p in group] for group in groups if len(group) > 1 or self._is_loop(group[0])]
-        return groups, cycles
-
-    def _feeds_outputs(self, externals: int) -> bool:
-        """Return True if a shown output depends on an external input within the same instant."""
-        reached: list[Part] = []
-        for wire in self._wires:
-            if wire.external and not wire.delay:
-                target = next(p for p in self._parts if p.inputs.start <= wire.target < p.inputs.stop)
-                if target.feeds_through and target not in reached:
-                    reached.append(target)
-        for part in reached:
-            reached += [p for p in self._followers(part) if p not in reached]
-        return externals > 0 and any(p.outputs.start <= i < p.outputs.stop for p in reached for i in self._shown)
-
     def _snapshot(self) -> Any:
         parts = [cast(Snapshots, part.plant).get_state() for part in self._parts]
-        memories = [tuple(wire.memory) for wire in self._wires]
-        return parts, self._tick, self._in.copy(), self._out.copy(), memories, [part.held for part in self._parts]
+        memories = [tuple(wire.memory) for wire in self._late]
+        return parts, self._tick, tuple(self._signals), memories, [part.held for part in self._parts]
 
     def _restore(self, state: Any) -> None:
-        parts, self._tick, held, out, memories, inputs = state
+        parts, self._tick, signals, memories, inputs = state
         for part, own, kept in zip(self._parts, parts, inputs, strict=True):
             cast(Snapshots, part.plant).set_state(own)
             part.held = kept
-        self._in[:] = held
-        self._out[:] = out
-        for wire, memory in zip(self._wires, memories, strict=True):
+        self._signals[:] = signals
+        for wire, memory in zip(self._late, memories, strict=True):
             wire.memory = deque(memory)
 
-    def _checked(self, u: FloatArray) -> FloatArray:
+    def _checked(self, u: FloatArray) -> list[float]:
+        """Return the external inputs as numbers, or refuse them."""
         values = np.asarray(u, dtype=float)
-        if values.shape != (self._spec.nu,) or not np.isfinite(values).all():
+        if values.shape != self._shape or not np.isfinite(values).all():
             raise InputError(
                 "input of the coupled plant",
                 expected=f"{self._spec.nu} finite numbers, shape ({self._spec.nu},)",
                 got=f"shape {values.shape}" if values.shape != (self._spec.nu,) else "a value that is not finite",
                 remedy=f"give one value for each of {', '.join(c.name for c in self._spec.inputs) or 'no inputs'}",
             )
-        return values
+        numbers: list[float] = values.tolist()
+        return numbers

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Literal
 
 import numpy as np
@@ -14,7 +15,7 @@ from harness.protocols import Plant
 from harness.signals import Channel, FloatArray
 from harness.units import convert, fits
 
-__all__ = ["Connection", "Part", "Wire", "channel_of", "check_wires", "locate", "place", "strong_components"]
+__all__ = ["Connection", "Part", "Wire", "channel_of", "check_wires", "locate", "place", "reader"]
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,9 @@ class Connection:
     source, target : str
         ``"part.output"`` or the bare name of an external input; ``"part.input"``.
     gain : float
-        Factor on the signal; the gain's unit is 1, units are converted by themselves.
+        Factor on the signal; units of one kind are converted by themselves.
+    gain_unit : str
+        Unit of the gain where the two ends measure different things, ``"1/m"`` from a position to a bare number.
     delay : int
         Delay in communication steps; before it has passed, the source's first value is seen.
     add : bool
@@ -38,6 +41,7 @@ class Connection:
     gain: float = 1.0
     delay: int = 0
     add: bool = False
+    gain_unit: str = "1"
 
 
 @dataclass(eq=False)
@@ -50,6 +54,8 @@ class Part:
     outputs: slice
     every: int
     held: FloatArray = field(default_factory=lambda: np.zeros(0))
+    read: Callable[[list[float]], FloatArray] = field(default=lambda signals: np.array(signals))
+    """Makes the inputs out of the common list of signals."""
 
     @property
     def feeds_through(self) -> bool:
@@ -59,9 +65,14 @@ class Part:
 
 @dataclass(eq=False)
 class Wire:
-    """A checked connection: from a place among outputs or external inputs to a place among inputs."""
+    """A checked connection between slots of the common list of signals.
+
+    The list holds the outputs of all parts, then the external inputs, then one slot for each delayed wire with what
+    comes out of its delay line now; so every wire, late or not, reads one slot.
+    """
 
     source: int
+    slot: int
     external: bool
     target: int
     factor: float
@@ -107,6 +118,7 @@ def locate(parts: Sequence[Part], name: str, side: Literal["inputs", "outputs"])
 def check_wires(parts: Sequence[Part], connections: Sequence[Connection], external: Sequence[Channel]) -> list[Wire]:
     """Return the wires, or refuse a name, a unit, an input driven twice or left open."""
     by_name = {channel.name: i for i, channel in enumerate(external)}
+    ny = sum(part.plant.spec.ny for part in parts)
     wires: list[Wire] = []
     driven: dict[int, Connection] = {}
     for one in connections:
@@ -123,19 +135,21 @@ def check_wires(parts: Sequence[Part], connections: Sequence[Connection], extern
                 place=f"{one.source} -> {one.target}",
             )
         driven[place] = one
-        if not fits(source.unit, target.unit):
+        unit = _product(source.unit, one.gain_unit)
+        if not fits(unit, target.unit):
             raise InputError(
                 "units of a connection",
                 expected=f"a source in a unit that converts to {target.unit!r}",
-                got=f"{source.unit!r}",
-                remedy="connect signals of one kind, or put a part between them that converts",
+                got=f"{source.unit!r}" + (f" with a gain in {one.gain_unit!r}" if one.gain_unit != "1" else ""),
+                remedy="connect signals of one kind, or give the gain a unit (gain_unit)",
                 place=f"{one.source} -> {one.target}",
             )
         if one.delay < 0:
             raise InputError("delay", expected=">= 0 steps", got=str(one.delay), remedy="correct it")
-        shift, end = convert(np.array([0.0, 1.0]), source.unit, target.unit)
-        where = by_name[one.source] if outside else locate(parts, one.source, "outputs")
-        wires.append(Wire(where, outside, place, one.gain * float(end - shift), float(shift), one.delay))
+        shift, end = convert(np.array([0.0, 1.0]), unit, target.unit)
+        where = ny + by_name[one.source] if outside else locate(parts, one.source, "outputs")
+        slot = where if one.delay == 0 else ny + len(external) + sum(wire.delay > 0 for wire in wires)
+        wires.append(Wire(where, slot, outside, place, one.gain * float(end - shift), float(shift), one.delay))
     for part in parts:
         for offset, channel in enumerate(part.plant.spec.inputs):
             if part.inputs.start + offset not in driven:
@@ -145,7 +159,49 @@ def check_wires(parts: Sequence[Part], connections: Sequence[Connection], extern
                     got="none",
                     remedy="connect it, or make it an external input",
                 )
+        first, last = part.inputs.start, part.inputs.stop
+        own = sorted((wire for wire in wires if first <= wire.target < last), key=lambda wire: wire.target)
+        part.read = _reader([(wire.target - first, wire.slot, wire.factor, wire.shift) for wire in own], last - first)
     return wires
+
+
+def reader(slots: Sequence[int]) -> Callable[[list[float]], FloatArray]:
+    """Return what picks slots out of the common list into a new array; the fastest way for their number."""
+    if len(slots) == 1:
+        only = slots[0]
+        return lambda signals: np.array((signals[only],))
+    if not slots:
+        return lambda signals: np.zeros(0)
+    pick = itemgetter(*slots)
+    return lambda signals: np.array(pick(signals))
+
+
+def _reader(taps: Sequence[tuple[int, int, float, float]], count: int) -> Callable[[list[float]], FloatArray]:
+    """Return what makes the inputs of a part: from (input, slot, factor, shift) of each wire, in order of input."""
+    plain = all(factor == 1.0 and shift == 0.0 for _, _, factor, shift in taps)
+    if len(taps) == count and plain:
+        return reader([slot for _, slot, _, _ in taps])
+    if len(taps) == count == 1:
+        _, only, scale, offset = taps[0]
+        return lambda signals: np.array((scale * signals[only] + offset,))
+    if len(taps) == count:
+        lines = [(slot, factor, shift) for _, slot, factor, shift in taps]
+        return lambda signals: np.array([factor * signals[slot] + shift for slot, factor, shift in lines])
+
+    def add(signals: list[float]) -> FloatArray:
+        values = [0.0] * count
+        for i, slot, factor, shift in taps:
+            values[i] += factor * signals[slot] + shift
+        return np.array(values)
+
+    return add
+
+
+def _product(unit: str, gain: str) -> str:
+    """Return the unit of a signal times a gain."""
+    if gain.strip() in ("", "1"):
+        return unit
+    return gain if unit.strip() in ("", "1", "-") else f"({unit}) * ({gain})"
 
 
 def place(parts: Mapping[str, Plant], step: float) -> list[Part]:
@@ -168,31 +224,3 @@ def place(parts: Mapping[str, Plant], step: float) -> list[Part]:
         placed.append(Part(name, plant, slice(nu, nu + spec.nu), slice(ny, ny + spec.ny), every))
         nu, ny = nu + spec.nu, ny + spec.ny
     return placed
-
-
-def strong_components(nodes: Sequence[Part], followers: Callable[[Part], list[Part]]) -> list[list[Part]]:
-    """Return the strongly connected components in topological order (Tarjan 1972, SIAM J. Comput. 1:146)."""
-    index: dict[int, int] = {}
-    low: dict[int, int] = {}
-    stack: list[Part] = []
-    done: list[list[Part]] = []
-
-    def visit(node: Part) -> None:
-        index[id(node)] = low[id(node)] = len(index)
-        stack.append(node)
-        for follower in followers(node):
-            if id(follower) not in index:
-                visit(follower)
-                low[id(node)] = min(low[id(node)], low[id(follower)])
-            elif follower in stack:
-                low[id(node)] = min(low[id(node)], index[id(follower)])
-        if low[id(node)] == index[id(node)]:
-            group: list[Part] = []
-            while not group or group[-1] is not node:
-                group.append(stack.pop())
-            done.append(group[::-1])
-
-    for node in nodes:
-        if id(node) not in index:
-            visit(node)
-    return done[::-1]

@@ -25,7 +25,7 @@ class Motion:
     q, v, a : array (N, n)
         Coordinates, rates, accelerations.
     u : array (N, nu)
-        Input as recorded.
+        Input at the instants (mean of both sides of a jump).
     inside : slice
         Rows that the ends of the filters have not touched.
     factor : int
@@ -90,7 +90,9 @@ def motion_band(position: FloatArray, sample_time: float) -> tuple[float, float]
     return float(f[min(int(np.searchsorted(total, 0.95 * total[-1])), f.size - 1)]), float(f[last])
 
 
-def smooth_motion(run: Trajectory, columns: dict[str, tuple[int | None, int | None]]) -> Motion:
+def smooth_motion(
+    run: Trajectory, columns: dict[str, tuple[int | None, int | None]], intersample: str = "zoh"
+) -> Motion:
     """Return the motion of a record.
 
     Zero-phase Butterworth low-pass of order 4 (Gautier, Janot & Vandanjon, IEEE Trans. Control Syst. Technol. 21:428,
@@ -102,6 +104,9 @@ def smooth_motion(run: Trajectory, columns: dict[str, tuple[int | None, int | No
         The record.
     columns : dict
         From :func:`measured_coordinates`.
+    intersample : {"zoh", "foh"}
+        A held input jumps at the sample; the smoothed motion there belongs to the mean of both sides. Without this
+        every balance of forces would see half a sample of delay.
     """
     from scipy import signal
 
@@ -129,7 +134,10 @@ def smooth_motion(run: Trajectory, columns: dict[str, tuple[int | None, int | No
     while factor > 1 and (n - 2 * edge) // factor < 100:
         factor -= 1
     position_of, speed_of, acceleration_of = (np.stack(one, axis=1) for one in (q, v, a))
-    return Motion(run.t, position_of, speed_of, acceleration_of, run.u, slice(edge, n - edge), factor, dt)
+    u = run.u
+    if intersample == "zoh" and n > 1:
+        u = 0.5 * (u + np.concatenate([u[:1], u[:-1]]))
+    return Motion(run.t, position_of, speed_of, acceleration_of, u, slice(edge, n - edge), factor, dt)
 
 
 def thinned(motion: Motion, most: int = 6000) -> Motion:

@@ -164,7 +164,7 @@ def sizes_of(system: Any, values: Mapping[str, float], dataset: Dataset) -> dict
     common = {"dt": dt, "T": max(len(run) for run in runs) * dt}
     columns = measured_coordinates(system)
     if columns is not None:
-        motion = smooth_motion(runs[0], columns)
+        motion = smooth_motion(runs[0], columns, dataset.intersample)
         known = motion_sizes(system, Signals(motion.t, motion.u, motion.q, motion.v, motion.a), values)
         return {port: {**common, **sizes} for port, sizes in known.items()}
     result: dict[str, dict[str, float]] = {"base": dict(common)}

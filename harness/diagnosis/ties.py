@@ -28,6 +28,8 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
 
     A candidate ties if it is within 10 of the best in BIC (or within 0.2 % of what the best gains), and the paired
     bootstrap on validation cannot tell the two (or they differ by less than 2 %).
+    A special case of the best within 10 in BIC ties whatever the bootstrap says: the evidence for the more general
+    effect is then no more than the evidence that an effect needs to be accepted at all.
     A more complex one whose additional parameters are not determined by the data (Stribeck friction seen only at high
     speed) also ties: only the penalty separates it, not the data.
     """
@@ -45,7 +47,7 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
             continue
         key = f"{placed_name(best.added)} against {placed_name(one.added)}"
         versus = compare_blocks(best.fitted.validation, one.fitted.validation, rng=stream("diagnosis-tie", key, seed))
-        if not versus.distinguishable or abs(versus.gain) < ALIKE:
+        if not versus.distinguishable or abs(versus.gain) < ALIKE or _special_case(one, best):
             tied.append(one)
     return tied
 
@@ -85,6 +87,14 @@ def simplest(tied: Sequence[Candidate]) -> Candidate:
         )
 
     return min(accepted, key=lambda one: (one.parameters, -cases(one), -one.delta_bic))
+
+
+def _special_case(one: Candidate, best: Candidate) -> bool:
+    """Return True if one differs from the best only by effects that the best one's effects contain."""
+    if len(one.added) != len(best.added) or best.delta_bic - one.delta_bic > WITHIN:
+        return False
+    pairs = zip(one.added, best.added, strict=True)
+    return all(a.at == b.at and (a.effect.name == b.effect.name or a.effect.name in b.effect.nests) for a, b in pairs)
 
 
 def _deviance(fitted: Fitted, samples: float) -> float:

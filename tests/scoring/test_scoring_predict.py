@@ -87,6 +87,12 @@ def test_a_horizon_that_is_not_positive_is_refused(horizon):
         predict(Scalar(0.5), record([1.0, 2.0]), horizon)
 
 
+@pytest.mark.parametrize("horizon", [0.0, -1.0, np.nan, np.inf])
+def test_a_window_that_is_no_time_is_refused(horizon):
+    with pytest.raises(InputError, match="horizon"):
+        errors(Scalar(0.5), record([1.0, 2.0]), horizon)
+
+
 def test_the_true_states_are_not_shown_to_the_model():
     data = replace(record([1.0, 2.0, 3.0]), x=np.full((3, 2), 5.0))
     assert np.isfinite(predict(Scalar(1.0), data, None)).all()

@@ -1,0 +1,132 @@
+"""What a coupling costs: a coupled step against the same calls of the same parts written out by hand, in one process.
+
+Claim: a coupled step adds at most 3 us a connection.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from harness.cosim import Connection, Coupled
+from harness.protocols import Plant
+from plants.fmu import FmuPlant
+from plants.fmu_mockups import pendulum_fmu
+from plants.mockups import mockup
+
+N = 1000
+DT = 0.01
+NOTHING = np.zeros(0)
+
+
+def best(first: Callable[[], object], second: Callable[[], object], repeats: int = 40) -> tuple[float, float]:
+    """Return the shortest processor times [s] of two jobs that take turns, so that other work counts little."""
+    times: list[tuple[float, float]] = []
+    for _ in range(repeats):
+        pair = []
+        for job in (first, second):
+            started = time.thread_time()
+            job()
+            pair.append(time.thread_time() - started)
+        times.append((pair[0], pair[1]))
+    return min(a for a, _ in times), min(b for _, b in times)
+
+
+def fmu(name: str, **parameters: float) -> FmuPlant:
+    """Return one of our controllers or sensors."""
+    outputs = ["y"] if name == "quantiser" else None
+    return FmuPlant(mockup(name), sample_time=DT, parameters=parameters, outputs=outputs)
+
+
+def start(plant: Plant) -> np.ndarray:
+    return plant.reset(rng=np.random.default_rng(0))
+
+
+def two_parts() -> tuple[Coupled, Callable[[], None], int]:
+    """Return the loop of a pendulum and a PI controller, both FMUs: 3 connections."""
+
+    def parts() -> dict[str, Plant]:
+        return {"arm": pendulum_fmu(sample_time=DT), "law": fmu("pi_controller", Kp=2.0, Ki=1.0)}
+
+    loop = Coupled(
+        parts(),
+        [
+            Connection("set", "law.r"),
+            Connection("arm.theta", "law.y"),
+            Connection("law.u", "arm.u", gain_unit="N m"),
+        ],
+        inputs={"set": "law.r"},
+        outputs=["arm.theta"],
+    )
+    own = parts()
+    arm, law = own["arm"], own["law"]
+    assert isinstance(law, FmuPlant)
+
+    def by_hand() -> None:
+        y = start(arm)
+        start(law)
+        u = law.output(np.array([0.5, y[0]]))
+        for _ in range(N):
+            y = arm.step(u)
+            law.step(np.array([0.5, y[0]]))
+            u = law.output(np.array([0.5, y[0]]))
+
+    return loop, by_hand, 3
+
+
+def chain(length: int) -> tuple[Coupled, Callable[[], None], int]:
+    """Return pendulums in a row, each driven by the angle of the one before: ``length`` connections, no feedthrough."""
+
+    def parts() -> dict[str, Plant]:
+        return {f"p{i}": pendulum_fmu(sample_time=DT) for i in range(length)}
+
+    wires = [Connection(f"p{i}.theta", f"p{i + 1}.u", gain_unit="N m") for i in range(length - 1)]
+    row = Coupled(
+        parts(), [Connection("push", "p0.u"), *wires], inputs={"push": "p0.u"}, outputs=[f"p{length - 1}.theta"]
+    )
+    own = list(parts().values())
+
+    def by_hand() -> None:
+        for plant in own:
+            start(plant)
+        push = np.array([0.5])
+        for _ in range(N):
+            y = push
+            for plant in own:
+                y = plant.step(y)
+
+    return row, by_hand, length
+
+
+def main() -> int:
+    """Print the table; 1 if the claim does not hold."""
+    worst = 0.0
+    print(f"{'coupling':34} {'by hand':>9} {'coupled':>9} {'added':>9}   us a connection")
+    for title, (coupled, by_hand, connections) in {
+        "pendulum + PI controller (FMUs)": two_parts(),
+        "4 pendulum FMUs in a row": chain(4),
+        "16 pendulum FMUs in a row": chain(16),
+    }.items():
+
+        def run(plant: Coupled = coupled) -> None:
+            start(plant)
+            u = np.array([0.5])
+            for _ in range(N):
+                plant.step(u)
+
+        plain, whole = best(by_hand, run)
+        added = (whole - plain) / N * 1e6
+        worst = max(worst, added / connections)
+        print(
+            f"{title:34} {plain / N * 1e6:7.2f}us {whole / N * 1e6:7.2f}us {added:7.2f}us   {added / connections:.2f}"
+        )
+        coupled.close()
+    print(f"worst: {worst:.2f} us a connection (claim: at most 3)")
+    return int(worst > 3.0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,133 @@
+"""Counting: exact frequencies, the rate of its error, the bound it promises, honest about what it never saw."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from harness.errors import FitError
+from harness.scoring import predict, regret
+from harness.signals import Channel, PlantSpec, Trajectory
+from harness.testing import FiniteProcess, simulate_finite
+from identifiers.mdp import MdpCounting, MdpModel, OnlineCounting, count_transitions, weissman_bound
+
+RNG = np.random.default_rng(0)
+
+
+def finite(states: int, actions: int = 0) -> PlantSpec:
+    inputs = (Channel("a", kind="category", minimum=0, maximum=actions - 1),) if actions else ()
+    return PlantSpec(inputs, (Channel("s", kind="category", minimum=0, maximum=states - 1),), 1.0)
+
+
+def record(y, u=None, states: int = 3, actions: int = 0) -> Trajectory:
+    y = np.asarray(y, dtype=float)[:, None]
+    u = np.zeros((len(y), 0)) if u is None else np.asarray(u, dtype=float)[:, None]
+    return Trajectory(np.arange(len(y)) * 1.0, u, y, finite(states, actions))
+
+
+def process(states: int = 6, actions: int = 3) -> FiniteProcess:
+    P = np.random.default_rng(0).dirichlet(np.ones(states), size=(states, actions)) * 0.9 + 0.1 / states
+    return FiniteProcess(P, finite(states, actions))
+
+
+def test_counts_by_hand_and_never_across_a_seam():
+    records = [record([0, 1, 1, 0], [1, 0, 1, 0], actions=2), record([2, 1], [1, 1], actions=2)]
+    counts = count_transitions(records)
+    assert counts.sum() == 4
+    assert counts[0, 1, 1] == counts[1, 0, 1] == counts[1, 1, 0] == counts[2, 1, 1] == 1
+
+
+def test_unvisited_pairs_are_uniform_and_flagged():
+    model = MdpCounting().fit([record([0, 1, 0, 1], [0, 0, 0, 0], actions=2)], rng=RNG)
+    assert (2, 0) in model.unvisited
+    assert (0, 1) in model.unvisited
+    assert (0, 0) not in model.unvisited
+    assert model.transition[2, 0] == pytest.approx(np.full(3, 1 / 3))
+    assert np.isinf(model.bound[2, 0])
+    assert [2, 0] in model.notes["unvisited"]
+
+
+def test_pseudo_counts():
+    model = MdpCounting(prior=1.0).fit([record([0, 1, 0, 1])], rng=RNG)
+    assert model.transition[0, 0] == pytest.approx([1 / 5, 3 / 5, 1 / 5])
+
+
+def test_the_error_falls_with_the_root_of_the_samples_and_stays_below_the_bound():
+    true, scaled, inside = process(), [], []
+    for n in (1000, 4000, 16000):
+        errors = []
+        for seed in range(3):
+            data = simulate_finite(true, n, rng=np.random.default_rng(seed))
+            model = MdpCounting().fit([data], rng=RNG)
+            distance = np.abs(model.transition - true.P).sum(axis=2)
+            errors.append(distance.mean())
+            inside.append(distance <= model.bound)
+        scaled.append(np.mean(errors) * np.sqrt(n))
+    assert max(scaled) / min(scaled) < 1.1  # measured 7.07, 6.93, 7.16
+    assert np.mean(inside) >= 0.95
+
+
+def test_the_bound_against_its_formula():
+    assert weissman_bound(np.array(50.0), 3, 0.9) == pytest.approx(np.sqrt(2 * np.log((2**3 - 2) / 0.1) / 50))
+    assert np.isfinite(weissman_bound(np.array(50.0), 2000)), "2^S would overflow"
+
+
+@pytest.mark.parametrize(
+    ("P", "expected"),
+    [
+        ([[0.5, 0.5], [0.5, 0.5]], True),
+        ([[0.0, 1.0], [1.0, 0.0]], False),  # a cycle
+        ([[1.0, 0.0], [0.5, 0.5]], False),  # absorbing
+        ([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.5, 0.0]], True),  # cycles of length 2 and 3
+    ],
+)
+def test_ergodicity(P, expected):
+    n = len(P)
+    assert MdpModel(finite(n), np.array(P)[:, None], np.ones((n, 1))).ergodic() is expected
+
+
+def test_predictions_of_every_horizon_are_powers_of_the_matrix():
+    true = process(4, 2)
+    model = MdpModel(true.spec, true.P, np.ones((4, 2)))
+    data = simulate_finite(true, 60, rng=np.random.default_rng(1))
+    found = predict(model, data, 3)[3:, 0]
+    for k, named in enumerate(found):
+        s, a = data.y[:, 0].astype(int), data.u[:, 0].astype(int)
+        ahead = true.P[s[k], a[k]] @ true.P[:, a[k + 1]] @ true.P[:, a[k + 2]]
+        assert named == np.argmax(ahead)
+
+
+def test_many_steps_of_a_large_process_stay_in_memory():
+    states = 300
+    model = MdpModel(finite(states, 2), np.full((states, 2, states), 1 / states), np.ones((states, 2)))
+    x = np.eye(states)[np.arange(20_000) % states]
+    u = (np.arange(20_000) % 2).astype(float)[:, None]
+    assert model.step(x, u).sum(axis=1) == pytest.approx(np.ones(20_000))
+
+
+def test_online_counting_pays_only_for_what_it_had_to_learn():
+    cycle = record([0, 1, 2] * 40)
+    found = regret(OnlineCounting(), [cycle], rng=RNG)
+    assert found.total == 3.0, "each transition is new once"
+    assert found.hindsight.sum() == 0.0
+
+
+def test_online_counting_may_not_change_its_old_state():
+    online = OnlineCounting()
+    old = online.start(online.init(finite(3), rng=RNG), np.zeros(1))
+    online.update(old, np.zeros(0), np.array([2.0]))
+    assert online.predict(old, np.zeros(0))[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        PlantSpec((), (Channel("y"),), 1.0),
+        PlantSpec((Channel("u"),), finite(3).outputs, 1.0),
+        PlantSpec((), (*finite(3).outputs, Channel("y")), 1.0),
+    ],
+)
+def test_signals_that_are_no_categories_are_refused(spec):
+    data = Trajectory(np.arange(9.0), np.zeros((9, spec.nu)), np.zeros((9, spec.ny)), spec)
+    with pytest.raises(FitError, match="finite process"):
+        MdpCounting().fit([data], rng=RNG)

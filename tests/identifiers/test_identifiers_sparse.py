@@ -1,0 +1,165 @@
+"""Sparse regression: the right terms, in any units, also with noise and nearly dependent functions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from harness.errors import FitError, InputError
+from harness.scoring import simulation_error
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
+from identifiers.library import Library
+from identifiers.sparse import NormalEquations, Stlsq, eliminate, stlsq
+
+RNG = np.random.default_rng(0)
+LORENZ = PlantSpec((), tuple(Channel(name) for name in "xyz"), 0.005)
+TERMS = (("x", "y"), ("x", "y", "x z"), ("z", "x y"))
+
+
+def lorenz(x: FloatArray) -> FloatArray:
+    return np.array([10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]])
+
+
+def lorenz_run(samples: int = 2000, noise: float = 0.0, x0: tuple[float, ...] = (-8.0, 7.0, 27.0)) -> Trajectory:
+    x, h, states = np.array(x0), 0.005, []
+    for _ in range(samples):
+        states.append(x)
+        a = lorenz(x)
+        b = lorenz(x + h / 2 * a)
+        c = lorenz(x + h / 2 * b)
+        x = x + h / 6 * (a + 2 * b + 2 * c + lorenz(x + h * c))
+    y = np.array(states) + noise * np.random.default_rng(1).normal(size=(samples, 3))
+    return Trajectory(np.arange(samples) * h, np.zeros((samples, 0)), y, LORENZ)
+
+
+@pytest.mark.parametrize("rule", [stlsq, eliminate])
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_five_of_twenty_functions_exactly(rule, noise):
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        phi, true = rng.normal(size=(20, 400)), np.zeros(20)
+        chosen = rng.choice(20, 5, replace=False)
+        true[chosen] = rng.choice([-1, 1], 5) * rng.uniform(0.5, 2, 5)
+        target = (true @ phi + noise * rng.normal(size=400))[None]
+        equations = NormalEquations.of([(phi[:, :150], target[:, :150]), (phi[:, 150:], target[:, 150:])], 20, 1)
+        found, support = rule(equations, 0.08)
+        assert set(np.flatnonzero(support[:, 0])) == set(chosen)
+        assert found[:, 0] == pytest.approx(true, abs=4 * noise / np.sqrt(400) + 1e-10)
+
+
+@pytest.mark.parametrize("rule", [stlsq, eliminate])
+def test_units_do_not_change_what_is_found(rule):
+    rng = np.random.default_rng(2)
+    phi, units = rng.normal(size=(8, 300)), 10.0 ** rng.integers(-6, 6, size=8)
+    target = (3 * phi[1] - 0.5 * phi[6])[None]
+    plain = rule(NormalEquations.of([(phi, target)], 8, 1), 0.05)
+    scaled = rule(NormalEquations.of([(phi * units[:, None], 1e4 * target)], 8, 1), 0.05)
+    assert np.array_equal(plain[1], scaled[1])
+    assert scaled[0][:, 0] * units / 1e4 == pytest.approx(plain[0][:, 0], rel=1e-9)
+
+
+def test_a_target_of_zero_has_no_terms():
+    phi = RNG.normal(size=(4, 100))
+    for rule in (stlsq, eliminate):
+        found, support = rule(NormalEquations.of([(phi, np.zeros((1, 100)))], 4, 1), 0.05)
+        assert not support.any()
+        assert not found.any()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])
+def test_the_lorenz_equations_with_and_without_noise(noise):
+    model = Stlsq(degree=3, order=1).fit([lorenz_run(noise=noise)], rng=RNG)
+    assert model.support == TERMS
+    found = dict(zip(model.library.names, model.coefficients[1], strict=True))
+    assert found["x"] == pytest.approx(28.0, rel=2e-5 if noise == 0.0 else 2e-3)
+
+
+def test_the_classical_rule_with_a_threshold_that_suits_it():
+    model = Stlsq(degree=2, order=1, rule="threshold", threshold=0.05).fit([lorenz_run()], rng=RNG)
+    assert model.support == TERMS
+
+
+def test_records_are_not_joined():
+    whole = lorenz_run(1600)
+    pieces = [whole[:400], whole[1000:1600], whole[500:900]]
+    assert Stlsq(degree=2, order=1).fit(pieces, rng=RNG).support == TERMS
+
+
+def test_a_free_run_that_leaves_the_data_far_behind_is_infinite_and_no_exception():
+    spec = PlantSpec((), (Channel("x"),), 0.01)
+    t = np.arange(90) * 0.01
+    escape = Trajectory(t, np.zeros((90, 0)), (1 / (1 - t))[:, None], spec)  # x' = x^2
+    model = Stlsq(degree=2, order=1).fit([escape], rng=RNG)
+    assert model.support == (("x^2",),)
+    longer = Trajectory(np.arange(300) * 0.01, np.zeros((300, 0)), np.full((300, 1), 1.0), spec)
+    assert simulation_error(model, longer).rms[0] == np.inf
+
+
+def test_discrete_maps_need_no_derivative():
+    x = [0.3]
+    for _ in range(200):
+        x.append(3.7 * x[-1] * (1 - x[-1]))
+    spec = PlantSpec((), (Channel("x"),), 1.0)
+    model = Stlsq(time="discrete", degree=3).fit(
+        [Trajectory(np.arange(201.0), np.zeros((201, 0)), np.array(x)[:, None], spec)], rng=RNG
+    )
+    assert model.equations == ("x[k+1] = 3.7 x - 3.7 x^2",)
+
+
+def test_positions_alone_give_second_order_equations():
+    t = np.arange(800) * 0.02
+    spec = PlantSpec((), (Channel("q", "m"),), 0.02)
+    swing = Trajectory(t, np.zeros((800, 0)), (np.exp(-0.1 * t) * np.cos(2 * t))[:, None], spec)
+    model = Stlsq(degree=2).fit([swing], rng=RNG)
+    assert model.order == 2
+    assert model.support == (("q", "q'"),)
+    found = dict(zip(model.library.names, model.coefficients[0], strict=True))
+    assert (found["q"], found["q'"]) == pytest.approx((-4.01, -0.2), rel=1e-3)
+
+
+def test_one_by_one_and_many_at_once_run_alike():
+    model = Stlsq(degree=2, order=1).fit([lorenz_run(800)], rng=RNG)
+    starts = RNG.normal(size=(30, 3)) * 5 + [0, 0, 25]
+    u = np.zeros((30, 40, 0))
+    many = model.free_run(starts, u)
+    few = np.concatenate([model.free_run(starts[i : i + 5], u[i : i + 5]) for i in range(0, 30, 5)])
+    assert np.abs(many - few).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"degree": 0}, {"threshold": 1.0}, {"order": 3}, {"time": "discrete", "order": 2}, {"rule": "best"}, {"half": 1}],
+)
+def test_options_that_make_no_sense_are_refused(options):
+    with pytest.raises(FitError, match="options"):
+        Stlsq(**options).fit([lorenz_run(50)], rng=RNG)
+
+
+def test_short_and_still_records_are_refused_in_words():
+    with pytest.raises(FitError, match=r"too short|fewer equations"):
+        Stlsq(degree=5, order=1).fit([lorenz_run(20)], rng=RNG)
+    still = Trajectory(np.arange(90) * 0.005, np.zeros((90, 0)), np.ones((90, 3)), LORENZ)
+    with pytest.raises(FitError, match="never move"):
+        Stlsq().fit([still], rng=RNG)
+
+
+def test_the_model_refuses_other_data_and_bad_matrices():
+    model = Stlsq(degree=2, order=1).fit([lorenz_run(400)], rng=RNG)
+    other = PlantSpec((), tuple(Channel(name) for name in "abc"), 0.005)
+    with pytest.raises(InputError, match="outputs of the data"):
+        model.initial_state(Trajectory(np.arange(9) * 0.005, np.zeros((9, 0)), np.zeros((9, 3)), other))
+
+
+def test_library_names_values_and_source_agree():
+    library = Library(("q", "w", "u"), degree=2, angles=(0,), harmonics=2)
+    values = RNG.normal(size=(7, 3))
+    rows = library(values)
+    assert rows.shape == (7, len(library.names)) == (7, len(library))
+    by_name = dict(zip(library.names, rows.T, strict=True))
+    assert by_name["sin(2 q) w"] == pytest.approx(np.sin(2 * values[:, 0]) * values[:, 1])
+    assert by_name["w u"] == pytest.approx(values[:, 1] * values[:, 2])
+    assert "sin(q) cos(q)" not in by_name, "a product of one angle is a harmonic"
+    coefficients = RNG.normal(size=(2, len(library)))
+    names: dict = {}
+    exec(library.source(coefficients), names)
+    assert np.array(names["value"](np.sin, np.cos, *values.T)).T == pytest.approx(rows @ coefficients.T)
