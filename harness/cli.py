@@ -8,11 +8,12 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -21,7 +22,7 @@ from harness.errors import HarnessError, InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import Progress, TaskID
 
     from harness.benchmark import BenchResult
 
@@ -303,9 +304,32 @@ def _console() -> Console:
     return Console(width=None if sys.stdout.isatty() else max(120, int(os.environ.get("COLUMNS", "0") or 0)))
 
 
+class _Lines:
+    """Progress where standard error is no terminal: one line every few seconds."""
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self.next = time.monotonic() + 5.0
+
+    def add_task(self, description: str, total: float | None = None) -> TaskID:
+        return cast("TaskID", 0)
+
+    def update(
+        self, task: TaskID, *, completed: float = 0.0, total: float | None = None, description: str | None = None
+    ) -> None:
+        if time.monotonic() < self.next:
+            return
+        self.next = time.monotonic() + 5.0
+        share = f"{100 * completed:.0f} %" if total is None else f"{completed:.0f} of {total:.0f}"
+        print(f"{self.title}: {share}{f', {description}' if description else ''}", file=sys.stderr, flush=True)
+
+
 @contextmanager
-def _progress(title: str) -> Iterator[Progress]:
-    """Show a progress bar on standard error while something long runs; plain silence where that is no terminal."""
+def _progress(title: str) -> Iterator[Progress | _Lines]:
+    """Show on standard error how far something long has come: a bar on a terminal, else a line now and then."""
+    if not sys.stderr.isatty():
+        yield _Lines(title)
+        return
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -316,16 +340,14 @@ def _progress(title: str) -> Iterator[Progress]:
         TimeRemainingColumn,
     )
 
-    console = Console(stderr=True)
     with Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn() if title.startswith("benchmark") else TextColumn("{task.percentage:>3.0f}%"),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        console=console,
+        console=Console(stderr=True),
         transient=True,
-        disable=not console.is_terminal,
     ) as bar:
         yield bar
 

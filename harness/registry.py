@@ -155,7 +155,7 @@ def dataset_path(dataset: str | Path) -> Path:
     'emps.toml'
     """
     path = Path(dataset)
-    if path.suffix or len(path.parts) != 1 or path.exists():
+    if path.suffix or len(path.parts) != 1 or path.is_file():
         return path
     return Path(load("recordings", str(dataset)))
 

@@ -6,20 +6,25 @@ import logging
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NoReturn, Self
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, Self
 
 import numpy as np
 
-from harness.errors import InputError, PlantError
+from harness.errors import PlantError
 from harness.protocols import Ability
 from harness.signals import FloatArray, PlantSpec
 from plants.checking import checked_inputs, refuse_input
 from plants.fmu_archive import FmuFile, Kind, read_fmu
 from plants.fmu_engine import INPUT_NOT_FINITE, Engine, Timing
-from plants.fmu_instance import Instance, Snapshot
+from plants.fmu_instance import Instance
+from plants.fmu_options import chosen_kind, complaints, count_substeps, default, encoded, refused
+from plants.fmu_slopes import slopes
+from plants.fmu_states import Snapshot, packed, unpacked
 from plants.fmu_stops import finish, stopped
-from plants.fmu_values import encode
-from plants.fmu_variables import Port, channels, choose, describe, feeds_through, port, starts, states_of, unknown
+from plants.fmu_variables import Port, channels, choose, describe, feeds_through, starts, states_of
+
+if TYPE_CHECKING:
+    from plants.fmu_probe import ProbeResult
 
 __all__ = ["FmuPlant", "describe"]
 
@@ -86,6 +91,13 @@ class FmuPlant:
 
     describe = staticmethod(describe)
 
+    @staticmethod
+    def probe(path: str | Path, **options: Any) -> ProbeResult:
+        """Run an FMU a few times and tell whether it can be trusted; see :func:`plants.fmu_probe.probe`."""
+        from plants.fmu_probe import probe
+
+        return probe(path, **options)
+
     def __init__(
         self,
         path: str | Path,
@@ -108,11 +120,11 @@ class FmuPlant:
     ) -> None:
         self._options = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.file: FmuFile = read_fmu(path)
-        self.kind: Kind = self._chosen_kind(kind)
-        dt = self._default("stepSize") if sample_time is None else sample_time
+        self.kind: Kind = chosen_kind(self.file, kind)
+        dt = default(self.file, "stepSize") if sample_time is None else sample_time
         if dt is None:
-            raise self._refused(
-                "no sample time", "a number of seconds", "none, and the FMU suggests none", "sample_time"
+            raise refused(
+                self.file, "no sample time", "a number of seconds", "none, and the FMU suggests none", "sample_time"
             )
         self._tolerance = tolerance
         self._inputs = choose(self.file, inputs, "input")
@@ -121,14 +133,17 @@ class FmuPlant:
         direct, told = feeds_through(self.file, self._inputs, self._outputs)
         direct = direct if feedthrough is None else feedthrough
         self.spec = PlantSpec(channels(self._inputs), channels(self._outputs), float(dt), channels(self._truth), direct)
-        self._substeps = self._count_substeps(step)
-        self.warnings = self._complaints(told or feedthrough is not None)
-        self._start = self._encoded({**(parameters or {})}, "parameters", ("parameter", "structuralParameter"))
-        self._start.update(self._encoded({**(start or {})}, "start", None))
+        self._substeps = count_substeps(self.file, self.spec.sample_time, step)
+        step_size = self.spec.sample_time / self._substeps
+        told = told or feedthrough is not None
+        self.warnings = complaints(self.file, self.kind, step_size, self.unit_complaints, told=told)
+        self._start = encoded(self.file, {**(parameters or {})}, "parameters", ("parameter", "structuralParameter"))
+        self._start.update(encoded(self.file, {**(start or {})}, "start", None))
         self._t0 = float(start_time)
         interface = self.file.interface(self.kind)
         rollback = bool(interface.canGetAndSetFMUstate) and self.file.version > 1
         optional: dict[Ability, bool] = {"snapshots": rollback, "feedthrough": direct, "truth": bool(self._truth)}
+        optional["batch-truth"] = bool(self._truth) and self.kind == "cs"
         self.abilities: frozenset[Ability] = frozenset({"batch", *(name for name, has in optional.items() if has)})
         self._instance = Instance(self.file, self.kind, event_mode=event_mode, early_return=early_return, debug=debug)
         self._finalizer = weakref.finalize(self, self._instance.close)
@@ -138,6 +153,8 @@ class FmuPlant:
         except BaseException:
             self.close()
             raise
+        self._both: Engine | None = None  # reads outputs and states at once; made when it is needed
+        self._rollback, self._solver = rollback, solver
         self._shape = (self.spec.nu,)
         self._one: Callable[[], int] = _idle
 
@@ -163,10 +180,10 @@ class FmuPlant:
         self._check_open()
         self._one = _idle
         values = dict(self._start)
-        values.update(self._encoded(dict(x0 or {}), "x0", None))
-        hint = self._default("tolerance") if self._tolerance is None else self._tolerance
+        values.update(encoded(self.file, dict(x0 or {}), "x0", None))
+        hint = default(self.file, "tolerance") if self._tolerance is None else self._tolerance
         self._instance.initialise(values, self._t0, hint)
-        for engine in (self._engine, self._observer):
+        for engine in (self._engine, self._observer, *(() if self._both is None else (self._both,))):
             engine.renew()
         self._engine.loop.k = 0
         self._engine.loop.warnings = 0
@@ -188,21 +205,45 @@ class FmuPlant:
             refuse_input(u, self.spec)
         engine.u[:] = u
         if self._one():
-            self._finish()
+            self._finish(engine)
         return engine.y.copy()
 
     def rollout(self, inputs: FloatArray) -> FloatArray:
         """Apply ``inputs`` (N, nu) from the present state in one call; returns (N, ny), equal to stepping."""
+        return self._rolled(self._engine, inputs)
+
+    def rollout_truth(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what ``rollout`` returns (N, ny), and the true states (N, nx); for co-simulation.
+
+        Raises
+        ------
+        InputError
+            If the plant does not declare ``"batch-truth"``.
+        """
+        if "batch-truth" not in self.abilities:
+            got, remedy = f"kind {self.kind!r}, {len(self._truth)} states", "step, and ask truth() after every step"
+            raise refused(self.file, "a batch with the truth", "co-simulation and known states", got, remedy)
+        if self._both is None:
+            self._both = self._made_engine(self._inputs, (*self._outputs, *self._truth), self._rollback, self._solver)
+        self._both.loop.k = self._engine.loop.k
+        try:
+            table = self._rolled(self._both, inputs)
+        finally:
+            self._engine.loop.k = self._both.loop.k
+        return table[:, : self.spec.ny], table[:, self.spec.ny :]
+
+    def _rolled(self, engine: Engine, inputs: FloatArray) -> FloatArray:
+        """Apply inputs through one of the engines, bringing interrupted steps to their end."""
         rows = np.ascontiguousarray(checked_inputs(inputs, self.spec))
         if self._one is _idle:
             self._not_ready()
-        outputs = self._engine.many(rows)
+        outputs = engine.many(rows)
         while (done := outputs.shape[0]) < rows.shape[0]:
-            self._engine.u[:] = rows[done]
-            self._finish()
-            row = self._engine.y.reshape(1, -1).copy()
-            outputs = np.concatenate([outputs, row, self._engine.many(rows[done + 1 :])])
-        self._note_warnings()
+            engine.u[:] = rows[done]
+            self._finish(engine)
+            row = engine.y.reshape(1, -1).copy()
+            outputs = np.concatenate([outputs, row, engine.many(rows[done + 1 :])])
+        self._note_warnings(engine)
         return outputs
 
     def output(self, u: FloatArray) -> FloatArray:
@@ -213,7 +254,7 @@ class FmuPlant:
             self._not_ready()
         self._engine.u[:] = u
         if self._engine.peek():
-            self._finish()
+            self._finish(self._engine)
         return self._engine.y.copy()
 
     def truth(self) -> FloatArray:
@@ -240,6 +281,61 @@ class FmuPlant:
         self._engine.loop.k = state.k
         self._engine.settle()
 
+    def serialize_state(self) -> bytes:
+        """Return the present state as bytes, for a plant of the same FMU in this process or, if it allows, another.
+
+        Raises
+        ------
+        InputError
+            If the FMU does not serialise states.
+        """
+        if self._one is _idle:
+            self._not_ready("a snapshot")
+        if "snapshots" not in self.abilities:
+            raise refused(self.file, "a serialised state", "an FMU that gives its state", "one that does not", "replay")
+        return packed(self._instance, self.get_state())
+
+    def deserialize_state(self, data: bytes) -> None:
+        """Go back to a state that :meth:`serialize_state` returned; the plant must have been reset once.
+
+        Raises
+        ------
+        InputError
+            If the FMU does not serialise states, or the bytes are of another one.
+        """
+        if self._one is _idle:
+            self._not_ready("a snapshot")
+        self.set_state(unpacked(self._instance, data))
+
+    def directional_derivative(
+        self, unknowns: Sequence[str], knowns: Sequence[str], seed: FloatArray | None = None
+    ) -> FloatArray:
+        """Return partial derivatives at the present state and input as the FMU computes them, in SI.
+
+        Parameters
+        ----------
+        unknowns : sequence of str
+            Outputs and derivatives (FMI 2.0.5 sec. 2.1.9).
+        knowns : sequence of str
+            Inputs and continuous states.
+        seed : array (len(knowns),), optional
+            Direction; without it the whole matrix is returned.
+
+        Returns
+        -------
+        array (len(unknowns),), or (len(unknowns), len(knowns)) without a seed
+
+        Raises
+        ------
+        InputError
+            If the FMU does not offer it, or a name is unknown or not a real scalar.
+        PlantError
+            If the FMU fails to.
+        """
+        if self._one is _idle:
+            self._not_ready("a derivative")
+        return slopes(self._instance, unknowns, knowns, seed)
+
     def set_parameter(self, name: str, value: Any) -> None:
         """Set a tunable parameter (SI) while the plant runs; it is kept for later resets.
 
@@ -249,13 +345,18 @@ class FmuPlant:
             If the FMU has no such parameter, or it is fixed and the plant runs (use ``parameters`` instead).
         """
         self._check_open()
-        encoded = self._encoded({name: value}, "parameters", ("parameter",))
+        as_fmu = encoded(self.file, {name: value}, "parameters", ("parameter",))
         variability = next(v.variability for v in self.file.description.modelVariables if v.name == name)
         if self._one is not _idle:
             if variability != "tunable":
-                raise self._refused("a fixed parameter", "a tunable one", repr(name), "reset first", name)
-            self._instance.set_now(name, encoded[name])
-        self._start.update(encoded)
+                raise refused(self.file, "a fixed parameter", "a tunable one", repr(name), "reset first", name)
+            self._instance.set_now(name, as_fmu[name])
+        self._start.update(as_fmu)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What the plant was made with, by name of the option."""
+        return dict(self._options)
 
     @property
     def tolerance(self) -> float:
@@ -293,105 +394,37 @@ class FmuPlant:
         """Pickle as a fresh plant with the same options; the running state stays behind."""
         return _rebuilt, (type(self), self._options)
 
-    def _finish(self) -> None:
+    def _finish(self, engine: Engine) -> None:
         """Bring an interrupted step to its end, or raise; after that only a reset helps."""
         if self._one is _idle:
             self._not_ready()
-        if self._engine.loop.what == INPUT_NOT_FINITE:
-            refuse_input(self._engine.u, self.spec)
+        if engine.loop.what == INPUT_NOT_FINITE:
+            refuse_input(engine.u, self.spec)
         try:
-            finish(self._engine)
+            finish(engine)
         except PlantError:
             self._one = _idle
-            self._note_warnings()
+            self._note_warnings(engine)
             raise
 
-    def _note_warnings(self) -> None:
+    def _note_warnings(self, engine: Engine) -> None:
         """Pass the number of calls that ended in a warning to the log."""
-        if self._engine.loop.warnings:
-            log.warning("%s: %d calls ended with a warning", self.file.path.name, self._engine.loop.warnings)
-            self._engine.loop.warnings = 0
+        if engine.loop.warnings:
+            log.warning("%s: %d calls ended with a warning", self.file.path.name, engine.loop.warnings)
+            engine.loop.warnings = 0
 
     def _not_ready(self, what: str = "a step") -> NoReturn:
         self._check_open()
-        raise self._refused(f"{what} of a plant that does not run", "a reset before", "none", "call reset first")
+        raise refused(self.file, f"{what} of a plant that does not run", "a reset before", "none", "call reset first")
 
     def _check_open(self) -> None:
         if not self._finalizer.alive:
-            raise self._refused("a closed plant", "an open one", "a closed one", "make a new one")
-
-    def _refused(self, what: str, expected: str, got: str, remedy: str, place: str | None = None) -> InputError:
-        return InputError(what, expected=expected, got=got, remedy=remedy, file=self.file.path, place=place)
-
-    def _chosen_kind(self, kind: Kind | None) -> Kind:
-        if kind is None:
-            return self.file.kinds[0]
-        if kind not in self.file.kinds:
-            raise self._refused("kind", f"one of {', '.join(self.file.kinds)}", repr(kind), "choose another", "kind")
-        return kind
-
-    def _default(self, name: str) -> float | None:
-        """Return a number of the FMU's default experiment."""
-        text = getattr(self.file.description.defaultExperiment, name, None)
-        return None if text is None else float(text)
-
-    def _count_substeps(self, step: float | None) -> int:
-        """Return how many communication steps make a sample."""
-        if step is None:
-            return 1
-        ratio = self.spec.sample_time / step if step > 0 else 0.0
-        if not (ratio >= 1 - 1e-9 and abs(ratio - round(ratio)) < 1e-6 * ratio):
-            expected = f"a divisor of the sample time {self.spec.sample_time:g} s"
-            raise self._refused("step", expected, f"{step!r} s", "choose sample_time / n", "step")
-        return round(ratio)
-
-    def _complaints(self, told: bool) -> tuple[str, ...]:
-        """Return what a user should know about the FMU, and log it."""
-        found = [*self.file.problems, *self.unit_complaints]
-        if not told:
-            found.append("outputs do not tell what they depend on: taken as without direct feedthrough")
-        fixed = getattr(self.file.interface(self.kind), "fixedInternalStepSize", None)
-        if fixed:
-            ratio = self.spec.sample_time / self._substeps / float(fixed)
-            if abs(ratio - round(ratio)) > 1e-6 * max(ratio, 1.0) or round(ratio) < 1:
-                found.append(f"the communication step is no multiple of the FMU's internal step {float(fixed):g} s")
-        for text in found:
-            log.info("%s: %s", self.file.path.name, text)
-        return tuple(found)
-
-    def _encoded(self, values: Mapping[str, Any], what: str, causalities: Sequence[str] | None) -> dict[str, Any]:
-        """Return values as the FMU's own types and units; unknown or unsettable names are refused."""
-        variables = {v.name: v for v in self.file.description.modelVariables}
-        if causalities is None:
-            known = [n for n, v in variables.items() if _has_start(v, self.file.version)]
-            if what == "x0":
-                known = [n for n in known if variables[n].causality in ("output", "local")]
-        else:
-            known = [n for n, v in variables.items() if v.causality in causalities and v.variability != "constant"]
-        encoded = {}
-        for name, value in values.items():
-            if name not in known:
-                raise unknown(self.file, what, name, known)
-            variable = variables[name]
-            real = variable.type in ("Real", "Float64", "Float32")
-            one = port(self.file, variable) if real else None
-            scale, offset = (1.0, 0.0) if one is None else (one.scale, one.offset)
-            encoded[name] = encode(self.file, variable, value, scale, offset)
-        return encoded
+            raise refused(self.file, "a closed plant", "an open one", "a closed one", "make a new one")
 
 
 def _idle() -> int:
     """Stand in for the step of a plant that does not run (a method of its own would keep the plant alive)."""
     return -1
-
-
-def _has_start(variable: Any, version: int) -> bool:
-    """Return True if a variable can be set before the initialisation."""
-    if variable.causality in ("independent", "calculatedParameter") or variable.variability == "constant":
-        return False
-    if version == 1:
-        return variable.start is not None
-    return variable.causality == "input" or variable.initial in ("exact", "approx")
 
 
 def _rebuilt(kind: type[FmuPlant], options: dict[str, Any]) -> FmuPlant:

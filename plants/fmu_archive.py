@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import re
-import shutil
-import stat
-import tempfile
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from harness.errors import InputError
+from harness.fmi.archive import check_entries
+from plants.temporary import release, temporary_folder
 
 __all__ = ["MAX_ENTRIES", "MAX_RATIO", "MAX_TOTAL", "FmuFile", "read_fmu"]
 
 MAX_ENTRIES = 20_000
 MAX_TOTAL = 2 << 30  # bytes, unpacked
-MAX_RATIO = 200  # unpacked to packed, for entries beyond LARGE
-LARGE = 32 << 20
+MAX_RATIO = 200  # unpacked to packed, for large entries
 MAX_DESCRIPTION = 256 << 20
 
 Kind = Literal["cs", "me"]
@@ -79,12 +77,12 @@ class FmuFile:
                 remedy="export it for this system, or compile its sources (fmusim, fmpy compile)",
                 file=self.path,
             )
-        folder = Path(tempfile.mkdtemp(prefix="sysid-fmu-"))
+        folder = temporary_folder("sysid-fmu-")
         wanted = (library, "resources/", "modelDescription.xml")
         try:
             fmpy.extract(str(self.path), str(folder), include=lambda name: name.startswith(wanted))
         except Exception as error:
-            shutil.rmtree(folder, ignore_errors=True)
+            release(folder)
             raise InputError(
                 "the FMU cannot be unpacked",
                 expected="a sound zip archive",
@@ -93,7 +91,7 @@ class FmuFile:
                 file=self.path,
             ) from error
         except BaseException:
-            shutil.rmtree(folder, ignore_errors=True)
+            release(folder)
             raise
         return folder
 
@@ -150,42 +148,7 @@ def _refuse(path: Path, what: str, expected: str, got: str, remedy: str, place: 
 
 def _check_entries(path: Path, archive: zipfile.ZipFile) -> None:
     """Refuse entries that must not be unpacked, and say which."""
-    entries = archive.infolist()
-    if len(entries) > MAX_ENTRIES:
-        raise _refuse(
-            path, "too many entries", f"at most {MAX_ENTRIES}", str(len(entries)), "check where it comes from"
-        )
-    seen: set[str] = set()
-    total = 0
-    for entry in entries:
-        name = entry.orig_filename
-        parts = name.rstrip("/").split("/")
-        if "\\" in name or ":" in name or name.startswith("/") or ".." in parts or "\0" in name:
-            raise _refuse(
-                path, "an entry leaves its folder", "a relative path with '/'", repr(name), "do not trust it", name
-            )
-        if entry.create_system == 3 and not _plain(entry.external_attr >> 16):
-            raise _refuse(path, "an entry is a link", "files and folders", repr(name), "do not trust it", name)
-        key = "/".join(part for part in parts if part not in ("", ".")).casefold()
-        if key in seen:
-            raise _refuse(path, "two entries share a name", "unique names", repr(name), "export it again", name)
-        seen.add(key)
-        if entry.flag_bits & 1:
-            raise _refuse(path, "an entry is encrypted", "readable entries", repr(name), "remove the password", name)
-        total += entry.file_size
-        if entry.file_size > LARGE and entry.file_size > MAX_RATIO * max(entry.compress_size, 1):
-            raise _refuse(
-                path,
-                "an entry unpacks like a bomb",
-                f"at most {MAX_RATIO} times its packed size",
-                f"{entry.file_size / max(entry.compress_size, 1):.0f} times ({entry.file_size >> 20} MiB)",
-                "do not trust it",
-                name,
-            )
-        if total > MAX_TOTAL:
-            raise _refuse(
-                path, "too large", f"at most {MAX_TOTAL >> 20} MiB unpacked", f"more, at {name!r}", "shrink it", name
-            )
+    entries = check_entries(path, archive, entries=MAX_ENTRIES, total=MAX_TOTAL, ratio=MAX_RATIO)
     described = [entry for entry in entries if entry.filename == "modelDescription.xml"]
     if not described:
         raise _refuse(path, "not an FMU", "modelDescription.xml at the top of the archive", "none", "export it again")
@@ -194,11 +157,6 @@ def _check_entries(path: Path, archive: zipfile.ZipFile) -> None:
         raise _refuse(path, "modelDescription.xml", f"at most {MAX_DESCRIPTION >> 20} MiB", size, "shrink it")
     if b"<!DOCTYPE" in archive.read(described[0]):
         raise _refuse(path, "modelDescription.xml", "no document type", "a DOCTYPE", "do not trust it")
-
-
-def _plain(mode: int) -> bool:
-    """Return True for a regular file or folder, or where the archive does not say."""
-    return stat.S_IFMT(mode) in (0, stat.S_IFREG, stat.S_IFDIR)
 
 
 def _describe(path: Path) -> tuple[Any, list[str]]:

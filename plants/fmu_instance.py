@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import logging
 import os
-import shutil
 import threading
 import weakref
 from collections import Counter, deque
@@ -15,8 +14,10 @@ from typing import Any
 
 from harness.errors import InputError, PlantError
 from plants.fmu_archive import FmuFile, Kind
+from plants.fmu_states import Snapshot
+from plants.temporary import release
 
-__all__ = ["Instance", "Snapshot"]
+__all__ = ["Instance"]
 
 log = logging.getLogger("plants.fmu")
 _loading = threading.Lock()  # fmpy changes the working directory of the process while it loads
@@ -322,6 +323,10 @@ class Instance:
             )
         except Exception as error:
             raise self.failure("the state cannot be taken", error) from error
+        return self.kept(pointer)
+
+    def kept(self, pointer: ctypes.c_void_p) -> Snapshot:
+        """Return a state of the FMU as one that is freed with this instance."""
         made = Snapshot(self, pointer)
         self.states.add(made)
         return made
@@ -367,23 +372,5 @@ class Instance:
 
     def _remove_folder(self) -> None:
         if self._folder is not None:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            release(self._folder)
             self._folder = None
-
-
-class Snapshot:
-    """A state that the FMU keeps for us; freed with this object, or with the instance."""
-
-    def __init__(self, owner: Instance, pointer: ctypes.c_void_p) -> None:
-        self.owner = weakref.ref(owner)
-        self.pointer: ctypes.c_void_p | None = pointer
-        self.k = 0
-
-    def free(self) -> None:
-        """Give the memory back to the FMU."""
-        owner, pointer, self.pointer = self.owner(), self.pointer, None
-        if owner is not None and pointer is not None and owner.fmu is not None and not owner.dead:
-            owner.fmu.freeFMUState(pointer)
-
-    def __del__(self) -> None:
-        self.free()

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import os
 import pickle
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 import weakref
 from collections.abc import Callable, Mapping
@@ -26,6 +24,7 @@ from harness.errors import HarnessError, InputError, PlantError
 from harness.protocols import Ability, Plant
 from harness.signals import FloatArray, PlantSpec
 from plants.checking import checked_inputs, refuse_input
+from plants.temporary import release, temporary_folder
 
 __all__ = ["IsolatedPlant", "isolated"]
 
@@ -124,18 +123,27 @@ class IsolatedPlant:
 
     def rollout(self, inputs: FloatArray) -> FloatArray:
         """Apply ``inputs`` (N, nu) in chunks; returns (N, ny), equal to stepping."""
+        return self._rolled("rollout", inputs)[0]
+
+    def rollout_truth(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what ``rollout`` returns (N, ny), and the true states (N, nx), where the plant declares the truth."""
+        return self._rolled("rollout_truth", inputs)
+
+    def _rolled(self, order: str, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Apply inputs in chunks; the true states are filled in only where the order brings them."""
         rows = checked_inputs(inputs, self.spec)
-        outputs = np.empty((rows.shape[0], self.spec.ny))
+        ny, nx = self.spec.ny, len(self.spec.states) if order == "rollout_truth" else 0
+        both = np.empty((rows.shape[0], ny + nx))
         done, size = 0, FIRST_CHUNK
         while done < rows.shape[0]:
             chunk = rows[done : done + size]
             started = time.perf_counter()
-            outputs[done : done + len(chunk)] = self._output(self._call("rollout", chunk))
+            both[done : done + len(chunk)] = self._output(self._call(order, chunk))
             spent = time.perf_counter() - started
             done += len(chunk)
             # a chunk shall take about a fiftieth of the limit
             size = int(np.clip(size * 0.02 * self._timeout / max(spent, 1e-6), 1, min(4 * size, LAST_CHUNK)))
-        return outputs
+        return both[:, :ny], both[:, ny:]
 
     def truth(self) -> FloatArray:
         """Return the present true state (nx,); it comes with every output."""
@@ -182,6 +190,8 @@ class IsolatedPlant:
         self._resets, self._doubtful = 0, False
         spec, abilities, tolerance = self._call("make", self._order, limit=self._start_timeout)
         self.spec, self.abilities = spec, frozenset(abilities) | {"batch"}
+        if "truth" in self.abilities:
+            self.abilities |= {"batch-truth"}
         if tolerance is not None:  # only where the plant inside declares one
             self.snapshot_tolerance = float(tolerance)
 
@@ -260,7 +270,7 @@ class _Child:
 
     def __init__(self, show_output: bool) -> None:
         self.dropped: list[int] = []  # numbers of states that nobody holds any more
-        self.folder = Path(tempfile.mkdtemp(prefix="sysid-isolated-"))
+        self.folder = temporary_folder("sysid-isolated-")
         self.pipe, theirs = Pipe()
         environment = {
             **os.environ,
@@ -329,4 +339,4 @@ def _end(process: subprocess.Popen[bytes], pipe: Connection, folder: Path) -> No
     except (ProcessLookupError, PermissionError):
         process.kill()
     process.wait()
-    shutil.rmtree(folder, ignore_errors=True)
+    release(folder)

@@ -17,7 +17,7 @@ from typing import Any, cast
 import numpy as np
 
 from harness.errors import HarnessError, InputError, PlantError
-from harness.protocols import Batch, Feedthrough, Plant, Snapshots, Truth
+from harness.protocols import Batch, BatchTruth, Feedthrough, Plant, Snapshots, Truth
 from harness.signals import FloatArray
 
 __all__ = ["serve"]
@@ -83,6 +83,12 @@ def _obey(plant: Plant, name: str, arguments: tuple[Any, ...], states: dict[int,
     if name == "set_state":
         cast(Snapshots, plant).set_state(states[arguments[0]])
         return np.zeros(0)
+    if name == "rollout_truth":  # outputs and states travel as one table
+        if "batch-truth" in plant.abilities:
+            return np.hstack(cast(BatchTruth, plant).rollout_truth(arguments[0]))
+        width = plant.spec.ny + len(plant.spec.states)
+        pairs = [np.concatenate([plant.step(row), cast(Truth, plant).truth()]) for row in arguments[0]]
+        return np.array(pairs).reshape(len(arguments[0]), width)
     if "batch" in plant.abilities:
         return cast(Batch, plant).rollout(arguments[0])
     return np.array([plant.step(row) for row in arguments[0]]).reshape(len(arguments[0]), plant.spec.ny)

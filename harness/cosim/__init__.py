@@ -8,7 +8,9 @@ Schiehlen 2000, Math. Comput. Modelling Dyn. Syst. 6:93; Gomes et al. 2018, ACM 
 
 from __future__ import annotations
 
+from harness.cosim.description import Make, couple, read_coupling
 from harness.cosim.master import Coupled, Order
+from harness.cosim.ssp import couple_ssp
 from harness.cosim.wiring import Connection
 
-__all__ = ["Connection", "Coupled", "Order"]
+__all__ = ["Connection", "Coupled", "Make", "Order", "couple", "couple_ssp", "read_coupling"]

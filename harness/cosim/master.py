@@ -50,6 +50,8 @@ class Coupled:
         ``"snapshots"`` of every part.
     tolerance : float
         Relative tolerance of the loop iterations.
+    initial : mapping of str to float, optional
+        Initial states ``"part.state"`` of every run, where ``reset`` does not say otherwise.
 
     Raises
     ------
@@ -83,6 +85,7 @@ class Coupled:
         loops: Literal["solve", "refuse"] = "solve",
         iterations: int = 1,
         tolerance: float = 1e-10,
+        initial: Mapping[str, float] | None = None,
     ) -> None:
         if not parts:
             raise InputError("nothing to couple", expected="at least one part", got="none", remedy="name the parts")
@@ -93,6 +96,8 @@ class Coupled:
         self._order: Order = order
         self._iterations = iterations
         self._tolerance = tolerance
+        self._initial = dict(initial or {})
+        self._checked_states(self._initial)
         names = list(parts)
         if isinstance(inputs, Mapping):
             lenders = dict(inputs)
@@ -172,17 +177,7 @@ class Coupled:
 
     def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
         """Reset every part, each with its own stream; initial states are named ``"part.state"``."""
-        own: dict[str, dict[str, float]] = {part.name: {} for part in self._parts}
-        for name, value in (x0 or {}).items():
-            head, _, tail = name.partition(".")
-            if head not in own:
-                raise InputError(
-                    "initial state",
-                    expected=f"part.state with a part among {', '.join(own)}",
-                    got=repr(name),
-                    remedy="correct the name",
-                )
-            own[head][tail] = value
+        own = self._checked_states({**self._initial, **(x0 or {})})
         for part, stream in zip(self._parts, rng.spawn(len(self._parts)), strict=True):
             self._put(part, part.plant.reset(rng=stream, x0=own[part.name] or None))
         self._tick = 0
@@ -384,6 +379,21 @@ class Coupled:
         self._signals[:] = signals
         for wire, memory in zip(self._late, memories, strict=True):
             wire.memory = deque(memory)
+
+    def _checked_states(self, given: Mapping[str, float]) -> dict[str, dict[str, float]]:
+        """Return the initial states by part, or refuse a part."""
+        own: dict[str, dict[str, float]] = {part.name: {} for part in self._parts}
+        for name, value in given.items():
+            head, _, tail = name.partition(".")
+            if head not in own:
+                raise InputError(
+                    "initial state",
+                    expected=f"part.state with a part among {', '.join(own)}",
+                    got=repr(name),
+                    remedy="correct the name",
+                )
+            own[head][tail] = value
+        return own
 
     def _checked(self, u: FloatArray) -> list[float]:
         """Return the external inputs as numbers, or refuse them."""

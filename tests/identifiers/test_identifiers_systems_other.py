@@ -255,7 +255,7 @@ def test_regret_grows_as_d_sigma_squared_log_t():
     The loss is (e + miss)^2. Its parts e^2 (also the rival's) and 2 e miss (mean zero, since the prediction is made
     before e is drawn) only blur the mean over streams, so that the slope is taken of the summed miss^2.
     """
-    sigma, n, streams = 0.5, 300, 250
+    sigma, n, streams = 0.5, 300, 150
     online = RecursiveLeastSquares(order=1, offset=False, prior=1e-3)
     squares = np.zeros(n - 1)
     for seed in range(streams):

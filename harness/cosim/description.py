@@ -1,0 +1,207 @@
+"""A coupling written down in TOML: parts, connections, external inputs, outputs, and how the parts are stepped."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from harness.cosim.master import Coupled
+from harness.cosim.wiring import Connection
+from harness.errors import HarnessError, InputError
+from harness.protocols import Plant
+
+__all__ = ["CouplingDescription", "Make", "PartDescription", "Wiring", "couple", "read_coupling"]
+
+Make = Callable[[str, dict[str, Any]], Plant]
+"""Makes a part from a plant's id and its options; ``"fmu"`` takes a path, ``"mockup"`` a name."""
+
+CHANGEABLE = ("sample_time", "order", "loops", "iterations", "tolerance")
+
+
+class PartDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A part: the id of a registered plant, an FMU file (relative to the TOML file), or one of our own FMUs."""
+
+    plant: str | None = None
+    fmu: str | None = None
+    mockup: str | None = None
+    options: dict[str, Any] = {}
+
+
+class Wiring(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A connection, see :class:`harness.cosim.Connection`."""
+
+    source: str = msgspec.field(name="from")
+    target: str = msgspec.field(name="to")
+    gain: float = 1.0
+    gain_unit: str = "1"
+    delay: int = 0
+    add: bool = False
+
+
+class CouplingDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The whole of a coupling's TOML file; the keys are the arguments of :class:`harness.cosim.Coupled`."""
+
+    parts: dict[str, PartDescription]
+    outputs: tuple[str, ...]
+    connections: tuple[Wiring, ...] = ()
+    inputs: dict[str, str] | tuple[str, ...] = ()
+    description: str = ""
+    initial: dict[str, float] = {}
+    sample_time: float | None = None
+    order: Literal["gauss-seidel", "jacobi"] = "gauss-seidel"
+    sequence: tuple[str, ...] | None = None
+    loops: Literal["solve", "refuse"] = "solve"
+    iterations: int = 1
+    tolerance: float = 1e-10
+
+
+def read_coupling(path: str | Path) -> CouplingDescription:
+    """Read the TOML file of a coupling.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or no TOML, a key is unknown or missing, or a value has the wrong type.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "pair.toml"
+    ...     _ = file.write_text('outputs = ["arm.theta"]\\ninputs = ["arm.u"]\\n[parts.arm]\\nplant = "pendulum-ode"\\n')
+    ...     read_coupling(file).parts["arm"].plant
+    'pendulum-ode'
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError("no such coupling", expected="a TOML file", got="no file", remedy="check the path", file=path)
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError("not TOML", expected="a TOML file", got=str(error), remedy="repair it", file=path) from error
+    try:
+        read = msgspec.convert(content, CouplingDescription)
+    except msgspec.ValidationError as error:
+        raise _explained(error, path) from error
+    for name, part in read.parts.items():
+        given = [key for key in ("plant", "fmu", "mockup") if getattr(part, key) is not None]
+        if len(given) != 1:
+            raise InputError(
+                "what the part is",
+                expected="one of plant = ID, fmu = FILE, mockup = NAME",
+                got=" and ".join(given) or "none of them",
+                remedy="keep one",
+                file=path,
+                place=f"parts.{name}",
+            )
+    return read
+
+
+def couple(path: str | Path, make: Make, *, changes: Mapping[str, Any] | None = None) -> Coupled:
+    """Build the plant that a coupling's TOML file describes.
+
+    Parameters
+    ----------
+    path : path
+        The file; FMU files in it are relative to its folder.
+    make : callable
+        ``make(id, options) -> Plant``.
+    changes : mapping, optional
+        Values that go before those of the file: sample_time, order, loops, iterations, tolerance.
+
+    Raises
+    ------
+    InputError
+        If the file or something in it cannot be used; the file is named.
+
+    Notes
+    -----
+    FMUs (``fmu``, ``mockup``) without a ``sample_time`` of their own get the coupling's.
+    """
+    path = Path(path)
+    read = read_coupling(path)
+    unknown = sorted(set(changes or {}) - set(CHANGEABLE))
+    if unknown:
+        raise InputError(
+            "option of a coupling",
+            expected=f"one of {', '.join(CHANGEABLE)}",
+            got=", ".join(unknown),
+            remedy="change the rest in the file",
+            file=path,
+        )
+    chosen = {key: (changes or {}).get(key, getattr(read, key)) for key in CHANGEABLE}
+    parts: dict[str, Plant] = {}
+    try:
+        for name, part in read.parts.items():
+            try:
+                parts[name] = make(*_order_of(part, path.parent, chosen["sample_time"]))
+            except InputError as error:
+                raise error.located(file=path, place=f"parts.{name}") from error
+        wires = [Connection(w.source, w.target, w.gain, w.delay, w.add, w.gain_unit) for w in read.connections]
+        try:
+            return Coupled(
+                parts,
+                wires,
+                inputs=read.inputs,
+                outputs=read.outputs,
+                sequence=read.sequence,
+                initial=read.initial,
+                **chosen,
+            )
+        except InputError as error:
+            raise error.located(file=path) from error
+    except HarnessError:
+        for plant in parts.values():
+            plant.close()
+        raise
+
+
+def _order_of(part: PartDescription, folder: Path, sample_time: float | None) -> tuple[str, dict[str, Any]]:
+    """Return id and options for the factory."""
+    if part.plant is not None:
+        return part.plant, dict(part.options)
+    shared = {} if sample_time is None else {"sample_time": sample_time}
+    if part.fmu is not None:
+        return "fmu", {"path": str(folder / part.fmu), **shared, **part.options}
+    return "mockup", {"name": part.mockup, **shared, **part.options}
+
+
+def _explained(error: msgspec.ValidationError, path: Path) -> InputError:
+    """Return msgspec's refusal in our words: ``what - at `$.place```."""
+    text, _, place = str(error).partition(" - at ")
+    where = place.strip("`").removeprefix("$").removeprefix(".") or None
+    if unknown := re.search(r"unknown field `(.*)`", text):
+        tables = {"parts": PartDescription, "connections": Wiring}
+        struct = tables.get(re.split(r"[.\[]", where)[0], CouplingDescription) if where else CouplingDescription
+        known = ", ".join(struct.__struct_encode_fields__)
+        return InputError(
+            "unknown key",
+            expected=f"one of {known}",
+            got=repr(unknown[1]),
+            remedy="correct or remove it",
+            file=path,
+            place=where,
+        )
+    if missing := re.search(r"missing required field `(.*)`", text):
+        return InputError(
+            "a key is missing", expected=repr(missing[1]), got="none", remedy="add it", file=path, place=where
+        )
+    expected, _, got = text.partition(", got ")
+    return InputError(
+        "wrong value",
+        expected=expected.removeprefix("Expected ").strip("`") or "another value",
+        got=got.strip("`") or text,
+        remedy="correct it",
+        file=path,
+        place=where,
+    )

@@ -1,0 +1,80 @@
+"""Zip archives of the FMI and SSP standards: what must not be unpacked is refused, and the entry named."""
+
+from __future__ import annotations
+
+import stat
+import zipfile
+from pathlib import Path
+
+from harness.errors import InputError
+
+__all__ = ["check_entries"]
+
+LARGE = 32 << 20  # bytes; smaller entries may be packed as tightly as they like
+
+
+def check_entries(
+    path: Path, archive: zipfile.ZipFile, *, entries: int = 20_000, total: int = 2 << 30, ratio: float = 200
+) -> list[zipfile.ZipInfo]:
+    """Return the entries of an archive that is safe to unpack.
+
+    Parameters
+    ----------
+    path : Path
+        For the message.
+    archive : zipfile.ZipFile
+        Open for reading.
+    entries, total : int
+        Most entries; most bytes unpacked.
+    ratio : float
+        Most bytes unpacked for each byte packed, of large entries.
+
+    Raises
+    ------
+    InputError
+        If an entry leaves the folder, is a link or encrypted, shares its name with another, or is a bomb.
+    """
+    found = archive.infolist()
+    if len(found) > entries:
+        raise _refuse(path, "too many entries", f"at most {entries}", str(len(found)), "check where it comes from")
+    seen: set[str] = set()
+    size = 0
+    for entry in found:
+        name = entry.orig_filename
+        parts = name.rstrip("/").split("/")
+        if "\\" in name or ":" in name or name.startswith("/") or ".." in parts or "\0" in name:
+            raise _refuse(
+                path, "an entry leaves its folder", "a relative path with '/'", repr(name), "do not trust it", name
+            )
+        if entry.create_system == 3 and not _plain(entry.external_attr >> 16):
+            raise _refuse(path, "an entry is a link", "files and folders", repr(name), "do not trust it", name)
+        key = "/".join(part for part in parts if part not in ("", ".")).casefold()
+        if key in seen:
+            raise _refuse(path, "two entries share a name", "unique names", repr(name), "export it again", name)
+        seen.add(key)
+        if entry.flag_bits & 1:
+            raise _refuse(path, "an entry is encrypted", "readable entries", repr(name), "remove the password", name)
+        size += entry.file_size
+        if entry.file_size > LARGE and entry.file_size > ratio * max(entry.compress_size, 1):
+            raise _refuse(
+                path,
+                "an entry unpacks like a bomb",
+                f"at most {ratio} times its packed size",
+                f"{entry.file_size / max(entry.compress_size, 1):.0f} times ({entry.file_size >> 20} MiB)",
+                "do not trust it",
+                name,
+            )
+        if size > total:
+            raise _refuse(
+                path, "too large", f"at most {total >> 20} MiB unpacked", f"more, at {name!r}", "shrink it", name
+            )
+    return found
+
+
+def _refuse(path: Path, what: str, expected: str, got: str, remedy: str, place: str | None = None) -> InputError:
+    return InputError(what, expected=expected, got=got, remedy=remedy, file=path, place=place)
+
+
+def _plain(mode: int) -> bool:
+    """Return True for a regular file or folder, or where the archive does not say."""
+    return stat.S_IFMT(mode) in (0, stat.S_IFREG, stat.S_IFDIR)

@@ -1,0 +1,104 @@
+"""The options of an FMU plant checked against its description, and brought into the FMU's own types and units."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from harness.errors import InputError
+from plants.fmu_archive import FmuFile, Kind
+from plants.fmu_values import encode
+from plants.fmu_variables import port, unknown
+
+__all__ = ["chosen_kind", "complaints", "count_substeps", "default", "encoded", "refused"]
+
+log = logging.getLogger("plants.fmu")
+
+
+def refused(file: FmuFile, what: str, expected: str, got: str, remedy: str, place: str | None = None) -> InputError:
+    """Return the error for something that does not fit the FMU."""
+    return InputError(what, expected=expected, got=got, remedy=remedy, file=file.path, place=place)
+
+
+def chosen_kind(file: FmuFile, kind: Kind | None) -> Kind:
+    """Return co-simulation or model exchange, as asked or as the FMU prefers."""
+    if kind is None:
+        return file.kinds[0]
+    if kind not in file.kinds:
+        raise refused(file, "kind", f"one of {', '.join(file.kinds)}", repr(kind), "choose another", "kind")
+    return kind
+
+
+def default(file: FmuFile, name: str) -> float | None:
+    """Return a number of the FMU's default experiment."""
+    text = getattr(file.description.defaultExperiment, name, None)
+    return None if text is None else float(text)
+
+
+def count_substeps(file: FmuFile, sample_time: float, step: float | None) -> int:
+    """Return how many communication steps make a sample."""
+    if step is None:
+        return 1
+    ratio = sample_time / step if step > 0 else 0.0
+    if not (ratio >= 1 - 1e-9 and abs(ratio - round(ratio)) < 1e-6 * ratio):
+        expected = f"a divisor of the sample time {sample_time:g} s"
+        raise refused(file, "step", expected, f"{step!r} s", "choose sample_time / n", "step")
+    return round(ratio)
+
+
+def complaints(file: FmuFile, kind: Kind, step: float, units: Sequence[str], *, told: bool) -> tuple[str, ...]:
+    """Return what a user should know about the FMU, and log it.
+
+    Parameters
+    ----------
+    file, kind
+        The FMU, and how it is used.
+    step : float
+        Communication step [s].
+    units : sequence of str
+        What is odd about units.
+    told : bool
+        Whether the outputs tell what they depend on.
+    """
+    found = [*file.problems, *units]
+    if not told:
+        found.append("outputs do not tell what they depend on: taken as without direct feedthrough")
+    fixed = getattr(file.interface(kind), "fixedInternalStepSize", None)
+    if fixed:
+        ratio = step / float(fixed)
+        if abs(ratio - round(ratio)) > 1e-6 * max(ratio, 1.0) or round(ratio) < 1:
+            found.append(f"the communication step is no multiple of the FMU's internal step {float(fixed):g} s")
+    for text in found:
+        log.info("%s: %s", file.path.name, text)
+    return tuple(found)
+
+
+def encoded(file: FmuFile, values: Mapping[str, Any], what: str, causalities: Sequence[str] | None) -> dict[str, Any]:
+    """Return values as the FMU's own types and units; unknown or unsettable names are refused."""
+    variables = {v.name: v for v in file.description.modelVariables}
+    if causalities is None:
+        known = [n for n, v in variables.items() if _has_start(v, file.version)]
+        if what == "x0":
+            known = [n for n in known if variables[n].causality in ("output", "local")]
+    else:
+        known = [n for n, v in variables.items() if v.causality in causalities and v.variability != "constant"]
+    found = {}
+    for name, value in values.items():
+        if name not in known:
+            raise unknown(file, what, name, known)
+        variable = variables[name]
+        real = variable.type in ("Real", "Float64", "Float32")
+        one = port(file, variable) if real else None
+        scale, offset = (1.0, 0.0) if one is None else (one.scale, one.offset)
+        found[name] = encode(file, variable, value, scale, offset)
+    return found
+
+
+def _has_start(variable: Any, version: int) -> bool:
+    """Return True if a variable can be set before the initialisation."""
+    if variable.causality in ("independent", "calculatedParameter") or variable.variability == "constant":
+        return False
+    if version == 1:
+        return variable.start is not None
+    return variable.causality == "input" or variable.initial in ("exact", "approx")

@@ -1,0 +1,102 @@
+"""States that an FMU keeps for us, and the same states as bytes."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import struct
+import weakref
+from typing import TYPE_CHECKING
+
+from harness.errors import InputError
+
+if TYPE_CHECKING:
+    from plants.fmu_instance import Instance
+
+__all__ = ["Snapshot", "packed", "unpacked"]
+
+HEAD = struct.Struct("<8s16sq")  # mark, digest of the FMU's token and kind, samples since reset
+MARK = b"sysidfmu"
+
+
+class Snapshot:
+    """A state that the FMU keeps for us; freed with this object, or with the instance."""
+
+    def __init__(self, owner: Instance, pointer: ctypes.c_void_p) -> None:
+        self.owner = weakref.ref(owner)
+        self.pointer: ctypes.c_void_p | None = pointer
+        self.k = 0
+
+    def free(self) -> None:
+        """Give the memory back to the FMU."""
+        owner, pointer, self.pointer = self.owner(), self.pointer, None
+        if owner is not None and pointer is not None and owner.fmu is not None and not owner.dead:
+            owner.fmu.freeFMUState(pointer)
+
+    def __del__(self) -> None:
+        self.free()
+
+
+def packed(instance: Instance, state: Snapshot) -> bytes:
+    """Return a state as bytes that an instance of the same FMU takes back.
+
+    Raises
+    ------
+    InputError
+        If the FMU does not offer it.
+    PlantError
+        If it fails to.
+    """
+    _need_offer(instance)
+    try:
+        body: bytes = instance.fmu.serializeFMUState(state.pointer)
+    except Exception as error:
+        raise instance.failure("the state cannot be serialised", error) from error
+    return HEAD.pack(MARK, _digest(instance), state.k) + body
+
+
+def unpacked(instance: Instance, data: bytes) -> Snapshot:
+    """Return a state of this instance from the bytes of :func:`packed`.
+
+    Raises
+    ------
+    InputError
+        If the FMU does not offer it, or the bytes are not of this FMU.
+    PlantError
+        If it fails to.
+    """
+    _need_offer(instance)
+    mark, digest, k = HEAD.unpack_from(data) if len(data) >= HEAD.size else (b"", b"", 0)
+    if mark != MARK or digest != _digest(instance):
+        raise InputError(
+            "a serialised state",
+            expected="bytes that serialize_state of a plant of this FMU returned",
+            got="those of another FMU" if mark == MARK else f"{len(data)} other bytes",
+            remedy="serialise a state of this FMU, of the same version and kind",
+            file=instance.file.path,
+        )
+    try:
+        pointer = instance.fmu.deserializeFMUState(data[HEAD.size :])
+    except Exception as error:
+        raise instance.failure("the state cannot be deserialised", error) from error
+    made = instance.kept(pointer)
+    made.k = k
+    return made
+
+
+def _digest(instance: Instance) -> bytes:
+    """Return what tells one FMU from another."""
+    text = f"{instance.file.description.guid} {instance.version} {instance.kind}"
+    return hashlib.sha256(text.encode()).digest()[:16]
+
+
+def _need_offer(instance: Instance) -> None:
+    """Refuse FMUs that do not serialise states."""
+    if instance.version == 1 or not instance.interface.canSerializeFMUstate:
+        raise InputError(
+            "serialised states",
+            expected="an FMU with canSerializeFMUState",
+            got="one without",
+            remedy="use get_state and set_state, or replay the inputs from reset",
+            file=instance.file.path,
+        )
