@@ -102,7 +102,7 @@ def simulate(
     Parameters
     ----------
     plant : str
-        Id of a registered plant, or a path that ends in ``.fmu``.
+        Id of a registered plant, or a path that ends in ``.fmu``, ``.toml`` or ``.ssp`` (a coupling).
     scenario : str
         Id of a registered scenario.
     seed : int
@@ -326,9 +326,13 @@ def check(name: str) -> list[CheckResult]:
 
 
 def _make_plant(plant: str, options: dict[str, Any], hide: Sequence[tuple[str, str, Mapping[str, float]]]) -> Plant:
-    """Return a plant by id or FMU path, with effects hidden inside where it takes them, else around it."""
+    """Return a plant by id or file, with effects hidden inside where it takes them, else around it."""
     effects = [(name, port, dict(parameters)) for name, port, parameters in hide]
-    if plant.endswith(".fmu"):
+    if plant.endswith((".toml", ".ssp")):
+        from harness import cosim
+
+        made = (cosim.couple if plant.endswith(".toml") else cosim.couple_ssp)(plant, _make_part, changes=options)
+    elif plant.endswith(".fmu"):
         if not Path(plant).is_file():
             raise InputError("no such FMU", expected="an FMU file", got="no file", remedy="check the path", file=plant)
         made = registry.create("plants", "fmu", path=plant, **options)
@@ -342,6 +346,14 @@ def _make_plant(plant: str, options: dict[str, Any], hide: Sequence[tuple[str, s
         found = [(registry.load("effects", name), port, parameters) for name, port, parameters in effects]
         return cast(Plant, WrappedPlant(made, found))
     return cast(Plant, made)
+
+
+def _make_part(id: str, options: dict[str, Any]) -> Plant:
+    """Return a part of a coupling: a registered plant, or one of our own FMUs (``mockup``) by its name."""
+    if id == "mockup":
+        path = registry.load("plants", "fmu").mockup(options.pop("name"))
+        return cast(Plant, registry.create("plants", "fmu", path=path, **options))
+    return cast(Plant, registry.create("plants", id, **options))
 
 
 def _refuse_overwrite(path: Path, *, force: bool) -> None:

@@ -79,7 +79,7 @@ class Regret:
 
     @property
     def cumulative(self) -> FloatArray:
-        """Loss so far beyond that of the minimiser of the *whole* stream (M,); for the regret after fewer samples, score these."""
+        """Loss so far beyond that of the minimiser of the whole stream (M,); score a shorter stream for its own regret."""
         total: FloatArray = np.cumsum(self.losses - self.hindsight)
         return total
 

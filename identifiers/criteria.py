@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -138,8 +139,8 @@ def absolute_deviations(x: FloatArray, y: FloatArray, what: str, *, largest: boo
     theta = np.empty((p, y.shape[1]))
     slack = sparse.csr_matrix(np.ones((n, 1))) if largest else sparse.identity(n, format="csr")
     cost = np.concatenate([np.zeros(p), np.ones(slack.shape[1])])
-    above = sparse.vstack([sparse.hstack([scaled, -slack]), sparse.hstack([-scaled, -slack])]).tocsr()
-    bounds = [(None, None)] * p + [(0, None)] * slack.shape[1]
+    above: Any = sparse.vstack([sparse.hstack([scaled, -slack]), sparse.hstack([-scaled, -slack])]).tocsr()
+    bounds: list[tuple[float | None, float | None]] = [(None, None)] * p + [(0.0, None)] * slack.shape[1]
     for column in range(y.shape[1]):
         unit = float(np.abs(y[:, column]).max()) or 1.0
         target = y[:, column] / unit

@@ -169,7 +169,8 @@ class HoKalman:
             notes["stabilized"] = True
         gain = stationary_gain(a, c)
         if self.observer is not None and "stabilized" not in notes:
-            gain = np.linalg.lstsq(a, _input_matrix(a, c, innovation[1:]), rcond=1e-10)[0]  # K = A L
+            found: FloatArray = np.linalg.lstsq(a, _input_matrix(a, c, innovation[1:]), rcond=1e-10)[0]  # K = A L
+            gain = found
             if np.abs(np.linalg.eigvals(a - a @ gain @ c)).max() >= 1.0:
                 gain = stationary_gain(a, c)
         d = response[0] if self.direct else np.zeros((spec.ny, spec.nu))
@@ -245,7 +246,8 @@ def observer_markov(
 
 def _input_matrix(a: FloatArray, c: FloatArray, markov: FloatArray) -> FloatArray:
     """Return B with which A and C come closest to the Markov parameters G[1], G[2], ..."""
-    rows, power = [], c
+    rows: list[FloatArray] = []
+    power = c
     for _ in range(len(markov)):
         rows.append(power)
         power = power @ a

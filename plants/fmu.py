@@ -6,7 +6,7 @@ import logging
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 
@@ -14,14 +14,14 @@ from harness.errors import PlantError
 from harness.protocols import Ability
 from harness.signals import FloatArray, PlantSpec
 from plants.checking import checked_inputs, refuse_input
+from plants.fmu_abilities import Beyond, idle
 from plants.fmu_archive import FmuFile, Kind, read_fmu
 from plants.fmu_engine import INPUT_NOT_FINITE, Engine, Timing
 from plants.fmu_instance import Instance
 from plants.fmu_options import chosen_kind, complaints, count_substeps, default, encoded, refused
-from plants.fmu_slopes import slopes
-from plants.fmu_states import Snapshot, packed, unpacked
 from plants.fmu_stops import finish, stopped
 from plants.fmu_variables import Port, channels, choose, describe, feeds_through, starts, states_of
+from plants.mockups import mockup
 
 if TYPE_CHECKING:
     from plants.fmu_probe import ProbeResult
@@ -31,7 +31,7 @@ __all__ = ["FmuPlant", "describe"]
 log = logging.getLogger("plants.fmu")
 
 
-class FmuPlant:
+class FmuPlant(Beyond):
     """A functional mock-up unit as a plant.
 
     Parameters
@@ -90,6 +90,7 @@ class FmuPlant:
     """
 
     describe = staticmethod(describe)
+    mockup = staticmethod(mockup)
 
     @staticmethod
     def probe(path: str | Path, **options: Any) -> ProbeResult:
@@ -156,7 +157,7 @@ class FmuPlant:
         self._both: Engine | None = None  # reads outputs and states at once; made when it is needed
         self._rollback, self._solver = rollback, solver
         self._shape = (self.spec.nu,)
-        self._one: Callable[[], int] = _idle
+        self._one: Callable[[], int] = idle
 
     def _made_engine(self, inputs: Sequence[Port], outputs: Sequence[Port], rollback: bool, solver: str) -> Engine:
         """Return what steps the instance."""
@@ -178,7 +179,7 @@ class FmuPlant:
             If the FMU fails to initialise.
         """
         self._check_open()
-        self._one = _idle
+        self._one = idle
         values = dict(self._start)
         values.update(encoded(self.file, dict(x0 or {}), "x0", None))
         hint = default(self.file, "tolerance") if self._tolerance is None else self._tolerance
@@ -235,7 +236,7 @@ class FmuPlant:
     def _rolled(self, engine: Engine, inputs: FloatArray) -> FloatArray:
         """Apply inputs through one of the engines, bringing interrupted steps to their end."""
         rows = np.ascontiguousarray(checked_inputs(inputs, self.spec))
-        if self._one is _idle:
+        if self._one is idle:
             self._not_ready()
         outputs = engine.many(rows)
         while (done := outputs.shape[0]) < rows.shape[0]:
@@ -250,7 +251,7 @@ class FmuPlant:
         """Return the output (ny,) with ``u`` (nu,) applied, while no time passes."""
         if u.shape != self._shape:
             refuse_input(u, self.spec)
-        if self._one is _idle:
+        if self._one is idle:
             self._not_ready()
         self._engine.u[:] = u
         if self._engine.peek():
@@ -259,99 +260,11 @@ class FmuPlant:
 
     def truth(self) -> FloatArray:
         """Return the present true states (nx,), as the FMU holds them."""
-        if self._one is _idle:
+        if self._one is idle:
             self._not_ready()
         if self._observer.look():
             raise stopped(self._observer)
         return self._observer.y.copy()
-
-    def get_state(self) -> Snapshot:
-        """Return a state of the FMU that stays valid until the plant is closed."""
-        if "snapshots" not in self.abilities or self._one is _idle:
-            self._not_ready("a snapshot")
-        taken = self._instance.take()
-        taken.k = self._engine.loop.k
-        return taken
-
-    def set_state(self, state: Snapshot) -> None:
-        """Go back to a state that :meth:`get_state` of this plant returned."""
-        if "snapshots" not in self.abilities or self._one is _idle:
-            self._not_ready("a snapshot")
-        self._instance.put(state)
-        self._engine.loop.k = state.k
-        self._engine.settle()
-
-    def serialize_state(self) -> bytes:
-        """Return the present state as bytes, for a plant of the same FMU in this process or, if it allows, another.
-
-        Raises
-        ------
-        InputError
-            If the FMU does not serialise states.
-        """
-        if self._one is _idle:
-            self._not_ready("a snapshot")
-        if "snapshots" not in self.abilities:
-            raise refused(self.file, "a serialised state", "an FMU that gives its state", "one that does not", "replay")
-        return packed(self._instance, self.get_state())
-
-    def deserialize_state(self, data: bytes) -> None:
-        """Go back to a state that :meth:`serialize_state` returned; the plant must have been reset once.
-
-        Raises
-        ------
-        InputError
-            If the FMU does not serialise states, or the bytes are of another one.
-        """
-        if self._one is _idle:
-            self._not_ready("a snapshot")
-        self.set_state(unpacked(self._instance, data))
-
-    def directional_derivative(
-        self, unknowns: Sequence[str], knowns: Sequence[str], seed: FloatArray | None = None
-    ) -> FloatArray:
-        """Return partial derivatives at the present state and input as the FMU computes them, in SI.
-
-        Parameters
-        ----------
-        unknowns : sequence of str
-            Outputs and derivatives (FMI 2.0.5 sec. 2.1.9).
-        knowns : sequence of str
-            Inputs and continuous states.
-        seed : array (len(knowns),), optional
-            Direction; without it the whole matrix is returned.
-
-        Returns
-        -------
-        array (len(unknowns),), or (len(unknowns), len(knowns)) without a seed
-
-        Raises
-        ------
-        InputError
-            If the FMU does not offer it, or a name is unknown or not a real scalar.
-        PlantError
-            If the FMU fails to.
-        """
-        if self._one is _idle:
-            self._not_ready("a derivative")
-        return slopes(self._instance, unknowns, knowns, seed)
-
-    def set_parameter(self, name: str, value: Any) -> None:
-        """Set a tunable parameter (SI) while the plant runs; it is kept for later resets.
-
-        Raises
-        ------
-        InputError
-            If the FMU has no such parameter, or it is fixed and the plant runs (use ``parameters`` instead).
-        """
-        self._check_open()
-        as_fmu = encoded(self.file, {name: value}, "parameters", ("parameter",))
-        variability = next(v.variability for v in self.file.description.modelVariables if v.name == name)
-        if self._one is not _idle:
-            if variability != "tunable":
-                raise refused(self.file, "a fixed parameter", "a tunable one", repr(name), "reset first", name)
-            self._instance.set_now(name, as_fmu[name])
-        self._start.update(as_fmu)
 
     @property
     def options(self) -> dict[str, Any]:
@@ -381,7 +294,7 @@ class FmuPlant:
 
     def close(self) -> None:
         """Free the FMU and remove its temporary folder; harmless when called twice."""
-        self._one = _idle
+        self._one = idle
         self._finalizer()
 
     def __enter__(self) -> Self:
@@ -396,14 +309,14 @@ class FmuPlant:
 
     def _finish(self, engine: Engine) -> None:
         """Bring an interrupted step to its end, or raise; after that only a reset helps."""
-        if self._one is _idle:
+        if self._one is idle:
             self._not_ready()
         if engine.loop.what == INPUT_NOT_FINITE:
             refuse_input(engine.u, self.spec)
         try:
             finish(engine)
         except PlantError:
-            self._one = _idle
+            self._one = idle
             self._note_warnings(engine)
             raise
 
@@ -412,19 +325,6 @@ class FmuPlant:
         if engine.loop.warnings:
             log.warning("%s: %d calls ended with a warning", self.file.path.name, engine.loop.warnings)
             engine.loop.warnings = 0
-
-    def _not_ready(self, what: str = "a step") -> NoReturn:
-        self._check_open()
-        raise refused(self.file, f"{what} of a plant that does not run", "a reset before", "none", "call reset first")
-
-    def _check_open(self) -> None:
-        if not self._finalizer.alive:
-            raise refused(self.file, "a closed plant", "an open one", "a closed one", "make a new one")
-
-
-def _idle() -> int:
-    """Stand in for the step of a plant that does not run (a method of its own would keep the plant alive)."""
-    return -1
 
 
 def _rebuilt(kind: type[FmuPlant], options: dict[str, Any]) -> FmuPlant:

@@ -61,7 +61,7 @@ class CouplingDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
 
 
 def read_coupling(path: str | Path) -> CouplingDescription:
-    """Read the TOML file of a coupling.
+    r"""Read the TOML file of a coupling.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def read_coupling(path: str | Path) -> CouplingDescription:
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = Path(folder) / "pair.toml"
-    ...     _ = file.write_text('outputs = ["arm.theta"]\\ninputs = ["arm.u"]\\n[parts.arm]\\nplant = "pendulum-ode"\\n')
+    ...     _ = file.write_text('outputs = ["arm.theta"]\n[parts.arm]\nplant = "pendulum-ode"\n')
     ...     read_coupling(file).parts["arm"].plant
     'pendulum-ode'
     """

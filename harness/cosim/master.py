@@ -50,6 +50,8 @@ class Coupled:
         ``"snapshots"`` of every part.
     tolerance : float
         Relative tolerance of the loop iterations.
+    labels : sequence of str, optional
+        Other names for the outputs.
     initial : mapping of str to float, optional
         Initial states ``"part.state"`` of every run, where ``reset`` does not say otherwise.
 
@@ -86,6 +88,7 @@ class Coupled:
         iterations: int = 1,
         tolerance: float = 1e-10,
         initial: Mapping[str, float] | None = None,
+        labels: Sequence[str] | None = None,
     ) -> None:
         if not parts:
             raise InputError("nothing to couple", expected="at least one part", got="none", remedy="name the parts")
@@ -147,7 +150,10 @@ class Coupled:
             if "truth" in part.plant.abilities:
                 abilities.add("truth")
                 states += [replace(c, name=f"{part.name}.{c.name}") for c in part.plant.spec.states]
-        shown = [replace(channel_of(self._parts, name, "outputs"), name=name) for name in outputs]
+        shown = [
+            replace(channel_of(self._parts, name, "outputs"), name=label)
+            for name, label in zip(outputs, labels or outputs, strict=True)
+        ]
         touched = reached_at_once(self._parts, self._wires)
         through = any(part.outputs.start <= i < part.outputs.stop for part in touched for i in self._shown)
         if through:

@@ -153,8 +153,17 @@ class Refitter:
 
     def fit(self, task: Task) -> Fitted | None:
         """Solve and evaluate one task; None if the refit failed."""
-        record = self.solve([task])[0]
-        return None if "failed" in record else self.form.evaluate(task.effects, record)
+        return self.evaluate(task, self.solve([task])[0])
+
+    def evaluate(self, task: Task, record: Mapping[str, Any]) -> Fitted | None:
+        """Return the residuals of a record; None if the refit failed or its simulation breaks down."""
+        if "failed" in record:
+            return None
+        try:
+            with np.errstate(all="ignore"):
+                return self.form.evaluate(task.effects, record)
+        except np.linalg.LinAlgError:
+            return None
 
     def _key(self, task: Task) -> int:
         """Return the seed of a task: its own, whatever the order."""

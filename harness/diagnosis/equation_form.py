@@ -59,7 +59,10 @@ class EquationForm:
         self.sizes = sizes
         self.columns = tuple((one.name, one.force_unit) for one in nominal.coordinates)
         self.motions: dict[str, tuple[Motion, ...]] = {
-            use: tuple(smooth_motion(run, columns, dataset.intersample) for run in dataset.using(use))
+            use: tuple(
+                smooth_motion(run, columns, dataset.intersample if shape == "weak" else "foh")
+                for run in dataset.using(use)
+            )
             for use in ("estimation", "validation", "test")
         }
         if shape == "weak":  # a screen: it need not see every sample

@@ -166,13 +166,17 @@ class OutputForm:
         p = system.vector({**base.values, **named})
         windows = self._windows(system, p, "estimation")
         x0 = self._extended(base, system, p, windows)
-        result = windows.evaluate(p, x0, keep=True)
+        with np.errstate(all="ignore"):
+            result = windows.evaluate(p, x0, keep=True)
         if not np.isfinite(result.cost):
             return None
         after = windows.together([r / self.weights for r in result.residuals])
         names = [placed.name(one.name) for one in placed.effect.parameters if not one.fixed]
         index = [system.parameter_names.index(name) for name in names]
-        slopes = windows.jacobian(p, x0)[:, index]
+        try:
+            slopes = windows.jacobian(p, x0)[:, index]
+        except np.linalg.LinAlgError:
+            return None
         cuts = np.cumsum([len(one) for one in after])[:-1]
         ny = len(self.weights)
         parts = [

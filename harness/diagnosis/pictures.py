@@ -53,11 +53,10 @@ def pictures_of(found: Diagnosis) -> Pictures:
 
 def _overlays(found: Diagnosis, changed: bool) -> list[Overlay]:
     """Return measured and simulated outputs of the longest validation record."""
-    start = "data" if found.inverse else "estimated"
-    before, _, _ = found.output.simulated(found.nominal, "validation", found.horizon.seconds, start=start)
+    before, _, _ = found.output.simulated(found.nominal, "validation", found.horizon.seconds)
     after = None
     if changed:
-        after, _, _ = found.output.simulated(found.final, "validation", found.horizon.seconds, start=start)
+        after, _, _ = found.output.simulated(found.final, "validation", found.horizon.seconds)
     number = int(np.argmax([len(run) for run in found.dataset.validation]))
     record = found.dataset.validation[number]
     result = []

@@ -14,7 +14,8 @@ Keys of ``sysid-harness/close-loop/1``:
     One list for each accepted effect: all that these data cannot tell from it, itself first.
 ``errors``
     ``before`` and ``after``: ``equation_error``, ``simulation_error`` (by use and output ``rms``, ``nrmse``, ``unit``;
-    with ``horizon_s``, ``initial_state``, ``other_horizons``), ``residual_to_noise``.
+    with ``horizon_s``, ``initial_state``, ``other_horizons``; where windows are used also ``from_measured_state``, the
+    same windows started from the smoothed measurement), ``residual_to_noise``.
 ``parameters``
     ``before`` and ``after``: every parameter with its interval (null limits: fixed, or not determined).
 ``noise_floor``
@@ -53,13 +54,10 @@ SELECTED = "validation used for selection: there is no test run, so the figures 
 def report_data(found: Diagnosis) -> dict[str, Any]:
     """Return the content of ``report.json``."""
     others = _other_horizons(found)
-    start = "data" if found.inverse else "estimated"
     errors = {
         name: {
             "equation_error": equation_error(found.output, found.strong, model, found.dataset, inverse=found.inverse),
-            "simulation_error": simulation_error(
-                found.output, model, found.dataset, found.horizon.seconds, others, start
-            ),
+            "simulation_error": simulation_error(found.output, model, found.dataset, found.horizon.seconds, others),
             "residual_to_noise": _noise_ratios(found, model),
         }
         for name, model in (("before", found.nominal), ("after", found.final))

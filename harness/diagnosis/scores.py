@@ -51,7 +51,6 @@ def simulation_error(
     dataset: Dataset,
     horizon: float | None,
     others: Sequence[float | None],
-    start: str,
 ) -> dict[str, Any]:
     """Return the simulation error of every use at the horizon, and at other horizons.
 
@@ -65,12 +64,15 @@ def simulation_error(
         Seconds; None is the whole record.
     others : sequence of float or None
         More horizons.
-    start : {"estimated", "data"}
-        How the initial states of the windows are found.
+
+    Notes
+    -----
+    Initial states are fitted to each window. Where windows are used and the state is measured, the same windows
+    started from the smoothed measurement are reported as well: a velocity read off a record is never exact.
     """
     longest = max(len(run.trajectory) for run in dataset) * dataset.spec.sample_time
 
-    def at(length: float | None) -> dict[str, Any]:
+    def at(length: float | None, start: str = "estimated") -> dict[str, Any]:
         row: dict[str, Any] = {}
         for use in USES:
             if dataset.using(use):  # type: ignore[arg-type]
@@ -83,9 +85,9 @@ def simulation_error(
     result = at(horizon)
     result["horizon_s"] = longest if horizon is None else horizon
     result["whole_record"] = horizon is None
-    result["initial_state"] = (
-        "estimated on each window" if start == "estimated" else "from the smoothed measurement at the window's start"
-    )
+    result["initial_state"] = "estimated on each window"
+    if horizon is not None and measured_coordinates(form.nominal) is not None:
+        result["from_measured_state"] = at(horizon, "data")
     result["other_horizons"] = [
         {**at(other), "horizon_s": longest if other is None else other, "whole_record": other is None}
         for other in others

@@ -207,8 +207,7 @@ class Search:
         """Refit tasks and judge them against a model."""
         records = self.refitter.solve(tasks)
         models = [
-            (new, None if "failed" in record else self.form.evaluate(task.effects, record))
-            for new, task, record in zip(added, tasks, records, strict=True)
+            (new, self.refitter.evaluate(task, record)) for new, task, record in zip(added, tasks, records, strict=True)
         ]
         return assess(self.form, before, models, surrogate_p=p, seed=self.seed)
 
@@ -347,7 +346,7 @@ class Search:
                 added = [*tries, picked[place]]
                 records = self.refitter.solve(tasks)
                 models: list[tuple[tuple[Placed, ...], Fitted | None]] = [
-                    ((one,), None if "failed" in record else self.form.evaluate(task.effects, record))
+                    ((one,), self.refitter.evaluate(task, record))
                     for one, task, record in zip(tries, tasks, records, strict=True)
                 ]
                 models.append(((picked[place],), model))
@@ -399,7 +398,7 @@ class Search:
             records = self.refitter.solve(tasks)
             models: list[tuple[tuple[Placed, ...], Fitted | None]] = [((placed,), model)]
             models += [
-                ((one,), None if "failed" in record else self.form.evaluate(task.effects, record))
+                ((one,), self.refitter.evaluate(task, record))
                 for one, task, record in zip(tries, tasks, records, strict=True)
             ]
             judged = assess(self.form, before, models, surrogate_p=None, seed=self.seed)

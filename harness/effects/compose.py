@@ -112,7 +112,7 @@ def recommended_substeps(
         points.extend(np.atleast_2d(np.asarray(x, dtype=float)))
     fastest = 0.0
     for point in points:
-        matrix = np.array(jacobian(point, np.zeros(system.nu), p, 0.0), dtype=float)
+        matrix = jacobian(point, np.zeros(system.nu), p, 0.0).full()
         if np.isfinite(matrix).all():
             fastest = max(fastest, float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0)))
     return int(np.clip(np.ceil(fastest * dt / 1.4), 1, _LARGEST_SUBSTEPS))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import numpy as np
 
 from harness.errors import InputError
+from harness.export.describe import Variable, describe
 
 if TYPE_CHECKING:
     from harness.physics.simulator import Simulator
@@ -18,12 +18,15 @@ if TYPE_CHECKING:
 __all__ = ["description", "model_source"]
 
 
-def model_source(simulator: Simulator) -> str:
+def model_source(simulator: Simulator, given: Collection[str] = ()) -> str:
     """Return model.c: the simulator's own step, with its delays and quantisers.
 
     The variables stand in the array v in the order of :func:`description`: time, inputs, outputs, states,
     parameters; behind them the memory of the delays. With communication steps of the simulator's sample time the FMU
-    repeats its roll-outs.
+    repeats its roll-outs. What a delayed sensor tells of the time before the first sample is the first reading.
+
+    A hidden state of an effect starts where the effect says, from the input of the first step, unless its start value
+    was set by the client or is in ``given`` (names of states).
     """
     from harness.physics.ccode import system_source
 
@@ -37,17 +40,21 @@ def model_source(simulator: Simulator) -> str:
     late = [(column, parameters + place) for kind, column, place in blocks.output_blocks if kind == "output_delay"]
     values = system.vector()
     longest = [values[place] for _, place in blocks.input_delays] + [values[place - parameters] for _, place in late]
+    hidden = system.states[system.nx - system.hidden_count :]
     ring = max(64, 4 * int(np.ceil(max(longest, default=0.0) / simulator.dt)) + 4)
     rings = len(delays) + len(late)
     lines = [
         f"/* {system.name}{''.join(f' + {effect}' for effect in system.effects)}: written by sysid-harness. */",
         system_source(system, "model"),
-        f"enum {{ U = {inputs}, Y = {outputs}, X = {states}, P = {parameters}, RING = {ring},",
-        "  COUNT = VARIABLES, SUBSTEP, SEEN, LINES = SEEN + MODEL_NU,",
-        f"  MEMORY = 2 + MODEL_NU + {rings} * RING }};",
+        f"enum {{ U = {inputs}, Y = {outputs}, X = {states}, P = {parameters}, Z = P - MODEL_NZ, RING = {ring},",
+        "  COUNT = VARIABLES, SUBSTEP, SEEN, OWN = SEEN + MODEL_NU, LINES = OWN + MODEL_NZ,",
+        f"  MEMORY = 2 + MODEL_NU + MODEL_NZ + {rings} * RING }};",
         f"static const double SAMPLE = {simulator.dt!r};",
         f"enum {{ SUBSTEPS = {simulator.substeps} }};",
+        "/* hidden states whose start values were chosen when this file was written */",
+        f"static const char GIVEN[] = {{ {', '.join([*('01'[c.name in given] for c in hidden), '0'])} }};",
         _DELAY,
+        _HIDDEN,
         "static const char *check(const double *v)",
         "{",
         *(f"    {line}" for line in _checks(simulator, parameters, [place for _, place in [*delays, *late]])),
@@ -57,7 +64,8 @@ def model_source(simulator: Simulator) -> str:
         "",
         "static void prepare(double *v)",
         "{",
-        "    if (MODEL_NZ) model_initial(v + X, v + U, v + P, v + X + MODEL_NX - MODEL_NZ);",
+        "    for (int i = 0; i < MODEL_NZ; i++) v[OWN + i] = GIVEN[i] || v[Z + i] != START[Z + i];",
+        "    hidden_start(v);",
         "    v[COUNT] = v[SUBSTEP] = 0;",
         "}",
         "",
@@ -66,6 +74,7 @@ def model_source(simulator: Simulator) -> str:
         "static void advance(double *v, double h)",
         "{",
         "    if (v[SUBSTEP] == 0) { /* a new sample: what the delays remember moves on */",
+        "        if (v[COUNT] == 0) hidden_start(v);",
         "        for (int i = 0; i < MODEL_NU; i++) v[SEEN + i] = v[U + i];",
     ]
     if late:
@@ -130,94 +139,18 @@ def description(simulator: Simulator, parameters: Mapping[str, float], x0: Mappi
                 remedy="correct the name",
             )
         starts[name] = value
-    source = model_source(simulator)
-    token = hashlib.sha256(f"{source}{values}".encode()).hexdigest()[:32]
-    root = ElementTree.Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=system.name,
-        guid=f"{{{token}}}",
-        description=str(system),
-        generationTool="sysid-harness",
-        variableNamingConvention="flat",
-    )
-    ElementTree.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=identifier(system.name),
-        canHandleVariableCommunicationStepSize="true",
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
-    )
-    variables: list[tuple[dict[str, str], dict[str, str]]] = []
-    for channel in system.inputs:
-        variables.append(({"name": channel.name, "causality": "input"}, {"unit": channel.unit, "start": "0"}))
-    for channel in system.outputs:
-        variables.append(
-            ({"name": channel.name, "causality": "output", "initial": "calculated"}, {"unit": channel.unit})
-        )
-    for channel in system.states:
-        variables.append(
-            (
-                {"name": f"state.{channel.name}", "causality": "local", "initial": "exact"},
-                {"unit": channel.unit, "start": repr(float(starts[channel.name]))},
-            )
-        )
-    for one in system.parameters:
-        numbers = {"unit": one.unit, "start": repr(float(values[one.name]))}
-        if np.isfinite(one.minimum):
-            numbers["min"] = repr(one.minimum)
-        if np.isfinite(one.maximum):
-            numbers["max"] = repr(one.maximum)
-        variables.append(({"name": one.name, "causality": "parameter", "variability": "tunable"}, numbers))
-    units = ElementTree.SubElement(root, "UnitDefinitions")
-    for unit in dict.fromkeys([*(numbers["unit"] for _, numbers in variables), "s"]):
-        units.append(_unit(unit))
-    ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="10", stepSize=repr(simulator.dt))
-    listed = ElementTree.SubElement(root, "ModelVariables")
-    for reference, (attributes, numbers) in enumerate(variables, start=1):
-        attributes.setdefault("variability", "continuous")
-        node = ElementTree.SubElement(listed, "ScalarVariable", attributes, valueReference=str(reference))
-        ElementTree.SubElement(node, "Real", numbers)
-    structure = ElementTree.SubElement(root, "ModelStructure")
-    if system.outputs:
-        outputs = ElementTree.SubElement(structure, "Outputs")
-        unknowns = ElementTree.SubElement(structure, "InitialUnknowns")
-        direct = " ".join(str(1 + i) for i in range(system.nu)) if system.feedthrough else ""
-        for i in range(system.ny):
-            index = str(1 + system.nu + i)
-            ElementTree.SubElement(outputs, "Unknown", index=index, dependencies=direct)
-            ElementTree.SubElement(unknowns, "Unknown", index=index)
+    variables = [Variable(channel.name, "input", channel.unit) for channel in system.inputs]
+    variables += [Variable(channel.name, "output", channel.unit) for channel in system.outputs]
+    variables += [Variable(f"state.{c.name}", "state", c.unit, float(starts[c.name])) for c in system.states]
+    variables += [
+        Variable(one.name, "parameter", one.unit, float(values[one.name]), one.minimum, one.maximum)
+        for one in system.parameters
+    ]
+    token = hashlib.sha256(f"{model_source(simulator, x0 or ())}{values}{starts}".encode()).hexdigest()[:32]
+    direct = range(system.nu) if system.feedthrough else ()
+    root = describe(system.name, str(system), token, variables, sample_time=simulator.dt, direct=direct)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
-
-
-def identifier(name: str) -> str:
-    """Return a C identifier for a model's name.
-
-    Examples
-    --------
-    >>> identifier("cart-pole")
-    'cart_pole'
-    """
-    text = re.sub(r"\W", "_", name, flags=re.ASCII)
-    return text if text and not text[0].isdigit() else f"m_{text}"
-
-
-def _unit(unit: str) -> ElementTree.Element:
-    """Return the definition of a unit in the base units that FMI knows (FMI 2.0.5, sec. 2.2.2)."""
-    from harness.units import base_units
-
-    node = ElementTree.Element("Unit", name=unit)
-    base, factor, offset = base_units(unit)
-    attributes = {name: str(power) for name, power in base.items() if power == int(power)}
-    if len(attributes) == len(base):
-        if factor != 1.0:
-            attributes["factor"] = repr(factor)
-        if offset != 0.0:
-            attributes["offset"] = repr(offset)
-        ElementTree.SubElement(node, "BaseUnit", attributes)
-    return node
 
 
 def _checks(simulator: Simulator, first: int, delays: list[int]) -> list[str]:
@@ -231,6 +164,18 @@ def _checks(simulator: Simulator, first: int, delays: list[int]) -> list[str]:
     lines += [f'if (!(v[{p}] <= (RING - 2) * SAMPLE)) return "a delay is beyond the memory";' for p in delays]
     return lines
 
+
+_HIDDEN = """
+/* Hidden states of effects start where the effect says, unless their start values were set. */
+static void hidden_start(double *v)
+{
+    double z[MODEL_NZ + 1];
+    if (!MODEL_NZ) return;
+    model_initial(v + X, v + U, v + P, z);
+    for (int i = 0; i < MODEL_NZ; i++)
+        if (!v[OWN + i]) v[Z + i] = z[i];
+}
+"""
 
 _DELAY = """
 /* Delay lines on samples: the newest value of line i stands at slot (count mod RING). */

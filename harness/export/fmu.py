@@ -1,20 +1,22 @@
-"""Write a grey-box model as co-simulation FMUs, FMI 2.0 and FMI 3.0, each with its C source."""
+"""Write a grey-box or linear model as co-simulation FMUs, FMI 2.0 and FMI 3.0, each with its C source."""
 
 from __future__ import annotations
 
+import functools
 import json
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from harness.errors import InputError
 from harness.export.c_model import description, model_source
+from harness.export.linear import Linear, linear_description, linear_source
 
 if TYPE_CHECKING:
     from harness.physics.simulator import Simulator
 
-__all__ = ["export", "write_fmu"]
+__all__ = ["export", "write_fmu", "write_linear_fmu"]
 
 MODEL = "model.json"
 
@@ -40,15 +42,15 @@ def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"
     Raises
     ------
     InputError
-        If the source is missing or is no grey-box model, or there is no C compiler.
+        If the source is missing or is neither a grey-box nor a linear model, or there is no C compiler.
     """
     target = Path(out)
     if target.suffix != ".fmu":
         raise InputError("output", expected="a name that ends in .fmu", got=str(out), remedy="rename it")
-    simulator, parameters = _load(source)
+    write = _load(source)
     names = {"2": [(2, target)], "3": [(3, target)]}
     both = [(2, target), (3, target.with_name(f"{target.stem}-fmi3.fmu"))]
-    return [write_fmu(simulator, parameters, path, version=version) for version, path in names.get(fmi, both)]
+    return [write(path, version=version) for version, path in names.get(fmi, both)]
 
 
 def write_fmu(
@@ -84,8 +86,6 @@ def write_fmu(
     InputError
         If there is no C compiler, a name is unknown, or the simulator interpolates its input (an FMU's is held).
     """
-    from harness.fmi import build
-
     if simulator.intersample != "zoh":
         raise InputError(
             "export to an FMU",
@@ -93,11 +93,44 @@ def write_fmu(
             got=repr(simulator.intersample),
             remedy="fit the model with intersample 'zoh': FMI co-simulation holds its inputs over a step",
         )
-    target = Path(target)
+    return _packed(model_source(simulator, x0 or ()), description(simulator, parameters, x0), Path(target), version)
+
+
+def write_linear_fmu(
+    model: Linear, target: str | Path, *, version: Literal[2, 3] | int = 2, x0: Mapping[str, float] | None = None
+) -> Path:
+    """Write one FMU of a linear model in discrete time; see :func:`write_fmu`.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Its matrices are constants of the FMU.
+    target : path
+    version : {2, 3}
+    x0 : mapping, optional
+        Start values of the states ``x1``, ``x2``, ...; in the FMU they are called ``state.x1``, ...
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If there is no C compiler, or a state is unknown.
+    """
+    return _packed(linear_source(model), linear_description(model, x0), Path(target), version)
+
+
+def _packed(source: str, text: str, target: Path, version: int) -> Path:
+    """Build the FMU beside its target, then move it there."""
+    from harness.fmi import build
+
     with tempfile.TemporaryDirectory(prefix="sysid-export-") as scratch:
         folder = Path(scratch)
-        (folder / "model.c").write_text(model_source(simulator), encoding="utf-8")
-        (folder / "modelDescription.xml").write_text(description(simulator, parameters, x0), encoding="utf-8")
+        (folder / "model.c").write_text(source, encoding="utf-8")
+        (folder / "modelDescription.xml").write_text(text, encoding="utf-8")
         part = target.with_name(target.name + ".part")
         try:
             build.build_fmu(folder, version, part, sources=True)
@@ -111,8 +144,8 @@ def write_fmu(
     return target
 
 
-def _load(source: str | Path) -> tuple[Simulator, dict[str, float]]:
-    """Return the simulator and the parameters of a stored or built-in model."""
+def _load(source: str | Path) -> Callable[..., Path]:
+    """Return what writes a stored or built-in model."""
     from harness import registry
 
     path = Path(source)
@@ -132,11 +165,11 @@ def _load(source: str | Path) -> tuple[Simulator, dict[str, float]]:
     from harness.physics.models import load_model
 
     system = load_model(str(source))
-    return system.simulator(0.01), system.values()
+    return functools.partial(write_fmu, system.simulator(0.01), system.values())
 
 
-def _stored(path: Path) -> tuple[Simulator, dict[str, float]]:
-    """Return the simulator of a stored grey-box model."""
+def _stored(path: Path) -> Callable[..., Path]:
+    """Return what writes the model of a file."""
     from harness import registry
 
     try:
@@ -150,14 +183,24 @@ def _stored(path: Path) -> tuple[Simulator, dict[str, float]]:
             remedy="give the file that sysid identify -o or sysid close-loop wrote",
             file=path,
         ) from error
-    if kind != "grey-box":
+    if kind not in ("grey-box", "linear"):
         raise InputError(
             "model cannot be exported to an FMU",
-            expected="kind 'grey-box' (a physical model)",
+            expected="kind 'grey-box' (a physical model) or 'linear'",
             got=repr(kind),
-            remedy="fit one with --identifier output-error or lumped-momentum, or close the loop",
+            remedy="fit one with --identifier output-error, lumped-momentum or arx, or close the loop",
             file=path,
         )
-    model = registry.load("model_readers", kind).from_dict(content)
-    system = model.system()
-    return system.simulator(model.spec.sample_time, intersample=model.intersample), dict(model.parameters)
+    try:
+        model = registry.load("model_readers", kind).from_dict(content)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            "not a model",
+            expected=f"the description of a {kind} model, as sysid identify writes it",
+            got=f"{type(error).__name__}: {error}",
+            remedy="write it anew with sysid identify -o",
+            file=path,
+        ) from error
+    if kind == "linear":
+        return functools.partial(write_linear_fmu, model)
+    return functools.partial(write_fmu, model.simulator, dict(model.parameters))

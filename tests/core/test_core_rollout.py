@@ -76,6 +76,41 @@ def test_batch_equals_stepping_and_does_not_step() -> None:
     assert np.array_equal(fast.u, U), "a disturbance is never recorded"
 
 
+class WithTruth(Integrator):
+    """Brings the truth with a batch; the truth is 100 more than the output, so that no one can mix them up."""
+
+    def __init__(self) -> None:
+        super().__init__(batch=True, truth=True)
+        self.abilities |= {"batch-truth"}
+
+    def truth(self) -> FloatArray:
+        return np.array([self.value + 100.0])
+
+    def rollout_truth(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        y = self.rollout(inputs)
+        return y, y + 100.0
+
+
+@pytest.mark.parametrize("n", [1, 4])
+def test_a_batch_with_the_truth_equals_stepping_and_does_not_step(n: int) -> None:
+    plant, slow = WithTruth(), WithTruth()
+    slow.abilities -= {"batch-truth"}
+    fast_log, slow_log = (perform(one, Experiment(U[:n], x0={"y": 5.0}), rng=RNG) for one in (plant, slow))
+    assert (plant.steps, slow.steps) == (0, n - 1)
+    assert fast_log.x is not None
+    assert slow_log.x is not None
+    assert np.array_equal(fast_log.y, slow_log.y)
+    assert np.array_equal(fast_log.x, slow_log.x)
+    assert fast_log.x[0, 0] == 105.0
+
+
+def test_a_batch_without_the_truth_is_not_used_where_the_truth_is_recorded() -> None:
+    plant = Integrator(batch=True, truth=True)
+    log = perform(plant, Experiment(U), rng=RNG)
+    assert plant.steps == 3
+    assert log.x is not None
+
+
 def test_feedthrough_is_recorded_after_u_is_applied() -> None:
     log = perform(Integrator(feedthrough=True), Experiment(U), rng=RNG)
     assert log.y[:, 0].tolist() == [10, 21, 33, 46]

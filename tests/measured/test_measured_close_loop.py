@@ -21,8 +21,10 @@ def test_emps_lacks_dry_friction(recordings_folder, tmp_path) -> None:
     assert before["equation_error"]["validation"]["q"]["unit"] == "N"
     assert after["equation_error"]["validation"]["q"]["rms"] <= 3.3
     assert data["errors"]["after"]["simulation_error"]["horizon_s"] == 1.0
-    assert before["simulation_error"]["validation"]["q"]["rms"] == pytest.approx(5.98e-3, rel=0.05)
-    assert after["simulation_error"]["validation"]["q"]["rms"] <= 2.1e-3
+    assert after["simulation_error"]["validation"]["q"]["rms"] <= 1e-3
+    started = [one["simulation_error"]["from_measured_state"]["validation"]["q"]["rms"] for one in (before, after)]
+    assert started[0] == pytest.approx(5.98e-3, rel=0.03)
+    assert started[1] <= 2.3e-3
     for name, published in PUBLISHED.items():
         assert data["parameters"]["after"][name]["value"] == pytest.approx(published, rel=0.02)
     assert data["effects"][0]["parameters"]["Fc"]["value"] == pytest.approx(20.39, rel=0.02)

@@ -40,7 +40,7 @@ def test_gives_the_numbers_of_the_direct_plant() -> None:
         spec, truth = direct.spec, direct.truth()
     with isolated("pendulum-fmu", timeout=20.0) as plant:
         assert plant.spec == spec
-        assert plant.abilities == {"batch", "snapshots", "truth"}
+        assert plant.abilities == {"batch", "snapshots", "truth", "batch-truth"}
         first = plant.reset(rng=RNG, x0={"theta": 1.0})
         assert np.array_equal(np.vstack([first, plant.rollout(u)]), expected)
         assert np.array_equal(plant.truth(), truth)

@@ -11,6 +11,8 @@
 #define fmi3GetNominalsOfContinuousStates usual_nominals
 #define fmi3EnterEventMode usual_event
 #define fmi3EnterContinuousTimeMode usual_continuous
+#define fmi2GetDirectionalDerivative usual_slope2
+#define fmi3GetDirectionalDerivative usual_slope3
 #include "fmi.c"
 #undef fmi2Instantiate
 #undef fmi3InstantiateModelExchange
@@ -24,6 +26,8 @@
 #undef fmi3GetNominalsOfContinuousStates
 #undef fmi3EnterEventMode
 #undef fmi3EnterContinuousTimeMode
+#undef fmi2GetDirectionalDerivative
+#undef fmi3GetDirectionalDerivative
 
 #define V ((Instance *)c)->state.v
 #define FRESH ((Instance *)c)->state.stale = true
@@ -40,6 +44,19 @@ static int discrete(void *c, int *changed, int *terminate, int *defined, double 
     return 0;
 }
 
+/* d(der(h), der(v), height_mm) / d(v, u, h) are 1, 1 and 1000; all others are 0 */
+static void slope(const VR unknown[], size_t n, const VR known[], size_t m, const double seed[], double result[])
+{
+    for (size_t i = 0; i < n; i++) {
+        result[i] = 0;
+        for (size_t j = 0; j < m; j++) {
+            if (unknown[i] == V_der_h_ && known[j] == V_v) result[i] += seed[j];
+            if (unknown[i] == V_der_v_ && known[j] == V_u) result[i] += seed[j];
+            if (unknown[i] == V_height_mm && known[j] == V_h) result[i] += 1000 * seed[j];
+        }
+    }
+}
+
 #if FMI == 2
 #define STATUS fmi2Status
 #define NAME(x) fmi2##x
@@ -50,6 +67,7 @@ EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type kind, fmi2String 
     return kind == fmi2ModelExchange ? create(name, token, NULL, (void *)functions) : NULL;
 }
 typedef struct { fmi2Boolean again, terminate, nominals, values, defined; fmi2Real next; } Info;
+EXPORT STATUS fmi2GetDirectionalDerivative(fmi2Component c, const VR unknown[], size_t n, const VR known[], size_t m, const REAL seed[], REAL result[]) { (void)c; slope(unknown, n, known, m, seed, result); return fmi2OK; }
 EXPORT STATUS fmi2NewDiscreteStates(fmi2Component c, Info *info)
 {
     info->again = info->nominals = 0;
@@ -68,6 +86,7 @@ EXPORT In fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3St
     union { fmi3LogMessageCallback call; void *data; } kept = {logger};
     return create(name, token, environment, kept.data);
 }
+EXPORT STATUS fmi3GetDirectionalDerivative(In c, const VR unknown[], size_t n, const VR known[], size_t m, const REAL seed[], size_t n_seed, REAL result[], size_t n_result) { (void)c, (void)n_seed, (void)n_result; slope(unknown, n, known, m, seed, result); return fmi3OK; }
 EXPORT STATUS fmi3UpdateDiscreteStates(In c, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals, fmi3Boolean *values, fmi3Boolean *defined, fmi3Float64 *next)
 {
     int changed, end, due;

@@ -1,0 +1,149 @@
+"""SSP packages (System Structure and Parameterization 1.0) as coupled plants: FMUs, connections, parameter values."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import weakref
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from harness.cosim.description import CHANGEABLE, Make
+from harness.cosim.master import Coupled
+from harness.cosim.ssp_structure import Component, Structure, read_structure
+from harness.cosim.wiring import Connection
+from harness.errors import InputError
+from harness.fmi.archive import check_entries
+from harness.protocols import Plant
+from harness.units import fits
+
+__all__ = ["couple_ssp"]
+
+
+def couple_ssp(path: str | Path, make: Make, *, changes: Mapping[str, Any] | None = None) -> Coupled:
+    """Build the plant that an SSP package describes.
+
+    Components are FMUs inside the package; nested systems are flattened (``system/component``). Connectors of the
+    outermost system become the inputs and outputs of the plant. Without output connectors every output is shown.
+
+    Parameters
+    ----------
+    path : path
+        The ``.ssp`` file.
+    make : callable
+        ``make("fmu", {"path": ..., ...}) -> Plant``.
+    changes : mapping, optional
+        How the parts are stepped, as in :func:`harness.cosim.couple`; the sample time is also that of the FMUs.
+
+    Raises
+    ------
+    InputError
+        If the archive is unsafe to unpack, breaks the standard, uses what is not understood here, or units disagree.
+
+    Notes
+    -----
+    Units: a connector that declares a unit must agree in kind with the FMU's variable; values of parameters are
+    converted from their unit, or taken in SI where they declare none. The folder with the unpacked FMUs is removed
+    when the coupled plant is closed.
+    """
+    path = Path(path)
+    unknown = sorted(set(changes or {}) - set(CHANGEABLE))
+    if unknown:
+        raise InputError(
+            "option of a package",
+            expected=f"one of {', '.join(CHANGEABLE)}",
+            got=", ".join(unknown),
+            remedy="change the rest in the package",
+            file=path,
+        )
+    structure = read_structure(path)
+    folder = Path(tempfile.mkdtemp(prefix="sysid-ssp-"))
+    parts: dict[str, Plant] = {}
+    try:
+        _unpack(path, structure, folder)
+        for component in structure.components:
+            parts[component.name] = _made(component, folder, make, (changes or {}).get("sample_time"), path)
+        _check_units(path, structure, parts)
+        return _coupled(structure, parts, dict(changes or {}), folder)
+    except BaseException as error:
+        for plant in parts.values():
+            plant.close()
+        shutil.rmtree(folder, ignore_errors=True)
+        if isinstance(error, InputError):
+            raise error.located(file=path) from error
+        raise
+
+
+def _coupled(structure: Structure, parts: dict[str, Plant], changes: dict[str, Any], folder: Path) -> Coupled:
+    """Connect the parts; the coupled plant owns the folder."""
+    outputs = dict(structure.outputs)
+    wires = [Connection(source, target, gain, gain_unit=unit) for source, target, gain, unit in structure.wires]
+    lenders = {name: target for target, name in reversed([(w.target, w.source) for w in wires if "." not in w.source])}
+    shown = list(outputs.values()) or [f"{name}.{c.name}" for name, part in parts.items() for c in part.spec.outputs]
+    coupled = Coupled(parts, wires, inputs=lenders, outputs=shown, labels=list(outputs) or None, **changes)
+    cleaner = weakref.finalize(coupled, shutil.rmtree, folder, ignore_errors=True)
+    coupled.after_close(cleaner)
+    return coupled
+
+
+def _unpack(path: Path, structure: Structure, folder: Path) -> None:
+    """Extract the FMUs of the components, and nothing else."""
+    with zipfile.ZipFile(path) as archive:
+        check_entries(path, archive)
+        names = set(archive.namelist())
+        for component in structure.components:
+            if component.source not in names:
+                raise InputError(
+                    f"source of component {component.name!r}",
+                    expected="an FMU inside the package",
+                    got=repr(component.source),
+                    remedy="put it into resources/ and export the package again",
+                    file=path,
+                )
+            archive.extract(component.source, folder)
+
+
+def _made(component: Component, folder: Path, make: Make, sample_time: float | None, path: Path) -> Plant:
+    """Return one component as a plant with its parameter values."""
+    options: dict[str, Any] = {"path": str(folder / component.source)}
+    if sample_time is not None:
+        options["sample_time"] = sample_time
+    for kind in ("inputs", "outputs"):
+        chosen = [name for name, (side, _) in component.connectors.items() if side == kind.removesuffix("s")]
+        if chosen or (kind == "inputs" and component.connectors):
+            options[kind] = chosen
+    if component.parameters:
+        options["parameters"] = dict(component.parameters)
+    if component.start:
+        options["start"] = dict(component.start)
+    try:
+        return make("fmu", options)
+    except InputError as error:
+        name = Path(component.source).name
+        raise InputError(
+            f"component {component.name!r} ({name}): {error.what}",
+            expected=error.expected,
+            got=error.got,
+            remedy=error.remedy,
+            file=path,
+            place=error.place,
+        ) from error
+
+
+def _check_units(path: Path, structure: Structure, parts: Mapping[str, Plant]) -> None:
+    """Refuse a connector whose declared unit measures something else than the FMU's variable."""
+    for component in structure.components:
+        spec = parts[component.name].spec
+        units = {channel.name: channel.unit for channel in (*spec.inputs, *spec.outputs)}
+        for name, (_, unit) in component.connectors.items():
+            if unit is not None and name in units and units[name] != "1" and not fits(unit, units[name]):
+                raise InputError(
+                    "unit of a connector",
+                    expected=f"a unit that converts to {units[name]!r}, as the FMU says",
+                    got=repr(unit),
+                    remedy="correct the unit in SystemStructure.ssd",
+                    file=path,
+                    place=f"{component.name}.{name}",
+                )

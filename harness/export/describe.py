@@ -1,0 +1,163 @@
+"""modelDescription.xml of an exported model: FMI 2.0, from which that of FMI 3.0 is derived."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+from xml.etree import ElementTree
+
+from harness.errors import InputError
+
+__all__ = ["Variable", "describe", "identifier"]
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable of an FMU.
+
+    Attributes
+    ----------
+    name : str
+    role : {"input", "output", "state", "parameter"}
+        A state's start value can be set before the first step; a parameter at any time.
+    unit : str
+    start : float
+    minimum, maximum : float
+    """
+
+    name: str
+    role: Literal["input", "output", "state", "parameter"]
+    unit: str
+    start: float = 0.0
+    minimum: float = -math.inf
+    maximum: float = math.inf
+
+
+_ROLES = {
+    "input": {"causality": "input", "variability": "continuous"},
+    "output": {"causality": "output", "variability": "continuous", "initial": "calculated"},
+    "state": {"causality": "local", "variability": "continuous", "initial": "exact"},
+    "parameter": {"causality": "parameter", "variability": "tunable"},
+}
+
+
+def describe(
+    name: str,
+    text: str,
+    token: str,
+    variables: Sequence[Variable],
+    *,
+    sample_time: float,
+    direct: Sequence[int] = (),
+) -> ElementTree.Element:
+    """Return the description of a co-simulation FMU.
+
+    Parameters
+    ----------
+    name, text : str
+        Of the model.
+    token : str
+        Names this version of the model.
+    variables : sequence of Variable
+        Inputs, then outputs, then the others: value references count from 1.
+    sample_time : float
+        [s], the step that is suggested.
+    direct : sequence of int
+        Inputs (counted from 0) on which the outputs of the same instant depend.
+
+    Raises
+    ------
+    InputError
+        If two variables have one name, which FMI forbids.
+
+    Examples
+    --------
+    >>> root = describe("gain", "y = 2 u", "0", [Variable("u", "input", "V"), Variable("y", "output", "V")],
+    ...                 sample_time=0.1, direct=[0])
+    >>> root.find("ModelStructure/Outputs/Unknown").attrib
+    {'index': '2', 'dependencies': '1'}
+    """
+    known: set[str] = set()
+    for one in variables:
+        if one.name in known:
+            raise InputError(
+                "names of an FMU's variables",
+                expected="inputs, outputs and parameters with names of their own",
+                got=f"{one.name!r} twice",
+                remedy="rename one of them in the model",
+            )
+        known.add(one.name)
+    root = ElementTree.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=name,
+        guid=f"{{{token}}}",
+        description=text,
+        generationTool="sysid-harness",
+        variableNamingConvention="flat",
+    )
+    ElementTree.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=identifier(name),
+        canHandleVariableCommunicationStepSize="true",
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
+    )
+    units = ElementTree.SubElement(root, "UnitDefinitions")
+    for unit in dict.fromkeys([*(one.unit for one in variables), "s"]):
+        units.append(_unit(unit))
+    ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="10", stepSize=repr(float(sample_time)))
+    listed = ElementTree.SubElement(root, "ModelVariables")
+    for reference, one in enumerate(variables, start=1):
+        node = ElementTree.SubElement(
+            listed, "ScalarVariable", {"name": one.name, **_ROLES[one.role], "valueReference": str(reference)}
+        )
+        numbers = {"unit": one.unit}
+        if one.role != "output":
+            numbers["start"] = repr(float(one.start))
+        for key, bound in (("min", one.minimum), ("max", one.maximum)):
+            if math.isfinite(bound):
+                numbers[key] = repr(float(bound))
+        ElementTree.SubElement(node, "Real", numbers)
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    rows = [row for row, one in enumerate(variables, start=1) if one.role == "output"]
+    if rows:
+        outputs = ElementTree.SubElement(structure, "Outputs")
+        unknowns = ElementTree.SubElement(structure, "InitialUnknowns")
+        for row in rows:
+            dependencies = " ".join(str(1 + column) for column in direct)
+            ElementTree.SubElement(outputs, "Unknown", index=str(row), dependencies=dependencies)
+            ElementTree.SubElement(unknowns, "Unknown", index=str(row))
+    return root
+
+
+def identifier(name: str) -> str:
+    """Return a C identifier for a model's name.
+
+    Examples
+    --------
+    >>> identifier("cart-pole")
+    'cart_pole'
+    """
+    text = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return text if text and not text[0].isdigit() else f"m_{text}"
+
+
+def _unit(unit: str) -> ElementTree.Element:
+    """Return the definition of a unit in the base units that FMI knows (FMI 2.0.5, sec. 2.2.2)."""
+    from harness.units import base_units
+
+    node = ElementTree.Element("Unit", name=unit)
+    base, factor, offset = base_units(unit)
+    attributes = {name: str(power) for name, power in base.items() if power == int(power)}
+    if len(attributes) == len(base):
+        if factor != 1.0:
+            attributes["factor"] = repr(factor)
+        if offset != 0.0:
+            attributes["offset"] = repr(offset)
+        ElementTree.SubElement(node, "BaseUnit", attributes)
+    return node

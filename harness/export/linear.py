@@ -1,0 +1,195 @@
+"""A fitted linear model as the sources of a co-simulation FMU, and as a python-control system."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+from xml.etree import ElementTree
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.export.describe import Variable, describe
+from harness.signals import FloatArray, PlantSpec
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = ["Linear", "linear_description", "linear_source", "to_control"]
+
+
+class Linear(Protocol):
+    """``x+ = A x + B u + a``, ``y = C x + D u + c``: what identifiers of linear models return."""
+
+    @property
+    def spec(self) -> PlantSpec:
+        """Inputs, outputs, sample time."""
+        ...
+
+    a_matrix: FloatArray
+    b_matrix: FloatArray
+    c_matrix: FloatArray
+    d_matrix: FloatArray
+    state_offset: FloatArray
+    output_offset: FloatArray
+
+
+def to_control(model: Any) -> control.StateSpace:
+    """Return a linear model as a discrete-time state-space system of python-control.
+
+    Parameters
+    ----------
+    model : LinearModel
+        ``x+ = A x + B u + a``, ``y = C x + D u + c`` at its sample time.
+
+    Returns
+    -------
+    control.StateSpace
+        With the names of inputs and outputs, and the sample time as ``dt``.
+
+    Raises
+    ------
+    InputError
+        If the model is not linear, or has constant offsets, which a StateSpace cannot hold.
+
+    Examples
+    --------
+    >>> from identifiers.linear import LinearModel
+    >>> from harness.signals import Channel
+    >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 0.1)
+    >>> one, zero = np.ones((1, 1)), np.zeros(1)
+    >>> model = LinearModel(spec, 0.5 * one, one, 2 * one, 0 * one, 0 * one, zero, zero)
+    >>> system = to_control(model)
+    >>> float(system.dcgain().real), system.dt, system.input_labels
+    (4.0, 0.1, ['u'])
+    """
+    if not all(hasattr(model, name) for name in ("a_matrix", "b_matrix", "c_matrix", "d_matrix")):
+        raise InputError(
+            "export to python-control",
+            expected="a linear model (A, B, C, D)",
+            got=type(model).__name__,
+            remedy="fit one, for example with the identifier arx, least-squares, dmdc or ho-kalman",
+        )
+    if np.any(model.state_offset) or np.any(model.output_offset):
+        raise InputError(
+            "export to python-control",
+            expected="a linear model without constant offsets",
+            got="offsets that are not zero",
+            remedy="fit with offset=false, or export to an FMU, which keeps them",
+        )
+    import control
+
+    return control.StateSpace(
+        model.a_matrix,
+        model.b_matrix,
+        model.c_matrix,
+        model.d_matrix,
+        model.spec.sample_time,
+        inputs=[channel.name for channel in model.spec.inputs],
+        outputs=[channel.name for channel in model.spec.outputs],
+    )
+
+
+def linear_source(model: Linear) -> str:
+    """Return model.c for the glue in harness.fmi.
+
+    The model lives on its samples: inputs are taken at the start of a sample and the state moves at its end, so that
+    shorter communication steps see outputs that are held.
+    """
+    nx, nu, ny = model.a_matrix.shape[0], model.spec.nu, model.spec.ny
+    by_state = np.hstack([model.a_matrix, model.b_matrix, model.state_offset[:, None]])
+    by_output = np.hstack([model.c_matrix, model.d_matrix, model.output_offset[:, None]])
+    lines = [
+        "/* A linear model in discrete time: written by sysid-harness. */",
+        f"enum {{ NX = {nx}, NU = {nu}, NY = {ny}, U = 1, Y = U + NU, X = Y + NY }};",
+        "enum { PHASE = VARIABLES, READY, NEXT, MEMORY = 2 + NX };",
+        f"static const double SAMPLE = {model.spec.sample_time!r};",
+        "/* [A B a] and [C D c], row by row */",
+        _array("MOVE", by_state),
+        _array("READ", by_output),
+        _BODY,
+    ]
+    return "\n".join(lines)
+
+
+def linear_description(model: Linear, x0: Mapping[str, float] | None = None, *, name: str = "linear") -> str:
+    """Return modelDescription.xml for FMI 2.0.
+
+    Parameters
+    ----------
+    model : Linear
+    x0 : mapping, optional
+        Start values of the states ``x1``, ``x2``, ...; 0 where not given.
+    name : str
+        Of the model.
+
+    Raises
+    ------
+    InputError
+        If a state is unknown.
+    """
+    spec = model.spec
+    starts = dict.fromkeys((f"x{k + 1}" for k in range(model.a_matrix.shape[0])), 0.0)
+    for key, value in (x0 or {}).items():
+        if key not in starts:
+            raise InputError(
+                "initial state", expected=f"one of {', '.join(starts)}", got=repr(key), remedy="correct it"
+            )
+        starts[key] = float(value)
+    variables = [Variable(c.name, "input", c.unit, 0.0) for c in spec.inputs]
+    variables += [Variable(c.name, "output", c.unit) for c in spec.outputs]
+    variables += [Variable(f"state.{key}", "state", "1", value) for key, value in starts.items()]
+    token = hashlib.sha256(f"{linear_source(model)}{starts}".encode()).hexdigest()[:32]
+    direct: Sequence[int] = [int(k) for k in np.flatnonzero(np.any(model.d_matrix != 0, axis=0))]
+    root = describe(
+        name, f"linear model of order {len(starts)}", token, variables, sample_time=spec.sample_time, direct=direct
+    )
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
+
+
+def _array(name: str, matrix: FloatArray) -> str:
+    """Return a constant C array of the elements row by row; one zero where there are none."""
+    numbers = ", ".join(repr(float(one)) for one in matrix.ravel()) or "0"
+    return f"static const double {name}[] = {{ {numbers} }};"
+
+
+_BODY = """
+static double line(const double *row, const double *x, const double *u)
+{
+    double sum = 0;
+    for (int i = 0; i < NX; i++) sum += row[i] * x[i];
+    for (int i = 0; i < NU; i++) sum += row[NX + i] * u[i];
+    return sum + row[NX + NU];
+}
+
+static const char *check(const double *v) { (void)v; return NULL; }
+
+static void prepare(double *v) { v[PHASE] = v[READY] = 0; }
+
+static double internal_step(const double *v) { (void)v; return SAMPLE; }
+
+static void look_ahead(double *v)
+{
+    for (int i = 0; i < NX; i++) v[NEXT + i] = line(MOVE + i * (NX + NU + 1), v + X, v + U);
+    v[READY] = 1;
+}
+
+static void advance(double *v, double h)
+{
+    if (v[READY] == 0) look_ahead(v);
+    v[PHASE] += h;
+    if (v[PHASE] < SAMPLE * (1 - 1e-9)) return;
+    for (int i = 0; i < NX; i++) v[X + i] = v[NEXT + i];
+    v[READY] = 0;
+    v[PHASE] -= SAMPLE;
+    if (v[PHASE] > SAMPLE * 1e-9) look_ahead(v); /* the sample began inside this step */
+    else v[PHASE] = 0;
+}
+
+static void evaluate(double *v)
+{
+    for (int i = 0; i < NY; i++) v[Y + i] = line(READ + i * (NX + NU + 1), v + X, v + U);
+}
+"""

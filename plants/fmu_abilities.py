@@ -1,0 +1,131 @@
+"""What an FMU plant can do beyond stepping, where the FMU offers it: states, derivatives, tunable parameters."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
+
+from harness.protocols import Ability
+from harness.signals import FloatArray
+from plants.fmu_archive import FmuFile
+from plants.fmu_engine import Engine
+from plants.fmu_instance import Instance
+from plants.fmu_options import encoded, refused
+from plants.fmu_slopes import slopes
+from plants.fmu_states import Snapshot, packed, unpacked
+
+__all__ = ["Beyond", "idle"]
+
+
+def idle() -> int:
+    """Stand in for the step of a plant that does not run (a method of its own would keep the plant alive)."""
+    return -1
+
+
+class Beyond:
+    """The part of :class:`plants.fmu.FmuPlant` that is about the FMU's state, derivatives and parameters."""
+
+    file: FmuFile
+    abilities: frozenset[Ability]
+    _instance: Instance
+    _engine: Engine
+    _start: dict[str, Any]
+    _one: Callable[[], int]
+    _finalizer: weakref.finalize[Any, Any]
+
+    def get_state(self) -> Snapshot:
+        """Return a state of the FMU that stays valid until the plant is closed."""
+        if "snapshots" not in self.abilities or self._one is idle:
+            self._not_ready("a snapshot")
+        taken = self._instance.take()
+        taken.k = self._engine.loop.k
+        return taken
+
+    def set_state(self, state: Snapshot) -> None:
+        """Go back to a state that :meth:`get_state` of this plant returned."""
+        if "snapshots" not in self.abilities or self._one is idle:
+            self._not_ready("a snapshot")
+        self._instance.put(state)
+        self._engine.loop.k = state.k
+        self._engine.settle()
+
+    def serialize_state(self) -> bytes:
+        """Return the present state as bytes, for a plant of the same FMU in this process or, if it allows, another.
+
+        Raises
+        ------
+        InputError
+            If the FMU does not serialise states.
+        """
+        if self._one is idle:
+            self._not_ready("a snapshot")
+        if "snapshots" not in self.abilities:
+            raise refused(self.file, "a serialised state", "an FMU that gives its state", "one that does not", "replay")
+        return packed(self._instance, self.get_state())
+
+    def deserialize_state(self, data: bytes) -> None:
+        """Go back to a state that :meth:`serialize_state` returned; the plant must have been reset once.
+
+        Raises
+        ------
+        InputError
+            If the FMU does not serialise states, or the bytes are of another one.
+        """
+        if self._one is idle:
+            self._not_ready("a snapshot")
+        self.set_state(unpacked(self._instance, data))
+
+    def directional_derivative(
+        self, unknowns: Sequence[str], knowns: Sequence[str], seed: FloatArray | None = None
+    ) -> FloatArray:
+        """Return partial derivatives at the present state and input as the FMU computes them, in SI.
+
+        Parameters
+        ----------
+        unknowns : sequence of str
+            Outputs and derivatives (FMI 2.0.5 sec. 2.1.9).
+        knowns : sequence of str
+            Inputs and continuous states.
+        seed : array (len(knowns),), optional
+            Direction; without it the whole matrix is returned.
+
+        Returns
+        -------
+        array (len(unknowns),), or (len(unknowns), len(knowns)) without a seed
+
+        Raises
+        ------
+        InputError
+            If the FMU does not offer it, or a name is unknown or not a real scalar.
+        PlantError
+            If the FMU fails to.
+        """
+        if self._one is idle:
+            self._not_ready("a derivative")
+        return slopes(self._instance, unknowns, knowns, seed)
+
+    def set_parameter(self, name: str, value: Any) -> None:
+        """Set a tunable parameter (SI) while the plant runs; it is kept for later resets.
+
+        Raises
+        ------
+        InputError
+            If the FMU has no such parameter, or it is fixed and the plant runs (use ``parameters`` instead).
+        """
+        self._check_open()
+        as_fmu = encoded(self.file, {name: value}, "parameters", ("parameter",))
+        variability = next(v.variability for v in self.file.description.modelVariables if v.name == name)
+        if self._one is not idle:
+            if variability != "tunable":
+                raise refused(self.file, "a fixed parameter", "a tunable one", repr(name), "reset first", name)
+            self._instance.set_now(name, as_fmu[name])
+        self._start.update(as_fmu)
+
+    def _not_ready(self, what: str = "a step") -> NoReturn:
+        self._check_open()
+        raise refused(self.file, f"{what} of a plant that does not run", "a reset before", "none", "call reset first")
+
+    def _check_open(self) -> None:
+        if not self._finalizer.alive:
+            raise refused(self.file, "a closed plant", "an open one", "a closed one", "make a new one")
