@@ -1,9 +1,10 @@
 """Identifiers against their peers: the same work in one process, best of a few rounds, with the ratio.
 
-Run ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/bench_identifiers.py``; a peer that is not installed (pysindy, pydmd) has a row that says so.
-Claims, on one thread: STLSQ more than 10 times, DMD with control more than 4 times, Markov parameters about 50 times and
-more, ERA about 10 times from 1000 Markov parameters on (even below) as fast as the peer; both sides give the same
-numbers: the largest difference is printed. Counting is raced against a plain Python loop.
+Run ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/bench_identifiers.py``; a peer that is not installed
+(pysindy, pydmd) has a row that says so. Claims, on one thread: STLSQ more than 10 times, DMD with control about 10
+times, Markov parameters about 50 times and more, ERA about 10 times from 1000 Markov parameters on (even below that) as
+fast as the peer; both sides give the same numbers: the largest difference is printed. Counting is raced against a plain
+Python loop.
 """
 
 from __future__ import annotations

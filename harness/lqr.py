@@ -138,7 +138,7 @@ def _gain(a: FloatArray, b: FloatArray, q: FloatArray, r: FloatArray) -> FloatAr
         p = solve_discrete_are(a, b, q, r)
     except (LinAlgError, ValueError):
         return None
-    gain: FloatArray = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
+    gain = np.asarray(np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a), dtype=np.float64)
     return gain if np.isfinite(gain).all() else None
 
 

@@ -79,7 +79,7 @@ class Regret:
 
     @property
     def cumulative(self) -> FloatArray:
-        """Loss so far beyond that of the minimiser of the whole stream (M,); score a shorter stream for its own regret."""
+        """Loss so far beyond that of the whole stream's minimiser (M,); score a shorter stream for its own regret."""
         total: FloatArray = np.cumsum(self.losses - self.hindsight)
         return total
 
@@ -337,7 +337,8 @@ def _initial_state(
 
 def _free_run(model: Model, x: FloatArray, u: FloatArray) -> FloatArray:
     """Return the outputs (N, ny) of a free run."""
-    return _windows(model, x[None], u[None])[0]
+    outputs: FloatArray = _windows(model, x[None], u[None])[0]
+    return outputs
 
 
 def _windows(model: Model, x: FloatArray, u: FloatArray) -> FloatArray:

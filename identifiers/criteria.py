@@ -145,7 +145,7 @@ def absolute_deviations(x: FloatArray, y: FloatArray, what: str, *, largest: boo
         unit = float(np.abs(y[:, column]).max()) or 1.0
         target = y[:, column] / unit
         found = linprog(cost, A_ub=above, b_ub=np.concatenate([target, -target]), bounds=bounds, method="highs")
-        if found.status != 0:
+        if found.status != 0 or found.x is None:
             raise FitError(
                 f"{what}: the linear program has no solution",
                 expected="a bounded optimum",

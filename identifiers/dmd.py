@@ -14,7 +14,7 @@ from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.linear import LinearModel, lag_model
-from identifiers.records import lagged, moving, real_signals, usable
+from identifiers.records import lagged_blocks, moving, real_signals, usable
 from identifiers.regression import Solution, solve
 
 __all__ = ["Dictionary", "Dmdc", "Edmdc", "KoopmanModel"]
@@ -75,7 +75,7 @@ class Dmdc:
         real_signals(spec, what)
         moving(records, what, inputs=False)
         if self.rank is None:
-            solution = solve(lambda: self._plain(records), what, ridge=self.ridge)
+            solution = solve(lambda: lagged_blocks(records, self.delays, offset=self.offset), what, ridge=self.ridge)
             return lag_model(spec, solution, self.delays, self.offset)
         if self.delays > 1:
             raise FitError(
@@ -85,16 +85,6 @@ class Dmdc:
                 remedy="use rank with many outputs, delays with few",
             )
         return self._reduced(records, spec, what)
-
-    def _plain(self, records: Sequence[Trajectory]) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Yield lagged rows and next outputs, long records in slices that overlap by the lags."""
-        for record in records:
-            for start in range(0, len(record) - self.delays, _BLOCK):
-                part = record[start : start + _BLOCK + self.delays]
-                rows = lagged(part, self.delays)
-                if self.offset:
-                    rows = np.hstack([rows, np.ones((rows.shape[0], 1))])
-                yield rows, part.y[self.delays :]
 
     def _reduced(self, records: Sequence[Trajectory], spec: PlantSpec, what: str) -> LinearModel:
         """Fit on the leading directions of the outputs."""

@@ -36,9 +36,9 @@ def leading_singular_vectors(
 
     Examples
     --------
-    >>> G = 0.9 ** np.arange(399)[:, None, None]
-    >>> found = leading_singular_vectors(G, 200, 200, 1)
-    >>> float(found[1][0].round(9)) == float((0.9 ** (2 * np.arange(200))).sum().round(9))
+    >>> G = 0.9 ** np.arange(599)[:, None, None]
+    >>> found = leading_singular_vectors(G, 300, 300, 1)
+    >>> float(found[1][0].round(9)) == float((0.9 ** (2 * np.arange(300))).sum().round(9))
     True
     """
     from scipy.fft import irfft, next_fast_len, rfft

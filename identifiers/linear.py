@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -13,7 +13,7 @@ from harness.errors import FitError, InputError
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
-from identifiers.records import lagged, moving, real_signals, usable
+from identifiers.records import lagged, lagged_blocks, moving, real_signals, usable
 from identifiers.regression import Solution, solve
 
 __all__ = ["Arx", "LinearModel", "StateLeastSquares"]
@@ -330,16 +330,7 @@ def _design(record: Trajectory, lags: int, offset: bool) -> FloatArray:
 
 def _one_step(records: Sequence[Trajectory], lags: int, offset: bool, ridge: float, what: str) -> Solution:
     """Solve for the next output from lagged outputs and inputs."""
-
-    def blocks() -> Iterator[tuple[FloatArray, FloatArray]]:
-        for record in records:
-            # long records in slices that overlap by the lags, so that memory stays bounded
-            for start in range(0, len(record) - lags, 50_000):
-                part = record[start : start + 50_000 + lags]
-                if len(part) > lags:
-                    yield _design(part, lags, offset), part.y[lags:]
-
-    return solve(blocks, what, ridge=ridge)
+    return solve(lambda: lagged_blocks(records, lags, offset=offset), what, ridge=ridge)
 
 
 def _refuse_poor_excitation(records: Sequence[Trajectory], solution: Solution, least: float, what: str) -> None:

@@ -34,8 +34,7 @@ class RlsState:
     def coefficients(self) -> FloatArray:
         """Parameter estimate (p, ny)."""
         # As fast as a triangular solve for a few parameters, and without its checks.
-        theta: FloatArray = np.linalg.solve(self.triangle, self.right)
-        return theta
+        return np.asarray(np.linalg.solve(self.triangle, self.right), dtype=np.float64)
 
 
 @dataclass(frozen=True)

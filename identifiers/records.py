@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.errors import FitError
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
-__all__ = ["lagged", "moving", "real_signals", "usable"]
+__all__ = ["lagged", "lagged_blocks", "moving", "real_signals", "usable"]
 
 
 def usable(trajectories: Sequence[Trajectory], *, samples: int, what: str) -> tuple[list[Trajectory], PlantSpec]:
@@ -76,15 +77,14 @@ def moving(trajectories: Sequence[Trajectory], what: str, *, inputs: bool = True
     FitError
         If there is nothing to learn from.
     """
-    y = np.concatenate([one.y for one in trajectories])
-    if np.all(np.ptp(y, axis=0) == 0.0):
+    if not _moved([one.y for one in trajectories]).any():
         raise FitError(
             f"{what}: the outputs never move", expected="moving outputs", got="constants", remedy="excite the plant"
         )
     if not inputs or trajectories[0].spec.nu == 0:
         return
-    u = np.concatenate([one.u for one in trajectories])
-    still = [c.name for c, span in zip(trajectories[0].spec.inputs, np.ptp(u, axis=0), strict=True) if span == 0.0]
+    moved = _moved([one.u for one in trajectories])
+    still = [channel.name for channel, moves in zip(trajectories[0].spec.inputs, moved, strict=True) if not moves]
     if still:
         raise FitError(
             f"{what}: an input never moves",
@@ -92,6 +92,18 @@ def moving(trajectories: Sequence[Trajectory], what: str, *, inputs: bool = True
             got=f"constant {', '.join(still)}",
             remedy="excite every input, or leave it out",
         )
+
+
+def _moved(parts: Sequence[FloatArray]) -> npt.NDArray[np.bool_]:
+    """Return which columns ever differ from their first row; reads no further than it must."""
+    first = parts[0][0]
+    moved = np.zeros(first.shape, dtype=bool)
+    for part in parts:
+        for start in range(0, len(part), 4096):
+            moved |= (part[start : start + 4096] != first).any(axis=0)
+            if moved.all():
+                return moved
+    return moved
 
 
 def lagged(trajectory: Trajectory, lags: int) -> FloatArray:
@@ -116,7 +128,51 @@ def lagged(trajectory: Trajectory, lags: int) -> FloatArray:
     >>> lagged(Trajectory(np.arange(4.0), np.ones((4, 1)), np.arange(4.0)[:, None], spec), 2).tolist()
     [[1.0, 0.0, 1.0, 1.0], [2.0, 1.0, 1.0, 1.0]]
     """
-    n = len(trajectory)
-    parts = [trajectory.y[lags - 1 - j : n - 1 - j] for j in range(lags)]
-    parts += [trajectory.u[lags - 1 - j : n - 1 - j] for j in range(lags)]
-    return np.hstack(parts)
+    return _rows(trajectory, lags, 0, len(trajectory) - lags, ())
+
+
+def lagged_blocks(
+    trajectories: Sequence[Trajectory], lags: int, *, offset: bool = False, direct: bool = False, size: int = 16_384
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield regressors and next outputs of one-step equations in blocks, so that memory stays bounded.
+
+    Parameters
+    ----------
+    trajectories : sequence of Trajectory
+        No row reaches across a seam.
+    lags : int
+        As of :func:`lagged`.
+    offset : bool
+        With a last column of ones.
+    direct : bool
+        With the inputs of the instant that is predicted, after the lags.
+    size : int
+        Rows of a block.
+
+    Yields
+    ------
+    (array (n, p), array (n, ny))
+    """
+    for one in trajectories:
+        for start in range(0, len(one) - lags, size):
+            stop = min(start + size, len(one) - lags)
+            extra: list[FloatArray] = [one.u[start + lags : stop + lags]] if direct else []
+            if offset:
+                extra.append(np.ones((stop - start, 1)))
+            yield _rows(one, lags, start, stop, extra), one.y[start + lags : stop + lags]
+
+
+def _rows(one: Trajectory, lags: int, start: int, stop: int, extra: Sequence[FloatArray]) -> FloatArray:
+    """Return rows start .. stop - 1 of the regressors, filled column by column into one array."""
+    ny, nu = one.spec.ny, one.spec.nu
+    width = lags * (ny + nu) + sum(part.shape[1] for part in extra)
+    rows = np.empty((stop - start, width))
+    for j in range(lags):
+        past = slice(start + lags - 1 - j, stop + lags - 1 - j)
+        rows[:, j * ny : (j + 1) * ny] = one.y[past]
+        rows[:, lags * ny + j * nu : lags * ny + (j + 1) * nu] = one.u[past]
+    column = lags * (ny + nu)
+    for part in extra:
+        rows[:, column : column + part.shape[1]] = part
+        column += part.shape[1]
+    return rows

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ from identifiers.filters import stationary_gain
 from identifiers.hankel import leading_singular_vectors
 from identifiers.linear import LinearModel
 from identifiers.markov import markov_parameters
-from identifiers.records import lagged, moving, real_signals, usable
+from identifiers.records import lagged_blocks, moving, real_signals, usable
 from identifiers.regression import solve
 
 __all__ = ["HoKalman", "markov_parameters", "observer_markov", "realize"]
@@ -169,8 +169,9 @@ class HoKalman:
             notes["stabilized"] = True
         gain = stationary_gain(a, c)
         if self.observer is not None and "stabilized" not in notes:
-            found: FloatArray = np.linalg.lstsq(a, _input_matrix(a, c, innovation[1:]), rcond=1e-10)[0]  # K = A L
-            gain = found
+            gain = np.asarray(
+                np.linalg.lstsq(a, _input_matrix(a, c, innovation[1:]), rcond=1e-10)[0], dtype=float
+            )  # K = A L
             if np.abs(np.linalg.eigvals(a - a @ gain @ c)).max() >= 1.0:
                 gain = stationary_gain(a, c)
         d = response[0] if self.direct else np.zeros((spec.ny, spec.nu))
@@ -203,20 +204,7 @@ def observer_markov(
     records, spec = usable(trajectories, samples=lags + 2, what=what)
     ny, nu = spec.ny, spec.nu
 
-    def blocks() -> Iterator[tuple[FloatArray, FloatArray]]:
-        for record in records:
-            for start in range(0, len(record) - lags, 20_000):
-                part = record[start : start + 20_000 + lags]
-                if len(part) <= lags:
-                    continue
-                rows = [lagged(part, lags)]
-                if direct:
-                    rows.append(part.u[lags:])
-                if offset:
-                    rows.append(np.ones((len(part) - lags, 1)))
-                yield np.hstack(rows), part.y[lags:]
-
-    solution = solve(blocks, what, least_norm=True)
+    solution = solve(lambda: lagged_blocks(records, lags, offset=offset, direct=direct), what, least_norm=True)
     theta = solution.coefficients.T
     seen = theta[:, : lags * ny].reshape(ny, lags, ny).transpose(1, 0, 2)
     pushed = theta[:, lags * ny : lags * (ny + nu)].reshape(ny, lags, nu).transpose(1, 0, 2)
@@ -251,8 +239,8 @@ def _input_matrix(a: FloatArray, c: FloatArray, markov: FloatArray) -> FloatArra
     for _ in range(len(markov)):
         rows.append(power)
         power = power @ a
-    found: FloatArray = np.linalg.lstsq(np.vstack(rows), markov.reshape(-1, markov.shape[2]), rcond=1e-12)[0]
-    return found
+    found = np.linalg.lstsq(np.vstack(rows), markov.reshape(-1, markov.shape[2]), rcond=1e-12)[0]
+    return np.asarray(found, dtype=np.float64)
 
 
 def _stabilized(a: FloatArray) -> FloatArray:

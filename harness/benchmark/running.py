@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from harness.benchmark.engines import make_engine
+from harness.benchmark.probes import probe_plants
 from harness.benchmark.row import Row
 from harness.benchmark.store import Store
 from harness.benchmark.suite import Cell, Task, cells_of, load_suite, tasks_of
@@ -118,8 +119,8 @@ def bench(
     suite : str or path
         Name of a registered suite, or a TOML file.
     out : path, optional
-        Folder for ``results.parquet``, ``timings.parquet``, ``regret.parquet`` and ``report.html``; without it the
-        rows are only returned.
+        Folder for ``results.parquet``, ``timings.parquet``, ``regret.parquet``, ``report.html`` and, where there
+        are FMUs, ``probes.json``; without it the rows are only returned.
     workers : int, optional
         Processes; by default one for each core.
     seeds : (first, last) or sequence of int, optional
@@ -196,6 +197,8 @@ def _run(
         progress(len(found), len(pairs), suite.name)
     finished = False
     try:
+        if report:
+            probe_plants(todo, store.probes)
         if todo:
             engine.run(todo, store.shards, moved)
         finished = True

@@ -66,6 +66,11 @@ class Store:
         """The page for a reader."""
         return self.folder / "report.html"
 
+    @property
+    def probes(self) -> Path:
+        """What was found about each FMU before it was scored."""
+        return self.folder / "probes.json"
+
     def open(self, suite: Suite, pairs: Sequence[tuple[Task, Cell]], *, resume: bool) -> dict[str, Row]:
         """Make the folder ready; return the rows that it already has.
 

@@ -79,7 +79,14 @@ def couple_ssp(path: str | Path, make: Make, *, changes: Mapping[str, Any] | Non
 def _coupled(structure: Structure, parts: dict[str, Plant], changes: dict[str, Any], folder: Path) -> Coupled:
     """Connect the parts; the coupled plant owns the folder."""
     outputs = dict(structure.outputs)
-    wires = [Connection(source, target, gain, gain_unit=unit) for source, target, gain, unit in structure.wires]
+    units = {f"{name}.{c.name}": c.unit for name, p in parts.items() for c in (*p.spec.inputs, *p.spec.outputs)}
+    wires = []
+    for source, target, gain in structure.wires:
+        # an FMU that declares no unit for an end takes or gives the number as it is
+        ends = units.get(source, "1"), units.get(target, "1")
+        bare = "." in source and "1" in ends and ends[0] != ends[1]
+        unit = "1" if not bare else ends[1] if ends[0] == "1" else f"1/({ends[0]})"
+        wires.append(Connection(source, target, gain, gain_unit=unit))
     lenders = {name: target for target, name in reversed([(w.target, w.source) for w in wires if "." not in w.source])}
     shown = list(outputs.values()) or [f"{name}.{c.name}" for name, part in parts.items() for c in part.spec.outputs]
     coupled = Coupled(parts, wires, inputs=lenders, outputs=shown, labels=list(outputs) or None, **changes)

@@ -34,10 +34,10 @@ class Component:
 
 @dataclass(frozen=True)
 class Structure:
-    """Components; wires as (source, target, gain, unit of the gain); outputs as name -> ``component.output``."""
+    """Components; wires as (source, target, gain); outputs as name -> ``component.output``."""
 
     components: tuple[Component, ...]
-    wires: tuple[tuple[str, str, float, str], ...]
+    wires: tuple[tuple[str, str, float], ...]
     outputs: dict[str, str]
 
 
@@ -70,7 +70,8 @@ def read_structure(path: Path) -> Structure:
     from fmpy.ssp.ssd import read_ssd
 
     try:
-        described = read_ssd(str(path))
+        with path.open("rb") as file:  # given the path, fmpy leaves the file open when it fails
+            described = read_ssd(file)
         with zipfile.ZipFile(path) as archive:
             details = _details(archive.read(SSD))
     except Exception as error:
@@ -144,14 +145,13 @@ class _Flattening:
         self._visit(self.system, ())
         for way, values in self.values:
             self._give(way, values)
-        wires: list[tuple[str, str, float, str]] = []
+        wires: list[tuple[str, str, float]] = []
         for way, component in self.components.items():
             for name, (kind, _) in component.connectors.items():
                 if kind == "input":
                     source, gain = self._origin((way, name))
                     if source is not None:
-                        unit = "1"
-                        wires.append((self._name(source), f"{component.name}.{name}", gain, unit))
+                        wires.append((self._name(source), f"{component.name}.{name}", gain))
         outputs = {}
         for connector in self.system.connectors:
             if connector.kind == "output":
@@ -255,21 +255,21 @@ class _Flattening:
             while target not in self.components:
                 head, dot, tail = rest.partition(".")
                 inner = (*target, head)
-                known = any(place[: len(inner)] == inner for place in self.components)
-                if not dot or not known:
+                if not dot or not any(place[: len(inner)] == inner for place in self.components):
                     raise self._refused("parameter value", "a name component.parameter", repr(name))
                 target, rest = inner, tail
             if unit is not None and isinstance(value, float):
-                _, factor, offset = base_units(self._unit(unit))
+                known = self.defined.get(unit)
+                factor, offset = (known.factor, known.offset) if known is not None else base_units(unit)[1:]
                 value = factor * value + offset
             component = self.components[target]
             kind = self.kinds.get((target, rest), "parameter")
             (component.parameters if kind in ("parameter", "structuralParameter") else component.start)[rest] = value
 
     def _unit(self, text: str) -> str:
-        """Return a unit in our words: by its definition in the package where there is one."""
+        """Return what a unit measures, in our words: by its definition in the package where there is one."""
         unit = self.defined.get(text)
-        if unit is None or (unit.factor, unit.offset) != (1.0, 0.0):
+        if unit is None:
             return text.replace(".", " ")
         powers = [f"{name}**{getattr(unit, name)}" for name in BASE if getattr(unit, name)]
         return " * ".join(powers) or "1"

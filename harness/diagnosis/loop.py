@@ -24,6 +24,7 @@ from harness.diagnosis.prepare import (
     forms,
     prefers_equations,
     rough_values,
+    short_window,
     sizes_of,
 )
 from harness.diagnosis.response import Family, responses_of
@@ -194,17 +195,12 @@ def diagnose(
     first = result.rounds[0].screen if result.rounds else sensitivity_screen(form, nominal, candidates, size_of)
     say(0.82, "what is left, and whether it can be predicted")
     adequacy, families = _adequacy(form, result.model, seed)
-    if (
-        weak is not None
-        and not inverse
-        and search.detected(result.model)
-        and all(map(weak.judges, result.model.effects))
-    ):
-        # the momentum balance sees forces that a sensitive simulation has long lost track of
-        balance = fit_here(weak, result.model.effects, [dict(result.model.values)])
-        other, more = _adequacy(weak, balance, seed)
-        if other.rest > adequacy.rest:
-            adequacy, families = other, more
+    if isinstance(form, OutputForm) and search.detected(result.model):
+        seconds = short_window(dataset)
+        if horizon.seconds is None or horizon.seconds > 1.5 * seconds:
+            other, more = _adequacy(*form.shortened(result.model, seconds), seed)
+            if other.rest > adequacy.rest:
+                adequacy, families = other, more
     return Diagnosis(
         dataset=dataset,
         system=system,

@@ -6,6 +6,7 @@ initial state of its own, fitted on estimation and on validation alike and taken
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -223,6 +224,22 @@ class OutputForm:
             x0 = self._settled(system, p, use, windows, x0)
         result = windows.evaluate(p, x0, keep=True)
         return windows.together(result.residuals), windows.together(result.states), list(x0)
+
+    def shortened(self, fitted: Fitted, seconds: float) -> tuple[OutputForm, Fitted]:
+        """Return a form of shorter windows and the same model seen in it, its initial states fitted.
+
+        Over a short window a simulation has not yet lost track of the forces, whatever the motion magnifies later.
+        """
+        short = copy.copy(self)
+        short.horizon = seconds
+        p = fitted.system.vector(fitted.values)
+        record = {**fitted.record}
+        for use, key in (("estimation", "x0"), ("validation", "x0_validation")):
+            q = p if use == "estimation" else fitted.system.vector({**fitted.values, **fitted.refitted})
+            windows = short._windows(fitted.system, q, use)
+            states = [data_states(windows.simulator, one, q)[0] for one in self.records[use]]
+            record[key] = minimise_states(windows, q, windows.starts_from(states), 25).tolist()
+        return short, short.evaluate(fitted.effects, record)
 
     # ---- the work ------------------------------------------------------------------------------------------------
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.equation_form import EquationForm
-from harness.diagnosis.motion import measured_coordinates, smooth_motion
+from harness.diagnosis.motion import measured_coordinates, motion_band, smooth_motion
 from harness.diagnosis.noise import NoiseFloor
 from harness.diagnosis.output_form import OutputForm
 from harness.effects import Signals
@@ -17,7 +17,7 @@ from harness.effects.columns import motion_sizes
 from harness.errors import InputError
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["Horizon", "checked", "choose_horizon", "prefers_equations", "rough_values", "sizes_of"]
+__all__ = ["Horizon", "checked", "choose_horizon", "prefers_equations", "rough_values", "short_window", "sizes_of"]
 
 GROWTH = 20.0
 """By how much an error of the initial state may grow within a window."""
@@ -155,6 +155,13 @@ def prefers_equations(system: Any, horizon: Horizon, floors: tuple[NoiseFloor, .
         return False
     driven = all(ca.depends_on(system.input_forces[one.force], system.u) for one in system.coordinates)
     return driven and all(one.source in (None, "black_box") for one in floors)
+
+
+def short_window(dataset: Dataset) -> float:
+    """Return a window [s] that is short against the motion: one period of its band, 50 samples at least."""
+    run, dt = max(dataset.estimation, key=len), dataset.spec.sample_time
+    band = max(motion_band(run.y[:, j], dt)[0] for j in range(run.spec.ny))
+    return float(np.clip(1.0 / max(band, 1e-12), 50 * dt, len(run) * dt / 8))
 
 
 def sizes_of(system: Any, values: Mapping[str, float], dataset: Dataset) -> dict[str, dict[str, float]]:

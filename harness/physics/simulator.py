@@ -132,6 +132,10 @@ class Simulator:
                     "no C compiler", expected="gcc or cc", got="none", remedy='install one, or use backend "casadi"'
                 )
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what it was made of; functions and compiled code are made again."""
+        return _rebuilt, (self.system, self.dt, self.intersample, self.substeps, self.backend)
+
     # ---- public --------------------------------------------------------------------------------------------------
 
     def prepare(self, *, sensitivities: bool = True, wait: bool = False) -> None:
@@ -399,3 +403,8 @@ def _pointer(array: FloatArray | None) -> Any:
     if array is None:
         return None
     return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+
+
+def _rebuilt(system: System, dt: float, intersample: Intersample, substeps: int, backend: Backend) -> Simulator:
+    """Make a simulator again where a pickle of it is opened."""
+    return system.simulator(dt, intersample=intersample, substeps=substeps, backend=backend)

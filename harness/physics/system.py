@@ -194,7 +194,8 @@ class System:
     def f(self) -> Any:
         """Derivative of the state, SX (nx,)."""
         n = len(self.coordinates)
-        return self.upright(ca.vertcat(self.x[n : 2 * n], self.acceleration, self.rates))
+        speeds = self.x[n : 2 * n] if n else ca.SX(0, 1)  # an empty slice of a single state would be a zero
+        return self.upright(ca.vertcat(speeds, self.acceleration, self.rates))
 
     @cached_property
     def input_forces(self) -> Any:

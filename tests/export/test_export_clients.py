@@ -50,6 +50,7 @@ def references(path, names):
 def test_libcosimpy_repeats_our_rollout(model, tmp_path):
     pytest.importorskip("libcosimpy", reason="libcosimpy is not installed: pip install libcosimpy")
     from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
     from libcosimpy.CosimManipulator import CosimManipulator
     from libcosimpy.CosimObserver import CosimObserver
     from libcosimpy.CosimSlave import CosimLocalSlave
@@ -58,8 +59,10 @@ def test_libcosimpy_repeats_our_rollout(model, tmp_path):
     path = write_fmu(simulator, simulator.system.values(), tmp_path / "m.fmu", version=2, x0=x0)
     inputs = references(path, [c.name for c in simulator.spec.inputs])
     outputs = references(path, [c.name for c in simulator.spec.outputs])
-    execution = CosimExecution.from_step_size(step_size=DT)
-    slave = execution.add_local_slave(CosimLocalSlave(fmu_path=str(path), instance_name="model"))
+    log_output_level(CosimLogLevel.ERROR)
+    execution = CosimExecution.from_step_size(step_size=round(DT * 1e9))  # nanoseconds
+    local = CosimLocalSlave(fmu_path=str(path), instance_name="model")
+    slave = execution.add_local_slave(local)
     manipulator, observer = CosimManipulator.create_override(), CosimObserver.create_last_value()
     assert execution.add_manipulator(manipulator=manipulator)
     assert execution.add_observer(observer=observer)

@@ -14,7 +14,7 @@ from fmpy.validation import validate_fmu
 
 from harness import registry
 from harness.effects import Placed, builtin, compose, place_all, recommended_substeps
-from harness.errors import InputError
+from harness.errors import InputError, PlantError
 from harness.export import write_fmu
 from harness.physics.models import BUILT_IN
 
@@ -85,7 +85,7 @@ def put(name, at, **values):
 
 PAIRS = [
     ("pendulum", put("coulomb_friction", "theta", Fc=0.1), put("input_delay", "u", tau=0.033)),
-    ("pendulum", put("sensor_quantisation", "theta", step=0.01), put("dead_zone", "u", d=0.1)),
+    ("pendulum", put("sensor_quantisation", "theta", step=0.01), put("dead_zone", "u", width=0.1)),
     ("pendulum", put("actuator_lag", "u", tau=0.05), put("sensor_offset", "theta", offset=0.1)),
     ("cart-pole", put("coulomb_friction", "x", Fc=0.2), put("viscous_friction", "theta", b=0.02)),
     ("drive", put("input_delay", "u", tau=0.02), put("force_bias", "q", F0=0.3)),
@@ -93,20 +93,10 @@ PAIRS = [
 ]
 
 
-def named(placed):
-    """The same effects with the main parameter's own name, whatever it is called."""
-    return [
-        Placed(one.effect, one.at, {one.effect.main.name: next(iter(one.values.values()))})
-        if not set(one.values) <= {p.name for p in one.effect.parameters}
-        else one
-        for one in placed
-    ]
-
-
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: "+".join(map(str, pair)))
 def test_two_effects_at_once_by_fmpys_own_simulation(pair, version, tmp_path):
-    simulator, x, u = case(pair[0], *named(pair[1:]))
+    simulator, x, u = case(pair[0], *pair[1:])
     path = write_fmu(simulator, simulator.system.values(), tmp_path / "m.fmu", version=version, x0=starts(simulator, x))
     assert validate_fmu(str(path)) == []
     y = simulator.rollout(simulator.system.vector(), x, u)
@@ -118,7 +108,6 @@ def test_two_effects_at_once_by_fmpys_own_simulation(pair, version, tmp_path):
         str(path), stop_time=(N - 1) * dt, step_size=dt, output_interval=dt, input=signals, output=names
     )
     found = np.column_stack([result[name] for name in names])
-    # fmpy interpolates what is not discrete at the start of the step, which is the sample itself
     assert found.shape == y.shape
     assert np.abs(found - y).max() <= 1e-6
 
@@ -145,9 +134,7 @@ def test_parameters_are_tunable_and_bounded(tmp_path):
     assert np.abs(ours(path, u, simulator.dt, parameters=other) - y).max() <= 1e-9
     first = simulator.rollout(simulator.system.vector(), x, u)
     assert np.abs(first - y).max() > 1e-3
-    from harness.errors import PlantError
-
-    with pytest.raises((PlantError, InputError), match="below|minimum|least"):
+    with pytest.raises((PlantError, InputError), match="below"):
         ours(path, u, simulator.dt, parameters={"J": -1.0})
 
 

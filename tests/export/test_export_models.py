@@ -157,5 +157,5 @@ def test_a_smooth_input_is_refused_and_so_is_another_ending(tmp_path):
     _, path = grey(tmp_path, intersample="smooth")
     with pytest.raises(InputError, match="held"):
         export(path, out=tmp_path / "m.fmu")
-    with pytest.raises(InputError, match="ends in .fmu"):
+    with pytest.raises(InputError, match="ends in"):
         export("pendulum", out=tmp_path / "m.zip")

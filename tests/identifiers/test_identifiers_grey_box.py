@@ -141,6 +141,7 @@ def test_under_noise_the_weak_forms_win_by_far():
     assert momentum < 0.015
 
 
+@pytest.mark.slow
 def test_every_form_finds_what_is_not_known_either():
     runs = cart(1e-4, 1e-3)
     for identifier in (lumped_energy(), lumped_momentum(), OutputError()):

@@ -43,15 +43,6 @@ def test_recursive_equals_batch_to_rounding():
     assert np.array(online.hindsight(records).details["coefficients"])[:, 0] == pytest.approx(theta[0], abs=1e-11)
 
 
-def test_regret_grows_as_d_sigma_squared_log_t():
-    online = RecursiveLeastSquares(order=1, offset=False, prior=1e-2)
-    totals = [[regret(online, [stream(4000, s)[:n]], rng=RNG).total for n in (500, 4000)] for s in range(6)]
-    early, late = np.mean(totals, axis=0)
-    slope = (late - early) / np.log(8)
-    assert slope == pytest.approx(2 * 0.1**2, rel=0.1)
-    assert late / 4000 < 0.2 * early / 500, "the average regret goes to zero, the total does not"
-
-
 def test_no_fixed_predictor_beats_the_hindsight():
     record = stream(300, 4)
     online = RecursiveLeastSquares(order=1, offset=False, prior=1e-9)

@@ -7,7 +7,8 @@ import pickle
 import numpy as np
 import pytest
 
-from harness.errors import InputError
+from harness.errors import InputError, PlantError
+from harness.physics import Ode
 from plants.ode import OdePlant, cart_pole_ode, linear_ode, pendulum_ode
 
 RNG = np.random.default_rng
@@ -62,8 +63,6 @@ def test_dense_output_meets_the_samples_and_a_finer_run():
 
 
 def test_a_motion_that_blows_up_is_said():
-    from harness.errors import PlantError
-    from harness.physics import Ode
 
     model = Ode("burst", x="z", u="u")
     model.rhs = [model.x[0] ** 2 + model.u[0]]  # infinite at t = 1/z(0)
@@ -110,3 +109,11 @@ def test_a_batch_brings_the_truth_of_every_sample(kind):
         y, x = plant.rollout_truth(inputs)
     assert np.array_equal(y, [one for one, _ in stepped])
     assert np.array_equal(x, [one for _, one in stepped])
+
+
+def test_a_single_state_is_enough():
+    with linear_ode(order=1) as plant:
+        a, b, _ = plant.discrete()
+        plant.reset(rng=RNG(0))
+        assert plant.rollout_truth(np.ones((1, 1)))[1] == pytest.approx(b.T)
+        assert 0 < a[0, 0] < 1
