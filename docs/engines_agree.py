@@ -129,6 +129,8 @@ def draw(found: dict[str, dict[str, np.ndarray]], path: Path) -> None:
             label = f"{name}: order {order(errors):.1f}"
             axis.loglog(steps, errors, marker=marks[name], color=colours[name], label=label, **style)
         axis.set(title=machine, xlabel="step of the engine [ms]")
+        axis.set_xticks([0.3, 1, 3, 10, 20], ["0.3", "1", "3", "10", "20"])
+        axis.minorticks_off()
         axis.grid(True, which="major", color="#dddddd", lw=0.6)
         axis.legend(frameon=False, loc="lower right")
     axes[0].set_ylabel("largest error of theta in 2 s [rad]")

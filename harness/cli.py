@@ -77,7 +77,7 @@ def list_command(
 
 @app.command()
 def simulate(
-    plant: Annotated[str, typer.Argument(metavar="PLANT", help="id of a plant, or FILE.fmu")],
+    plant: Annotated[str, typer.Argument(metavar="PLANT", help="id of a plant, or FILE.fmu, .toml or .ssp")],
     scenario: Annotated[str, typer.Option("--scenario", help="id of a scenario")],
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="run.csv or run.parquet")] = None,

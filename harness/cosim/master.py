@@ -11,6 +11,7 @@ from typing import Any, Literal, Self, cast
 import numpy as np
 
 from harness.cosim.graph import followers, reached_at_once, strong_components
+from harness.cosim.loops import newton
 from harness.cosim.wiring import Connection, Part, channel_of, check_wires, locate, place, reader
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability, Feedthrough, Plant, Snapshots, Truth
@@ -341,33 +342,24 @@ class Coupled:
             self._put(part, cast(Feedthrough, part.plant).output(part.read(self._signals)))
 
     def _solve_loop(self, group: list[Part]) -> None:
-        """Solve y = g(y) for the outputs of a cycle, with a Jacobian by finite differences."""
+        """Solve y = g(y) for the outputs of a cycle."""
         places = [i for part in group for i in range(part.outputs.start, part.outputs.stop)]
 
-        def miss(values: FloatArray) -> FloatArray:
+        def put(values: FloatArray) -> None:
             for i, value in zip(places, values.tolist(), strict=True):
                 self._signals[i] = value
+
+        def miss(values: FloatArray) -> FloatArray:
+            put(values)
             for part in group:
                 self._refresh(part)
             gap: FloatArray = np.array([self._signals[i] for i in places]) - values
             return gap
 
-        values = np.array([self._signals[i] for i in places])
-        gap = miss(values)
-        for _ in range(50):
-            scale = 1.0 + np.abs(values)
-            if np.all(np.abs(gap) <= self._tolerance * scale):
-                for i, value in zip(places, values.tolist(), strict=True):
-                    self._signals[i] = value
-                return
-            jacobian = np.empty((len(places), len(places)))
-            for j in range(len(places)):
-                nudged = values.copy()
-                nudged[j] += 1e-7 * scale[j]
-                jacobian[:, j] = (miss(nudged) - gap) / (1e-7 * scale[j])
-            move = np.linalg.lstsq(jacobian, -gap, rcond=None)[0]
-            values = values + move
-            gap = miss(values)
+        found = newton(miss, np.array([self._signals[i] for i in places]), self._tolerance)
+        if found is not None:
+            put(found)
+            return
         names = " -> ".join([part.name for part in group] + [group[0].name])
         t = self._tick * self._spec.sample_time
         raise PlantError(f"algebraic loop {names} has no solution that Newton's method finds at t = {t:g} s")

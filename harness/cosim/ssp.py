@@ -64,7 +64,7 @@ def couple_ssp(path: str | Path, make: Make, *, changes: Mapping[str, Any] | Non
     try:
         _unpack(path, structure, folder)
         for component in structure.components:
-            parts[component.name] = _made(component, folder, make, (changes or {}).get("sample_time"), path)
+            parts[component.name] = _made(component, structure, folder, make, (changes or {}).get("sample_time"), path)
         _check_units(path, structure, parts)
         return _coupled(structure, parts, dict(changes or {}), folder)
     except BaseException as error:
@@ -112,15 +112,21 @@ def _unpack(path: Path, structure: Structure, folder: Path) -> None:
             archive.extract(component.source, folder)
 
 
-def _made(component: Component, folder: Path, make: Make, sample_time: float | None, path: Path) -> Plant:
-    """Return one component as a plant with its parameter values."""
+def _made(
+    component: Component, structure: Structure, folder: Path, make: Make, sample_time: float | None, path: Path
+) -> Plant:
+    """Return one component as a plant with its parameter values; an input that nothing drives keeps its start value."""
     options: dict[str, Any] = {"path": str(folder / component.source)}
     if sample_time is not None:
         options["sample_time"] = sample_time
-    for kind in ("inputs", "outputs"):
-        chosen = [name for name, (side, _) in component.connectors.items() if side == kind.removesuffix("s")]
-        if chosen or (kind == "inputs" and component.connectors):
-            options[kind] = chosen
+    driven = {target for _, target, _ in structure.wires}
+    options["inputs"] = [
+        name
+        for name, (side, _) in component.connectors.items()
+        if side == "input" and f"{component.name}.{name}" in driven
+    ]
+    if shown := [name for name, (side, _) in component.connectors.items() if side == "output"]:
+        options["outputs"] = shown
     if component.parameters:
         options["parameters"] = dict(component.parameters)
     if component.start:

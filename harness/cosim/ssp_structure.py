@@ -239,13 +239,15 @@ class _Flattening:
             for group in binding.parameterValues:
                 for one in group.parameters:
                     values[(binding.prefix or "") + one.name] = (_value(one), one.unit)
-            for mapping in binding.parameterMapping:
-                for entry in mapping.mappingEntries:
-                    if entry.source in values:
-                        value, unit = values.pop(entry.source)
-                        if entry.transformation is not None:
-                            value = float(entry.transformation.factor) * value + float(entry.transformation.offset)
-                        values[entry.target] = (value, unit)
+            if binding.parameterMapping:  # then only what it maps is meant
+                given, values = values, {}
+                for entry in (e for mapping in binding.parameterMapping for e in mapping.mappingEntries):
+                    if entry.source not in given:
+                        raise self._refused("source of a parameter mapping", ", ".join(given), repr(entry.source))
+                    value, unit = given[entry.source]
+                    if entry.transformation is not None:
+                        value = float(entry.transformation.factor) * value + float(entry.transformation.offset)
+                    values[entry.target] = (value, unit)
             self.values.insert(0, (way, values))
 
     def _give(self, way: tuple[str, ...], values: dict[str, tuple[Any, str | None]]) -> None:

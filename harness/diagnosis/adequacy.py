@@ -18,10 +18,10 @@ from harness.diagnosis.accept import compare_blocks
 from harness.diagnosis.surrogates import phase_randomised
 from harness.signals import FloatArray
 
-__all__ = ["Adequacy", "Grade", "Predictable", "grade", "hat_basis", "joint_basis", "predictable_part"]
+__all__ = ["Adequacy", "Grade", "Predictable", "grade", "hat_basis", "joint_basis", "predictable_part", "rough"]
 
 Grade = Literal["explained", "mostly_explained", "proxy_or_incomplete"]
-SHRINKAGE = (1e-5, 1e-3, 1e-1, 3.0)
+SHRINKAGE = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
 FOLDS = 5
 LEVEL = 0.01
 
@@ -114,6 +114,7 @@ def predictable_part(
     *,
     rng: np.random.Generator,
     count: int = 100,
+    roughness: Mapping[str, FloatArray] | None = None,
 ) -> tuple[tuple[Predictable, ...], FloatArray]:
     """Fit every family on the estimation residual and see what it predicts of the validation residual.
 
@@ -128,6 +129,9 @@ def predictable_part(
         Source of the surrogates.
     count : int
         Surrogates of both residuals; the null is the maximum over the families.
+    roughness : mapping of array (k, k), optional
+        For each family the matrix of its penalty (P-splines: squared second differences of the coefficients, Eilers &
+        Marx, Stat. Sci. 11:89, 1996); by default the size of the coefficients.
 
     Returns
     -------
@@ -147,7 +151,10 @@ def predictable_part(
         if not alive.any():
             continue
         phi, psi = phi[:, alive] / scale[alive], psi[:, alive] / scale[alive]
-        c = _ridge(phi, inside)
+        penalty = None if roughness is None else roughness.get(axes)
+        if penalty is not None:
+            penalty = penalty[np.ix_(alive, alive)] / np.outer(scale[alive], scale[alive])
+        c = _ridge(phi, inside, penalty)
         moments = psi.T @ outside.residual
         gram = psi.T @ psi
         power = np.maximum(np.sum(outside.residual**2, axis=0), 1e-300)
@@ -218,12 +225,22 @@ def _side(series: Sequence[FloatArray], count: int, rng: np.random.Generator) ->
     return _Side(both, np.array_split(np.arange(truth.size), FOLDS))
 
 
-def _ridge(phi: FloatArray, side: _Side) -> FloatArray:
-    """Return ridge coefficients (k, 1 + count), the shrinkage of each column chosen over consecutive folds."""
+def rough(size: int) -> FloatArray:
+    """Return the matrix of squared second differences of ``size`` coefficients."""
+    if size < 3:
+        return np.eye(size)
+    d = np.diff(np.eye(size), 2, axis=0)
+    return np.asarray(d.T @ d)
+
+
+def _ridge(phi: FloatArray, side: _Side, penalty: FloatArray | None = None) -> FloatArray:
+    """Return penalised coefficients (k, 1 + count), the penalty of each column chosen over consecutive folds."""
     gram = phi.T @ phi
     moments = phi.T @ side.residual
     level = float(np.mean(np.diag(gram)))
     identity = np.eye(gram.shape[0]) * level
+    if penalty is not None:
+        identity = 1e-3 * identity + penalty * (level * gram.shape[0] / max(float(np.trace(penalty)), 1e-300))
     losses = np.zeros((len(SHRINKAGE), side.residual.shape[1]))
     for rows in side.folds:
         part = phi[rows]

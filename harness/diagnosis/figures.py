@@ -290,9 +290,11 @@ def _surrogates(null: FloatArray, observed: Mapping[str, float]) -> str:
 def _coverage(panels: Sequence[tuple[str, str, FloatArray, FloatArray, FloatArray, FloatArray]]) -> str:
     """Draw where in (q, v) the estimation and the validation records went."""
     shown = panels[:3]
-    with _figure("coverage", min(10.5, 4.6 * len(shown)), 3.2) as (figure, svg):
-        axes: Any = figure.subplots(1, len(shown), squeeze=False)
-        for axis, (name, unit, q, v, qv, vv) in zip(axes[0], shown, strict=True):
+    with _figure("coverage", 10.5, 3.2) as (figure, svg):
+        axes: Any = figure.subplots(1, max(len(shown), 2), squeeze=False)
+        for spare in axes[0][len(shown) :]:
+            spare.remove()
+        for axis, (name, unit, q, v, qv, vv) in zip(axes[0], shown, strict=False):
             a, b = _thin(q.size, 3000), _thin(qv.size, 3000)
             axis.scatter(q[a], v[a], s=2, color=DATA, lw=0, alpha=0.5, rasterized=True, label="estimation")
             axis.scatter(qv[b], vv[b], s=2, color=AFTER, lw=0, alpha=0.4, rasterized=True, label="validation")

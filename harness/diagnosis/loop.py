@@ -412,7 +412,11 @@ def _adequacy(form: Form, fitted: Fitted, seed: int) -> tuple[Adequacy, dict[str
     }
     inside = form.clean(fitted, [one[:, :, None] for one in fitted.estimation])
     found, null = predictable_part(
-        [one[:, :, 0] for one in inside], outside, usable, rng=stream("diagnosis-adequacy", seed)
+        [one[:, :, 0] for one in inside],
+        outside,
+        usable,
+        rng=stream("diagnosis-adequacy", seed),
+        roughness={name: family.roughness() for name, family in families.items()},
     )
     return grade(found, null, outside, form.floors, rng=stream("diagnosis-adequacy-blocks", seed)), families
 

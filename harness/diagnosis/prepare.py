@@ -158,10 +158,10 @@ def prefers_equations(system: Any, horizon: Horizon, floors: tuple[NoiseFloor, .
 
 
 def short_window(dataset: Dataset) -> float:
-    """Return a window [s] that is short against the motion: one period of its band, 50 samples at least."""
+    """Return a window [s] of four periods of the motion, 50 samples at least: short, yet longer than a start-up."""
     run, dt = max(dataset.estimation, key=len), dataset.spec.sample_time
     band = max(motion_band(run.y[:, j], dt)[0] for j in range(run.spec.ny))
-    return float(np.clip(1.0 / max(band, 1e-12), 50 * dt, len(run) * dt / 8))
+    return float(np.clip(4.0 / max(band, 1e-12), 50 * dt, len(run) * dt / 3))
 
 
 def sizes_of(system: Any, values: Mapping[str, float], dataset: Dataset) -> dict[str, dict[str, float]]:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.adequacy import hat_basis, joint_basis
+from harness.diagnosis.adequacy import hat_basis, joint_basis, rough
 from harness.diagnosis.equation import bump_rows, decimated
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, stacked
@@ -63,6 +63,13 @@ class Family:
         """Return the knots of each axis."""
         counts = (KNOTS,) if len(self.axes) == 1 else JOINT_KNOTS
         return [axis.knots(count) for axis, count in zip(self.axes, counts, strict=True)]
+
+    def roughness(self) -> FloatArray:
+        """Return the matrix that penalises rough functions of the family."""
+        sizes = [len(one) for one in self.knots()]
+        if len(sizes) == 1:
+            return rough(sizes[0])
+        return np.asarray(np.kron(rough(sizes[0]), np.eye(sizes[1])) + np.kron(np.eye(sizes[0]), rough(sizes[1])))
 
     def basis(self, use: str) -> list[FloatArray]:
         """Return the functions (N_i, K) on every record of a use."""

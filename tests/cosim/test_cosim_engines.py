@@ -141,3 +141,37 @@ def test_four_engines_in_a_loop_come_to_the_one_ode() -> None:
     print([f"{e:.2e}" for e in errors])
     assert errors[0] > 3 * errors[1] > 9 * errors[2]
     assert errors[2] < 2e-5
+
+
+def test_a_coupled_plant_keeps_the_contract_of_plants() -> None:
+    from harness.conformance import check_plant
+
+    for result in check_plant(lambda: loop(0.01)):
+        assert result.passed, result
+
+
+def test_the_engines_agree_as_their_steps_fall(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    page = script(ROOT / "docs" / "engines_agree.py")
+    monkeypatch.setattr(page, "SUBSTEPS", (2, 4, 8))
+    found = page.measured()
+    for engines in found.values():
+        for name, errors in engines.items():
+            assert page.order(errors) == pytest.approx(1.0 if name in ("pymunk", "Bullet") else 4.0, abs=0.1), name
+    page.draw(found, tmp_path / "plot.svg")
+    assert "order 4.0" in (tmp_path / "plot.svg").read_text()
+
+
+def test_the_page_on_couplings_says_what_is_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from harness import api
+
+    text = (ROOT / "docs" / "co-simulation.md").read_text()
+    python, toml = (text.split(f"```{kind}\n")[1].split("```")[0] for kind in ("python", "toml"))
+    names: dict[str, Any] = {}
+    exec(compile(python, "co-simulation.md", "exec"), names)
+    shown = capsys.readouterr().out.strip()
+    assert f"# {shown}\n" in text
+    (tmp_path / "loop.toml").write_text(toml)
+    record = api.simulate(str(tmp_path / "loop.toml"), scenario="multisine", options={"order": "jacobi"})
+    assert str(record.spec) == shown
+    assert record.y[0, 0] == 0.3
+    names["loop"].close()

@@ -13,6 +13,7 @@ import pytest
 
 from harness import api, registry
 from harness.cosim import Connection, Coupled, couple_ssp
+from harness.cosim.ssp_structure import read_structure
 from harness.errors import InputError
 from harness.protocols import Plant
 from plants.fmu import FmuPlant
@@ -206,7 +207,6 @@ def test_a_hostile_package_is_refused_before_anything_is_unpacked(tmp_path: Path
             r"declared connector.*law\.w",
         ),
         ('name="b"><ssv:Real', 'name="bb"><ssv:Real', r"component 'arm'.*bb"),
-        (' <ssd:Connection startConnector="set" endElement="law" endConnector="r"/>\n', "", r"input left open.*law\.r"),
     ],
 )
 def test_what_does_not_fit_is_named(tmp_path: Path, old: str, new: str, words: str) -> None:
@@ -216,6 +216,34 @@ def test_what_does_not_fit_is_named(tmp_path: Path, old: str, new: str, words: s
         couple_ssp(path, make)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_an_input_that_nothing_drives_keeps_its_start_value(tmp_path: Path) -> None:
+    wire = ' <ssd:Connection startConnector="set" endElement="law" endConnector="r"/>\n'
+    assert wire in FLAT
+    with couple_ssp(package(tmp_path / "open.ssp", FLAT.replace(wire, "")), make) as free:
+        assert free.spec.inputs == ()
+        free.reset(rng=RNG, x0={"arm.theta": 0.5})
+        for _ in range(3000):
+            y = free.step(np.zeros(0))
+        assert abs(y[0]) < 1e-3  # the reference rests at 0
+
+
+def test_values_go_through_a_parameter_mapping(tmp_path: Path) -> None:
+    mapping = """<?xml version="1.0" encoding="UTF-8"?>
+<ssm:ParameterMapping xmlns:ssm="http://ssp-standard.org/SSP1/SystemStructureParameterMapping"
+ xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon" version="1.0">
+ <ssm:MappingEntry source="law.Kp" target="law.Kp">
+  <ssc:LinearTransformation factor="2" offset="0.5"/></ssm:MappingEntry>
+</ssm:ParameterMapping>"""
+    ssd = FLAT.replace(
+        '<ssd:ParameterBinding source="resources/values.ssv"/>',
+        '<ssd:ParameterBinding source="resources/values.ssv"><ssd:ParameterMapping source="resources/map.ssm"/>'
+        "</ssd:ParameterBinding>",
+    )
+    path = package(tmp_path / "map.ssp", ssd, extra=lambda archive: archive.writestr("resources/map.ssm", mapping))
+    law = next(one for one in read_structure(path).components if one.name == "law")
+    assert law.parameters == {"Kp": 2 * 0.8 + 0.5}  # and Ki is not mapped
 
 
 def test_no_package_is_said_so(tmp_path: Path) -> None:

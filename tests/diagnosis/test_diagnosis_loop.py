@@ -116,7 +116,7 @@ def test_tilt_offset_and_eccentric_load_are_tied(foreign_pendulum) -> None:
 
 @pytest.mark.slow
 def test_outside_the_dictionary_is_never_called_explained(foreign_pendulum) -> None:
-    data = foreign_pendulum(7, lambda q, v, u, t: 0.06 * math.tanh(3 * math.sin(4 * q) * v), amplitude=0.5)
+    data = foreign_pendulum(8, lambda q, v, u, t: 0.06 * math.sin(4 * q) * math.tanh(v), amplitude=0.5)
     report = close_loop(data, "pendulum", workers=1)
     assert report.verdict == "unexplained" or report.data["adequacy"] != "explained"
 

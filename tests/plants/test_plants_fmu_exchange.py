@@ -124,6 +124,24 @@ def test_agrees_with_fmpy(odd_fmu: Callable[..., Path]) -> None:
     assert ours == pytest.approx(theirs["h"], abs=1e-4)
 
 
+@pytest.mark.parametrize("version", [2, 3])
+def test_at_the_default_tolerance_agrees_with_fmpy_and_with_the_closed_form(
+    odd_fmu: Callable[..., Path], version: int
+) -> None:
+    import fmpy
+
+    path = odd_fmu("ball", version)
+    theirs = fmpy.simulate_fmu(
+        str(path), stop_time=1.0, output_interval=0.05, relative_tolerance=1e-8, record_events=False, output=["h"]
+    )
+    for solver, error in (("cvode", 2e-6), ("rk45", 1e-12)):
+        with FmuPlant(path, sample_time=0.05, outputs=["h"], solver=solver) as plant:  # type: ignore[arg-type]
+            assert plant.tolerance == 1e-8
+            ours = np.concatenate([plant.reset(rng=RNG), plant.rollout(np.zeros((20, 1)))[:, 0]])
+        assert ours == pytest.approx(bounces(0.05 * np.arange(21)), abs=error)
+        assert ours == pytest.approx(theirs["h"], abs=error + 1e-7)
+
+
 def test_an_unknown_solver_is_refused(odd_fmu: Callable[..., Path]) -> None:
     with pytest.raises(InputError, match="solver"):
         FmuPlant(odd_fmu("ball", 2), sample_time=0.05, solver="euler")  # type: ignore[arg-type]

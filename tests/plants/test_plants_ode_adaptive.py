@@ -117,3 +117,11 @@ def test_a_single_state_is_enough():
         plant.reset(rng=RNG(0))
         assert plant.rollout_truth(np.ones((1, 1)))[1] == pytest.approx(b.T)
         assert 0 < a[0, 0] < 1
+
+
+def test_the_simulator_behind_a_plant_travels_too():
+    with cart_pole_ode() as plant:
+        simulator = plant.system.simulator(0.01)
+        twin = pickle.loads(pickle.dumps(simulator))
+        p, x0, u = plant.system.vector(), np.full(4, 0.1), np.ones((20, 1))
+        assert np.array_equal(twin.rollout(p, x0, u), simulator.rollout(p, x0, u))
