@@ -172,7 +172,7 @@ def _link(archive: zipfile.ZipFile) -> None:
     ("extra", "words"),
     [
         (lambda archive: archive.writestr("../evil.fmu", b"x"), r"leaves its folder.*\.\./evil\.fmu"),
-        (lambda archive: archive.writestr("/tmp/evil", b"x"), r"leaves its folder"),
+        (lambda archive: archive.writestr("/evil/absolute", b"x"), r"leaves its folder"),
         (_link, "an entry is a link"),
         (lambda archive: archive.writestr("resources/zeros.bin", bytes(40 << 20)), "unpacks like a bomb"),
         (lambda archive: archive.writestr("Resources/Values.ssv", b"x"), "two entries share a name"),
