@@ -30,6 +30,8 @@ from harness.rng import stream
 __all__ = ["Candidate", "Refitter", "Task", "assess", "noise_ratio"]
 
 NOTHING = Comparison(-np.inf, 1.0)
+INSTANT = 0.05
+"""Delays and lags below this share of a sample are no effect: half an integrator's step looks like one."""
 
 
 @dataclass(frozen=True)
@@ -250,7 +252,7 @@ def assess(
         mains: dict[str, Interval] = {}
         for placed in added:
             p = surrogate_p.get(str(placed)) if isinstance(surrogate_p, Mapping) else surrogate_p
-            verdict, main = _judge_one(placed, fitted, delta, comparison, intervals, p)
+            verdict, main = _judge_one(placed, fitted, delta, comparison, intervals, p, form.sample_time)
             if main is not None:
                 mains[str(placed)] = main
             reasons += [
@@ -270,6 +272,7 @@ def _judge_one(
     comparison: Comparison,
     intervals: Mapping[str, Interval],
     surrogate_p: float | None,
+    sample_time: float,
 ) -> tuple[Judgement, Interval | None]:
     """Apply the acceptance rule to one added effect of a model."""
     parameter = placed.effect.main
@@ -318,6 +321,10 @@ def _judge_one(
     shape = {other.name: abs(fitted.values[placed.name(other.name)]) for other in placed.effect.parameters}
     if "vs" in shape and "w" in shape and shape["vs"] < 2 * shape["w"]:
         wrong.append("its Stribeck speed lies within the smoothing of the sign: no Stribeck branch is seen")
+    if parameter.unit == "s" and abs(interval.value) < INSTANT * sample_time:
+        wrong.append(
+            f"{interval.value:.2g} s is less than {100 * INSTANT:g} % of a sample: a detail of a clock or an integrator"
+        )
     if wrong:
         verdict = Judgement(False, (*verdict.reasons, *wrong))
     return verdict, interval

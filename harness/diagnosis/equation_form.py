@@ -55,6 +55,7 @@ class EquationForm:
                 remedy="judge this model by simulation",
             )
         self.nominal = nominal
+        self.sample_time = dataset.spec.sample_time
         self.shape: Literal["strong", "weak"] = shape
         self.sizes = sizes
         self.columns = tuple((one.name, one.force_unit) for one in nominal.coordinates)

@@ -81,6 +81,11 @@ class Form(Protocol):
         ...
 
     @property
+    def sample_time(self) -> float:
+        """Of the records [s]."""
+        ...
+
+    @property
     def weights(self) -> FloatArray:
         """What residual columns are divided by (ny,)."""
         ...

@@ -140,8 +140,9 @@ def test_a_folder_with_results_is_refused_unless_resumed(plugins: Path, tmp_path
 
 
 SCRIPT = """
-import sys
+import signal, sys
 from harness.benchmark import bench
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a test started in the background inherits it ignored
 bench(sys.argv[1], out=sys.argv[2], workers=2)  # at the top level of a script, without a guard
 """
 
