@@ -47,7 +47,7 @@ class Entry:
             return "(module not found)"
         if not attribute or found.origin is None or not found.origin.endswith(".py"):
             return ""
-        tree = ast.parse(Path(found.origin).read_text(encoding="utf-8"))
+        tree = _parsed(found.origin)
         for number, node in enumerate(tree.body):
             text = ""
             if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == attribute:
@@ -59,6 +59,12 @@ class Entry:
             if text:
                 return text.strip().splitlines()[0]
         return ""
+
+
+@functools.cache
+def _parsed(file: str) -> ast.Module:
+    """Return the syntax tree of a source file: many parts live in one."""
+    return ast.parse(Path(file).read_text(encoding="utf-8"))
 
 
 @functools.cache
