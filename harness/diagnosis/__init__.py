@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from harness.diagnosis.loop import Diagnosis, Report, close_loop, close_loop_file, diagnose
+    from harness.diagnosis.close import Report, close_loop, close_loop_file
+    from harness.diagnosis.algorithm import Diagnosis, diagnose
 
 __all__ = ["Diagnosis", "Report", "close_loop", "close_loop_file", "diagnose"]
 
@@ -14,6 +15,7 @@ def __getattr__(name: str) -> Any:
     """Load a public name on first use: the loop needs CasADi and SciPy."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from harness.diagnosis import loop
+    from importlib import import_module
 
-    return getattr(loop, name)
+    home = "algorithm" if name in ("Diagnosis", "diagnose") else "close"
+    return getattr(import_module(f"harness.diagnosis.{home}"), name)

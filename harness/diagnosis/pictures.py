@@ -14,7 +14,7 @@ from harness.diagnosis.motion import smooth_motion
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
-    from harness.diagnosis.loop import Diagnosis
+    from harness.diagnosis.algorithm import Diagnosis
 
 __all__ = ["pictures_of"]
 

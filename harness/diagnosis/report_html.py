@@ -10,7 +10,7 @@ from harness.diagnosis.pictures import pictures_of
 from harness.diagnosis.store import write_atomic
 
 if TYPE_CHECKING:
-    from harness.diagnosis.loop import Diagnosis
+    from harness.diagnosis.algorithm import Diagnosis
 
 __all__ = ["render", "write_html"]
 

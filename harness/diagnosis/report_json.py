@@ -43,7 +43,7 @@ from harness.diagnosis.scores import equation_error, noise_ratios, simulation_er
 from harness.effects.effect import Placed
 
 if TYPE_CHECKING:
-    from harness.diagnosis.loop import Diagnosis
+    from harness.diagnosis.algorithm import Diagnosis
 
 __all__ = ["FORMAT", "report_data"]
 

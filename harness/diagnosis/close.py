@@ -1,0 +1,226 @@
+"""The closed loop as a user calls it: data and a nominal model in; a report, a page and the repaired model out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.algorithm import Diagnosis, Progress, diagnose
+from harness.effects.effect import Effect
+from harness.errors import InputError
+from harness.signals import Dataset
+
+__all__ = ["Report", "close_loop", "close_loop_file"]
+
+JSON, HTML, MODEL = "report.json", "report.html", "model.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What :func:`close_loop` returns.
+
+    Attributes
+    ----------
+    data : dict
+        The content of ``report.json``; see :mod:`harness.diagnosis.report_json`.
+    folder : Path or None
+        Where ``report.json`` and ``report.html`` lie.
+    model : System
+        The model with the accepted effects, its parameters at their fitted values.
+    """
+
+    data: dict[str, Any]
+    folder: Path | None
+    model: Any = None
+
+    @property
+    def verdict(self) -> str:
+        """``effects_found``, ``nothing_missing`` or ``unexplained``."""
+        return str(self.data["verdict"])
+
+    @property
+    def html(self) -> Path | None:
+        """The page to read."""
+        return None if self.folder is None else self.folder / HTML
+
+    def __str__(self) -> str:
+        return str(self.data["summary"])
+
+
+def close_loop(
+    dataset: Dataset,
+    model: Any,
+    *,
+    parameters: Mapping[str, Any] | None = None,
+    out: str | Path | None = None,
+    rng: np.random.Generator | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+    resume: bool = False,
+    force: bool = False,
+    dictionary: Sequence[Effect] | None = None,
+    inverse_dynamics: bool | None = None,
+    workers: int | None = None,
+    name: str | None = None,
+) -> Report:
+    """Find the effect that a model lacks, add it, report the error before and after.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Estimation and validation runs, test runs if there are any.
+    model : System or str
+        The nominal model, or the name of a built-in one.
+    parameters : mapping, optional
+        What is known of its parameters: a start value, or a :class:`harness.physics.Parameter` (bounds, fixed).
+    out : path, optional
+        Folder for ``report.json`` and ``report.html``; made if it is not there.
+    rng : Generator, optional
+        Draws the seed; otherwise ``seed`` counts.
+    seed : int
+        Keys surrogates and bootstrap draws: equal seeds give equal reports.
+    progress : callable, optional
+        Called as ``progress(fraction_done, what)``.
+    resume : bool
+        Continue what an interrupted call left in ``out``.
+    force : bool
+        Overwrite a finished report in ``out``.
+    dictionary, inverse_dynamics, workers
+        See :func:`diagnose`.
+    name : str, optional
+        What the nominal model is loaded by (``NAME`` or ``FILE.py:NAME``), for ``model.json``; by default the name of
+        the model.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    InputError
+        If the data do not fit the model, or ``out`` holds a report and neither ``resume`` nor ``force`` is given.
+    """
+    from harness.diagnosis.report_html import write_html
+    from harness.diagnosis.report_json import report_data
+    from harness.diagnosis.store import write_atomic
+
+    folder = _folder(out, resume=resume, force=force)
+    system = _system(model, parameters)
+    chosen = seed if rng is None else int(rng.integers(2**31))
+    found = diagnose(
+        dataset,
+        system,
+        seed=chosen,
+        progress=progress,
+        folder=folder,
+        dictionary=dictionary,
+        inverse_dynamics=inverse_dynamics,
+        workers=workers,
+    )
+    if progress is not None:
+        progress(0.9, "report")
+    data = report_data(found)
+    if folder is not None:
+        write_html(found, data, folder / HTML)
+        repaired = _repaired(found, name or system.name)
+        write_atomic(folder / MODEL, json.dumps(repaired, indent=1, allow_nan=False) + "\n")
+        write_atomic(folder / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
+    if progress is not None:
+        progress(1.0, data["summary"])
+    return Report(data, folder, found.final.system.with_parameters(found.final.values))
+
+
+def close_loop_file(
+    dataset: str | Path,
+    *,
+    out: str | Path,
+    model: str | None = None,
+    validation: str | Path | None = None,
+    resume: bool = False,
+    force: bool = False,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Report:
+    """Do the same for a data set file, a bare CSV or Parquet file, or the name of a recording.
+
+    Parameters are those of :func:`close_loop`; see :func:`harness.api.close_loop`.
+    """
+    from harness import registry
+    from harness.data import load_dataset
+
+    _folder(out, resume=resume, force=force, make=False)
+    loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation)
+    system = loaded.system()
+    return close_loop(
+        loaded.for_system(system),
+        system,
+        out=out,
+        resume=resume,
+        force=force,
+        seed=seed,
+        progress=progress,
+        name="" if loaded.nominal is None else loaded.nominal.model,
+    )
+
+
+def _repaired(found: Diagnosis, name: str) -> dict[str, Any]:
+    """Return the repaired model as a grey box that ``sysid export`` reads."""
+    from harness.specs import spec_to_dict
+
+    return {
+        "kind": "grey-box",
+        "spec": spec_to_dict(found.dataset.spec),
+        "model": name,
+        "parameters": {key: float(value) for key, value in found.final.system.values(found.final.values).items()},
+        "effects": [[placed.effect.name, placed.at] for placed in found.final.system.effects],
+        "intersample": found.dataset.intersample,
+        "notes": {"verdict": found.verdict},
+    }
+
+
+def _system(model: Any, parameters: Mapping[str, Any] | None) -> Any:
+    """Return the nominal system from a name, a definition or a system."""
+    if isinstance(model, str):
+        from harness.physics import load_model
+
+        made = load_model(model)
+    else:
+        made = model.system() if hasattr(model, "system") and not hasattr(model, "generalized_forces") else model
+    return made.with_parameters(parameters) if parameters else made
+
+
+def _folder(out: str | Path | None, *, resume: bool, force: bool, make: bool = True) -> Path | None:
+    """Return the folder for the report, made if needed; refuse to overwrite a report."""
+    if out is None:
+        return None
+    folder = Path(out)
+    if folder.exists() and not folder.is_dir():
+        raise InputError("output folder", expected="a folder", got="a file", remedy="choose another --out", file=folder)
+    if (folder / JSON).exists() and not (force or resume):
+        raise InputError(
+            "the folder holds a report",
+            expected="an empty or new folder",
+            got=JSON,
+            remedy="choose another --out, or --force to overwrite it",
+            file=folder,
+        )
+    held = folder / "candidates"
+    if held.is_dir() and any(held.iterdir()) and not (resume or force):
+        raise InputError(
+            "the folder holds an interrupted diagnosis",
+            expected="an empty or new folder",
+            got="finished refits without a report",
+            remedy="--resume to continue it, or --force to start anew",
+            file=folder,
+        )
+    if make:
+        folder.mkdir(parents=True, exist_ok=True)
+        if force and not resume and held.is_dir():
+            for path in held.iterdir():
+                path.unlink()
+    return folder
