@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from harness.diagnosis.close import Report, close_loop, close_loop_file
     from harness.diagnosis.algorithm import Diagnosis, diagnose
+    from harness.diagnosis.close import Report, close_loop, close_loop_file
 
 __all__ = ["Diagnosis", "Report", "close_loop", "close_loop_file", "diagnose"]
 
