@@ -12,15 +12,18 @@ from typing import TYPE_CHECKING, Any, cast
 
 from harness import registry
 from harness.errors import HarnessError, InputError, PluginError
-from harness.protocols import Identifier, Model, Plant, Scenario
+from harness.plant_files import is_plant_file, make_plant
+from harness.protocols import Experiment, Identifier, Model, Plant, Scenario
 from harness.rng import Streams, stream
-from harness.signals import Trajectory, Use
+from harness.signals import FloatArray, PlantSpec, Trajectory, Use
 
 if TYPE_CHECKING:
     from harness.benchmark import BenchResult
     from harness.conformance import CheckResult
     from harness.diagnosis import Report
+    from harness.diagnosis.planned import Planned
     from harness.scoring import Score
+    from harness.study import StudyResult
 
 __all__ = [
     "Identified",
@@ -30,8 +33,10 @@ __all__ = [
     "describe_fmu",
     "export",
     "identify",
+    "isolability",
     "list_parts",
     "simulate",
+    "study",
     "table",
 ]
 
@@ -108,7 +113,8 @@ def simulate(
     seed : int
         Together with the two ids and the role it keys every random number.
     out : path, optional
-        ``.csv`` or ``.parquet`` file to write.
+        ``.csv`` or ``.parquet`` file to write. A run with a controller also gets what came from outside the loop, in
+        columns that start with ``reference:``.
     options, scenario_options : mapping, optional
         Options of the plant and of the scenario.
     hide : sequence of (effect, port, parameters)
@@ -140,13 +146,15 @@ def simulate(
             )
     made_scenario = cast(Scenario, registry.create("scenarios", scenario, **dict(scenario_options or {})))
     with _make_plant(plant, dict(options or {}), hide) as made:
-        from harness.rollout import run
+        from harness.rollout import perform
 
-        trajectory = run(made, made_scenario, streams=Streams(plant, scenario, seed), role=role, progress=progress)
+        streams = Streams(plant, scenario, seed)
+        experiment = made_scenario.prepare(made.spec, streams=streams, role=role)
+        trajectory = perform(made, experiment, rng=streams(f"{role}/plant"), progress=progress)
     if out is not None:
         from harness.data import write_trajectory
 
-        write_trajectory(trajectory, out)
+        write_trajectory(trajectory, out, references=_from_outside(experiment, made.spec))
     return trajectory
 
 
@@ -265,6 +273,7 @@ def close_loop(
     force: bool = False,
     seed: int = 0,
     progress: Callable[[float, str], None] | None = None,
+    workers: int | None = None,
 ) -> Report:
     """Find the effect that a model lacks, add it, report the error before and after.
 
@@ -286,6 +295,8 @@ def close_loop(
         Keys the surrogates and bootstrap draws.
     progress : callable, optional
         Called as ``progress(fraction_done, what)``.
+    workers : int, optional
+        Processes for refits; by default the number of cores, at most 4. It changes nothing but the time.
 
     Returns
     -------
@@ -303,17 +314,104 @@ def close_loop(
         force=force,
         seed=seed,
         progress=progress,
+        workers=workers,
     )
 
 
+def study(
+    which: str = "all",
+    *,
+    out: str | Path,
+    seeds: str = "tuning",
+    records: int | None = None,
+    plants: Sequence[str] = ("pendulum", "cart-pole"),
+    workers: int = 2,
+    cells: int = 2,
+    alarms: int = 300,
+    budget: float | None = None,
+    resume: bool = False,
+    force: bool = False,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> StudyResult:
+    """Try the closed loop on simulated truths and write its tables; see :func:`harness.study.study`."""
+    from harness import study as room
+
+    return room.study(
+        which,
+        out=out,
+        seeds=seeds,
+        records=records,
+        plants=plants,
+        workers=workers,
+        cells=cells,
+        alarms=alarms,
+        budget=budget,
+        resume=resume,
+        force=force,
+        progress=progress,
+    )
+
+
+def isolability(
+    model: str,
+    *,
+    scenario: str,
+    seed: int = 0,
+    sample_time: float = 0.01,
+    scenario_options: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, float] | None = None,
+) -> Planned:
+    """Say before measuring which effects a planned experiment could tell apart.
+
+    Parameters
+    ----------
+    model : str
+        Nominal model: a built-in name or ``FILE.py:NAME``; or the id of a plant that is made of equations.
+    scenario : str
+        Id of a registered scenario.
+    seed : int
+        Keys the random numbers of the scenario.
+    sample_time : float
+        Of the planned record [s].
+    scenario_options, parameters : mapping, optional
+        Options of the scenario; values of the model's parameters.
+
+    Returns
+    -------
+    harness.diagnosis.planned.Planned
+        The matrix, the pairs that look alike, and what the experiment cannot show.
+
+    Raises
+    ------
+    InputError
+        If there is no such model or scenario, or the model has no equations.
+    """
+    from harness.diagnosis.planned import isolability_of
+
+    made = cast(Scenario, registry.create("scenarios", scenario, **dict(scenario_options or {})))
+    chosen: Any = model
+    if any(entry.id == model for entry in registry.entries("plants")):
+        with cast(Plant, registry.create("plants", model)) as plant:
+            chosen = getattr(plant, "nominal", None)
+        if chosen is None:
+            raise InputError(
+                f"plant {model!r} has no equations",
+                expected="a model (sysid list models), FILE.py:NAME, or a plant made of equations",
+                got="a simulation that shows its outputs only",
+                remedy="give the nominal model that you believe in",
+            )
+    return isolability_of(chosen, made, parameters=parameters, sample_time=sample_time, seed=seed)
+
+
 def export(source: str | Path, *, out: str | Path, fmi: str = "both", force: bool = False) -> list[Path]:
-    """Write a model as co-simulation FMUs; see :func:`harness.export.export`."""
+    """Write a model as co-simulation FMUs, a repaired FMU as an SSP package; see :func:`harness.export.export`."""
     from harness import export as room
 
     if fmi not in ("2", "3", "both"):
         raise InputError("FMI version", expected="2, 3 or both", got=repr(fmi), remedy="choose one", place="--fmi")
     target = Path(out)
-    for path in (target, target.with_name(f"{target.stem}-fmi3.fmu")) if fmi == "both" else (target,):
+    second = [target.with_name(f"{target.stem}-fmi3.fmu")] if fmi == "both" and target.suffix == ".fmu" else []
+    for path in (target, *second):
         _refuse_overwrite(path, force=force)
     return room.export(source, out=out, fmi=cast(Any, fmi))
 
@@ -325,35 +423,30 @@ def check(name: str) -> list[CheckResult]:
     return conformance.check(name)
 
 
+def _from_outside(experiment: Experiment, spec: PlantSpec) -> dict[str, FloatArray]:
+    """Return by title what came from outside the loop of a run with a controller: excitation and references."""
+    if experiment.controller is None:
+        return {}
+    added = {
+        str(channel): experiment.excitation[:, k]
+        for k, channel in enumerate(spec.inputs)
+        if experiment.excitation[:, k].any()
+    }
+    return {**added, **getattr(experiment.controller, "references", {})}
+
+
 def _make_plant(plant: str, options: dict[str, Any], hide: Sequence[tuple[str, str, Mapping[str, float]]]) -> Plant:
     """Return a plant by id or file, with effects hidden inside where it takes them, else around it."""
     effects = [(name, port, dict(parameters)) for name, port, parameters in hide]
-    if plant.endswith((".toml", ".ssp")):
-        from harness import cosim
-
-        made = (cosim.couple if plant.endswith(".toml") else cosim.couple_ssp)(plant, _make_part, changes=options)
-    elif plant.endswith(".fmu"):
-        if not Path(plant).is_file():
-            raise InputError("no such FMU", expected="an FMU file", got="no file", remedy="check the path", file=plant)
-        made = registry.create("plants", "fmu", path=plant, **options)
-    elif effects and "effects" in registry.named_options("plants", plant):
+    if effects and not is_plant_file(plant) and "effects" in registry.named_options("plants", plant):
         return cast(Plant, registry.create("plants", plant, effects=effects, **options))
-    else:
-        made = registry.create("plants", plant, **options)
+    made = make_plant(plant, options)
     if effects:
         from harness.effects import WrappedPlant
 
         found = [(registry.load("effects", name), port, parameters) for name, port, parameters in effects]
         return cast(Plant, WrappedPlant(made, found))
-    return cast(Plant, made)
-
-
-def _make_part(id: str, options: dict[str, Any]) -> Plant:
-    """Return a part of a coupling: a registered plant, or one of our own FMUs (``mockup``) by its name."""
-    if id == "mockup":
-        path = registry.load("plants", "fmu").mockup(options.pop("name"))
-        return cast(Plant, registry.create("plants", "fmu", path=path, **options))
-    return cast(Plant, registry.create("plants", id, **options))
+    return made
 
 
 def _refuse_overwrite(path: Path, *, force: bool) -> None:

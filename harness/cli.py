@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
     from harness.benchmark import BenchResult
+    from harness.diagnosis.planned import Planned
 
 __all__ = ["app", "main"]
 
@@ -38,11 +39,13 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+INTERRUPTED = 130
+
 OptionPairs = Annotated[list[str] | None, typer.Option("--option", "-O", metavar="k=v", help="option, repeatable")]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
 Force = Annotated[bool, typer.Option("--force", help="overwrite")]
 Seed = Annotated[int, typer.Option(help="keys every random number")]
-ModelName = Annotated[str | None, typer.Option(help="nominal model: NAME, FILE.fmu or FILE.py:NAME")]
+ModelName = Annotated[str | None, typer.Option(help="nominal model: NAME, FILE.fmu, FILE.urdf or FILE.py:NAME")]
 Validation = Annotated[Path | None, typer.Option(help="validation file beside a bare CSV or Parquet file")]
 
 
@@ -190,6 +193,7 @@ def close_loop(
     resume: Annotated[bool, typer.Option("--resume", help="continue what was interrupted")] = False,
     force: Force = False,
     seed: Seed = 0,
+    workers: Annotated[int | None, typer.Option(min=1, help="processes; default all cores, at most 4")] = None,
 ) -> None:
     """Find the effect that a model lacks, add it, report the error before and after."""
     with _progress("closing the loop") as bar:
@@ -207,18 +211,89 @@ def close_loop(
             force=force,
             seed=seed,
             progress=show,
+            workers=workers,
         )
     if as_json:
         _print_json(report.data)
         return
     _console().print(str(report), highlight=False, markup=False, soft_wrap=True)
+    for text in report.data["warnings"]:
+        print(f"sysid: note: {text}", file=sys.stderr)
     _say(f"report: {out / 'report.html'}")
+
+
+@app.command()
+def study(
+    which: Annotated[str, typer.Argument(metavar="STUDY", help="confusion | false-alarms | coverage | cost | all")],
+    out: Annotated[Path, typer.Option(help="folder for rows.csv, study.md and confusion.png")],
+    seeds: Annotated[str, typer.Option(help="tuning, or judged: records that no threshold was chosen on")] = "tuning",
+    records: Annotated[int | None, typer.Option(help="only the first so many of the plan, a balanced part")] = None,
+    plants: Annotated[str, typer.Option(help="separated by commas")] = "pendulum,cart-pole",
+    workers: Annotated[int, typer.Option(help="processes")] = 2,
+    cells: Annotated[int, typer.Option(help="records of each effect, of 8 cells noise x size x disturbance")] = 2,
+    alarms: Annotated[int, typer.Option(help="records with nothing missing, of each class")] = 300,
+    budget: Annotated[float | None, typer.Option(metavar="MINUTES", help="then begin no more")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="continue in a folder that has rows")] = False,
+    force: Force = False,
+) -> None:
+    """Try the closed loop on simulated truths: confusion, false alarms, coverage, cost."""
+    with _progress("benchmark study") as bar:
+        task = bar.add_task(which, total=None)
+
+        def show(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=what)
+
+        result = api.study(
+            which,
+            out=out,
+            seeds=seeds,
+            records=records,
+            plants=[name.strip() for name in plants.split(",") if name.strip()],
+            workers=workers,
+            cells=cells,
+            alarms=alarms,
+            budget=budget,
+            resume=resume,
+            force=force,
+            progress=show,
+        )
+    _say(result.text)
+    _say(f"{result.done} of {result.planned} records done; tables: {out / 'study.md'}")
+
+
+@app.command()
+def isolability(
+    model: Annotated[str, typer.Argument(metavar="PLANT_OR_MODEL", help="nominal model, or a plant made of equations")],
+    scenario: Annotated[str, typer.Option("--scenario", help="id of a scenario")],
+    scenario_option: Annotated[
+        list[str] | None, typer.Option("--scenario-option", "-S", metavar="k=v", help="scenario option, repeatable")
+    ] = None,
+    parameter: Annotated[
+        list[str] | None, typer.Option("--parameter", metavar="k=v", help="value of a model parameter, repeatable")
+    ] = None,
+    sample_time: Annotated[float, typer.Option(help="of the planned record [s]")] = 0.01,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Say before measuring which effects an experiment could tell apart."""
+    found = api.isolability(
+        model,
+        scenario=scenario,
+        scenario_options=_pairs(scenario_option, "--scenario-option"),
+        parameters=_pairs(parameter, "--parameter"),
+        sample_time=sample_time,
+        seed=seed,
+    )
+    if as_json:
+        _print_json(found.to_dict())
+    else:
+        _print_planned(found)
 
 
 @app.command()
 def export(
     source: Annotated[str, typer.Argument(metavar="DIR_OR_MODEL", help="folder of close-loop, or a model")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="model.fmu")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="model.fmu; model.ssp for a repaired FMU")],
     fmi: Annotated[str, typer.Option(help="2, 3 or both (then model.fmu is FMI 2.0, model-fmi3.fmu FMI 3.0)")] = "both",
     force: Force = False,
 ) -> None:
@@ -263,10 +338,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     try:
         code = get_command(app).main(args=None if arguments is None else list(arguments), standalone_mode=False)
+        if code == INTERRUPTED:  # the library turns Ctrl-C into a status
+            raise KeyboardInterrupt
     except HarnessError as error:
         _fail(" ".join(str(error).split()), 2)
     except (KeyboardInterrupt, typer.Abort):
-        _fail("interrupted; what was finished is kept, --resume continues", 130)
+        _fail("interrupted; what was finished is kept, --resume continues", INTERRUPTED)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
@@ -361,13 +438,21 @@ def _value(text: str) -> Any:
 
 
 def _pairs(texts: Sequence[str] | None, flag: str) -> dict[str, Any]:
-    """Read ``k=v`` pairs."""
+    """Read ``k=v`` pairs; ``k.NAME=v`` is an entry of the table ``k``, and NAME may hold dots itself."""
     result: dict[str, Any] = {}
     for text in texts or ():
         key, equals, value = text.partition("=")
         if not equals or not key:
             raise InputError("option", expected="k=v", got=repr(text), remedy=f"write {flag} name=value", place=flag)
-        result[key.strip().replace("-", "_")] = _value(value.strip())
+        head, dot, name = key.strip().partition(".")
+        head = head.replace("-", "_")
+        table = result.setdefault(head, {}) if dot else None
+        if dot and not (name and isinstance(table, dict)):
+            raise InputError("option", expected=f"{head}.NAME=v", got=repr(text), remedy="correct it", place=flag)
+        if table is None:
+            result[head] = _value(value.strip())
+        else:
+            table[name] = _value(value.strip())
     return result
 
 
@@ -401,6 +486,19 @@ def _print_bench(result: BenchResult, *, as_json: bool) -> None:
     if result.folder is not None:
         _say(f"report: {result.report}")
         _say(f"results: {result.folder / 'results.parquet'}")
+
+
+def _print_planned(found: Planned) -> None:
+    """Print the isolability matrix (hundredths), the pairs that look alike, and what stays invisible."""
+    width = max(map(len, found.effects), default=0)
+    _say(f"share of the row's effect that the column's can mimic, in hundredths ({found.horizon})")
+    _say(" " * (width + 4) + "".join(f"{k + 1:>4}" for k in range(len(found.effects))))
+    for k, (name, row) in enumerate(zip(found.effects, found.cosines, strict=True)):
+        _say(f"{k + 1:>3} {name:<{width}}" + "".join(f"{100 * value:>4.0f}" for value in row))
+    for one, other, cosine in found.alike:
+        _say(f"cannot be told apart: {one} and {other} ({cosine:.3f})")
+    for hidden in found.hidden:
+        _say(f"not visible: {hidden['name']}@{hidden['at']}: {hidden['reason']}")
 
 
 def _print_identified(fitted: api.Identified, identifier: str) -> None:

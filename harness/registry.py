@@ -179,7 +179,7 @@ def named_options(kind: str, id: str) -> dict[str, inspect.Parameter]:
     return {name: p for name, p in signature.parameters.items() if p.kind in named}
 
 
-def create(kind: str, id: str, **options: Any) -> Any:
+def create(kind: str, id: str, /, **options: Any) -> Any:
     """Return a part made with these options.
 
     Raises

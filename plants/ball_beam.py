@@ -47,6 +47,8 @@ class PymunkBallBeam(PymunkPlant):
         In m/s^2.
     u_limit : float
         Declared range of the torque [N m], which scenarios use; nothing is clipped.
+    outputs : sequence of str, optional
+        States that are measured; default: positions and angles, and no rates.
 
     Raises
     ------
@@ -77,6 +79,7 @@ class PymunkBallBeam(PymunkPlant):
         substeps: int = 20,
         gravity: float = 9.81,
         u_limit: float = 0.5,
+        outputs: Sequence[str] | None = None,
     ) -> None:
         self.true_parameters = {
             "m": positive("m", m),
@@ -92,12 +95,12 @@ class PymunkBallBeam(PymunkPlant):
                 "length of the beam", expected="more than two balls", got=f"{length:g} m", remedy="lengthen it"
             )
         limit = positive("u_limit", u_limit, infinite=True)
-        outputs = (Channel("r", "m"), Channel("alpha", "rad"))
+        places = (Channel("r", "m"), Channel("alpha", "rad"))
         rates = (Channel("r_rate", "m/s"), Channel("alpha_rate", "rad/s"))
         spec = PlantSpec(
-            (Channel("u", "N m", -limit, limit),), outputs, positive("sample_time", sample_time), outputs + rates
+            (Channel("u", "N m", -limit, limit),), places, positive("sample_time", sample_time), places + rates
         )
-        super().__init__(spec, substeps, [0.0] * 4)
+        super().__init__(spec, substeps, [0.0] * 4, outputs)
 
     def truth(self) -> FloatArray:
         """Return r, alpha and their rates (4,)."""

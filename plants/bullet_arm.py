@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from math import isfinite
+from math import hypot, isfinite
 from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
+from numpy import ndarray
 
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability
@@ -278,7 +279,8 @@ class ArmPlant:
         PlantError
             If the plant is closed.
         """
-        values = self._values(u)
+        if not (isinstance(u, ndarray) and u.shape == self._shape and isfinite(hypot(*(values := u.tolist())))):
+            refuse_input(u, self._spec)
         try:
             self._advance(values)
             return self._read()
@@ -349,7 +351,7 @@ class ArmPlant:
 
     def _values(self, u: FloatArray) -> list[float]:
         """Return the input as a list, refusing a wrong shape, NaN or infinity."""
-        if not (isinstance(u, np.ndarray) and u.shape == self._shape and isfinite(sum(values := u.tolist()))):
+        if not (isinstance(u, ndarray) and u.shape == self._shape and isfinite(hypot(*(values := u.tolist())))):
             refuse_input(u, self._spec)
         checked: list[float] = values
         return checked

@@ -145,6 +145,10 @@ class World:
         force = [limit / inside for limit in given.motor_force]
 
         def torque(values: list[float]) -> None:
+            control(body, joints, mode, forces=values, physicsClientId=client)
+            step(client)
+
+        def torque_again(values: list[float]) -> None:
             for _ in repeat(None, calls):  # Bullet forgets torques after every call
                 control(body, joints, mode, forces=values, physicsClientId=client)
                 step(client)
@@ -159,6 +163,8 @@ class World:
             for _ in repeat(None, calls):
                 step(client)
 
+        if calls > 1:
+            torque = torque_again
         return {"torque": torque, "velocity": velocity, "position": position}[given.control]
 
     def set_joints(self, positions: Sequence[float], rates: Sequence[float]) -> None:

@@ -50,6 +50,8 @@ class PymunkCartPole(PymunkPlant):
         lent to the pole (half the cart's, at most the pole's) then rides on the pin instead of the cart.
     u_limit : float
         Declared range of the force [N], which scenarios use; nothing is clipped.
+    outputs : sequence of str, optional
+        States that are measured; default: positions and angles, and no rates.
 
     Raises
     ------
@@ -84,6 +86,7 @@ class PymunkCartPole(PymunkPlant):
         stop_theta: float | None = None,
         slack: float = 0.0,
         u_limit: float = 10.0,
+        outputs: Sequence[str] | None = None,
     ) -> None:
         self.true_parameters = {
             "mc": positive("mc", mc),
@@ -116,7 +119,7 @@ class PymunkCartPole(PymunkPlant):
         self._moved = min(mp, mc / 2)
         self._body_mass, self._centre, self._inertia = point_mass_pole(mp, l, self._moved)
         spec = PlantSpec((force,), states[:2], positive("sample_time", sample_time), states)
-        super().__init__(spec, substeps, [0.0] * len(states))
+        super().__init__(spec, substeps, [0.0] * len(states), outputs)
 
     def truth(self) -> FloatArray:
         """Return x, theta, x_rate, theta_rate and, with slack, slip and slip_rate of the pin."""

@@ -38,6 +38,8 @@ class PymunkDoubleCartPole(PymunkPlant):
         In m/s^2.
     u_limit : float
         Declared range of the force [N], which scenarios use; nothing is clipped.
+    outputs : sequence of str, optional
+        States that are measured; default: positions and angles, and no rates.
 
     Raises
     ------
@@ -67,6 +69,7 @@ class PymunkDoubleCartPole(PymunkPlant):
         substeps: int = 20,
         gravity: float = 9.81,
         u_limit: float = 10.0,
+        outputs: Sequence[str] | None = None,
     ) -> None:
         masses = {"mc": mc, "mp1": mp1, "mp2": mp2, "l1": l1, "l2": l2}
         damping = {"bx": bx, "b1": b1, "b2": b2}
@@ -80,12 +83,12 @@ class PymunkDoubleCartPole(PymunkPlant):
         inner = point_mass_pole(mp1 - from_first, l1, from_cart)
         self._cart_mass, self._poles = mc - from_cart, (inner, outer)
         limit = positive("u_limit", u_limit, infinite=True)
-        outputs = (Channel("x", "m"), Channel("theta1", "rad"), Channel("theta2", "rad"))
-        rates = tuple(Channel(f"{c.name}_rate", f"{c.unit}/s") for c in outputs)
+        places = (Channel("x", "m"), Channel("theta1", "rad"), Channel("theta2", "rad"))
+        rates = tuple(Channel(f"{c.name}_rate", f"{c.unit}/s") for c in places)
         spec = PlantSpec(
-            (Channel("u", "N", -limit, limit),), outputs, positive("sample_time", sample_time), outputs + rates
+            (Channel("u", "N", -limit, limit),), places, positive("sample_time", sample_time), places + rates
         )
-        super().__init__(spec, substeps, [0.0] * 6)
+        super().__init__(spec, substeps, [0.0] * 6, outputs)
 
     def truth(self) -> FloatArray:
         """Return x, theta1, theta2 and their rates (6,)."""

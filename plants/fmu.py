@@ -16,9 +16,9 @@ from harness.signals import FloatArray, PlantSpec
 from plants.checking import checked_inputs, refuse_input
 from plants.fmu_abilities import Beyond, idle
 from plants.fmu_archive import FmuFile, Kind, read_fmu
-from plants.fmu_engine import INPUT_NOT_FINITE, Engine, Timing
+from plants.fmu_engine import INPUT_NOT_FINITE, Engine, NativeStep, Timing
 from plants.fmu_instance import Instance
-from plants.fmu_options import chosen_kind, complaints, count_substeps, default, encoded, refused
+from plants.fmu_options import check_event_mode, chosen_kind, complaints, count_substeps, default, encoded, refused
 from plants.fmu_stops import finish, stopped
 from plants.fmu_variables import Port, channels, choose, describe, feeds_through, starts, states_of
 from plants.mockups import mockup
@@ -63,7 +63,8 @@ class FmuPlant(Beyond):
     feedthrough : bool, optional
         Whether outputs depend directly on inputs; default: as the model structure tells. Where it does not tell, no.
     event_mode, early_return : bool
-        FMI 3.0 co-simulation: handle events at communication points here; let the FMU end steps early.
+        FMI 3.0 co-simulation: handle discrete inputs, time events and events met in a step here instead of inside
+        the FMU; let the FMU end steps early.
     debug : bool
         Ask the FMU for debug messages (Python logger ``plants.fmu``).
 
@@ -122,6 +123,7 @@ class FmuPlant(Beyond):
         self._options = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         self.file: FmuFile = read_fmu(path)
         self.kind: Kind = chosen_kind(self.file, kind)
+        check_event_mode(self.file, self.kind, event_mode=event_mode, early_return=early_return)
         dt = default(self.file, "stepSize") if sample_time is None else sample_time
         if dt is None:
             raise refused(
@@ -138,8 +140,8 @@ class FmuPlant(Beyond):
         step_size = self.spec.sample_time / self._substeps
         told = told or feedthrough is not None
         self.warnings = complaints(self.file, self.kind, step_size, self.unit_complaints, told=told)
-        self._start = encoded(self.file, {**(parameters or {})}, "parameters", ("parameter", "structuralParameter"))
-        self._start.update(encoded(self.file, {**(start or {})}, "start", None))
+        self._start = encoded(self.file, parameters or {}, "parameters", ("parameter", "structuralParameter"))
+        self._start.update(encoded(self.file, start or {}, "start", None))
         self._t0 = float(start_time)
         interface = self.file.interface(self.kind)
         rollback = bool(interface.canGetAndSetFMUstate) and self.file.version > 1
@@ -162,6 +164,10 @@ class FmuPlant(Beyond):
     def _made_engine(self, inputs: Sequence[Port], outputs: Sequence[Port], rollback: bool, solver: str) -> Engine:
         """Return what steps the instance."""
         timing = Timing(self._t0, self.spec.sample_time, self._substeps)
+        if self.kind == "cs" and self._instance.event_mode:
+            from plants.fmu_events import EventEngine
+
+            return EventEngine(self._instance, inputs, outputs, timing, rollback=rollback)
         if self.kind == "cs":
             return Engine(self._instance, inputs, outputs, timing, rollback=rollback)
         from plants.fmu_exchange import ExchangeEngine
@@ -181,7 +187,7 @@ class FmuPlant(Beyond):
         self._check_open()
         self._one = idle
         values = dict(self._start)
-        values.update(encoded(self.file, dict(x0 or {}), "x0", None))
+        values.update(encoded(self.file, x0 or {}, "x0", None))
         hint = default(self.file, "tolerance") if self._tolerance is None else self._tolerance
         self._instance.initialise(values, self._t0, hint)
         for engine in (self._engine, self._observer, *(() if self._both is None else (self._both,))):
@@ -246,6 +252,15 @@ class FmuPlant(Beyond):
             outputs = np.concatenate([outputs, row, engine.many(rows[done + 1 :])])
         self._note_warnings(engine)
         return outputs
+
+    def native_step(self) -> NativeStep | None:
+        """Return what a loop in C needs to step this plant after a reset; None where steps are made in Python."""
+        self._check_open()
+        return self._engine.native_step()
+
+    def finish_step(self) -> None:
+        """Bring a step to its end that :meth:`native_step` broke off, or raise as :meth:`step` does."""
+        self._finish(self._engine)
 
     def output(self, u: FloatArray) -> FloatArray:
         """Return the output (ny,) with ``u`` (nu,) applied, while no time passes."""

@@ -20,7 +20,7 @@ from harness.signals import FloatArray
 from plants.fmu_instance import Instance
 from plants.fmu_variables import Port
 
-__all__ = ["Engine", "Timing", "native_library"]
+__all__ = ["Engine", "NativeStep", "SlowLoop", "Timing", "grouped", "native_library"]
 
 log = logging.getLogger("plants.fmu")
 FINE, SET_FAILED, STEP_FAILED, GET_FAILED, OUTPUT_NOT_FINITE, INPUT_NOT_FINITE, STEP_INTERRUPTED = range(7)
@@ -127,6 +127,15 @@ class Timing(NamedTuple):
     substeps: int
 
 
+class NativeStep(NamedTuple):
+    """One step as C sees it: ``int call(void *loop)`` takes the row ``u``, leaves the row ``y``; 0 if it did."""
+
+    call: int
+    loop: int
+    u: FloatArray
+    y: FloatArray
+
+
 class Engine:
     """Steps one co-simulation instance; row buffers ``u`` and ``y`` are shared with the plant.
 
@@ -153,8 +162,8 @@ class Engine:
         self.u = np.zeros(sum(p.size for p in inputs))
         self.y = np.zeros(sum(p.size for p in outputs))
         self._keep: list[Any] = []
-        self.inputs = [self._group(g, "Set", first) for g, first in _grouped(inputs)]
-        self.outputs = [self._group(g, "Get", first) for g, first in _grouped(outputs)]
+        self.inputs = [self._group(g, "Set", first) for g, first in grouped(inputs, apart=instance.event_mode)]
+        self.outputs = [self._group(g, "Get", first) for g, first in grouped(outputs)]
         v = instance.version
         self.loop = loop = _Loop(
             component=instance.component,
@@ -185,12 +194,20 @@ class Engine:
             self.peek = functools.partial(library.peek, address)
             self._run = functools.partial(library.run, address)
         else:
-            self._slow = _SlowLoop(self)
+            self._slow = SlowLoop(self)
             self.one, self.look, self.peek = self._slow.one, self._slow.get, self._slow.peek
 
     def renew(self) -> None:
         """Take over the address of a new instance (the old one could not be reset)."""
         self.loop.component = self.instance.component
+
+    def native_step(self) -> NativeStep | None:
+        """Return the step for a loop in C; None where there is no compiled one."""
+        library = native_library() if self.native else None
+        if library is None or not self.loop.do_step:
+            return None
+        call = ctypes.cast(library.one, c_void_p).value or 0
+        return NativeStep(call, ctypes.addressof(self.loop), self.u, self.y)
 
     def settle(self) -> None:
         """Take notice that the FMU's state was set from outside; co-simulation keeps nothing here."""
@@ -213,7 +230,7 @@ class Engine:
 
     def step_once(self, t: float, h: float) -> int:
         """Call doStep from Python with any step size; returns the status, flags are in ``loop``."""
-        return _SlowLoop(self).do_step(t, h)
+        return SlowLoop(self).do_step(t, h)
 
     def _group(self, ports: Sequence[Port], verb: str, first: int) -> _Group:
         """Return the C view of variables of one type."""
@@ -241,12 +258,16 @@ class Engine:
         )
 
 
-def _grouped(ports: Sequence[Port]) -> list[tuple[list[Port], int]]:
-    """Return runs of neighbouring variables of one type, with the first column of each."""
+def grouped(ports: Sequence[Port], *, apart: bool = False) -> list[tuple[list[Port], int]]:
+    """Return runs of neighbouring variables of one type, with the first column of each; discrete ones may be apart."""
+
+    def kind(one: Port) -> tuple[str, bool]:
+        return one.variable.type, apart and one.variable.variability == "discrete"
+
     groups: list[tuple[list[Port], int]] = []
     column = 0
     for one in ports:
-        if groups and groups[-1][0][0].variable.type == one.variable.type:
+        if groups and kind(groups[-1][0][0]) == kind(one):
             groups[-1][0].append(one)
         else:
             groups.append(([one], column))
@@ -254,13 +275,13 @@ def _grouped(ports: Sequence[Port]) -> list[tuple[list[Port], int]]:
     return groups
 
 
-class _SlowLoop:
+class SlowLoop:
     """The same loop in Python, for systems without a C compiler and for the rest of an interrupted step."""
 
     def __init__(self, engine: Engine) -> None:
         self.u, self.y, self.loop = engine.u, engine.y, engine.loop
-        self.in_groups = [self._opened(g) for g in engine.inputs]
-        self.out_groups = [self._opened(g) for g in engine.outputs]
+        self.in_groups = [self.opened(g) for g in engine.inputs]
+        self.out_groups = [self.opened(g) for g in engine.outputs]
         v = self.loop.version
         tail: dict[int, list[Any]] = {
             1: [ctypes.c_char],
@@ -272,7 +293,7 @@ class _SlowLoop:
             prototype = ctypes.CFUNCTYPE(ctypes.c_int, c_void_p, c_double, c_double, *tail[v])
             self._step = prototype(self.loop.do_step)
 
-    def _opened(self, group: _Group) -> tuple[Any, ...]:
+    def opened(self, group: _Group) -> tuple[Any, ...]:
         """Return a group's function with its arguments, its buffer as an array, and its columns."""
         wide = self.loop.version == 3
         prototype = ctypes.CFUNCTYPE(
@@ -286,20 +307,27 @@ class _SlowLoop:
         columns = slice(int(group.first), int(group.first + group.n))
         return prototype(group.call), arguments, values, scale, offset, columns, int(group.type)
 
-    def set(self) -> int:
+    def set(self, groups: Sequence[int] | None = None) -> int:
+        """Set the inputs, or some groups of them."""
         loop = self.loop
         if not all(map(math.isfinite, self.u)):
             return self._stop(INPUT_NOT_FINITE)
-        for call, arguments, values, scale, offset, columns, code in self.in_groups:
-            raw = (self.u[columns] - offset) / scale
-            values[:] = raw if code < 2 else (raw != 0 if code >= 10 else np.rint(raw))
+        chosen = self.in_groups if groups is None else [self.in_groups[number] for number in groups]
+        for call, arguments, values, scale, offset, columns, code in chosen:
+            values[:] = self.raw(columns, scale, offset, code)
             loop.status = call(loop.component, *arguments)
             if loop.status > 1:
                 return self._stop(SET_FAILED)
             loop.warnings += loop.status == 1
         return FINE
 
+    def raw(self, columns: slice, scale: FloatArray, offset: FloatArray, code: int) -> FloatArray:
+        """Return inputs as the FMU's own numbers."""
+        raw: FloatArray = (self.u[columns] - offset) / scale
+        return raw if code < 2 else (raw != 0 if code >= 10 else np.rint(raw))
+
     def get(self) -> int:
+        """Read the outputs."""
         loop = self.loop
         loop.what = FINE
         for call, arguments, values, scale, offset, columns, _code in self.out_groups:
@@ -313,10 +341,12 @@ class _SlowLoop:
         return FINE
 
     def peek(self) -> int:
+        """Apply the inputs and read the outputs while no time passes."""
         self.loop.what = FINE
         return self.set() or self.get()
 
     def one(self) -> int:
+        """Step one sample."""
         loop = self.loop
         loop.what = FINE
         if self.set():
@@ -335,6 +365,7 @@ class _SlowLoop:
         return FINE
 
     def do_step(self, t: float, h: float) -> int:
+        """Call doStep with any step size; returns the status, flags are in the loop."""
         loop = self.loop
         if self._step is None:
             raise PlantError("this instance cannot step")

@@ -59,6 +59,7 @@ class Instance:
         self.interface = file.interface(kind)
         self.messages: deque[str] = deque(maxlen=50)
         self.pristine = False  # instantiated or reset, and not yet initialised
+        self.next_event: float | None = None  # [s], announced by an FMI 3.0 FMU in event mode
         self.dead = False  # after a fatal error no function may be called any more
         self.states: weakref.WeakSet[Snapshot] = weakref.WeakSet()
         self.fmu: Any = None
@@ -289,7 +290,8 @@ class Instance:
     def handle_events(self) -> None:
         """FMI 3.0 co-simulation in event mode: update discrete states until they settle, go back to step mode."""
         for _ in range(1000):
-            again, terminate, *_rest = self.fmu.updateDiscreteStates()
+            again, terminate, _nominals, _values, defined, when = self.fmu.updateDiscreteStates()
+            self.next_event = float(when) if defined else None
             if terminate:
                 raise self.failure("the FMU ends the simulation at an event", status="terminated")
             if not again:
@@ -328,6 +330,7 @@ class Instance:
     def kept(self, pointer: ctypes.c_void_p) -> Snapshot:
         """Return a state of the FMU as one that is freed with this instance."""
         made = Snapshot(self, pointer)
+        made.next_event = self.next_event
         self.states.add(made)
         return made
 
@@ -344,6 +347,7 @@ class Instance:
             self.fmu.setFMUState(state.pointer)
         except Exception as error:
             raise self.failure("the state cannot be set", error) from error
+        self.next_event = state.next_event
 
     def _free_instance(self) -> None:
         """Free the instance and the states it keeps, but not the library."""

@@ -11,7 +11,7 @@ from plants.fmu_archive import FmuFile, Kind
 from plants.fmu_values import encode
 from plants.fmu_variables import port, unknown
 
-__all__ = ["chosen_kind", "complaints", "count_substeps", "default", "encoded", "refused"]
+__all__ = ["check_event_mode", "chosen_kind", "complaints", "count_substeps", "default", "encoded", "refused"]
 
 log = logging.getLogger("plants.fmu")
 
@@ -28,6 +28,17 @@ def chosen_kind(file: FmuFile, kind: Kind | None) -> Kind:
     if kind not in file.kinds:
         raise refused(file, "kind", f"one of {', '.join(file.kinds)}", repr(kind), "choose another", "kind")
     return kind
+
+
+def check_event_mode(file: FmuFile, kind: Kind, *, event_mode: bool, early_return: bool) -> None:
+    """Refuse event mode and early return where there is no such thing."""
+    offered = bool(getattr(file.interface(kind), "hasEventMode", False)) and file.version == 3 and kind == "cs"
+    if event_mode and not offered:
+        got = f"FMI {file.version}, kind {kind!r}" + ("" if file.version < 3 else ", without hasEventMode")
+        raise refused(file, "event mode", "FMI 3.0 co-simulation with hasEventMode", got, "leave it off", "event_mode")
+    if early_return and not (file.version == 3 and kind == "cs"):
+        got = f"FMI {file.version}, kind {kind!r}"
+        raise refused(file, "early return", "FMI 3.0 co-simulation", got, "leave it off", "early_return")
 
 
 def default(file: FmuFile, name: str) -> float | None:
@@ -64,6 +75,10 @@ def complaints(file: FmuFile, kind: Kind, step: float, units: Sequence[str], *, 
     found = [*file.problems, *units]
     if not told:
         found.append("outputs do not tell what they depend on: taken as without direct feedthrough")
+    clocks = [v.name for v in file.description.modelVariables if v.type == "Clock"]
+    if clocks:
+        listed = ", ".join(clocks[:5]) + (", ..." if len(clocks) > 5 else "")
+        found.append(f"clocks are not activated from outside, nor recorded: {listed}")
     fixed = getattr(file.interface(kind), "fixedInternalStepSize", None)
     if fixed:
         ratio = step / float(fixed)
@@ -74,8 +89,12 @@ def complaints(file: FmuFile, kind: Kind, step: float, units: Sequence[str], *, 
     return tuple(found)
 
 
-def encoded(file: FmuFile, values: Mapping[str, Any], what: str, causalities: Sequence[str] | None) -> dict[str, Any]:
+def encoded(file: FmuFile, values: object, what: str, causalities: Sequence[str] | None) -> dict[str, Any]:
     """Return values as the FMU's own types and units; unknown or unsettable names are refused."""
+    if not isinstance(values, Mapping):
+        got = f"{type(values).__name__} {values!r}"
+        remedy = f"write {what}.NAME=VALUE, or {what}={{NAME=VALUE}}"
+        raise refused(file, f"option {what}", "values by name", got, remedy, what)
     variables = {v.name: v for v in file.description.modelVariables}
     if causalities is None:
         known = [n for n, v in variables.items() if _has_start(v, file.version)]

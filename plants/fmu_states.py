@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import math
 import struct
 import weakref
 from typing import TYPE_CHECKING
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Snapshot", "packed", "unpacked"]
 
-HEAD = struct.Struct("<8s16sq")  # mark, digest of the FMU's token and kind, samples since reset
+HEAD = struct.Struct("<8s16sqd")  # mark, digest of the FMU's token and kind, samples since reset, next event or NaN
 MARK = b"sysidfmu"
 
 
@@ -26,6 +27,7 @@ class Snapshot:
         self.owner = weakref.ref(owner)
         self.pointer: ctypes.c_void_p | None = pointer
         self.k = 0
+        self.next_event: float | None = None  # [s], FMI 3.0 in event mode
 
     def free(self) -> None:
         """Give the memory back to the FMU."""
@@ -52,7 +54,8 @@ def packed(instance: Instance, state: Snapshot) -> bytes:
         body: bytes = instance.fmu.serializeFMUState(state.pointer)
     except Exception as error:
         raise instance.failure("the state cannot be serialised", error) from error
-    return HEAD.pack(MARK, _digest(instance), state.k) + body
+    event = math.nan if state.next_event is None else state.next_event
+    return HEAD.pack(MARK, _digest(instance), state.k, event) + body
 
 
 def unpacked(instance: Instance, data: bytes) -> Snapshot:
@@ -66,7 +69,7 @@ def unpacked(instance: Instance, data: bytes) -> Snapshot:
         If it fails to.
     """
     _need_offer(instance)
-    mark, digest, k = HEAD.unpack_from(data) if len(data) >= HEAD.size else (b"", b"", 0)
+    mark, digest, k, event = HEAD.unpack_from(data) if len(data) >= HEAD.size else (b"", b"", 0, math.nan)
     if mark != MARK or digest != _digest(instance):
         raise InputError(
             "a serialised state",
@@ -81,6 +84,7 @@ def unpacked(instance: Instance, data: bytes) -> Snapshot:
         raise instance.failure("the state cannot be deserialised", error) from error
     made = instance.kept(pointer)
     made.k = k
+    made.next_event = None if math.isnan(event) else event
     return made
 
 

@@ -208,7 +208,7 @@ def describe(path: str | Path) -> dict[str, Any]:
     dict
         ``file``, ``model``, ``description``, ``fmi``, ``tool``, ``platforms``, ``kinds`` (abilities by kind),
         ``experiment``, ``problems``, and ``variables``: rows with name, type, causality, variability, unit, si_unit,
-        start, minimum, maximum, shape, description.
+        start, minimum, maximum, shape, derivative_of, description.
 
     Raises
     ------
@@ -254,6 +254,7 @@ def describe(path: str | Path) -> dict[str, Any]:
                 "minimum": low,
                 "maximum": high,
                 "shape": list(variable.shape or ()),
+                "derivative_of": None if variable.derivative is None else variable.derivative.name,
                 "description": variable.description,
             }
         )

@@ -28,7 +28,7 @@ from plants.temporary import release, temporary_folder
 
 __all__ = ["IsolatedPlant", "isolated"]
 
-FIRST_CHUNK, LAST_CHUNK = 1024, 8192  # rows of input in one message
+FIRST_CHUNK, LAST_CHUNK = 128, 8192  # rows of input in one message
 
 
 class IsolatedPlant:
@@ -97,6 +97,8 @@ class IsolatedPlant:
                 remedy="define the function at the top of a module",
             ) from error
         self._name = factory if isinstance(factory, str) else getattr(factory, "__qualname__", repr(factory))
+        if "path" in (options or {}):
+            self._name = Path((options or {})["path"]).name
         self._timeout, self._start_timeout = float(timeout), float(start_timeout)
         self._recycle, self._show = int(recycle), show_output
         self._child: _Child | None = None

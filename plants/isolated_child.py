@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
+import inspect
 import os
 import pickle
 import shutil
@@ -96,13 +97,28 @@ def _obey(plant: Plant, name: str, arguments: tuple[Any, ...], states: dict[int,
 
 def _made(factory: str | Callable[..., Plant], options: dict[str, Any]) -> Plant:
     """Return the plant of an order."""
+    maker = _maker(factory)
+    try:
+        inspect.signature(maker).bind(**options)
+    except TypeError as error:
+        raise InputError(
+            f"options of the plant {factory if isinstance(factory, str) else maker.__name__!r}",
+            expected=f"options among ({', '.join(inspect.signature(maker).parameters)})",
+            got=", ".join(f"{name}={value!r}" for name, value in options.items()) or "none",
+            remedy=f"correct them: {error}",
+        ) from error
+    return maker(**options)
+
+
+def _maker(factory: str | Callable[..., Plant]) -> Callable[..., Plant]:
+    """Return what makes the plant of an order."""
     if not isinstance(factory, str):
-        return factory(**options)
+        return factory
     if ":" in factory:
         module, _, attribute = factory.partition(":")
-        return cast(Plant, getattr(importlib.import_module(module), attribute)(**options))
+        return cast(Callable[..., Plant], getattr(importlib.import_module(module), attribute))
     found = [p for p in importlib.metadata.entry_points(group="sysid_harness.plants") if p.name == factory]
     if not found:
         known = sorted({p.name for p in importlib.metadata.entry_points(group="sysid_harness.plants")})
         raise InputError("unknown plant", expected=f"one of {', '.join(known)}", got=repr(factory), remedy="correct it")
-    return cast(Plant, found[0].load()(**options))
+    return cast(Callable[..., Plant], found[0].load())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -34,19 +35,27 @@ class PymunkPlant(ABC):
         Engine steps for each sample.
     start : sequence of float
         Initial states where ``x0`` does not name them.
+    outputs : sequence of str, optional
+        Names of the states that are measured, instead of the outputs of ``spec``.
 
     Raises
     ------
     InputError
-        If ``substeps`` is no positive integer.
+        If ``substeps`` is no positive integer, or an output is no state.
     """
 
     snapshot_tolerance = 1e-9
     """How far a continuation may be from an uninterrupted run; two continuations of one state are bit-identical."""
 
-    def __init__(self, spec: PlantSpec, substeps: int, start: Sequence[float]) -> None:
+    def __init__(
+        self, spec: PlantSpec, substeps: int, start: Sequence[float], outputs: Sequence[str] | None = None
+    ) -> None:
         if int(substeps) != substeps or substeps < 1:
             raise InputError("option substeps", expected="an integer >= 1", got=repr(substeps), remedy="correct it")
+        chosen = _chosen(spec, outputs)
+        self._columns = None if chosen is None else np.array(chosen)
+        if chosen is not None:
+            spec = replace(spec, outputs=tuple(spec.states[column] for column in chosen))
         self._spec, self._substeps, self._default = spec, int(substeps), list(start)
         self._dt = spec.sample_time / self._substeps
         self._closed = False
@@ -68,7 +77,7 @@ class PymunkPlant(ABC):
         """Start anew, from named states where given; returns ``y[0]`` (ny,). ``rng`` is not used."""
         self._need_open()
         self._place(self._bodies_at(initial_values(x0, self.spec.states, self._default)))
-        return self._read()
+        return self._measured()
 
     def step(self, u: FloatArray) -> FloatArray:
         """Hold ``u`` (1,) for one sample time; returns the next output (ny,).
@@ -85,7 +94,7 @@ class PymunkPlant(ABC):
         if not (isinstance(u, np.ndarray) and u.shape == (1,) and math.isfinite(value := u.item())):
             refuse_input(u, self.spec)
         self._advance(value)
-        return self._read()
+        return self._read() if self._columns is None else self.truth()[self._columns]
 
     def rollout(self, inputs: FloatArray) -> FloatArray:
         """Apply ``inputs`` (N, 1) from the present state; row k of the result (N, ny) is what ``step`` returned."""
@@ -94,7 +103,7 @@ class PymunkPlant(ABC):
         outputs = np.empty((len(values), self.spec.ny))
         for k, value in enumerate(values):
             self._advance(value)
-            outputs[k] = self._read()
+            outputs[k] = self._measured()
         return outputs
 
     @abstractmethod
@@ -147,12 +156,28 @@ class PymunkPlant(ABC):
 
     @abstractmethod
     def _read(self) -> FloatArray:
+        """Return the usual outputs."""
+
+    def _measured(self) -> FloatArray:
         """Return the outputs (ny,)."""
+        return self._read() if self._columns is None else self.truth()[self._columns]
 
     def _need_open(self) -> None:
         """Refuse the use of a closed plant."""
         if self._closed:
             raise PlantError("the plant is closed: make a new one", status="terminated")
+
+
+def _chosen(spec: PlantSpec, outputs: Sequence[str] | None) -> list[int] | None:
+    """Return the numbers of the states that are measured; None where that is what the plant measures anyway."""
+    if outputs is None:
+        return None
+    names, wanted = [channel.name for channel in spec.states], [outputs] if isinstance(outputs, str) else list(outputs)
+    if not wanted or len(set(wanted)) != len(wanted) or not set(wanted) <= set(names):
+        raise InputError(
+            "option outputs", expected=f"names among {', '.join(names)}", got=repr(outputs), remedy="correct it"
+        )
+    return None if wanted == [channel.name for channel in spec.outputs] else [names.index(name) for name in wanted]
 
 
 def put(body: Any, state: State) -> Any:

@@ -219,7 +219,10 @@ _Law = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 
 class _Tracking:
-    """The controller of one run: measures the start, estimates rates, keeps torques within the plant's limits."""
+    """The controller of one run: measures the start, estimates rates, keeps torques within the plant's limits.
+
+    ``references`` holds the joints' references about the start, by title.
+    """
 
     def __init__(
         self,
@@ -231,6 +234,7 @@ class _Tracking:
         cutoff: float,
     ) -> None:
         self.spec, self.positions, self.rates, self.reference, self.law = spec, positions, rates, reference, law
+        self.references = {str(spec.outputs[i]): reference[0, :, joint] for joint, i in enumerate(positions)}
         self.low = np.array([channel.minimum for channel in spec.inputs])
         self.high = np.array([channel.maximum for channel in spec.inputs])
         self.share = 1 - math.exp(-2 * math.pi * cutoff * spec.sample_time)

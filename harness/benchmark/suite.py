@@ -13,12 +13,16 @@ import msgspec
 
 from harness import __version__, registry
 from harness.errors import InputError
+from harness.plant_files import fingerprint, is_plant_file
 
 __all__ = ["Cell", "Group", "Part", "Score", "Suite", "Task", "cells_of", "find_suite", "load_suite", "tasks_of"]
 
 
 class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A plant, scenario or identifier of a suite: the id of a registered part, its options, its name in the table."""
+    """A plant, scenario or identifier of a suite: the id of a registered part, its options, its name in the table.
+
+    A plant may also be a file (``.fmu``, ``.toml`` of a coupling, ``.ssp``), relative to the suite.
+    """
 
     id: str
     options: dict[str, Any] = {}
@@ -137,6 +141,7 @@ def load_suite(suite: str | Path) -> Suite:
         read = msgspec.convert(content, Suite)
     except msgspec.ValidationError as error:
         raise _explained(error, path) from error
+    read = msgspec.structs.replace(read, groups=tuple(_located(group, path.parent) for group in read.groups))
     for number, group in enumerate(read.groups):
         _check_group(group, f"groups[{number}]", path)
     if not read.groups or read.time_limit <= 0:
@@ -202,13 +207,24 @@ def _job(plant: Part, scenario: Part, identifier: Part, seed: int, score: Score)
     """Return the hash of everything that decides a row, the version of the project included."""
     content = {
         "version": __version__,
-        "plant": (plant.id, plant.name, plant.options),
+        "plant": (fingerprint(plant.id) if is_plant_file(plant.id) else plant.id, plant.name, plant.options),
         "scenario": (scenario.id, scenario.name, scenario.options),
         "identifier": (identifier.id, identifier.name, identifier.options),
         "seed": seed,
         "score": score,
     }
     return hashlib.sha256(msgspec.json.encode(content, order="deterministic")).hexdigest()[:20]
+
+
+def _located(group: Group, folder: Path) -> Group:
+    """Return a group whose plants' files are found from anywhere; in the table they go by their names."""
+    plants = [
+        msgspec.structs.replace(part, id=str((folder / part.id).resolve()), label=part.label or Path(part.id).name)
+        if is_plant_file(part.id)
+        else part
+        for part in group.plants
+    ]
+    return msgspec.structs.replace(group, plants=tuple(plants))
 
 
 def _check_group(group: Group, place: str, path: Path) -> None:
@@ -225,7 +241,10 @@ def _check_group(group: Group, place: str, path: Path) -> None:
     for kind in ("plants", "scenarios", "identifiers"):
         for number, part in enumerate(getattr(group, kind)):
             try:
-                registry.entry(kind, part.id)
+                if kind == "plants" and is_plant_file(part.id):
+                    fingerprint(part.id)
+                else:
+                    registry.entry(kind, part.id)
             except InputError as error:
                 raise error.located(file=path, place=f"{place}.{kind}[{number}].id") from error
     for wrong, key, expected in problems:

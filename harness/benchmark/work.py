@@ -21,6 +21,7 @@ from harness import registry
 from harness.benchmark.row import Row, blank, one_line, write_row
 from harness.benchmark.suite import Cell, Task
 from harness.errors import HarnessError, InputError, PlantError, PluginError
+from harness.plant_files import make_plant
 from harness.rng import Streams, stream
 from harness.signals import Trajectory
 
@@ -106,7 +107,7 @@ def _make_data(task: Task) -> tuple[list[Trajectory], list[Trajectory]]:
 
     scenario = registry.create("scenarios", task.scenario.id, **task.scenario.options)
     streams = Streams(task.plant.name, task.scenario.name, task.seed)
-    with registry.create("plants", task.plant.id, **task.plant.options) as plant:
+    with make_plant(task.plant.id, dict(task.plant.options)) as plant:
 
         def record(use: str, count: int) -> list[Trajectory]:
             return [run(plant, scenario, streams=streams, role=f"{use}/{i}") for i in range(count)]
@@ -156,7 +157,7 @@ def _make_identifier(task: Task, cell: Cell, borrowed: list[Any]) -> Any:
     part = cell.identifier
     options = dict(part.options)
     if "plant" in registry.named_options("identifiers", part.id) and "plant" not in options:
-        borrowed.append(registry.create("plants", task.plant.id, **task.plant.options))
+        borrowed.append(make_plant(task.plant.id, dict(task.plant.options)))
         options["plant"] = borrowed[0]
     return registry.create("identifiers", part.id, **options)
 

@@ -22,10 +22,22 @@ from harness.units import fits
 __all__ = ["couple_ssp"]
 
 
-def couple_ssp(path: str | Path, make: Make, *, changes: Mapping[str, Any] | None = None) -> Coupled:
+DEEPEST = 5
+"""Packages inside packages, before it counts as a trap."""
+
+
+def couple_ssp(
+    path: str | Path,
+    make: Make,
+    *,
+    changes: Mapping[str, Any] | None = None,
+    values: Mapping[str, Any] | None = None,
+    depth: int = 1,
+) -> Coupled:
     """Build the plant that an SSP package describes.
 
-    Components are FMUs inside the package; nested systems are flattened (``system/component``). Connectors of the
+    Components are FMUs inside the package; nested systems are flattened (``system/component``), and a component that
+    is itself a package becomes one part. Connectors of the
     outermost system become the inputs and outputs of the plant. Without output connectors every output is shown.
 
     Parameters
@@ -36,6 +48,10 @@ def couple_ssp(path: str | Path, make: Make, *, changes: Mapping[str, Any] | Non
         ``make("fmu", {"path": ..., ...}) -> Plant``.
     changes : mapping, optional
         How the parts are stepped, as in :func:`harness.cosim.couple`; the sample time is also that of the FMUs.
+    values : mapping, optional
+        Values of parameters by ``component.parameter``, in SI; they go before those of the package.
+    depth : int
+        How many packages this one stands in, itself included.
 
     Raises
     ------
@@ -59,12 +75,17 @@ def couple_ssp(path: str | Path, make: Make, *, changes: Mapping[str, Any] | Non
             file=path,
         )
     structure = read_structure(path)
+    _set_values(structure, values or {}, path)
     folder = Path(tempfile.mkdtemp(prefix="sysid-ssp-"))
     parts: dict[str, Plant] = {}
     try:
         _unpack(path, structure, folder)
         for component in structure.components:
-            parts[component.name] = _made(component, structure, folder, make, (changes or {}).get("sample_time"), path)
+            step = (changes or {}).get("sample_time")
+            if component.source.endswith(".ssp"):
+                parts[component.name] = _nested(component, folder, make, step, path, depth)
+            else:
+                parts[component.name] = _made(component, structure, folder, make, step, path)
         _check_units(path, structure, parts)
         return _coupled(structure, parts, dict(changes or {}), folder)
     except BaseException as error:
@@ -143,6 +164,44 @@ def _made(
             file=path,
             place=error.place,
         ) from error
+
+
+def _nested(component: Component, folder: Path, make: Make, sample_time: float | None, path: Path, depth: int) -> Plant:
+    """Return a package inside the package as one part."""
+    if depth >= DEEPEST:
+        raise InputError(
+            "packages inside packages",
+            expected=f"at most {DEEPEST}, one in another",
+            got=f"more, at component {component.name!r}",
+            remedy="do not trust it",
+            file=path,
+        )
+    changes = {} if sample_time is None else {"sample_time": sample_time}
+    values = {**component.parameters, **component.start}
+    try:
+        return couple_ssp(folder / component.source, make, changes=changes, values=values, depth=depth + 1)
+    except InputError as error:  # the unpacked package is gone when the user reads this
+        name = Path(component.source).name
+        raise InputError(
+            f"component {component.name!r} ({name}): {error.what}",
+            expected=error.expected,
+            got=error.got,
+            remedy=error.remedy,
+            file=path,
+            place=error.place,
+        ) from error
+
+
+def _set_values(structure: Structure, values: Mapping[str, Any], path: Path) -> None:
+    """Hand values that come from outside to the components."""
+    for name, value in values.items():
+        owners = [c for c in structure.components if name.startswith(c.name.replace("/", ".") + ".")]
+        if not owners:
+            known = ", ".join(c.name.replace("/", ".") for c in structure.components)
+            raise InputError(
+                "parameter value", expected=f"COMPONENT.NAME of {known}", got=repr(name), remedy="correct it", file=path
+            )
+        owners[0].parameters[name[len(owners[0].name) + 1 :]] = value
 
 
 def _check_units(path: Path, structure: Structure, parts: Mapping[str, Plant]) -> None:

@@ -14,6 +14,7 @@ from harness.units import base_units
 __all__ = ["Component", "Structure", "read_structure"]
 
 SSD = "SystemStructure.ssd"
+FMU, PACKAGE = "application/x-fmu-sharedlibrary", ("application/x-ssp-package", "application/ssp+zip")
 LARGEST_TEXT = 64 << 20  # bytes of an XML file
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
@@ -23,7 +24,7 @@ Place = tuple[tuple[str, ...], str]
 
 @dataclass
 class Component:
-    """An FMU in the package: connectors as name -> (input | output, unit or None), parameter and start values in SI."""
+    """An FMU (or package) in the package: connectors as name -> (input | output, unit or None), values in SI."""
 
     name: str
     source: str
@@ -177,9 +178,12 @@ class _Flattening:
             if isinstance(element, ssd.System):
                 self._visit(element, own)
             elif isinstance(element, ssd.Component):
-                kind = element.type or "application/x-fmu-sharedlibrary"
-                if kind != "application/x-fmu-sharedlibrary" or not str(element.source).endswith(".fmu"):
-                    raise self._refused(f"component {element.name!r}", "an FMU (.fmu)", f"{element.source!r}, {kind}")
+                kind = element.type or FMU
+                source = str(element.source)
+                package = source.endswith(".ssp") and kind in (*PACKAGE, FMU)
+                if not package and not (source.endswith(".fmu") and kind == FMU):
+                    expected = "an FMU (.fmu) or a package (.ssp)"
+                    raise self._refused(f"component {element.name!r}", expected, f"{source!r}, {kind}")
                 if "." in element.name or "/" in element.name:
                     raise self._refused("name of a component", "a name without '.' and '/'", repr(element.name))
                 connectors = {}
@@ -190,7 +194,7 @@ class _Flattening:
                 self.components[own] = Component("/".join(own), str(element.source), connectors)
                 self._bind(element, own)
             else:
-                raise self._refused(f"element {element.name!r}", "FMU components and systems", "a signal dictionary")
+                raise self._refused(f"element {element.name!r}", "components and systems", "a signal dictionary")
         for wire in system.connections:
             self._connect(
                 _end(way, wire.startElement, wire.startConnector), _end(way, wire.endElement, wire.endConnector), way

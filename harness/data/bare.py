@@ -7,9 +7,9 @@ from pathlib import Path
 
 import msgspec
 
-from harness.data.description import Description, NominalSection, RunSection, SignalSection
+from harness.data.description import Description, NominalSection, RunSection, SignalSection, TimeSection
 from harness.data.ports import Ports, located_model, ports_of
-from harness.data.tables import BARE, Table, split_header
+from harness.data.tables import BARE, REFERENCE, Table, split_header
 from harness.data.trajectories import stored_spec
 from harness.errors import InputError
 from harness.signals import Channel
@@ -60,7 +60,9 @@ def describe_bare(
     runs, second = _runs(path, table, validation, next(iter(signals)))
     notes += second
     nominal = NominalSection(model=model) if model is not None else None
-    return Description(name=path.stem, signals=signals, runs=runs, nominal=nominal), known
+    names = [split_header(title)[0] for title in table.titles]
+    time = TimeSection(column="t") if "t" in names and "time" not in names and "t" not in signals else None
+    return Description(name=path.stem, signals=signals, runs=runs, nominal=nominal, time=time), known
 
 
 def _signals(table: Table, ports: Ports, path: Path, notes: list[str]) -> dict[str, SignalSection]:
@@ -70,6 +72,11 @@ def _signals(table: Table, ports: Ports, path: Path, notes: list[str]) -> dict[s
     outputs: dict[str, tuple[str, int]] = {channel.name: (channel.name, 0) for channel in ports.outputs}
     for channel in ports.outputs:
         outputs.setdefault(Ports.channel_name(channel.name, 1), (channel.name, 1))
+    # tau_1 is as good as tau1
+    plain = {port.replace("_", ""): port for port in inputs}
+    bare = {name.replace("_", ""): one for name, one in outputs.items()}
+    names = {split_header(title)[0]: title for title in table.titles}
+    clock = names.get("t", "") if "time" not in names else ""
     ignored = []
     for title in table.titles:
         name = split_header(title)[0]
@@ -79,7 +86,14 @@ def _signals(table: Table, ports: Ports, path: Path, notes: list[str]) -> dict[s
         elif name in outputs:
             port, derivative = outputs[name]
             signals[name] = SignalSection(role="output", port=port, derivative=derivative)
-        elif name != "time":
+        elif name.replace("_", "") in plain:
+            signals[name] = SignalSection(role="input", port=plain[name.replace("_", "")])
+        elif name.replace("_", "") in bare:
+            port, derivative = bare[name.replace("_", "")]
+            signals[name] = SignalSection(role="output", port=port, derivative=derivative)
+        elif name.startswith(REFERENCE):
+            signals[name] = SignalSection(role="reference")
+        elif name != "time" and title != clock:
             ignored.append(title)
     if not any(signal.role == "output" for signal in signals.values()):
         raise InputError(

@@ -96,12 +96,14 @@ class RunSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 class ResampleSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The declared remedy for time that is not uniform: the new sample time [s] and how to interpolate outputs.
 
-    ``max_gap`` [s] is the longest hole that may be bridged; without it, five new sample times.
+    ``max_gap`` [s] is the longest hole that may be bridged; without it, five new sample times. Towards a lower rate
+    ``antialias`` filters before, so that nothing folds back: see :mod:`harness.data.decimation`.
     """
 
     sample_time: float | None = None
     method: Literal["linear", "cubic"] = "linear"
     max_gap: float | None = None
+    antialias: bool = True
 
 
 class SourceFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

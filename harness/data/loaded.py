@@ -95,7 +95,7 @@ class LoadedDataset:
                 "an FMU has no equations",
                 expected="a built-in model or FILE.py:NAME",
                 got=self.nominal.model,
-                remedy="write the model as equations; calibrate_fmu of harness.diagnosis.fmu fits its parameters",
+                remedy="close the loop with it (sysid close-loop), or write the model as equations",
                 file=self.path,
             )
         from harness.physics import load_model

@@ -75,12 +75,12 @@ class McapFile:
         reader_module = optional("mcap.reader", "MCAP")
         columns: dict[str, list[float]] = {}
         stamps: dict[str, list[int]] = {}
-        foreign: set[str] = set()
+        foreign: dict[str, str] = {}
         try:
             with path.open("rb") as stream:
                 for _, channel, message in reader_module.make_reader(stream).iter_messages():
                     if channel.message_encoding != "json":
-                        foreign.add(f"{channel.topic} ({channel.message_encoding})")
+                        foreign[channel.topic] = channel.message_encoding or "unknown"
                         continue
                     stamps.setdefault(channel.topic, []).append(message.log_time)
                     for name, value in _numbers(channel.topic, json.loads(message.data)):
@@ -91,10 +91,11 @@ class McapFile:
             raise InputError(
                 "no readable topics",
                 expected="topics with JSON messages",
-                got=", ".join(sorted(foreign)) or "none",
+                got=", ".join(f"{topic} ({encoding})" for topic, encoding in sorted(foreign.items())) or "none",
                 remedy="convert the log to JSON messages or to CSV",
                 file=path,
             )
+        self._foreign = foreign
         self._columns = {name: np.array(values) for name, values in columns.items()}
         first = np.array(next(iter(stamps.values())), dtype=np.int64)
         self._columns = {"time": (first - first[0]) * 1e-9, **self._columns}
@@ -114,7 +115,16 @@ class McapFile:
         return values.copy()
 
     def select(self, text: str) -> FloatArray | None:
-        """Return None: a field goes by its full name."""
+        """Return None, as a field goes by its full name; refuse what lies in messages that are not JSON."""
+        for topic, encoding in self._foreign.items():
+            if text == topic or text.startswith(f"{topic}."):
+                raise InputError(
+                    f"topic {topic!r} cannot be read",
+                    expected="JSON messages",
+                    got=f"{encoding} messages",
+                    remedy="convert the log to JSON messages or to CSV",
+                    place=text,
+                )
         return None
 
     def unit(self, title: str) -> str | None:

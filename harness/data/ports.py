@@ -109,8 +109,9 @@ def ports_of(model: str, options: Mapping[str, Any], *, analogy: bool = False) -
     if model.endswith(".fmu"):
         return _fmu_ports(model, analogy=analogy)
     from harness.physics import load_model
+    from harness.physics.arm import is_arm, load_arm
 
-    system = load_model(model, **options)
+    system: Any = load_arm(model) if is_arm(model) else load_model(model, **options)
     outputs = {channel.name: channel for channel in (*system.states, *system.outputs)}
     first = [channel.name for channel in system.outputs]
     ordered = [*first, *(name for name in outputs if name not in first)]
@@ -126,7 +127,7 @@ def located_model(model: str, folder: Path) -> str:
     'pendulum'
     """
     name, colon, attribute = model.rpartition(":") if ".py:" in model else (model, "", "")
-    if not name.endswith((".py", ".fmu")):
+    if not name.endswith((".py", ".fmu", ".urdf")):
         return model
     beside = folder / name
     return f"{beside if beside.is_file() else Path(name)}{colon}{attribute}"

@@ -72,6 +72,8 @@ def check_run(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> li
             )
         notes += _out_of_range(channel, trajectory.u[:, i])
     notes += _rates(trajectory, measured)
+    for i, channel in enumerate(spec.outputs):
+        _refuse_whirling(channel, trajectory.y[:, i])
     notes += swapped_in_and_out(trajectory)
     return notes
 
@@ -144,6 +146,21 @@ def _saturated(channel: Channel, values: FloatArray) -> list[str]:
                 f"{at.size} places: a saturated sensor or an end stop?"
             )
     return notes
+
+
+def _refuse_whirling(channel: Channel, values: FloatArray) -> None:
+    """Refuse an angle that moves by more than a turn from sample to sample: no record of a rotation can mean that."""
+    if channel.unit != "rad" or len(values) < 50:
+        return
+    far = np.abs(np.diff(values)) > 1.1 * 2 * np.pi
+    if np.mean(far) > 0.05:
+        raise InputError(
+            f"output {channel.name} moves by more than a turn between samples",
+            expected="an angle in rad, sampled several times a turn",
+            got=f"steps up to {float(np.abs(np.diff(values)).max()):.3g} rad, beyond a turn in {np.mean(far):.0%} of "
+            "the samples",
+            remedy=f"correct the unit of {channel.name} (mrad and deg are read as such), its scale, or the sample time",
+        )
 
 
 def _out_of_range(channel: Channel, values: FloatArray) -> list[str]:

@@ -11,10 +11,13 @@ from typing import Protocol
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["BARE", "FORMATS", "TRUTH", "Source", "Table", "open_table", "split_header"]
+__all__ = ["BARE", "FORMATS", "REFERENCE", "TRUTH", "Source", "Table", "open_table", "split_header"]
 
 BARE = (".csv", ".parquet")
 """Suffixes of files that can stand for a whole data set, with a model that names the ports."""
+
+REFERENCE = "reference:"
+"""Prefix of columns that hold what came from outside a control loop: the instruments of the test for its bias."""
 
 TRUTH = "truth:"
 """Prefix of columns that hold true states: for scoring only, never read as measurements."""

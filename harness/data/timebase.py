@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from harness.data.decimation import EDGE, filtered, hold_means
 from harness.data.description import Gaps, ResampleSection
 from harness.errors import InputError
 from harness.signals import FloatArray
@@ -279,10 +280,18 @@ def _resampled(
         + (f" in {len(pieces)} pieces" if len(pieces) > 1 else "")
         + (f"; {int((~present).sum())} empty rows bridged" if not present.all() else "")
     )
-    if new > 1.5 * float(np.median(steps)):
+    if _coarser(steps, new) and section.antialias:
+        held = ", inputs by their mean over each hold" if rules.intersample == "zoh" else ""
+        text += f"; content above {EDGE * 0.5 / new:g} Hz filtered out without a shift in phase{held}"
+    elif _coarser(steps, new):
         text += f"; nothing was filtered: content above {0.5 / new:g} Hz folds back"
     notes.append(text)
     return pieces
+
+
+def _coarser(steps: FloatArray, new: float) -> bool:
+    """Return True if a new sample time is so much longer than the old one that content would fold back."""
+    return bool(new > 1.5 * float(np.median(steps)))
 
 
 def _interpolated(time: FloatArray, values: FloatArray, dt: float, inputs: tuple[bool, ...], rules: TimeRules) -> Piece:
@@ -292,9 +301,16 @@ def _interpolated(time: FloatArray, values: FloatArray, dt: float, inputs: tuple
     grid = time[0] + np.arange(n) * dt
     result = np.empty((n, values.shape[1]))
     # half a nanosecond of slack, so that a stamp rounded up still counts as "at" its instant
+    filters = rules.resample.antialias and n > 1 and _coarser(np.diff(time), dt)
     previous = np.clip(np.searchsorted(time, grid + 1e-6 * dt, side="right") - 1, 0, len(time) - 1)
     for column, is_input in enumerate(inputs):
-        if is_input and rules.intersample == "zoh":
+        held = is_input and rules.intersample == "zoh"
+        if filters and held:
+            result[:, column] = hold_means(time, values[:, column], grid)
+        elif filters:
+            cubic = rules.resample.method == "cubic" and not is_input
+            result[:, column] = filtered(time, values[:, column], grid, cubic=cubic)
+        elif held:
             result[:, column] = values[previous, column]
         elif not is_input and rules.resample.method == "cubic":
             from scipy.interpolate import CubicSpline

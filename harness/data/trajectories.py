@@ -1,19 +1,20 @@
 """A trajectory to a file and back, bit for bit: CSV and Parquet with units in the titles of the columns.
 
-True states go to columns of their own that start with ``truth:``; readers of measurements never look at them.
+True states go to columns of their own that start with ``truth:``; readers of measurements never look at them. What came
+from outside a control loop goes to columns that start with ``reference:``.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from harness.data.tables import TRUTH, Table, split_header
+from harness.data.tables import REFERENCE, TRUTH, Table, split_header
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
@@ -46,10 +47,10 @@ def columns_of(trajectory: Trajectory) -> dict[str, FloatArray]:
         named = list(channels) or [Channel(f"x{i + 1}") for i in range(values.shape[1])]
         for i, channel in enumerate(named):
             title = f"{prefix}{channel}"
-            if title in columns or "[" in channel.name:
+            if title in columns or split_header(title)[0] != f"{prefix}{channel.name}":
                 raise InputError(
                     "a record that cannot be written as a table",
-                    expected="channels with names of their own, without '['",
+                    expected="channels with names of their own that a title can carry",
                     got=repr(title),
                     remedy="rename the channel",
                 )
@@ -57,7 +58,9 @@ def columns_of(trajectory: Trajectory) -> dict[str, FloatArray]:
     return columns
 
 
-def write_trajectory(trajectory: Trajectory, path: str | Path) -> Path:
+def write_trajectory(
+    trajectory: Trajectory, path: str | Path, *, references: Mapping[str, FloatArray] | None = None
+) -> Path:
     """Write a record as CSV or Parquet.
 
     Parameters
@@ -65,6 +68,8 @@ def write_trajectory(trajectory: Trajectory, path: str | Path) -> Path:
     trajectory : Trajectory
     path : path
         Ends in ``.csv`` or ``.parquet``. An existing file is replaced, whole or not at all.
+    references : mapping, optional
+        Signals from outside the loop by title, such as ``"u [N]"``: arrays (N,).
 
     Returns
     -------
@@ -82,7 +87,10 @@ def write_trajectory(trajectory: Trajectory, path: str | Path) -> Path:
     :class:`PlantSpec` (ranges, periods, kinds) as metadata; a CSV file is a plain table and does not.
     """
     path = Path(path)
-    columns = columns_of(trajectory)
+    columns = {
+        **columns_of(trajectory),
+        **{f"{REFERENCE}{title}": np.asarray(values, dtype=float) for title, values in (references or {}).items()},
+    }
     if not path.parent.is_dir():
         raise InputError(
             "the folder is missing", expected="an existing folder", got=str(path.parent), remedy="make it", file=path
@@ -174,7 +182,7 @@ def _spec_from_titles(table: Table, inputs: list[str], truth: list[str], time: F
         name, unit = split_header(title)
         return Channel(name, unit or "1")
 
-    titles = [title for title in table.titles if split_header(title)[0] != "time"]
+    titles = [title for title in table.titles if split_header(title)[0] != "time" and not title.startswith(REFERENCE)]
     for name in inputs:
         if table.find(name) is None:
             raise table.missing(name)

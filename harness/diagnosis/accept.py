@@ -16,6 +16,7 @@ from harness.diagnosis.residual_tests import RATIO, effective_samples
 from harness.signals import FloatArray
 
 __all__ = [
+    "WRONG_SIGN",
     "Comparison",
     "Interval",
     "Judgement",
@@ -31,6 +32,7 @@ DRAWS = 4000
 DELTA_BIC = 10.0
 GAIN = 0.01
 LEVEL = 0.01
+WRONG_SIGN = "its main parameter has an unphysical sign"
 
 
 @dataclass(frozen=True)
@@ -251,7 +253,7 @@ def judge(
     if not main.excludes_zero:
         reasons.append("the interval of its main parameter includes 0")
     if sign and main.value * sign < 0:
-        reasons.append("its main parameter has an unphysical sign")
+        reasons.append(WRONG_SIGN)
     span = maximum - minimum
     edge = 1e-3 * span if np.isfinite(span) else 1e-6 * max(abs(main.value), 1e-12)
     if (np.isfinite(maximum) and main.value > maximum - edge) or (

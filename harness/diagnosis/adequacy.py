@@ -18,12 +18,25 @@ from harness.diagnosis.accept import compare_blocks
 from harness.diagnosis.surrogates import phase_randomised
 from harness.signals import FloatArray
 
-__all__ = ["Adequacy", "Grade", "Predictable", "grade", "hat_basis", "joint_basis", "predictable_part", "rough"]
+__all__ = [
+    "Adequacy",
+    "Grade",
+    "Predictable",
+    "grade",
+    "hat_basis",
+    "joint_basis",
+    "no_small_disturbance",
+    "predictable_part",
+    "rough",
+]
 
 Grade = Literal["explained", "mostly_explained", "proxy_or_incomplete"]
 SHRINKAGE = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
 FOLDS = 5
 LEVEL = 0.01
+FAR = 10.0
+LARGE = 0.1
+"""A rest of this share of the motion, and of 10 noise floors, is no disturbance of a few percent of the force."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +77,20 @@ class Adequacy:
     best: Predictable | None
     families: tuple[Predictable, ...]
     null: FloatArray = field(repr=False)
+    too_large: bool = False
+    """True if what is left is too large for a small disturbance, predictable or not."""
+
+    @property
+    def unexplained(self) -> bool:
+        """True if what is left cannot be passed off as a disturbance."""
+        return self.predictable or self.too_large
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of ``report.json``."""
         return {
             "rest": float(self.rest) if np.isfinite(self.rest) else None,
             "predictable": self.predictable,
+            "too_large_for_a_disturbance": self.too_large,
             "families": [{"axes": one.axes, "share": float(one.share), "p": float(one.p)} for one in self.families],
         }
 
@@ -104,7 +125,7 @@ class _Side:
     """Estimation or validation: residuals (rows, 1 + count) and the rows of each fold."""
 
     residual: FloatArray
-    folds: list[FloatArray]
+    folds: list[slice]
 
 
 def predictable_part(
@@ -217,12 +238,54 @@ def grade(
     return Adequacy(word, size, size > 1.15, best, tuple(families), null)
 
 
+def nothing_left() -> Adequacy:
+    """Return the grade of a residual that is no more than noise.
+
+    Below 1.15 noise floors the predictable part is below sqrt(1.15^2 - 1) of them, which is "explained" whatever
+    predicts it.
+    """
+    return Adequacy("explained", 1.0, False, None, (), np.zeros(0))
+
+
+def no_small_disturbance(
+    residual: Sequence[FloatArray], measured: Sequence[FloatArray], floors: Sequence[float | None]
+) -> bool:
+    """Return True if a residual is too large to pass for an unpredictable disturbance of a right model.
+
+    A disturbance of a few percent of the force moves the outputs by about as many percent. A model that misses a tenth
+    of the motion, far above a known noise floor, is wrong, even where nothing predicts its error: a strong nonlinearity
+    makes the error of a free run a function of its whole past.
+
+    Parameters
+    ----------
+    residual : sequence of array (N_i, ny)
+        Weighted residuals.
+    measured : sequence of array (N_i, ny)
+        The outputs in the same weights.
+    floors : sequence of float or None
+        Noise floor of each output in the same weights; where it is unknown nothing is concluded.
+
+    Examples
+    --------
+    >>> y = np.sin(np.arange(500) * 0.1)[:, None]
+    >>> no_small_disturbance([0.2 * y], [y], [0.001]), no_small_disturbance([0.02 * y], [y], [0.001])
+    (True, False)
+    """
+    size = np.sqrt(np.mean(np.concatenate(list(residual)) ** 2, axis=0))
+    motion = np.std(np.concatenate(list(measured)), axis=0)
+    return any(
+        floor is not None and floor > 0 and r > FAR * floor and r > LARGE * y
+        for r, y, floor in zip(size, motion, floors, strict=True)
+    )
+
+
 def _side(series: Sequence[FloatArray], count: int, rng: np.random.Generator) -> _Side:
     """Return the residual and its surrogates as columns, and the rows of consecutive folds."""
     truth = np.concatenate([one.reshape(-1) for one in series])
     drawn = phase_randomised(series, count, rng=rng).reshape(count, -1)
     both = np.concatenate([truth[None], drawn]).T
-    return _Side(both, np.array_split(np.arange(truth.size), FOLDS))
+    parts = np.array_split(np.arange(truth.size), FOLDS)
+    return _Side(both, [slice(int(one[0]), int(one[-1]) + 1) for one in parts if one.size])
 
 
 def rough(size: int) -> FloatArray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from harness.signals import Dataset, FloatArray, Trajectory
 
-__all__ = ["BlackBox", "fit_black_box"]
+__all__ = ["BlackBox", "fit_black_box", "one_step_error"]
 
 ORDERS = (2, 4, 8, 16, 32)
 POLYNOMIAL_ORDERS = (2, 3, 4)
@@ -95,6 +95,25 @@ def fit_black_box(dataset: Dataset, *, horizon: float | None = None) -> BlackBox
         nothing = (float("nan"),) * ny
         return BlackBox(nothing, (None,) * ny, False, "no black box could be fitted or run freely")
     return best[1]
+
+
+def one_step_error(dataset: Dataset) -> FloatArray:
+    """Return how well linear models predict each output one sample ahead on the validation runs (rms (ny,)).
+
+    The best over the orders; infinite if there are too few samples for any.
+    """
+    estimation, validation = _scaled(dataset)
+    scale = np.std(np.concatenate([t.y for t in dataset.estimation]), axis=0)
+    best = np.full(dataset.spec.ny, np.inf)
+    shortest = min(len(run[1]) for run in (*estimation, *validation))
+    for order in (one for one in ORDERS if 4 * one <= shortest):
+        structure = _Structure(order, 1)
+        fitted = _fit(structure, estimation)
+        if fitted is None:
+            continue
+        errors = np.concatenate(_one_step(structure, fitted, validation))
+        best = np.fmin(best, np.sqrt(np.mean(errors**2, axis=0)) * scale)
+    return best
 
 
 _Record = tuple[FloatArray, FloatArray]

@@ -13,11 +13,12 @@ import numpy as np
 from harness.diagnosis.algorithm import Diagnosis, Progress, diagnose
 from harness.effects.effect import Effect
 from harness.errors import InputError
-from harness.signals import Dataset
+from harness.physics.arm import ArmModel, is_arm, load_arm
+from harness.signals import Dataset, FloatArray
 
 __all__ = ["Report", "close_loop", "close_loop_file"]
 
-JSON, HTML, MODEL = "report.json", "report.html", "model.json"
+JSON, HTML, MODEL, NOMINAL = "report.json", "report.html", "model.json", "nominal.fmu"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +68,7 @@ def close_loop(
     inverse_dynamics: bool | None = None,
     workers: int | None = None,
     name: str | None = None,
+    references: Sequence[Mapping[str, FloatArray]] = (),
 ) -> Report:
     """Find the effect that a model lacks, add it, report the error before and after.
 
@@ -74,10 +76,11 @@ def close_loop(
     ----------
     dataset : Dataset
         Estimation and validation runs, test runs if there are any.
-    model : System or str
-        The nominal model, or the name of a built-in one.
+    model : System, ArmModel, str or path
+        The nominal model, the name of a built-in one, an FMU (``FILE.fmu``), or an arm (``iiwa``, ``FILE.urdf``).
     parameters : mapping, optional
-        What is known of its parameters: a start value, or a :class:`harness.physics.Parameter` (bounds, fixed).
+        What is known of its parameters: a start value, or a :class:`harness.physics.Parameter` (bounds, fixed). Of an
+        FMU the parameters named here are calibrated; without any, all tunable ones that are not 0.
     out : path, optional
         Folder for ``report.json`` and ``report.html``; made if it is not there.
     rng : Generator, optional
@@ -95,6 +98,9 @@ def close_loop(
     name : str, optional
         What the nominal model is loaded by (``NAME`` or ``FILE.py:NAME``), for ``model.json``; by default the name of
         the model.
+    references : sequence of mapping, optional
+        For each run of the data set the recorded signals from outside a control loop (reference, added excitation) by
+        name, arrays (N,): the instruments of the test for the bias of closed-loop data.
 
     Returns
     -------
@@ -110,8 +116,13 @@ def close_loop(
     from harness.diagnosis.store import write_atomic
 
     folder = _folder(out, resume=resume, force=force)
-    system = _system(model, parameters)
     chosen = seed if rng is None else int(rng.integers(2**31))
+    if (arm := _arm(model)) is not None:
+        from harness.diagnosis.arm_close import close_arm
+
+        data = close_arm(dataset, arm, folder=folder, seed=chosen, progress=progress, dictionary=dictionary)
+        return Report(data, folder, arm)
+    system = _system(model, parameters, dataset)
     found = diagnose(
         dataset,
         system,
@@ -124,10 +135,12 @@ def close_loop(
     )
     if progress is not None:
         progress(0.9, "report")
-    data = report_data(found)
+    data = report_data(found, references)
     if folder is not None:
         write_html(found, data, folder / HTML)
         repaired = _repaired(found, name or system.name)
+        if is_fmu(system):
+            repaired = _repaired_fmu(found, folder)
         write_atomic(folder / MODEL, json.dumps(repaired, indent=1, allow_nan=False) + "\n")
         write_atomic(folder / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
     if progress is not None:
@@ -145,6 +158,7 @@ def close_loop_file(
     force: bool = False,
     seed: int = 0,
     progress: Progress | None = None,
+    workers: int | None = None,
 ) -> Report:
     """Do the same for a data set file, a bare CSV or Parquet file, or the name of a recording.
 
@@ -155,16 +169,26 @@ def close_loop_file(
 
     _folder(out, resume=resume, force=force, make=False)
     loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation)
-    system = loaded.system()
+    if loaded.nominal is not None and is_arm(loaded.nominal.model):
+        from harness.diagnosis.arm_close import recorded_arm
+
+        arm: Any = recorded_arm(loaded)
+        return close_loop(
+            loaded.for_system(arm), arm, out=out, resume=resume, force=force, seed=seed, progress=progress
+        )  # fmt: skip
+    box = loaded.nominal is not None and loaded.nominal.model.endswith(".fmu")
+    system = _recorded_fmu(loaded) if box else loaded.system()
     return close_loop(
-        loaded.for_system(system),
+        loaded.dataset if box else loaded.for_system(system),
         system,
         out=out,
         resume=resume,
         force=force,
         seed=seed,
         progress=progress,
+        workers=workers,
         name="" if loaded.nominal is None else loaded.nominal.model,
+        references=loaded.references,
     )
 
 
@@ -183,8 +207,65 @@ def _repaired(found: Diagnosis, name: str) -> dict[str, Any]:
     }
 
 
-def _system(model: Any, parameters: Mapping[str, Any] | None) -> Any:
-    """Return the nominal system from a name, a definition or a system."""
+def _arm(model: Any) -> ArmModel | None:
+    """Return the arm that is meant, None for any other model."""
+    if isinstance(model, ArmModel):
+        return model
+    return load_arm(model) if isinstance(model, str | Path) and is_arm(str(model)) else None
+
+
+def is_fmu(system: Any) -> bool:
+    """Return True for an FMU as the nominal model."""
+    from harness.diagnosis.fmu_system import FmuSystem
+
+    return isinstance(system, FmuSystem)
+
+
+def _repaired_fmu(found: Diagnosis, folder: Path) -> dict[str, Any]:
+    """Return the repaired model as ``sysid export`` reads it, a copy of the FMU beside it."""
+    from harness.specs import spec_to_dict
+
+    final = found.final.system
+    (folder / NOMINAL).write_bytes(final.path.read_bytes())
+    return {
+        "kind": "fmu",
+        "spec": spec_to_dict(found.dataset.spec),
+        "model": NOMINAL,
+        "sha256": final.digest,
+        "parameters": {key: float(value) for key, value in final.values(found.final.values).items()},
+        "effects": [[placed.effect.name, placed.at] for placed in final.effects],
+        "intersample": found.dataset.intersample,
+        "notes": {"verdict": found.verdict},
+    }
+
+
+def _recorded_fmu(loaded: Any) -> Any:
+    """Return the FMU that a data set names, with what it says of the parameters."""
+    from harness.diagnosis.fmu_prepare import nominal_fmu
+
+    for port, derivative in loaded.measured:
+        if derivative:
+            raise InputError(
+                f"derivative of {port} as an output of an FMU",
+                expected="the FMU's own variable",
+                got=f"derivative = {derivative}",
+                remedy="name the variable with port = ... (sysid list FILE.fmu shows all)",
+                file=loaded.path,
+            )
+    given = {
+        name: {"value": one.start if one.value is None else one.value, "minimum": one.minimum,
+               "maximum": one.maximum, "fixed": one.fixed}
+        for name, one in loaded.nominal.parameters.items()
+    }  # fmt: skip
+    return nominal_fmu(loaded.nominal.model, loaded.dataset, given)
+
+
+def _system(model: Any, parameters: Mapping[str, Any] | None, dataset: Dataset) -> Any:
+    """Return the nominal system from a name, a file, a definition or a system."""
+    if isinstance(model, str | Path) and str(model).endswith(".fmu"):
+        from harness.diagnosis.fmu_prepare import nominal_fmu
+
+        return nominal_fmu(model, dataset, parameters)
     if isinstance(model, str):
         from harness.physics import load_model
 

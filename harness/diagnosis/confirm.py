@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -90,9 +91,15 @@ _form: Form | None = None
 
 
 def _install(form: Form) -> None:
-    """Keep the form in a worker process (it is inherited or sent once, not with every task)."""
+    """Keep the form in a worker process (it is inherited or sent once, not with every task).
+
+    Ctrl-C reaches every process of a terminal: the main one decides, and ends its workers.
+    """
+    import signal
+
     global _form
     _form = form
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _work(task: Task, seed: int) -> dict[str, Any]:
@@ -146,11 +153,12 @@ class Refitter:
             elif task.key not in {other.key for other in missing}:
                 missing.append(task)
         workers = min(self.workers, len(missing), os.cpu_count() or 1)
-        for task, record in self._parallel(missing, workers) if workers > 1 else self._serial(missing):
-            records[task.key] = record
-            self.store.put(task.key, record)
-            if self.progress is not None:
-                self.progress(placed_name(task.effects))
+        with closing(self._parallel(missing, workers) if workers > 1 else self._serial(missing)) as finished:
+            for task, record in finished:
+                records[task.key] = record
+                self.store.put(task.key, record)
+                if self.progress is not None:
+                    self.progress(placed_name(task.effects))
         return [records[task.key] for task in tasks]
 
     def fit(self, task: Task) -> Fitted | None:
@@ -185,7 +193,9 @@ class Refitter:
         method = "fork" if "fork" in multiprocessing.get_all_start_methods() else "spawn"
         context = multiprocessing.get_context(method)
         done: set[str] = set()
+        others = set(multiprocessing.active_children())
         pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_install, initargs=(self.form,))
+        futures: dict[Any, Task] = {}
         try:
             futures = {pool.submit(_work, task, self._key(task)): task for task in tasks}
             for future in as_completed(futures):
@@ -196,6 +206,14 @@ class Refitter:
                     break
                 done.add(task.key)
                 yield task, record
+        except BaseException:
+            # interrupted: keep what is finished, and wait for nothing else
+            for future, task in futures.items():
+                if task.key not in done and future.done() and not future.cancelled() and future.exception() is None:
+                    self.store.put(task.key, future.result())
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
+            raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
         yield from self._serial([task for task in tasks if task.key not in done])

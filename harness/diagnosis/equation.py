@@ -41,14 +41,22 @@ class Equations:
     weak: Any
     drive: Any
 
+    def _values(self, name: str, *arguments: FloatArray) -> list[FloatArray]:
+        """Return the outputs of a function along a record (N, size), matrices column by column."""
+        from harness.physics.vectorised import OnRecords
+
+        known: dict[str, OnRecords] = self.__dict__.setdefault("_on_records", {})
+        if name not in known:
+            known[name] = OnRecords(getattr(self, name))
+        return known[name](*arguments)
+
     def input_size(self, motion: Motion, p: FloatArray) -> float:
         """Return the rms force of the inputs as the model passes them on; 0 without inputs."""
         return float(np.sqrt(np.mean(self.force_of(motion, motion.u, p) ** 2)))
 
     def force_of(self, motion: Motion, u: FloatArray, p: FloatArray) -> FloatArray:
         """Return the force (N, n) of inputs u (N, nu) along a motion."""
-        tile = np.repeat(np.asarray(p, dtype=float)[:, None], motion.q.shape[0], axis=1)
-        return np.array(self.drive(motion.q.T, motion.v.T, u.T, tile, motion.t[None]), dtype=float).T
+        return self._values("drive", motion.q, motion.v, u, np.asarray(p, dtype=float), motion.t[:, None])[0]
 
     def residual(
         self, motion: Motion, p: FloatArray, form: Form = "strong", columns: Sequence[int] | None = None
@@ -69,15 +77,15 @@ class Equations:
         n, npar, rows = motion.q.shape[1], p.size, motion.q.shape[0]
         wanted = list(range(npar)) if columns is None else list(columns)
         k = len(wanted)
-        tile = np.repeat(np.asarray(p, dtype=float)[:, None], rows, axis=1)
+        p, t = np.asarray(p, dtype=float), motion.t[:, None]
         if form == "strong":
-            out = self.strong(motion.q.T, motion.v.T, motion.a.T, motion.u.T, tile, motion.t[None])
+            out = self._values("strong", motion.q, motion.v, motion.a, motion.u, p, t)
             r, j = _unpack(out, n, npar, rows)
             slim = decimated(r, motion)
             if k == 0:
                 return slim, np.zeros((*slim.shape, 0))
             return slim, decimated(j[:, :, wanted].reshape(rows, n * k), motion).reshape(-1, n, k)
-        momentum, force, dm, df = self.weak(motion.q.T, motion.v.T, motion.u.T, tile, motion.t[None])
+        momentum, force, dm, df = self._values("weak", motion.q, motion.v, motion.u, p, t)
         (m, jm), (f, jf) = _unpack((momentum, dm), n, npar, rows), _unpack((force, df), n, npar, rows)
         shape = (rows, n * k)
         jm, jf = jm[:, :, wanted], jf[:, :, wanted]
@@ -156,8 +164,8 @@ def bump_rows(rows: FloatArray, motion: Motion, *, slope: bool = False) -> Float
     return np.asarray(windows @ (weights / norm))
 
 
-def _unpack(values: Sequence[Any], n: int, npar: int, rows: int) -> tuple[FloatArray, FloatArray]:
-    """Return CasADi's column-wise results as (rows, n) and (rows, n, npar)."""
-    r = np.array(values[0], dtype=float).T
-    j = np.array(values[1], dtype=float).reshape(n, rows, npar).transpose(1, 0, 2) if npar else np.zeros((rows, n, 0))
+def _unpack(values: Sequence[FloatArray], n: int, npar: int, rows: int) -> tuple[FloatArray, FloatArray]:
+    """Return results by column as (rows, n) and (rows, n, npar)."""
+    r = values[0]
+    j = values[1].reshape(rows, npar, n).transpose(0, 2, 1) if npar else np.zeros((rows, n, 0))
     return r, j

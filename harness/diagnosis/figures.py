@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Overlay", "Pictures", "ResidualView", "draw"]
+__all__ = ["Overlay", "Pictures", "ResidualView", "draw", "drawing"]
 
 INK, GREY, GRID = "#1d2733", "#8a94a0", "#e3e7ec"
 BEFORE, AFTER, DATA = "#d9622b", "#1769aa", "#9aa5b1"
@@ -86,7 +86,7 @@ def draw(pictures: Pictures) -> dict[str, str]:
 
 
 @contextmanager
-def _figure(name: str, width: float, height: float) -> Iterator[tuple[Figure, list[str]]]:
+def drawing(name: str, width: float, height: float) -> Iterator[tuple[Figure, list[str]]]:
     """Make a figure without any global state; its SVG text is appended to the list when the block ends."""
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -131,7 +131,7 @@ def _figure(name: str, width: float, height: float) -> Iterator[tuple[Figure, li
 def _overlay(overlays: Sequence[Overlay]) -> str:
     """Draw measured, before and after, with the error below."""
     shown = overlays[:4]
-    with _figure("overlay", 10.5, 2.9 * len(shown)) as (figure, svg):
+    with drawing("overlay", 10.5, 2.9 * len(shown)) as (figure, svg):
         axes = figure.subplots(len(shown), 2, squeeze=False, width_ratios=(1.6, 1.0))
         for (left, right), one in zip(axes, shown, strict=True):
             pick = _thin(one.t.size, 2500)
@@ -152,7 +152,7 @@ def _residual(views: Sequence[ResidualView]) -> str:
     """Draw the residual against each axis: samples, binned mean with its band, fitted effect on top."""
     columns = min(4, max(2, len({view.axis for view in views})))
     rows = -(-len(views) // columns)
-    with _figure("residual", 10.5, 2.9 * rows) as (figure, svg):
+    with drawing("residual", 10.5, 2.9 * rows) as (figure, svg):
         axes = figure.subplots(rows, columns, squeeze=False)
         for axis in axes.flat[len(views) :]:
             axis.remove()
@@ -171,7 +171,8 @@ def _one_view(axis: Axes, view: ResidualView) -> None:
         _binned(axis, view.x, view.after, AFTER, "after")
     if view.fitted is not None:
         _fitted(axis, view.x, view.fitted)
-    low, high = np.quantile(view.before, [0.005, 0.995])
+    shown = view.before if view.after is None else np.concatenate([view.before, view.after])
+    low, high = np.quantile(shown, [0.005, 0.995])
     margin = 0.25 * max(high - low, 1e-300)
     axis.set_ylim(low - margin, high + margin)
     axis.set(
@@ -216,7 +217,7 @@ def _fitted(axis: Axes, x: FloatArray, force: FloatArray) -> None:
 def _tests(pictures: Pictures) -> str:
     """Draw autocorrelation, input cross-correlation and CUSUM of squares, before and after, with 99 % bands."""
     series = [(pictures.before, BEFORE, "before"), (pictures.after, AFTER, "after")]
-    with _figure("tests", 10.5, 2.9) as (figure, svg):
+    with drawing("tests", 10.5, 2.9) as (figure, svg):
         panels = figure.subplots(1, 3 if pictures.u is not None else 2)
         for r, colour, label in series:
             if r is None:
@@ -246,7 +247,7 @@ def _isolability(names: Sequence[str], cosines: FloatArray) -> str:
     """Draw the matrix of cosines."""
     n = len(names)
     size = min(10.5, 2.6 + 0.3 * n)
-    with _figure("isolability", size, size * 0.86) as (figure, svg):
+    with drawing("isolability", size, size * 0.86) as (figure, svg):
         axis = figure.subplots()
         image = axis.imshow(np.abs(cosines), vmin=0, vmax=1, cmap="Blues", interpolation="nearest")
         axis.set_xticks(range(n), names, rotation=60, ha="right", rotation_mode="anchor", fontsize=7.5)
@@ -264,7 +265,7 @@ def _isolability(names: Sequence[str], cosines: FloatArray) -> str:
 def _surrogates(null: FloatArray, observed: Mapping[str, float]) -> str:
     """Draw the null distribution and where the leading effects stand."""
     leaders = sorted(observed.items(), key=lambda item: -item[1])[:5]
-    with _figure("surrogates", 5.4, 3.0) as (figure, svg):
+    with drawing("surrogates", 5.4, 3.0) as (figure, svg):
         axis = figure.subplots()
         floor = max(float(null[null > 0].min(initial=1e-6)), 1e-9)
         top = max([float(null.max()), *(value for _, value in leaders)])
@@ -290,7 +291,7 @@ def _surrogates(null: FloatArray, observed: Mapping[str, float]) -> str:
 def _coverage(panels: Sequence[tuple[str, str, FloatArray, FloatArray, FloatArray, FloatArray]]) -> str:
     """Draw where in (q, v) the estimation and the validation records went."""
     shown = panels[:3]
-    with _figure("coverage", 10.5, 3.2) as (figure, svg):
+    with drawing("coverage", 10.5, 3.2) as (figure, svg):
         axes: Any = figure.subplots(1, max(len(shown), 2), squeeze=False)
         for spare in axes[0][len(shown) :]:
             spare.remove()

@@ -41,8 +41,8 @@ class FmuCalibration:
         By use, for each run its fitted initial state by name.
     floors : tuple of NoiseFloor
     missing : bool
-        The residual is above the noise, or coloured: the FMU lacks something. What, is not searched: that needs the
-        equations.
+        The residual is above the noise, or coloured: the FMU lacks something. What, is searched by
+        :func:`harness.diagnosis.close_loop`.
     """
 
     parameters: dict[str, float]
@@ -61,7 +61,7 @@ class FmuCalibration:
             for use, parts in (("estimation", self.estimation), ("validation", self.validation))
         )
         words = (
-            "more than noise: something is missing; to have it named, write the model as equations (FILE.py:NAME)"
+            "more than noise: something is missing; sysid close-loop --model FILE.fmu names it"
             if self.missing
             else "no more than noise"
         )

@@ -64,12 +64,30 @@ class Fitted:
         return all(np.isfinite(one).all() for one in (*self.estimation, *self.validation))
 
     def intervals(self) -> dict[str, Interval]:
-        """Return the 95 % interval of every free parameter."""
-        values = np.array([self.values[name] for name in self.free])
+        """Return the 95 % interval of every free parameter.
+
+        A parameter of the nominal model that the fit has driven to 0, its lower bound, does not move any more: the
+        intervals of the others are those of a fit without it.
+        """
         if not self.free:
             return {}
-        found = block_interval(values, self.jacobian, self.estimation)
-        return dict(zip(self.free, found, strict=True))
+        gone = [self._vanished(name) for name in self.free]
+        found: dict[str, Interval] = {}
+        for chosen in ([not one for one in gone], [True] * len(gone)):
+            names = [name for name, use in zip(self.free, chosen, strict=True) if use]
+            if names and not found.keys() >= set(names):
+                columns = [one[:, :, np.array(chosen)] for one in self.jacobian]
+                values = np.array([self.values[name] for name in names])
+                for name, one in zip(names, block_interval(values, columns, self.estimation), strict=True):
+                    found.setdefault(name, one)
+        return {name: found[name] for name in self.free}
+
+    def _vanished(self, name: str) -> bool:
+        """Return True if a parameter that cannot be negative has gone to 0."""
+        if "." in name:
+            return False
+        one = self.system.parameter(name)
+        return bool(one.minimum == 0.0 and 0.0 <= self.values[name] < 1e-3 * abs(one.value))
 
 
 class Form(Protocol):

@@ -51,6 +51,8 @@ def measured_coordinates(system: Any) -> dict[str, tuple[int | None, int | None]
     import casadi as ca
 
     found: dict[str, tuple[int | None, int | None]] = {}
+    if system.h is None:  # an FMU
+        return None
     for one in system.coordinates:
         position = rate = None
         for j in range(system.ny):

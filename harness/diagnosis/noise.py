@@ -1,8 +1,8 @@
 """The noise floor of each output, and where the figure comes from.
 
 In this order: a value declared in the data set; repeated periods of a periodic input; the fourth difference, only
-where the top octave of the spectrum is flat; the free run of a validated high-order black box at the horizon the
-model is judged at; else unknown (None), never 0.
+where the top octave of the spectrum is flat and a linear model predicts one sample ahead nearly as well; the free run
+of a validated high-order black box at the horizon the model is judged at; else unknown (None), never 0.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from harness.diagnosis.black_box import BlackBox, fit_black_box
+from harness.diagnosis.black_box import BlackBox, fit_black_box, one_step_error
 from harness.signals import Dataset, FloatArray
 
 __all__ = [
@@ -25,6 +25,10 @@ __all__ = [
     "repeated_periods",
     "top_octave",
 ]
+
+PREDICTED = 2.5
+"""One step ahead, white sensor noise on an oversampled signal costs a linear predictor 1.2 to 1.8 times itself; an
+error beyond this is the plant's own, and no model reaches the sensor's noise."""
 
 Source = Literal["declared", "repeated_periods", "fourth_difference", "black_box"]
 
@@ -90,9 +94,14 @@ def noise_floors(
         tops = [top_octave(one) for one in series]
         if all(top.flat for top in tops):
             value = float(np.median([fourth_difference(one) for one in series]))
-            floors.append(replace(here, value=value, source="fourth_difference", note="the top octave is flat"))
-            continue
-        note = f"the fourth difference ({fourth_difference(series[0]):.3g}) is not used: {_first_reason(tops)}"
+            ahead = one_step_error(dataset)[j]
+            if not ahead > PREDICTED * value:
+                floors.append(replace(here, value=value, source="fourth_difference", note="the top octave is flat"))
+                continue
+            reason = f"one sample ahead a linear model predicts no better than to {ahead:.3g}: the plant is disturbed"
+        else:
+            reason = _first_reason(tops)
+        note = f"the fourth difference ({fourth_difference(series[0]):.3g}) is not used: {reason}"
         if black is None:
             black = fit_black_box(dataset, horizon=horizon)
         error = black.free_run[j] if black.validated else None

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.forms import Fitted
+from harness.diagnosis.unfold import signs_by_model, unfolded_starts
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.errors import FitError
@@ -24,6 +25,8 @@ from harness.signals import Dataset, FloatArray, Trajectory
 __all__ = ["OutputForm"]
 
 ITERATIONS = 50
+STIFFER = 4
+"""A start that needs more than so many times the steps of another one is put off."""
 PER_RECORD = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
 """Parameters that belong to a record, not to the plant: refitted on validation."""
 
@@ -46,6 +49,13 @@ class OutputForm:
     floors : sequence of float or None
         Noise floor of each output, in its unit.
     """
+
+    decrease = 1e-7
+    """Relative decrease of the cost at which a fit has converged."""
+    many_starts = True
+    """A simulation is cheap enough for many starts."""
+    direct = False
+    """Descend on the whole horizon at once too, not only by way of short windows."""
 
     def __init__(
         self,
@@ -103,13 +113,11 @@ class OutputForm:
         system = self.system(effects)
         free = np.array([not one.fixed for one in system.parameters], dtype=bool)
         ends = []
-        for number, start in enumerate(starts or ({},)):
-            p = system.vector({k: v for k, v in start.items() if k in system.parameter_names})
-            if any(np.allclose(p, system.vector(other), rtol=1e-9) for other in list(starts)[:number]):
-                continue
-            first = self._stage(system, p, None, free, self._path()[0])
-            if first is not None:
-                ends.append(first)
+        for some in self._by_expense(system, starts or ({},)):
+            found_ends = [self._stage(system, p, None, free, self._path()[0]) for p in some]
+            ends = [one for one in found_ends if one is not None]
+            if ends:
+                break
         best: dict[str, Any] | None = None
         ends.sort(key=lambda one: one.evaluation.cost)
         for number, end in enumerate(ends[:2]):
@@ -118,6 +126,12 @@ class OutputForm:
             found = self._descend(system, end, free)
             if found is not None and (best is None or found["cost"] < best["cost"]):
                 best = found
+        vectors = [system.vector(one["values"]) for one in unfolded_starts(self, effects, starts)]
+        if self.direct and len(self._path()) > 1:
+            vectors += [system.vector({k: v for k, v in one.items() if k in system.parameter_names}) for one in starts]
+        straight = [self._stage(system, p, None, free, self.horizon) for p in vectors]
+        more = [self._ended(system, one) for one in straight if one is not None]
+        best = min([*more, *([] if best is None else [best])], key=lambda one: float(one["cost"]), default=None)
         if best is None:
             raise FitError(
                 f"refit of {system}",
@@ -136,8 +150,10 @@ class OutputForm:
         index = [system.parameter_names.index(name) for name in free]
         windows = self._windows(system, p, "estimation")
         x0 = np.array(record["x0"], dtype=float).reshape(len(windows), system.nx)
-        inside = windows.together(windows.evaluate(p, x0, keep=True).residuals)
-        jacobian = windows.jacobian(p, x0)[:, index]
+        result = windows.evaluate(p, x0, keep=True, jacobian=True)
+        if result.jacobian is None:
+            raise np.linalg.LinAlgError(f"the simulation of {system} diverges")
+        inside, jacobian = windows.together(result.residuals), result.jacobian[:, index]
         cuts = np.cumsum([len(one) for one in inside])[:-1]
         q = system.vector({**record["values"], **record["refitted"]})
         outside: list[FloatArray] = []
@@ -167,17 +183,17 @@ class OutputForm:
         p = system.vector({**base.values, **named})
         windows = self._windows(system, p, "estimation")
         x0 = self._extended(base, system, p, windows)
-        with np.errstate(all="ignore"):
-            result = windows.evaluate(p, x0, keep=True)
-        if not np.isfinite(result.cost):
+        try:
+            with np.errstate(all="ignore"):
+                result = windows.evaluate(p, x0, keep=True, jacobian=True)
+        except np.linalg.LinAlgError:
+            return None
+        if result.jacobian is None:
             return None
         after = windows.together([r / self.weights for r in result.residuals])
         names = [placed.name(one.name) for one in placed.effect.parameters if not one.fixed]
         index = [system.parameter_names.index(name) for name in names]
-        try:
-            slopes = windows.jacobian(p, x0)[:, index]
-        except np.linalg.LinAlgError:
-            return None
+        slopes = result.jacobian[:, index]
         cuts = np.cumsum([len(one) for one in after])[:-1]
         ny = len(self.weights)
         parts = [
@@ -219,13 +235,13 @@ class OutputForm:
         system = fitted.system
         p = system.vector({**fitted.values, **(fitted.refitted if use != "estimation" else {})})
         windows = self._windows(system, p, use, horizon, always=True)
-        x0 = windows.starts_from([data_states(windows.simulator, one, p)[0] for one in self.records[use]])
+        x0 = windows.starts_from([self._from_data(windows.simulator, one, p)[0] for one in self.records[use]])
         if start == "estimated":
             x0 = self._settled(system, p, use, windows, x0)
         result = windows.evaluate(p, x0, keep=True)
         return windows.together(result.residuals), windows.together(result.states), list(x0)
 
-    def shortened(self, fitted: Fitted, seconds: float) -> tuple[OutputForm, Fitted]:
+    def shortened(self, fitted: Fitted, seconds: float | None) -> tuple[OutputForm, Fitted]:
         """Return a form of shorter windows and the same model seen in it, its initial states fitted.
 
         Over a short window a simulation has not yet lost track of the forces, whatever the motion magnifies later.
@@ -237,9 +253,29 @@ class OutputForm:
         for use, key in (("estimation", "x0"), ("validation", "x0_validation")):
             q = p if use == "estimation" else fitted.system.vector({**fitted.values, **fitted.refitted})
             windows = short._windows(fitted.system, q, use)
-            states = [data_states(windows.simulator, one, q)[0] for one in self.records[use]]
-            record[key] = minimise_states(windows, q, windows.starts_from(states), 25).tolist()
+            states = [self._from_data(windows.simulator, one, q)[0] for one in self.records[use]]
+            record[key] = self._fit_states(windows, q, windows.starts_from(states), 25).tolist()
         return short, short.evaluate(fitted.effects, record)
+
+    def refined(self, fitted: Fitted) -> dict[str, float] | None:
+        """Return the parameters of a model fitted once more on this form's records; None if that diverges."""
+        system = fitted.system
+        free = np.array([not one.fixed for one in system.parameters], dtype=bool)
+        solution = self._stage(system, system.vector(fitted.values), None, free, self.horizon)
+        if solution is None:
+            return None
+        return dict(zip(system.parameter_names, map(float, solution.p), strict=True))
+
+    def settled(self, fitted: Fitted, values: Mapping[str, float]) -> dict[str, Any]:
+        """Return the record of a model at other parameters, only its initial states fitted to this form's records."""
+        system = fitted.system
+        p = system.vector(values)
+        windows = self._windows(system, p, "estimation")
+        states = [self._from_data(windows.simulator, one, p)[0] for one in self.records["estimation"]]
+        x0 = self._settled(system, p, "estimation", windows, windows.starts_from(states))
+        record = {**fitted.record, "values": dict(values), "x0": x0.tolist()}
+        record["cost"] = 2 * float(windows.evaluate(p, x0).cost)
+        return {**record, **self._on_validation(system, record)}
 
     # ---- the work ------------------------------------------------------------------------------------------------
 
@@ -248,7 +284,41 @@ class OutputForm:
     ) -> Windows:
         """Return the windows of a use, at the form's horizon unless another is asked for."""
         length = horizon if always else self.horizon
-        return Windows(self.simulator(system, p), list(self.records[use]), length, self.weights)
+        return self._cut(self.simulator(system, p), list(self.records[use]), length)
+
+    def _from_data(self, simulator: Any, record: Trajectory, p: FloatArray) -> tuple[FloatArray, list[bool]]:
+        """Return what a record tells about the states (N, nx), and which of them it tells."""
+        hidden = signs_by_model(self, simulator, record, p)
+        if hidden is not None:
+            return hidden, [True] * hidden.shape[1]
+        return data_states(simulator, record, p)
+
+    def _iterations(self, horizon: float | None) -> int:
+        """Return how many iterations a fit at a horizon may take."""
+        return ITERATIONS
+
+    def _cut(self, simulator: Any, records: list[Trajectory], horizon: float | None) -> Windows:
+        """Return the windows of records."""
+        return Windows(simulator, records, horizon, self.weights)
+
+    def _fit_states(self, windows: Windows, p: FloatArray, x0: FloatArray, most: int) -> FloatArray:
+        """Return initial states (W, nx) fitted with the parameters held."""
+        return minimise_states(windows, p, x0, most)
+
+    def _by_expense(self, system: Any, starts: Sequence[Mapping[str, float]]) -> list[list[FloatArray]]:
+        """Return distinct starts (np,): first those with the fewest steps in a sample, then the much stiffer ones.
+
+        A start that is much stiffer than another one costs more than all the others, and is tried if these diverge.
+        """
+        distinct: list[FloatArray] = []
+        for start in starts:
+            p = system.vector({k: v for k, v in start.items() if k in system.parameter_names})
+            if not any(np.allclose(p, other, rtol=1e-9) for other in distinct):
+                distinct.append(p)
+        steps = [getattr(self.simulator(system, p), "substeps", 1) for p in distinct]
+        easy = [p for p, count in zip(distinct, steps, strict=True) if count <= STIFFER * min(steps)]
+        stiff = [p for p, count in zip(distinct, steps, strict=True) if count > STIFFER * min(steps)]
+        return [easy, stiff]
 
     def _path(self) -> list[float | None]:
         """Return the horizons of a fit in their order."""
@@ -264,14 +334,21 @@ class OutputForm:
         records = list(self.records["estimation"])
         simulator = self.simulator(system, p)
         if states is None:
-            states = [data_states(simulator, one, p)[0] for one in records]
-        windows = Windows(simulator, records, horizon, self.weights)
-        x0 = minimise_states(windows, p, windows.starts_from(states), 8)
-        solution = minimise(windows, p, x0, free, ITERATIONS)
+            states = [self._from_data(simulator, one, p)[0] for one in records]
+        windows = self._cut(simulator, records, horizon)
+        x0 = self._fit_states(windows, p, windows.starts_from(states), 8)
+        solution = minimise(windows, p, x0, free, self._iterations(horizon), decrease=self.decrease)
         if not np.isfinite(solution.evaluation.cost):
             return None
         solution.states = windows.together(solution.evaluation.states)  # type: ignore[attr-defined]
         return solution
+
+    def directly(self, starts: Sequence[Mapping[str, float]]) -> list[dict[str, Any]]:
+        """Return the nominal ends of starts that descend on the form's horizon at once; those that diverge are out."""
+        free = np.array([not one.fixed for one in self.nominal.parameters], dtype=bool)
+        ends = [self._stage(self.nominal, self.nominal.vector(one), None, free, self.horizon) for one in starts]
+        found = [self._ended(self.nominal, one) for one in ends if one is not None]
+        return [{**one, **self._on_validation(self.nominal, one)} for one in found]
 
     def _descend(self, system: Any, solution: Any, free: Any) -> dict[str, Any] | None:
         """Return the end of one start, from its first stage on."""
@@ -279,6 +356,10 @@ class OutputForm:
             solution = self._stage(system, solution.p, solution.states, free, horizon)
             if solution is None:
                 return None
+        return self._ended(system, solution)
+
+    def _ended(self, system: Any, solution: Any) -> dict[str, Any]:
+        """Return a solution as plain numbers."""
         return {
             "values": dict(zip(system.parameter_names, map(float, solution.p), strict=True)),
             "cost": 2 * float(solution.evaluation.cost),
@@ -293,7 +374,7 @@ class OutputForm:
             return {"x0_validation": [], "refitted": {}}
         p = system.vector(record["values"])
         windows = self._windows(system, p, "validation")
-        x0 = windows.starts_from([data_states(windows.simulator, one, p)[0] for one in self.records["validation"]])
+        x0 = windows.starts_from([self._from_data(windows.simulator, one, p)[0] for one in self.records["validation"]])
         x0 = self._settled(system, p, "validation", windows, x0)
         own = {one.name(name) for one in system.effects for name in PER_RECORD.get(one.effect.name, ())}
         own = {name for name in own if not system.parameter(name).fixed}
@@ -302,7 +383,7 @@ class OutputForm:
             free = np.array([one.name in own for one in system.parameters], dtype=bool)
             best = None
             for start in self._own_starts(system, p, own, max(len(r) for r in self.records["validation"])):
-                solution = minimise(windows, start, x0, free, 25)
+                solution = minimise(windows, start, x0, free, 25, decrease=self.decrease)
                 if best is None or solution.evaluation.cost < best.evaluation.cost:
                     best = solution
             if best is not None and np.isfinite(best.evaluation.cost):
@@ -327,13 +408,13 @@ class OutputForm:
         longest = max(last - first for _, first, last in windows.places) * self.sample_time
         short = max(longest / 8, 50 * self.sample_time)
         if short < 0.6 * longest:
-            first = Windows(windows.simulator, records, short, self.weights)
-            states = [data_states(windows.simulator, one, p)[0] for one in records]
-            found = minimise_states(first, p, first.starts_from(states), 8)
+            first = self._cut(windows.simulator, records, short)
+            states = [self._from_data(windows.simulator, one, p)[0] for one in records]
+            found = self._fit_states(first, p, first.starts_from(states), 8)
             kept = first.together(first.evaluate(p, found, keep=True).states)
             better = windows.starts_from(kept)
             x0 = np.where(np.isfinite(better), better, x0)
-        return minimise_states(windows, p, x0, 25)
+        return self._fit_states(windows, p, x0, 25)
 
     def _extended(self, base: Fitted, system: Any, p: FloatArray, windows: Windows) -> FloatArray:
         """Return the base model's initial states with those of the new hidden states."""

@@ -12,7 +12,7 @@ from harness.diagnosis.store import write_atomic
 if TYPE_CHECKING:
     from harness.diagnosis.algorithm import Diagnosis
 
-__all__ = ["render", "write_html"]
+__all__ = ["environment", "render", "write_html"]
 
 
 def write_html(found: Diagnosis, data: dict[str, Any], path: Path) -> None:
@@ -30,25 +30,35 @@ def render(data: dict[str, Any], figures: dict[str, str]) -> str:
     figures : dict
         SVG texts from :func:`harness.diagnosis.figures.draw`.
     """
+    text: str = (
+        environment()
+        .get_template("report.html.j2")
+        .render(
+            data=data,
+            figures=figures,
+            rows=_error_rows(data),
+            ratio=_ratios(data),
+            refits=[row for row in data["candidates"] if row["refitted"]],
+            aside=[row for row in data["candidates"] if not row["refitted"] and row["round"] == 1],
+            parameter_names=list(data["parameters"]["after"]),
+        )
+    )
+    return text
+
+
+def environment() -> Any:
+    """Return the jinja2 environment of the pages."""
     import jinja2
 
-    environment = jinja2.Environment(
+    made = jinja2.Environment(
         loader=jinja2.PackageLoader("harness.diagnosis", "templates"),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters.update(number=_number, percent=_percent, words=_words, p=_probability)
-    return environment.get_template("report.html.j2").render(
-        data=data,
-        figures=figures,
-        rows=_error_rows(data),
-        ratio=_ratios(data),
-        refits=[row for row in data["candidates"] if row["refitted"]],
-        aside=[row for row in data["candidates"] if not row["refitted"] and row["round"] == 1],
-        parameter_names=list(data["parameters"]["after"]),
-    )
+    made.filters.update(number=_number, percent=_percent, words=_words, p=_probability)
+    return made
 
 
 def _error_rows(data: dict[str, Any]) -> list[dict[str, Any]]:

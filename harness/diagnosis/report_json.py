@@ -12,6 +12,9 @@ Keys of ``sysid-harness/close-loop/1``:
     ``unit``.
 ``tie_sets``
     One list for each accepted effect: all that these data cannot tell from it, itself first.
+``separate_with``
+    For each accepted effect the experiments that would break its ties: ``separates``, ``why``, ``scenario`` with its
+    ``options`` computed from the fitted model and a ``command``; or an ``instruction`` where no input can do it.
 ``errors``
     ``before`` and ``after``: ``equation_error``, ``simulation_error`` (by use and output ``rms``, ``nrmse``, ``unit``;
     with ``horizon_s``, ``initial_state``, ``other_horizons``; where windows are used also ``from_measured_state``, the
@@ -24,23 +27,29 @@ Keys of ``sysid-harness/close-loop/1``:
     By output: what is left and cannot be predicted, where it exceeds the noise floor.
 ``candidates``
     Every refit, with the reason it was rejected; then what the screens alone set aside.
-``tests``, ``null``, ``isolability``, ``not_visible``, ``force_map``, ``closed_loop``
+``closed_loop``, ``closed_loop_bias``
+    By input, whether the residual is related to later inputs; and the Durbin-Wu-Hausman test of the bias that feedback
+    puts on the parameters: ``statistic``, ``p``, ``parameters`` with the shift of each in its standard errors.
+    ``biased`` is null, and ``text`` says why, where no signal from outside the loop was recorded.
+``tests``, ``null``, ``isolability``, ``not_visible``, ``force_map``
     The evidence behind the verdict.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from harness.diagnosis import residual_tests
 from harness.diagnosis.confirm import Candidate
+from harness.diagnosis.experiments import Bench, separate_with
 from harness.diagnosis.forms import Fitted, rms
 from harness.diagnosis.isolability import isolability, separating, unseen
 from harness.diagnosis.scores import equation_error, noise_ratios, simulation_error
 from harness.effects.effect import Placed
+from harness.signals import FloatArray
 
 if TYPE_CHECKING:
     from harness.diagnosis.algorithm import Diagnosis
@@ -50,9 +59,14 @@ __all__ = ["FORMAT", "report_data"]
 FORMAT = "sysid-harness/close-loop/1"
 SELECTED = "validation used for selection: there is no test run, so the figures after are not independent of the choice"
 
+AROUND = (
+    "an FMU shows no equations: only effects on its inputs and outputs and forces at its force inputs were tried, none "
+    "that needs an acceleration (a payload) or the base (a tilt)"
+)
 
-def report_data(found: Diagnosis) -> dict[str, Any]:
-    """Return the content of ``report.json``."""
+
+def report_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray]] = ()) -> dict[str, Any]:
+    """Return the content of ``report.json``; ``references`` as :func:`harness.diagnosis.close_loop` takes them."""
     others = _other_horizons(found)
     errors = {
         name: {
@@ -65,6 +79,8 @@ def report_data(found: Diagnosis) -> dict[str, Any]:
     warnings = [*found.warnings, *found.result.notes]
     if not found.dataset.test:
         warnings.append(SELECTED)
+    if found.system.h is None:
+        warnings.append(AROUND)
     names, cosines = isolability(found.first_screen, first=[str(one.placed) for one in found.result.accepted])
     data: dict[str, Any] = {
         "format": FORMAT,
@@ -78,6 +94,10 @@ def report_data(found: Diagnosis) -> dict[str, Any]:
         "separating_experiments": [
             separating([placed for member in one.tie for placed in member]) for one in found.result.accepted
         ],
+        "separate_with": [
+            separate_with(Bench(found.system, found.final.system, found.final.values, found.dataset), one.tie)
+            for one in found.result.accepted
+        ],
         "errors": errors,
         "parameters": {"before": _parameters(found.nominal), "after": _parameters(found.final)},
         "noise_floor": {one.output: one.to_dict() for one in found.floors},
@@ -90,6 +110,7 @@ def report_data(found: Diagnosis) -> dict[str, Any]:
         "isolability": {"effects": list(names), "cosine": np.round(cosines, 4).tolist()},
         "not_visible": unseen(found.first_screen),
         "closed_loop": _closed_loop(found),
+        "closed_loop_bias": _bias(found, references),
         "horizon": {"seconds": found.horizon.seconds, "reason": found.horizon.reason},
         "form": "inverse dynamics" if found.inverse else "simulation",
         "converged": {"nominal": found.nominal.converged, "same_minimum_twice": found.same_minimum},
@@ -326,6 +347,16 @@ def _force_map(found: Diagnosis) -> dict[str, Any] | None:
         "share": known(best.share),
         "p": known(best.p),
     }
+
+
+def _bias(found: Diagnosis, references: Sequence[Mapping[str, FloatArray]]) -> dict[str, Any]:
+    """Return the test of the bias that feedback puts on the parameters of the final model."""
+    from harness.diagnosis.closed_loop_bias import closed_loop_bias
+
+    runs = list(found.dataset)
+    used = [one for one, run in zip(references, runs, strict=False) if run.use == "estimation"]
+    test = closed_loop_bias(found.form, found.final, list(found.dataset.estimation), used)
+    return test.to_dict({one.name: one.unit for one in found.final.system.parameters})
 
 
 def _closed_loop(found: Diagnosis) -> dict[str, Any]:

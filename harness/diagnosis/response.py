@@ -21,7 +21,7 @@ from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.surrogates import orthonormal
 from harness.signals import FloatArray
 
-__all__ = ["Axis", "Family", "equation_families", "output_families", "responses_of"]
+__all__ = ["Axis", "Family", "equation_families", "families_at", "output_families", "responses_of"]
 
 KNOTS = 9
 JOINT_KNOTS = (9, 6)
@@ -95,7 +95,7 @@ def responses_of(form: Any, fitted: Fitted) -> tuple[Responses, dict[str, Family
         raw = {use: _on_equations(form, families, use) for use in ("estimation", "validation")}
         outside = _equation_jacobian(form, fitted)
     else:
-        families, raw = output_families(form, fitted)
+        families, raw = _simulated_families(form, fitted)
         outside = _output_jacobian(form, fitted)
     inside = list(fitted.jacobian)
     if isinstance(form, EquationForm):
@@ -115,6 +115,19 @@ def responses_of(form: Any, fitted: Fitted) -> tuple[Responses, dict[str, Family
         result[family.name] = (phi, psi)
     rest = [one[:, :, 0] for one in _without(left, [one[:, :, None] for one in fitted.validation])]
     return result, {family.name: family for family in families}, rest
+
+
+def _simulated_families(
+    form: OutputForm, fitted: Fitted
+) -> tuple[list[Family], dict[str, dict[str, list[FloatArray]]]]:
+    """Return the families of a simulation form: linearised equations, or an FMU that is pushed."""
+    from harness.diagnosis.fmu_form import FmuForm
+
+    if isinstance(form, FmuForm):
+        from harness.diagnosis.fmu_responses import fmu_families
+
+        return fmu_families(form, fitted)
+    return output_families(form, fitted)
 
 
 def _without(left: FloatArray, parts: Sequence[FloatArray]) -> list[FloatArray]:
@@ -143,7 +156,7 @@ def equation_families(form: EquationForm) -> list[Family]:
         inputs = [
             axis(channel.name, channel.unit, lambda m, k=k: m.u[:, k]) for k, channel in enumerate(form.nominal.inputs)
         ]
-        families += _of(f"force on {one.name}", q, v, t, inputs)
+        families += families_at(f"force on {one.name}", q, v, t, inputs)
     return families
 
 
@@ -210,11 +223,11 @@ def output_families(form: OutputForm, fitted: Fitted) -> tuple[list[Family], dic
     for one in system.coordinates:
         q = axis(one.name, one.unit, lambda r, k=one.q: r["x"][:, k])
         v = axis(f"{one.name}'", f"{one.unit}/s", lambda r, k=one.v: r["x"][:, k])
-        families += _of(f"force on {one.name}", q, v, t, inputs)
+        families += families_at(f"force on {one.name}", q, v, t, inputs)
     if not system.coordinates:
         for k, channel in enumerate(system.states):
             x = axis(channel.name, channel.unit, lambda r, k=k: r["x"][:, k])
-            families += _of(f"rate of {channel.name}", x, None, t, inputs)
+            families += families_at(f"rate of {channel.name}", x, None, t, inputs)
     for k, channel in enumerate(system.outputs):
         y = axis(channel.name, channel.unit, lambda r, k=k: r["y"][:, k])
         families.append(Family(f"reading of {channel.name}", (y,)))
@@ -236,7 +249,7 @@ def _turning(axis: Axis) -> Axis:
     return Axis(f"{axis.name} (folded)", axis.unit, folded)
 
 
-def _of(place: str, q: Axis, v: Axis | None, t: Axis, inputs: Sequence[Axis]) -> list[Family]:
+def families_at(place: str, q: Axis, v: Axis | None, t: Axis, inputs: Sequence[Axis]) -> list[Family]:
     """Return the families at one place: each axis alone, position with speed, speed with the first input."""
     q = _turning(q)
     single = [q, *([v] if v is not None else []), *inputs[:2], t]

@@ -122,7 +122,11 @@ def equation_error(
         steps = [one[1::2] for one in errors]
         result[use] = figures(steps, [run.y for run in output.records[use]], output.columns)
     result["meaning"] = (
-        "one-step prediction from the smoothed measured state" if known else "unknown: the state is not measured"
+        "one-step prediction from the smoothed measured state"
+        if known
+        else "unknown: the model shows no equations"
+        if output.nominal.h is None
+        else "unknown: the state is not measured"
     )
     return result
 

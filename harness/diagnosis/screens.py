@@ -26,6 +26,8 @@ ALWAYS = ("input_delay", "sensor_offset", "force_bias")
 SEEN = 0.02
 """An effect of which less than this share is left beside the nominal Jacobian cannot be told from the parameters."""
 MOST_STARTS = 8
+WEAKER = 0.3
+"""A probe is repeated if the residual is smaller than this part of the change that it makes."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,7 @@ def sensitivity_screen(
     sizes: Callable[[Placed], Mapping[str, float]],
     *,
     progress: Callable[[str], None] | None = None,
+    scaled: bool = True,
 ) -> Screen:
     """Probe every candidate against the residual of a fitted model.
 
@@ -108,6 +111,9 @@ def sensitivity_screen(
         Effects to add, one at a time.
     sizes : callable
         Sizes of the data at an effect's port.
+    scaled : bool
+        Probe an effect that moves the outputs much more than the residual once more, so weakly that it moves them as
+        much: only there does the linearised model say what the effect could explain.
     """
     jacobian = stacked(base.jacobian) if base.free else np.zeros((sum(r.size for r in base.estimation), 0))
     nominal = orthonormal(jacobian, tolerance=1e-7)
@@ -119,7 +125,7 @@ def sensitivity_screen(
     for placed in candidates:
         if progress is not None:
             progress(str(placed))
-        found = _probe(form, base, placed, sizes(placed), nominal, jacobian, residual, independent)
+        found = _probe(form, base, placed, sizes(placed), nominal, jacobian, residual, independent, scaled)
         if found is None:
             failed[str(placed)] = "the model with it cannot be simulated"
         else:
@@ -174,10 +180,13 @@ def _probe(
     jacobian: FloatArray,
     residual: FloatArray,
     independent: float,
+    scaled: bool,
 ) -> Probe | None:
     """Return the probe of one effect: the best of its start values, all of them kept as starts."""
     tried: list[tuple[float, float, float, int, dict[str, float], FloatArray, FloatArray, FloatArray]] = []
-    for values in start_grid(placed, sizes):
+    grid = start_grid(placed, sizes)
+    usual, power = len(grid), float(residual @ residual)
+    for number, values in enumerate(grid):  # it grows on the way
         parts = form.responses(base, placed, values)
         if parts is None:
             continue
@@ -186,13 +195,15 @@ def _probe(
         size = float(np.linalg.norm(change))
         if not np.isfinite(size) or size == 0:
             continue
+        weaker = _weaker(placed, values, np.sqrt(power) / size) if scaled and number < usual else None
+        if weaker is not None:
+            grid.append(weaker)
         direction = change - nominal @ (nominal.T @ change)
         left = float(np.linalg.norm(direction)) / size
         basis = orthonormal(columns, without=nominal, tolerance=1e-3)
         if left < SEEN:
             basis = basis[:, :0]
         rank = basis.shape[1]
-        power = float(residual @ residual)
         r2 = float(np.sum((basis.T @ residual) ** 2)) / power if rank and power > 0 else 0.0
         r2 = min(r2, 1 - 1e-12)
         score = -independent * np.log1p(-r2) - rank * np.log(independent)
@@ -209,6 +220,14 @@ def _probe(
         absorbed = base.free[int(np.argmax(cosines))]
     starts = tuple(tried[k][4] for k in order[:3])
     return Probe(placed, starts, r2, rank, left, float(score), basis, direction, absorbed)
+
+
+def _weaker(placed: Placed, values: Mapping[str, float], factor: float) -> dict[str, float] | None:
+    """Return values with the strength of an effect times a factor; None if it is not needed or has no strength."""
+    strengths = [one.name for one in placed.effect.parameters if one.linear and not one.fixed and one.neutral == 0.0]
+    if not 0 < factor < WEAKER or not strengths:
+        return None
+    return {**values, **{name: factor * values[name] for name in strengths}}
 
 
 def _refined(

@@ -13,6 +13,8 @@ import numpy as np
 
 from harness.signals import FloatArray
 
+_TOGETHER = 32
+
 __all__ = ["SurrogateTest", "orthonormal", "phase_randomised", "scores", "surrogate_test"]
 
 
@@ -93,7 +95,9 @@ def orthonormal(columns: FloatArray, *, without: FloatArray | None = None, toler
     return left[:, values > tolerance]
 
 
-def scores(bases: Mapping[str, FloatArray], residuals: FloatArray) -> dict[str, FloatArray]:
+def scores(
+    bases: Mapping[str, FloatArray], residuals: FloatArray, power: FloatArray | None = None
+) -> dict[str, FloatArray]:
     """Return (R2 / k) / (1 - R2) of each basis on each residual.
 
     Parameters
@@ -101,16 +105,30 @@ def scores(bases: Mapping[str, FloatArray], residuals: FloatArray) -> dict[str, 
     bases : mapping of array (N, k)
         Orthonormal, the nominal Jacobian already removed.
     residuals : array (N, count)
-        The nominal Jacobian already removed.
+        The nominal Jacobian already removed, unless ``power`` is given: the bases do not see it.
+    power : array (count,), optional
+        Sum of squares of each residual without the nominal Jacobian.
     """
-    power = np.sum(residuals**2, axis=0)
+    if power is None:
+        power = np.sum(residuals**2, axis=0)
+    seen = [(name, basis.shape[1]) for name, basis in bases.items()]
+    shares: dict[str, FloatArray] = {}
+    for first in range(0, len(seen), _TOGETHER):
+        # many bases in one product: the residuals are the large operand and are read once
+        names = seen[first : first + _TOGETHER]
+        joined = np.concatenate([bases[name] for name, _ in names], axis=1)
+        squares = (joined.T @ residuals) ** 2
+        row = 0
+        for name, k in names:
+            shares[name] = squares[row : row + k].sum(axis=0)
+            row += k
     result = {}
-    for name, basis in bases.items():
-        if basis.shape[1] == 0:
+    for name, k in seen:
+        if k == 0:
             result[name] = np.zeros(residuals.shape[1])
             continue
-        share = np.clip(np.sum((basis.T @ residuals) ** 2, axis=0) / np.maximum(power, 1e-300), 0.0, 1 - 1e-12)
-        result[name] = share / basis.shape[1] / (1 - share)
+        share = np.clip(shares[name] / np.maximum(power, 1e-300), 0.0, 1 - 1e-12)
+        result[name] = share / k / (1 - share)
     return result
 
 
@@ -137,14 +155,16 @@ def surrogate_test(
     count : int
         Number of surrogates.
     """
-
-    def clean(columns: FloatArray) -> FloatArray:
-        return columns - nominal @ (nominal.T @ columns) if nominal.size else columns
-
-    truth = clean(np.concatenate([one.reshape(-1) for one in residual])[:, None])
+    truth = np.concatenate([one.reshape(-1) for one in residual])[:, None]
     drawn = phase_randomised(residual, count, rng=rng).reshape(count, -1).T
-    on_truth = scores(bases, truth)
-    on_null = scores(bases, clean(drawn))
+
+    def power(columns: FloatArray) -> FloatArray:
+        whole = np.einsum("nc,nc->c", columns, columns)
+        known = np.sum((nominal.T @ columns) ** 2, axis=0) if nominal.size else 0.0
+        return np.asarray(np.maximum(whole - known, 0.0))
+
+    on_truth = scores(bases, truth, power(truth))
+    on_null = scores(bases, drawn, power(drawn))
     null = np.max(np.stack(list(on_null.values())), axis=0) if bases else np.zeros(count)
     by_effect = {name: float(value[0]) for name, value in on_truth.items()}
     observed = max(by_effect.values(), default=0.0)

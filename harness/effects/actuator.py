@@ -22,28 +22,28 @@ __all__ = [
     "input",
     [par("width", "u", scale="0.1 u", sign="+", minimum=0.0, neutral=0.0, main=True, grid=(1.0, 0.3, 3.0),
          meaning="largest command without effect")],
-    formula="u' = dz(u): 0 for |u| < width, u - width sgn(u) beyond (corner rounded over width/50)",
+    formula="u' = dz(u): 0 for |u| < width, u - width sgn(u) beyond (corner rounded over width/1000)",
     family=("coulomb_friction", "input_gain", "backlash"),
     limits={"coulomb_friction": "while the motion follows the command"},
     experiment="a slow small triangle of the command at standstill: nothing moves until its width is passed",
 )  # fmt: skip
 def dead_zone(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Small commands have no effect."""
-    return dead_band(u, p.width, 0.02 * p.width + 1e-12)
+    return dead_band(u, p.width, 1e-3 * p.width + 1e-12)
 
 
 @effect(
     "input",
     [par("limit", "u", scale="1.2 u", sign="+", minimum=0.0, main=True, grid=(1.0, 0.7, 1.5),
          meaning="largest command that passes")],
-    formula="u' = clip(u, -limit, limit) (corner rounded over limit/50)",
+    formula="u' = clip(u, -limit, limit) (corner rounded over limit/1000)",
     family=("rate_limit", "input_gain"),
     limits={"input_gain": "if the command is always beyond the limit"},
     experiment="commands of two amplitudes: invisible at small amplitude",
 )  # fmt: skip
 def saturation(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Large commands are cut off."""
-    return clip(u, p.limit, 0.02 * p.limit + 1e-12)
+    return clip(u, p.limit, 1e-3 * p.limit + 1e-12)
 
 
 @effect(

@@ -14,6 +14,7 @@ from harness.signals import FloatArray
 
 if TYPE_CHECKING:
     from harness.physics.system import System
+    from harness.physics.vectorised import OnRecords
 
 __all__ = ["Signals", "along", "arguments", "block_response", "down", "hidden_states", "residual_function", "rms"]
 
@@ -87,13 +88,19 @@ def down(system: System, expression: Any) -> Any:
     return ca.substitute(expression, system.gravity, ca.DM([0.0, -1.0]))
 
 
-def residual_function(system: System) -> Any:
-    """Return the function ``r(x, u, p, t, a) = M a - Q``."""
+def residual_function(system: System) -> OnRecords:
+    """Return the function ``r(x, u, p, t, a) = M a - Q`` on whole records, made once for a system."""
     import casadi as ca
 
-    a = ca.SX.sym("a", len(system.coordinates))
-    expression = down(system, ca.mtimes(system.mass_matrix, a) - system.generalized_forces)
-    return ca.Function("r", [*arguments(system), a], [expression])
+    from harness.physics.vectorised import OnRecords
+
+    known: OnRecords | None = system.__dict__.get("_residual_function")
+    if known is None:
+        a = ca.SX.sym("a", len(system.coordinates))
+        expression = down(system, ca.mtimes(system.mass_matrix, a) - system.generalized_forces)
+        known = OnRecords(ca.Function("r", [*arguments(system), a], [expression]))
+        system.__dict__["_residual_function"] = known
+    return known
 
 
 def _states(system: System, signals: Signals, hidden: FloatArray | None) -> FloatArray:
@@ -105,48 +112,30 @@ def _states(system: System, signals: Signals, hidden: FloatArray | None) -> Floa
 def along(
     function: Any, system: System, signals: Signals, p: FloatArray, hidden: FloatArray | None, *more: FloatArray
 ) -> FloatArray:
-    """Return the values of a function of (x, u, p, t, ...) along a motion, (N, size)."""
-    n = len(signals.t)
-    values = function.map(n)(
-        _states(system, signals, hidden),
-        signals.u.T,
-        np.tile(p[:, None], (1, n)),
-        signals.t[None, :],
-        *(one.T for one in more),
-    )
-    return np.array(values, dtype=float).T
+    """Return the values of a function of (x, u, p, t, ...) along a motion, (N, size).
+
+    The function has one output, a column; it is CasADi's, or made for whole records already.
+    """
+    from harness.physics.vectorised import OnRecords
+
+    whole = function if isinstance(function, OnRecords) else OnRecords(function)
+    x = _states(system, signals, hidden)
+    return whole(x.T, signals.u, p, signals.t[:, None], *more)[0]
 
 
 def hidden_states(system: System, signals: Signals, p: FloatArray) -> FloatArray | None:
     """Return the states besides coordinates along a motion, by Runge-Kutta steps with the motion interpolated."""
-    import casadi as ca
-
     n = len(system.coordinates)
     count = system.nx - 2 * n
     if count == 0:
         return None
-    rates = ca.Function("g", arguments(system), [down(system, system.rates)])
     substeps = recommended_substeps(system, dict(zip(system.parameter_names, p, strict=True)), signals.dt)
-    z, u, t = ca.SX.sym("z", count), ca.SX.sym("u", system.nu), ca.SX.sym("t")
-    here, there = ca.SX.sym("here", 2 * n), ca.SX.sym("there", 2 * n)
-    parameters = ca.SX.sym("p", system.np)
-    h = signals.dt / substeps
-
-    def slope(state: Any, share: float) -> Any:
-        x = (1.0 - share) * here + share * there
-        return rates(ca.vertcat(x, state), u, parameters, t + share * signals.dt)
-
-    state = z
-    for step in range(substeps):
-        first, middle, last = (step / substeps, (step + 0.5) / substeps, (step + 1) / substeps)
-        k1 = slope(state, first)
-        k2 = slope(state + 0.5 * h * k1, middle)
-        k3 = slope(state + 0.5 * h * k2, middle)
-        k4 = slope(state + h * k3, last)
-        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    step_function = ca.Function("step", [z, here, there, u, parameters, t], [state])
+    known: dict[tuple[float, int], tuple[Any, Any]] = system.__dict__.setdefault("_hidden_steps", {})
+    key = (signals.dt, substeps)
+    if key not in known:
+        known[key] = _hidden_step(system, signals.dt, substeps)
+    step_function, initial = known[key]
     motion = np.hstack([signals.q, signals.v]).T
-    initial = ca.Function("z0", arguments(system), [system.initial])
     x0 = np.concatenate([motion[:, 0], np.zeros(count)])
     current = np.array(initial(x0, signals.u[0], p, signals.t[0])).ravel()
     result = np.empty((len(signals.t), count))
@@ -165,6 +154,34 @@ def hidden_states(system: System, signals: Signals, p: FloatArray) -> FloatArray
         result[start + 1 : stop + 1] = np.array(values).T
         current = result[stop]
     return result
+
+
+def _hidden_step(system: System, dt: float, substeps: int) -> tuple[Any, Any]:
+    """Return the functions of one sample of the hidden states, and of where they start."""
+    import casadi as ca
+
+    n = len(system.coordinates)
+    count = system.nx - 2 * n
+    rates = ca.Function("g", arguments(system), [down(system, system.rates)])
+    z, u, t = ca.SX.sym("z", count), ca.SX.sym("u", system.nu), ca.SX.sym("t")
+    here, there = ca.SX.sym("here", 2 * n), ca.SX.sym("there", 2 * n)
+    parameters = ca.SX.sym("p", system.np)
+    h = dt / substeps
+
+    def slope(state: Any, share: float) -> Any:
+        x = (1.0 - share) * here + share * there
+        return rates(ca.vertcat(x, state), u, parameters, t + share * dt)
+
+    state = z
+    for step in range(substeps):
+        first, middle, last = (step / substeps, (step + 0.5) / substeps, (step + 1) / substeps)
+        k1 = slope(state, first)
+        k2 = slope(state + 0.5 * h * k1, middle)
+        k3 = slope(state + 0.5 * h * k2, middle)
+        k4 = slope(state + h * k3, last)
+        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    step_function = ca.Function("step", [z, here, there, u, parameters, t], [state])
+    return step_function, ca.Function("z0", arguments(system), [system.initial])
 
 
 def rms(values: FloatArray) -> FloatArray:

@@ -216,7 +216,12 @@ def _place_force(system: System, placed: Placed, port: Port, made: _Symbols) -> 
         mass[row, row] = -share
         value = ca.substitute(value, a, 0.0)
     hidden = _hidden(system, placed, port, made, derivatives, {"signal": signal, "q": q, "v": v})
-    return system.rebuild(forces={port.name: value}, mass=mass, states=hidden, parameters=made.declared)
+    # a nuisance parameter that is a speed is the width over which a sign of v is smoothed
+    widths = [placed.name(one.name) for one in placed.effect.parameters if one.nuisance and one.unit == "v"]
+    switches = [(system.coordinate(port.name).v, name) for name in widths]
+    return system.rebuild(
+        forces={port.name: value}, mass=mass, states=hidden, parameters=made.declared, switches=switches
+    )
 
 
 def _place_output(system: System, placed: Placed, port: Port, made: _Symbols) -> System:

@@ -81,14 +81,14 @@ def sensor_rectification(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     "output",
     [par("limit", "y", scale="1.2 y", sign="+", minimum=0.0, main=True, grid=(1.0, 0.7, 1.5),
          meaning="largest reading")],
-    formula="y' = clip(y, -limit, limit) (corner rounded over limit/100)",
+    formula="y' = clip(y, -limit, limit) (corner rounded over limit/2000)",
     family=("end_stop", "level_saturation", "sensor_gain"),
     limits={"level_saturation": "while the level stays at the limit"},
     experiment="a histogram of the readings: they pile up at one value while the input goes on",
 )  # fmt: skip
 def sensor_saturation(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Largest value that a sensor can read."""
-    return clip(y, p.limit, 0.01 * p.limit + 1e-12)
+    return clip(y, p.limit, 5e-4 * p.limit + 1e-12)
 
 
 @effect(

@@ -60,7 +60,7 @@ def elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     ],
     states={"e": "q", "w": "v"},
     initial={"w": "v"},
-    formula="as elasticity, with k dz(e) + d dz'(e) e' passed on: nothing within |e| < gap (corner over gap/20)",
+    formula="as elasticity, with k dz(e) + d dz'(e) e' passed on: nothing within |e| < gap (corner over gap/100)",
     family=("elasticity", "dead_zone", "hysteresis", "coulomb_friction"),
     nests=("elasticity",),
     limits={"elasticity": "for zero gap"},
@@ -70,7 +70,7 @@ def elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
 )  # fmt: skip
 def backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Play between a motor mass and the load, with an elastic contact."""
-    smoothing = 0.05 * p.gap + 1e-12
+    smoothing = 0.01 * p.gap + 1e-12
     passed = p.k * dead_band(s.e, p.gap, smoothing) + p.d * dead_band_slope(s.e, p.gap, smoothing) * (s.w - v)
     return passed - f, [s.w - v, (f - passed) / p.Jm]
 

@@ -15,7 +15,7 @@ from harness.export.describe import Variable, describe
 if TYPE_CHECKING:
     from harness.physics.simulator import Simulator
 
-__all__ = ["description", "model_source"]
+__all__ = ["DELAY", "description", "model_source"]
 
 
 def model_source(simulator: Simulator, given: Collection[str] = ()) -> str:
@@ -53,7 +53,7 @@ def model_source(simulator: Simulator, given: Collection[str] = ()) -> str:
         f"enum {{ SUBSTEPS = {simulator.substeps} }};",
         "/* hidden states whose start values were chosen when this file was written */",
         f"static const char GIVEN[] = {{ {', '.join([*('01'[c.name in given] for c in hidden), '0'])} }};",
-        _DELAY,
+        DELAY,
         _HIDDEN,
         "static const char *check(const double *v)",
         "{",
@@ -177,7 +177,7 @@ static void hidden_start(double *v)
 }
 """
 
-_DELAY = """
+DELAY = """
 /* Delay lines on samples: the newest value of line i stands at slot (count mod RING). */
 static inline void push(double *v, int line, double value)
 {

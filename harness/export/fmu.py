@@ -30,7 +30,8 @@ def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"
         A folder that ``sysid close-loop`` wrote, the ``model.json`` of ``sysid identify`` or of such a folder, or the
         name of a built-in model (``sysid list models``; its nominal parameters, sample time 0.01 s).
     out : path
-        ``model.fmu``. With ``fmi="both"`` this is FMI 2.0 and ``model-fmi3.fmu`` beside it is FMI 3.0.
+        ``model.fmu``. With ``fmi="both"`` this is FMI 2.0 and ``model-fmi3.fmu`` beside it is FMI 3.0. For a loop
+        closed around an FMU ``model.ssp``: a package of that FMU and of one with the effects.
     fmi : {"2", "3", "both"}
         Version.
 
@@ -45,12 +46,39 @@ def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"
         If the source is missing or is neither a grey-box nor a linear model, or there is no C compiler.
     """
     target = Path(out)
+    package = _package(source, target, fmi)
+    if package is not None:
+        return [package]
     if target.suffix != ".fmu":
         raise InputError("output", expected="a name that ends in .fmu", got=str(out), remedy="rename it")
     write = _load(source)
     names = {"2": [(2, target)], "3": [(3, target)]}
     both = [(2, target), (3, target.with_name(f"{target.stem}-fmi3.fmu"))]
     return [write(path, version=version) for version, path in names.get(fmi, both)]
+
+
+def _package(source: str | Path, target: Path, fmi: str) -> Path | None:
+    """Write a repaired FMU as a package; None if the source is another kind of model."""
+    path = Path(source)
+    path = path / MODEL if path.is_dir() else path
+    if not path.is_file():
+        return None
+    try:
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, UnicodeDecodeError):
+        return None
+    if not isinstance(content, dict) or content.get("kind") != "fmu":
+        return None
+    if target.suffix != ".ssp":
+        raise InputError(
+            "output",
+            expected="a name that ends in .ssp: a repaired FMU is a co-simulation of it and of its effects",
+            got=target.name,
+            remedy=f"--out {target.stem}.ssp",
+        )
+    from harness.export.package import write_package
+
+    return write_package(content, path.parent, target, version=3 if fmi == "3" else 2)
 
 
 def write_fmu(

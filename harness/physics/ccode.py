@@ -178,13 +178,29 @@ def system_source(system: Any, prefix: str = "model") -> str:
         c_function(f"{prefix}_output", dense("h", arguments, [system.upright(system.h)])),
         c_function(f"{prefix}_initial", dense("z", [system.x, system.u, system.p], [start])),
         _STEP.replace("PREFIX", prefix).replace("NX", f"{upper}_NX"),
+        near_zero(system, prefix),
+        _ADVANCE.replace("PREFIX", prefix).replace("NX", f"{upper}_NX"),
     ]
     return "\n\n".join(parts) + "\n"
 
 
+FINE = 8
+"""Parts of a step that comes near the zero of a speed whose sign a force takes."""
+
+
+def near_zero(system: Any, prefix: str) -> str:
+    """Return the C function that tells whether a step from x to y comes near the zero of a switch of the system."""
+    tests = [
+        f"  if (fmin(fabs(x[{k}]), fabs(y[{k}])) < fabs(y[{k}] - x[{k}])) return 1;"
+        for k in dict.fromkeys(k for k, _ in system.switches)
+    ]
+    head = f"static int {prefix}_near_zero(const double *x, const double *y) {{"
+    return "\n".join([head, *tests, "  (void)x; (void)y;", "  return 0;", "}"])
+
+
 _STEP = """\
 /* One step of the classical fourth-order Runge-Kutta method, input held. */
-static void PREFIX_step(double *x, const double *u, const double *p, double t, double h) {
+static void PREFIX_runge_kutta(double *x, const double *u, const double *p, double t, double h) {
   double k1[NX], k2[NX], k3[NX], k4[NX], y[NX], middle = t + 0.5*h, end = t + h;
   int i;
   PREFIX_derivative(x, u, p, &t, k1);
@@ -196,6 +212,19 @@ static void PREFIX_step(double *x, const double *u, const double *p, double t, d
   PREFIX_derivative(y, u, p, &end, k4);
   for (i = 0; i < NX; i++) x[i] = x[i] + h/6.0*(k1[i] + 2.0*k2[i] + 2.0*k3[i] + k4[i]);
 }"""
+
+_ADVANCE = f"""\
+/* One step, or {FINE} finer ones where a force changes its sign. */
+static void PREFIX_step(double *x, const double *u, const double *p, double t, double h) {{
+  double y[NX];
+  int i;
+  for (i = 0; i < NX; i++) y[i] = x[i];
+  PREFIX_runge_kutta(y, u, p, t, h);
+  if (PREFIX_near_zero(x, y))
+    for (i = 0; i < {FINE}; i++) PREFIX_runge_kutta(x, u, p, t + i*(h/{FINE}), h/{FINE});
+  else
+    for (i = 0; i < NX; i++) x[i] = y[i];
+}}"""
 
 
 # ---- compilation -------------------------------------------------------------------------------------------------

@@ -21,6 +21,8 @@ _TINY = 1e-12
 _LARGEST_LOG_STEP = 2.0
 # Relative decrease of the cost at which a minimum counts as reached.
 _DECREASE = 1e-7
+# Relative decrease of the cost that a step must promise to be tried.
+_NOTHING = 1e-10
 
 
 @dataclass(eq=False)
@@ -88,6 +90,7 @@ def minimise(
     max_iterations: int,
     *,
     states_free: bool = True,
+    decrease: float = _DECREASE,
 ) -> Solution:
     """Minimise the cost over the free parameters and the initial states.
 
@@ -102,6 +105,8 @@ def minimise(
     max_iterations : int
     states_free : bool
         False keeps x0.
+    decrease : float
+        Relative decrease of the cost at which a minimum counts as reached.
 
     Returns
     -------
@@ -159,8 +164,8 @@ def minimise(
             return Solution(p, x0, now, flat, iteration, f"{words} in {iteration} iterations", states_free)
         relative = gain / max(now.cost, 1e-300)
         p, x0, now = trial, x0 + change, then
-        small = small + 1 if relative < _DECREASE * 100 and damping < 1e3 else 0
-        if (relative < _DECREASE and damping < 1.0) or small >= 8:
+        small = small + 1 if relative < decrease * 100 and damping < 1e3 else 0
+        if (relative < decrease and damping < 1.0) or small >= 8:
             return Solution(p, x0, now, True, iteration, f"converged in {iteration} iterations", states_free)
     words = f"not converged in {max_iterations} iterations"
     return Solution(p, x0, now, False, max_iterations, words, states_free)
@@ -191,6 +196,10 @@ def minimise_states(windows: Windows, p: FloatArray, x0: FloatArray, max_iterati
         c[:, rows, rows] += damping[:, None] * diagonal + 1e-11 * diagonal
         size = np.sqrt(c[:, rows, rows])
         solved = np.linalg.solve(c / (size[:, :, None] * size[:, None, :]), (g / size)[:, :, None])[:, :, 0] / size
+        # What a step cannot improve by the last digits of the cost is not worth a simulation.
+        active = active & (0.5 * np.einsum("wi,wi->w", g, solved) > _NOTHING * now.costs)
+        if not active.any():
+            break
         then = windows.evaluate(p, x0 + solved)
         better = active & (then.costs < now.costs)
         gain = np.where(better, now.costs - np.where(np.isfinite(then.costs), then.costs, 0.0), 0.0)
@@ -239,10 +248,17 @@ def _step(
         found = np.linalg.solve(scaled, g[use] / size) / size
     except np.linalg.LinAlgError:
         return None
+    long = logarithmic[use] & (np.abs(found) > _LARGEST_LOG_STEP)
+    if long.any():
+        # What the data hardly tell (the width of a sign) wants long steps. It goes as far as it may and the others
+        # follow it; shortening the whole step would hold back all of them.
+        found[long] = np.sign(found[long]) * _LARGEST_LOG_STEP
+        rest = ~long
+        right = (g[use] - part[:, long] @ found[long]) / size
+        if rest.any():
+            found[rest] = np.linalg.solve(scaled[np.ix_(rest, rest)], right[rest]) / size[rest]
+        found = np.where(logarithmic[use], np.clip(found, -_LARGEST_LOG_STEP, _LARGEST_LOG_STEP), found)
     step[use] = found
-    long = np.abs(step[logarithmic & use]).max(initial=0.0)
-    if long > _LARGEST_LOG_STEP:
-        step *= _LARGEST_LOG_STEP / long
     return step
 
 

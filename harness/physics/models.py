@@ -11,6 +11,7 @@ from typing import Any
 import sympy as sp
 
 from harness.errors import HarnessError, InputError
+from harness.physics.arm import is_arm
 from harness.physics.mechanism import Mechanism
 from harness.physics.ode import Ode
 from harness.physics.parameters import Parameter
@@ -148,37 +149,48 @@ def oscillator() -> Mechanism:
     return m
 
 
-def two_tanks() -> Ode:
+def two_tanks(pump_offset: bool = False) -> Ode:
     """Two tanks in cascade, Torricelli outflow; levels in the unit of the level sensor; y is the lower level.
 
     ``upper' = k_pump u - k_upper sqrt(upper)``, ``lower' = k_upper sqrt(upper) - k_lower sqrt(lower)``. The unit of the
     unmeasured upper level is chosen so that what leaves it raises the lower level as much.
 
+    Parameters
+    ----------
+    pump_offset : bool
+        The pump delivers ``k_pump (u + u_0)``: its flow is not 0 at 0 V.
+
     Examples
     --------
     >>> print(two_tanks().system())
     two-tanks: u [V] -> y [V]
+    >>> two_tanks(pump_offset=True).system().parameter_names
+    ('k_pump', 'k_upper', 'k_lower', 'u_0')
     """
+    known: dict[str, Any] = {
+        "k_pump": ("1/s", 0.02, 0.0),
+        "k_upper": ("V^0.5/s", 0.03, 0.0),
+        "k_lower": ("V^0.5/s", 0.03, 0.0),
+    }
+    if pump_offset:
+        known["u_0"] = ("V", 0.0)
     o = Ode(
         "two-tanks",
         x="upper lower",
         u="u",
-        p="k_pump k_upper k_lower",
+        p=" ".join(known),
         units={"upper": "V", "lower": "V", "u": "V"},
-        parameters={
-            "k_pump": ("1/s", 0.02, 0.0),
-            "k_upper": ("V^0.5/s", 0.03, 0.0),
-            "k_lower": ("V^0.5/s", 0.03, 0.0),
-        },
+        parameters=known,
         process="upper lower",
     )
-    (upper, lower), (u,), (k_pump, k_upper, k_lower) = o.x, o.u, o.p
+    (upper, lower), (u,), (k_pump, k_upper, k_lower) = o.x, o.u, o.p[:3]
+    drive = u + o.p[3] if pump_offset else u
 
     def root(level: Any) -> Any:
         # Rounded off below 1e-4 V: the slope of the square root at an empty tank is infinite.
         return sp.sqrt(sp.Max(level, 0) + 1e-4) - 1e-2
 
-    o.rhs = [k_pump * u - k_upper * root(upper), k_upper * root(upper) - k_lower * root(lower)]
+    o.rhs = [k_pump * drive - k_upper * root(upper), k_upper * root(upper) - k_lower * root(lower)]
     o.outputs = {"y": (lower, "V")}
     return o
 
@@ -308,6 +320,13 @@ def load_model(name: str, **options: Any) -> System:
     if ".py:" in name or name.endswith(".py"):
         path, _, attribute = name.rpartition(":") if ".py:" in name else (name, "", "")
         maker, where = _from_file(Path(path), attribute)
+    elif is_arm(name):
+        raise InputError(
+            f"{name} is an arm",
+            expected="a model that can be simulated",
+            got="inverse dynamics of a URDF",
+            remedy="sysid close-loop judges arms",
+        )
     elif name in BUILT_IN:
         maker, where = BUILT_IN[name], None
     else:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from harness.physics.ccode import c_function, dense
+from harness.physics.ccode import FINE, c_function, dense, near_zero
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -36,9 +36,9 @@ class Functions:
         self._machines: dict[Any, Any] = {}
 
     @functools.cached_property
-    def _symbols(self) -> tuple[Any, Any]:
-        system = self.system
-        return ca.SX.sym("S", system.nx * (system.np + system.nx)), ca.SX.sym("dU", 0)
+    def output_slope(self) -> Any:
+        """The function (x, u, p, t) -> derivative of the output by the state (ny, nx)."""
+        return ca.Function("output_slope", self.arguments, [ca.jacobian(self.h, self.system.x)])
 
     def stage(self, delay_columns: tuple[int, ...]) -> Any:
         """Return the function (x, S, u, dU, p, t) -> (dx, dS) of one stage; dU (nu, delays) row by row."""
@@ -82,7 +82,9 @@ class Functions:
             x, u, p, t = (ca.SX.sym("a", one.shape) for one in self.arguments)
             state = x
             for count in range(substeps):
-                state = _runge_kutta(lambda y, w, s: self.derivative(y, w, p, s), state, [u, u, u], t + count * h, h)
+                state = self._advance(
+                    lambda y, w, s: self.derivative(y, w, p, s), state, lambda share: u, t + count * h, h
+                )
             self._machines[key] = ca.Function("step", [x, u, p, t], [state])
         return self._machines[key]
 
@@ -152,13 +154,15 @@ class Functions:
         h = dt / substeps
         new = state
         for count in range(substeps):
-            seen = []
-            for part in (0.0, 0.5, 1.0):
+
+            def seen(part: float, count: int = count) -> Any:
                 share = (count + part) / substeps
+                if not foh:
+                    return u, d
                 # The end of the sample is the next input itself, to the last bit, as in the C code.
-                late = (u_next, d_next) if share == 1.0 else (u + (u_next - u) * share, d + (d_next - d) * share)
-                seen.append(late if foh else (u, d))
-            new = _runge_kutta(slope, new, seen, t + count * h, h)
+                return (u_next, d_next) if share == 1.0 else (u + (u_next - u) * share, d + (d_next - d) * share)
+
+            new = self._advance(slope, new, seen, t + count * h, h)
         step = ca.Function("sample", [state, moving, p, t], [new], {"cse": False})
         if sensitivities:
             outputs = list(self.measure(delay_columns)(state[:nx], state[nx:], u, d, p, t))
@@ -167,6 +171,23 @@ class Functions:
         look = ca.Function("look", [state, moving, p, t], outputs)
         self._machines[key] = (step, look)
         return step, look
+
+    def _advance(self, slope: Any, x: Any, inputs: Any, t: Any, h: float) -> Any:
+        """Return the state one step later; in finer steps where a force changes its sign.
+
+        ``inputs(part)`` is what the slope sees at a part (0 to 1) of the step.
+        """
+        new = _runge_kutta(slope, x, [inputs(part) for part in (0.0, 0.5, 1.0)], t, h)
+        places = list(dict.fromkeys(k for k, _ in self.system.switches))
+        if not places:
+            return new
+        near, fine = ca.SX(0), x
+        for k in places:
+            near = ca.logic_or(near, ca.fmin(ca.fabs(x[k]), ca.fabs(new[k])) < ca.fabs(new[k] - x[k]))
+        for part in range(FINE):
+            seen = [inputs((part + share) / FINE) for share in (0.0, 0.5, 1.0)]
+            fine = _runge_kutta(slope, fine, seen, t + part * (h / FINE), h / FINE)
+        return ca.if_else(near, fine, new)
 
 
 def _runge_kutta(slope: Any, x: Any, inputs: list[Any], t: Any, h: float) -> Any:
@@ -195,6 +216,8 @@ def rollout_source(functions: Functions, sensitivities: bool, delay_columns: tup
         "ND": nd,
         "NS": system.np + system.nx if sensitivities else 0,
     }
+    sizes["FINE"] = FINE
+    bodies.append(near_zero(system, "sysid"))
     head = "\n".join(f"#define {name} {size}" for name, size in sizes.items())
     call = _CALLS_SENSITIVE if sensitivities else _CALLS_PLAIN
     return "\n\n".join(["#include <math.h>\n#include <stddef.h>", head, *bodies, call + _LOOP]) + "\n"
@@ -220,10 +243,42 @@ static void blend(const double *a, const double *b, double share, int n, double 
   for (i = 0; i < n; i++) out[i] = share == 1.0 ? b[i] : a[i] + (b[i] - a[i])*share;
 }
 
+typedef struct { const double *u, *u_next, *d, *d_next, *p; int foh; } sample;
+
+/* One step from z to the next, h long: over the shares a to b of a sample, m between them. */
+static void runge_kutta(const sample *in, const double *z, double *next, double t, double h, double a, double m,
+                        double b) {
+  double w[ROOM(NZ)], k1[ROOM(NZ)], k2[ROOM(NZ)], k3[ROOM(NZ)], k4[ROOM(NZ)];
+  double ub[3][ROOM(NU)], db[3][ROOM(NW)];
+  const double *ua = in->u, *um = in->u, *ue = in->u, *da = in->d, *dm = in->d, *de = in->d, *p = in->p;
+  const double middle = t + 0.5*h, end = t + h;
+  int i;
+  (void)da; (void)dm; (void)de;
+  if (in->foh) {
+    blend(in->u, in->u_next, a, NU, ub[0]);
+    blend(in->u, in->u_next, m, NU, ub[1]);
+    blend(in->u, in->u_next, b, NU, ub[2]);
+    ua = ub[0]; um = ub[1]; ue = ub[2];
+    if (NW > 0) {
+      blend(in->d, in->d_next, a, NW, db[0]);
+      blend(in->d, in->d_next, m, NW, db[1]);
+      blend(in->d, in->d_next, b, NW, db[2]);
+      da = db[0]; dm = db[1]; de = db[2];
+    }
+  }
+  STAGE(z, ua, da, p, &t, k1);
+  for (i = 0; i < NZ; i++) w[i] = z[i] + 0.5*h*k1[i];
+  STAGE(w, um, dm, p, &middle, k2);
+  for (i = 0; i < NZ; i++) w[i] = z[i] + 0.5*h*k2[i];
+  STAGE(w, um, dm, p, &middle, k3);
+  for (i = 0; i < NZ; i++) w[i] = z[i] + h*k3[i];
+  STAGE(w, ue, de, p, &end, k4);
+  for (i = 0; i < NZ; i++) next[i] = z[i] + h/6.0*(k1[i] + 2.0*k2[i] + 2.0*k3[i] + k4[i]);
+}
+
 int sysid_rollout(long m, long n, const double *p, const double *x0, const double *u, const double *d,
                   const double *t0, double dt, long substeps, int foh, double *x, double *y, double *s) {
-  double z[ROOM(NZ)], w[ROOM(NZ)], k1[ROOM(NZ)], k2[ROOM(NZ)], k3[ROOM(NZ)], k4[ROOM(NZ)];
-  double ub[3][ROOM(NU)], db[3][ROOM(NW)];
+  double z[ROOM(NZ)], next[ROOM(NZ)];
   const double h = dt/(double)substeps;
   long window, k, j;
   int i, part, finite;
@@ -241,27 +296,19 @@ int sysid_rollout(long m, long n, const double *p, const double *x0, const doubl
       for (i = 0; i < NX; i++) x[i] = z[i];
       MEASURE(z, u, d, p, &time, y, s);
       if (NS > 0) s += NY*NS;
+      const sample in = {u, u_next, d, d_next, p, foh};
       for (j = 0; k + 1 < n && j < substeps; j++) {
-        const double *ua = u, *um = u, *ue = u, *da = d, *dm = d, *de = d;
-        const double start = time + (double)j*h, middle = start + 0.5*h, end = start + h;
-        (void)da; (void)dm; (void)de;
-        if (foh) {
-          for (part = 0; part < 3; part++) {
-            const double share = ((double)j + 0.5*part)/(double)substeps;
-            blend(u, u_next, share, NU, ub[part]);
-            if (NW > 0) blend(d, d_next, share, NW, db[part]);
+        const double start = time + (double)j*h, many = (double)substeps;
+        runge_kutta(&in, z, next, start, h, (double)j/many, ((double)j + 0.5)/many, ((double)j + 1.0)/many);
+        if (sysid_near_zero(z, next)) { /* a force changes its sign: finer steps */
+          for (part = 0; part < FINE; part++) {
+            const double a = ((double)j + (double)part/FINE)/many, m = ((double)j + (part + 0.5)/FINE)/many;
+            runge_kutta(&in, z, next, start + part*(h/FINE), h/FINE, a, m, ((double)j + (part + 1.0)/FINE)/many);
+            for (i = 0; i < NZ; i++) z[i] = next[i];
           }
-          ua = ub[0]; um = ub[1]; ue = ub[2];
-          if (NW > 0) { da = db[0]; dm = db[1]; de = db[2]; }
+        } else {
+          for (i = 0; i < NZ; i++) z[i] = next[i];
         }
-        STAGE(z, ua, da, p, &start, k1);
-        for (i = 0; i < NZ; i++) w[i] = z[i] + 0.5*h*k1[i];
-        STAGE(w, um, dm, p, &middle, k2);
-        for (i = 0; i < NZ; i++) w[i] = z[i] + 0.5*h*k2[i];
-        STAGE(w, um, dm, p, &middle, k3);
-        for (i = 0; i < NZ; i++) w[i] = z[i] + h*k3[i];
-        STAGE(w, ue, de, p, &end, k4);
-        for (i = 0; i < NZ; i++) z[i] = z[i] + h/6.0*(k1[i] + 2.0*k2[i] + 2.0*k3[i] + k4[i]);
       }
       if (NW > 0) d += NW;
     }

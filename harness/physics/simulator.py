@@ -11,7 +11,7 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.fmi.build import compiler
-from harness.physics.ccode import Compilation
+from harness.physics.ccode import FINE, Compilation
 from harness.physics.rollout_code import Functions, rollout_source
 from harness.physics.sampled import SampledBlocks
 from harness.signals import FloatArray, PlantSpec
@@ -34,18 +34,31 @@ _SMOOTH_PIECES = 4
 def default_substeps(system: System, dt: float, p: FloatArray | None = None) -> int:
     """Return how many Runge-Kutta steps a sample needs, from the eigenvalues of the system at rest.
 
-    The classical method's error per step is (lambda h)^5 / 120: 0.35 for an oscillation, 0.7 for a decay.
+    The classical method's error per step is (lambda h)^5 / 120: 0.35 for an oscillation, 0.7 for a decay. Where a force
+    takes the sign of a speed, steps near zero are divided by themselves (``System.switches``).
     """
     n = system.nx
     if n == 0:
         return 1
-    jacobian = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
-    values = system.vector() if p is None else p
-    a = jacobian(np.zeros(n), np.zeros(system.nu), values, 0.0).full()
-    if not np.isfinite(a).all():
-        return 1
-    eigenvalues = np.linalg.eigvals(a)
-    need = dt * max(np.abs(eigenvalues.real).max() / 0.7, np.abs(eigenvalues.imag).max() / 0.35)
+    known: dict[str, Any] = system.__dict__  # a search asks for every set of parameters that it tries
+    if "_state_jacobian" not in known:
+        arguments = [system.x, system.u, system.p, system.t]
+        known["_state_jacobian"] = ca.Function("A", arguments, [ca.jacobian(system.f, system.x)])
+    jacobian = known["_state_jacobian"]
+    values = np.array(system.vector() if p is None else p, dtype=float)
+
+    def needed(parameters: FloatArray) -> float:
+        a = jacobian(np.zeros(n), np.zeros(system.nu), parameters, 0.0).full()
+        if not np.isfinite(a).all():
+            return 1.0
+        eigenvalues = np.linalg.eigvals(a)
+        return float(dt * max(np.abs(eigenvalues.real).max() / 0.7, np.abs(eigenvalues.imag).max() / 0.35))
+
+    need = needed(values)
+    if system.switches:  # signs are steep at rest only, and there the steps are finer by themselves
+        smooth = values.copy()
+        smooth[[system.parameter_names.index(name) for _, name in system.switches]] = 1e9
+        need = max(needed(smooth), need / FINE)
     return int(np.clip(np.ceil(need), 1, _MAXIMUM_SUBSTEPS))
 
 
@@ -312,8 +325,8 @@ class Simulator:
         self._work += samples * self.substeps * (8 if sensitivities else 1)
         if self._work > _PATIENCE:
             compilation.start()
-        # Compiling takes 0.1 to 0.3 s, the virtual machine about 2 us per unit of work: here waiting is shorter.
-        if samples * self.substeps * (8 if sensitivities else 1) > 100_000:
+        # Compiling takes 0.1 to 0.3 s and lasts, the virtual machine about 5 us per unit of work: waiting is shorter.
+        if samples * self.substeps * (8 if sensitivities else 1) > 30_000:
             return compilation.library()
         return None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,8 @@ from harness.signals import FloatArray
 __all__ = ["Smoothed", "smooth"]
 
 _WIDTHS = (5, 7, 9, 13, 19, 27, 41, 61, 91)
+_KEPT = 32
+"""Signals whose answer is kept: a diagnosis asks for those of its records again with every model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +42,7 @@ def smooth(signal: FloatArray, dt: float, *, period: float | None = None) -> Smo
     Returns
     -------
     Smoothed
-        Of the width, among 5 to 91 samples, with the least leave-one-out error.
+        Of the width, among 5 to 91 samples, with the least leave-one-out error; its arrays cannot be written to.
 
     Examples
     --------
@@ -47,13 +50,22 @@ def smooth(signal: FloatArray, dt: float, *, period: float | None = None) -> Smo
     >>> smooth(np.sin(t), 0.01).rate[[0, 50, 100]].round(3).tolist()
     [1.0, 0.878, 0.54]
     """
+    given = np.ascontiguousarray(signal, dtype=float)
+    return _smoothed(given.tobytes(), float(dt), period)
+
+
+@functools.lru_cache(maxsize=_KEPT)
+def _smoothed(data: bytes, dt: float, period: float | None) -> Smoothed:
+    """Return the smoothed signal of the bytes of an array."""
     from scipy.signal import savgol_coeffs, savgol_filter
 
-    y = np.unwrap(signal, period=period) if period is not None else np.asarray(signal, dtype=float)
+    y = np.frombuffer(data)
+    if period is not None:
+        y = np.unwrap(y, period=period)
     n = y.shape[0]
     if n < 5:
         rate = np.gradient(y, dt) if n > 1 else np.zeros(n)
-        return Smoothed(y.copy(), rate, np.zeros(n), 0.0, n)
+        return _closed(Smoothed(y.copy(), rate, np.zeros(n), 0.0, n))
     best: tuple[float, int] | None = None
     for width in _WIDTHS:
         if width > max(5, n // 3):
@@ -67,4 +79,11 @@ def smooth(signal: FloatArray, dt: float, *, period: float | None = None) -> Smo
     assert best is not None
     error, width = best
     value, rate, acceleration = (savgol_filter(y, width, 3, deriv=order, delta=dt) for order in range(3))
-    return Smoothed(value, rate, acceleration, error, width)
+    return _closed(Smoothed(value, rate, acceleration, error, width))
+
+
+def _closed(found: Smoothed) -> Smoothed:
+    """Make the arrays of an answer that several share read-only."""
+    for one in (found.value, found.rate, found.acceleration):
+        one.flags.writeable = False
+    return found

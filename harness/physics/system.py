@@ -61,6 +61,9 @@ class System:
         The symbolic definition.
     hidden_count : int
         The last so many states were brought by effects.
+    switches : tuple of (int, str)
+        States through whose zero a force changes its sign, each with the parameter that smooths it: a step that comes
+        near zero is taken in finer ones.
     process : tuple of str
         States that are levels, in the order in which they flow into each other.
     nominal : System or None
@@ -115,6 +118,7 @@ class System:
     effects: tuple[Any, ...] = ()
     mechanism: Any = None
     hidden_count: int = 0
+    switches: tuple[tuple[int, str], ...] = ()
     process: tuple[str, ...] = ()
     nominal: System | None = field(default=None, repr=False)
     starts: Callable[[Sequence[Trajectory]], Mapping[str, float]] | None = field(default=None, repr=False)
@@ -231,6 +235,7 @@ class System:
         parameters: Sequence[tuple[Parameter, Any]] = (),
         sampled: Sequence[SampledBlock] = (),
         effects: Sequence[Any] = (),
+        switches: Sequence[tuple[int, str]] = (),
         name: str | None = None,
     ) -> System:
         """Return a system in which something was changed.
@@ -259,6 +264,8 @@ class System:
             New delays or quantisers.
         effects : sequence
             Appended to ``effects``.
+        switches : sequence of (int, str)
+            Appended to ``switches``.
         name : str, optional
             New name.
 
@@ -328,6 +335,7 @@ class System:
             initial=ca.vertcat(swapped(start), *added),
             effects=(*self.effects, *effects),
             hidden_count=self.hidden_count + len(states),
+            switches=(*self.switches, *switches),
         )
 
     def with_outputs(self, chosen: Sequence[str | tuple[str, int] | tuple[str, int, str]]) -> System:

@@ -149,7 +149,7 @@ class Arm:
         """Return the inverse dynamics as a CasADi function of (q, v, a, gravity)."""
         import casadi as ca
 
-        arguments, torques = self._torques(ca.SX(self.parameters))
+        arguments, torques = self.symbolic_torques(ca.SX(self.parameters))
         return ca.Function("inverse_dynamics", arguments, [torques])
 
     @cached_property
@@ -158,10 +158,10 @@ class Arm:
         import casadi as ca
 
         parameters = ca.SX.sym("p", 10 * len(self.joints))
-        arguments, torques = self._torques(parameters)
+        arguments, torques = self.symbolic_torques(parameters)
         return ca.Function("regressor", arguments, [ca.densify(ca.jacobian(torques, parameters))])
 
-    def _torques(self, parameters: Any) -> tuple[list[Any], Any]:
+    def symbolic_torques(self, parameters: Any) -> tuple[list[Any], Any]:
         """Return the symbols (q, v, a, gravity) and the torques, linear in the inertial parameters.
 
         Recursive Newton-Euler in the axes of the base (Luh, Walker & Paul, J. Dyn. Sys. Meas. Control 102 (1980) 69),

@@ -11,7 +11,7 @@ import numpy as np
 from harness.physics.ccode import dense
 from harness.signals import FloatArray
 
-__all__ = ["Vectorised"]
+__all__ = ["OnRecords", "Vectorised"]
 
 _UFUNCS: dict[str, Callable[..., Any]] = {
     "OP_ADD": np.add,
@@ -64,6 +64,11 @@ class Vectorised:
     inputs, outputs : list of casadi.SX
         Columns.
 
+    Raises
+    ------
+    ValueError
+        If CasADi uses an operation that has no array operation here.
+
     Examples
     --------
     >>> x = ca.SX.sym("x", 2)
@@ -81,7 +86,7 @@ class Vectorised:
             code = function.instruction_id(k)
             into, out = list(function.instruction_input(k)), list(function.instruction_output(k))
             if code == ca.OP_CONST:
-                self._program.append(("const", function.instruction_constant(k), into, out))
+                self._program.append(("const", np.float64(function.instruction_constant(k)), into, out))
             elif code == ca.OP_INPUT:
                 self._program.append(("input", None, into, out))
             elif code == ca.OP_OUTPUT:
@@ -92,7 +97,10 @@ class Vectorised:
                 raise ValueError(f"no array operation for CasADi operation {code}")
 
     def __call__(self, *arguments: FloatArray) -> list[FloatArray]:
-        """Return the outputs, each (N, size); arguments are (N, size), columns in the order of the inputs."""
+        """Return the outputs, each (N, size); arguments are (N, size), columns in the order of the inputs.
+
+        An argument (size,) is the same in every sample, the first one excepted.
+        """
         n = arguments[0].shape[0]
         columns = [np.ascontiguousarray(one.T) for one in arguments]
         results = [np.empty((n, size)) for size in self._sizes]
@@ -108,3 +116,42 @@ class Vectorised:
                 else:
                     results[out[0]][:, out[1]] = work[into[0]]
         return results
+
+
+class OnRecords:
+    """A CasADi SX function called with whole records: array operations, or CasADi's map where numpy lacks one.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of columns; an output may be a matrix.
+
+    Examples
+    --------
+    >>> x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
+    >>> f = OnRecords(ca.Function("f", [x, p], [p * x, ca.erf(x[0])]))
+    >>> [one.round(3).tolist() for one in f(np.array([[1.0, 2.0], [0.0, 4.0]]), np.array([3.0]))]
+    [[[3.0, 6.0], [0.0, 12.0]], [[0.843], [0.0]]]
+    """
+
+    def __init__(self, function: Any) -> None:
+        self.function = function
+        symbols = function.sx_in()
+        columns = [ca.vec(one) for one in function.call(symbols)]
+        self._arrays: Vectorised | None
+        try:
+            self._arrays = Vectorised(symbols, columns)
+        except ValueError:
+            self._arrays, self._flat = None, dense("flat", symbols, columns)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the function; the rest is made again."""
+        return OnRecords, (self.function,)
+
+    def __call__(self, *arguments: FloatArray) -> list[FloatArray]:
+        """Return the outputs (N, size), a matrix column by column; see :meth:`Vectorised.__call__`."""
+        if self._arrays is not None:
+            return self._arrays(*arguments)
+        n = arguments[0].shape[0]
+        rows = [one.T if one.ndim == 2 else np.tile(one[:, None], (1, n)) for one in arguments]
+        return [np.array(one, dtype=float).T for one in self._flat.map(n).call(rows)]

@@ -46,6 +46,8 @@ class Evaluation:
     residuals: list[FloatArray] = field(default_factory=list)
     states: list[FloatArray] = field(default_factory=list)
     """By window: (L, ny) and (L, nx)."""
+    jacobian: FloatArray | None = None
+    """As :meth:`Windows.jacobian` returns it; None if it was not asked for, or a window diverged."""
 
 
 class Windows:
@@ -109,7 +111,7 @@ class Windows:
             slopes.append(slope[0])
         return [self._cut(group, seen) for group in self.groups], [self._cut(group, slopes) for group in self.groups]
 
-    def evaluate(self, p: FloatArray, x0: FloatArray, *, keep: bool = False) -> Evaluation:
+    def evaluate(self, p: FloatArray, x0: FloatArray, *, keep: bool = False, jacobian: bool = False) -> Evaluation:
         """Simulate all windows.
 
         Parameters
@@ -118,6 +120,8 @@ class Windows:
         x0 : array (W, nx)
         keep : bool
             Keep residuals and states of every window.
+        jacobian : bool
+            Keep the Jacobian by the parameters as well, unless a window diverges.
         """
         simulator = self.simulator
         ns, ny = simulator.np + simulator.nx, simulator.spec.ny
@@ -128,6 +132,7 @@ class Windows:
         if keep:
             result.residuals = [np.zeros(0)] * count
             result.states = [np.zeros(0)] * count
+        rows: list[FloatArray] = [np.zeros(0)] * count
         inputs, slopes = self._inputs(p)
         for number, group in enumerate(self.groups):
             m = len(group.order)
@@ -155,7 +160,12 @@ class Windows:
                 for row, order in enumerate(group.order):
                     result.residuals[order] = r[row]
                     result.states[order] = x[row]
+            if jacobian and not broken.any():
+                for row, order in enumerate(group.order):
+                    rows[order] = self._without_state(j[row])
         result.cost = float(np.sum(costs))
+        if jacobian and np.isfinite(result.cost):
+            result.jacobian = np.vstack(rows)
         return result
 
     def jacobian(self, p: FloatArray, x0: FloatArray) -> FloatArray:
@@ -173,14 +183,17 @@ class Windows:
             )
             assert s is not None
             for row, order in enumerate(group.order):
-                j = (s[row] / self.sigma[:, None]).reshape(-1, simulator.np + simulator.nx)
-                by_p, by_x = j[:, : simulator.np], j[:, simulator.np :]
-                if by_x.shape[1]:
-                    left, sizes, _ = np.linalg.svd(by_x, full_matrices=False)
-                    left = left[:, sizes > 1e-10 * max(sizes[0], 1e-300)]
-                    by_p = by_p - left @ (left.T @ by_p)
-                rows[order] = by_p
+                rows[order] = self._without_state((s[row] / self.sigma[:, None]).reshape(-1, s.shape[-1]))
         return np.vstack(rows)
+
+    def _without_state(self, j: FloatArray) -> FloatArray:
+        """Return the derivatives by p of one window, those by its initial state projected out."""
+        by_p, by_x = j[:, : self.simulator.np], j[:, self.simulator.np :]
+        if by_x.shape[1]:
+            left, sizes, _ = np.linalg.svd(by_x, full_matrices=False)
+            left = left[:, sizes > 1e-10 * max(sizes[0], 1e-300)]
+            by_p = by_p - left @ (left.T @ by_p)
+        return np.ascontiguousarray(by_p)
 
     def together(self, parts: list[FloatArray]) -> list[FloatArray]:
         """Return arrays by window put together by record."""
@@ -213,14 +226,12 @@ def data_states(simulator: Simulator, record: Trajectory, p: FloatArray) -> tupl
     is measured itself. An unmeasured state is where a measured one of the same unit is, else 0; hidden states of
     effects are at their declared start.
     """
-    import casadi as ca
-
     system = simulator.system
     n = len(record)
     x, known = np.zeros((n, system.nx)), [False] * system.nx
-    smoothed = {}
-    plain = ca.Function("c", [system.x, system.u, system.p, system.t], [ca.jacobian(system.h, system.x)])
-    slope = plain(np.full(system.nx, 0.1), np.zeros(system.nu), p, 0.0).full()
+    values: dict[int, FloatArray] = {}
+    rates: dict[int, FloatArray] = {}
+    slope = simulator.functions.output_slope(np.full(system.nx, 0.1), np.zeros(system.nu), p, 0.0).full()
     for row, channel in enumerate(system.outputs):
         where = np.flatnonzero(np.abs(slope[row]) > 1e-12)
         if len(where) != 1 or not np.isfinite(slope[row]).all():
@@ -228,12 +239,14 @@ def data_states(simulator: Simulator, record: Trajectory, p: FloatArray) -> tupl
         state = int(where[0])
         # The output is c x + d (a gain or an offset of the sensor): undo it.
         zero = simulator.functions.output(np.zeros(system.nx), np.zeros(system.nu), p, 0.0).full()[row, 0]
-        smoothed[state] = smooth((record.y[:, row] - zero) / slope[row, state], simulator.dt, period=channel.period)
-    for state, signal in smoothed.items():
-        x[:, state], known[state] = signal.value, True
+        found = smooth(record.y[:, row], simulator.dt, period=channel.period)
+        values[state] = (found.value - zero) / slope[row, state]
+        rates[state] = found.rate / slope[row, state]
+    for state, value in values.items():
+        x[:, state], known[state] = value, True
     for one in system.coordinates:
         if known[one.q] and not known[one.v]:
-            x[:, one.v], known[one.v] = smoothed[one.q].rate, True
+            x[:, one.v], known[one.v] = rates[one.q], True
     base = system.nx - system.hidden_count
     for state in range(base):
         if known[state]:
@@ -243,6 +256,6 @@ def data_states(simulator: Simulator, record: Trajectory, p: FloatArray) -> tupl
             x[:, state] = x[:, same[0]]
     if system.hidden_count:
         many = simulator.functions.initial.map(n)
-        found = many(x.T, record.u.T, np.tile(p[:, None], n)).full().T
-        x[:, base:] = np.where(np.isfinite(found), found, 0.0)
+        hidden = many(x.T, record.u.T, np.tile(p[:, None], n)).full().T
+        x[:, base:] = np.where(np.isfinite(hidden), hidden, 0.0)
     return x, known

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -97,3 +98,38 @@ def test_unknown_engines(text: str) -> None:
 def test_workers_must_be_positive() -> None:
     with pytest.raises(InputError, match="at least 1"):
         make_engine("local", workers=0)
+
+
+COUPLING = """
+sample_time = 0.02
+inputs = { u = "arm.u" }
+outputs = ["arm.theta"]
+[parts.arm]
+fmu = "arm.fmu"
+[[connections]]
+from = "u"
+to = "arm.u"
+"""
+
+
+def test_a_coupling_and_an_fmu_are_plants_of_a_suite(tmp_path: Path) -> None:
+    from harness.benchmark import bench
+    from plants.mockups import mockup
+
+    shutil.copy(mockup("pendulum"), tmp_path / "arm.fmu")
+    (tmp_path / "loop.toml").write_text(COUPLING)
+    path = tmp_path / "suite.toml"
+    alone = '{id = "arm.fmu", label = "alone", options = {sample_time = 0.02, outputs = ["theta"]}}'
+    plants = f'[{{id = "loop.toml"}}, {alone}]'
+    scenario = '[{id = "prbs", options = {samples = 150}}]'
+    group = f'[[groups]]\nplants = {plants}\nscenarios = {scenario}\nidentifiers = [{{id = "arx"}}]\n'
+    path.write_text('name = "files"\nseeds = [0]\n' + group)
+    rows = bench(path, out=tmp_path / "out", workers=1).rows
+    assert [(row.plant, row.status) for row in rows] == [("loop.toml", "ok"), ("alone", "ok")], rows
+    before = [cell.job for _, cell in cells_of(tasks_of(load_suite(path)))]
+    shutil.copy(mockup("mass_spring"), tmp_path / "arm.fmu")
+    after = [cell.job for _, cell in cells_of(tasks_of(load_suite(path)))]
+    assert not set(before) & set(after), "another FMU makes another row"
+    (tmp_path / "arm.fmu").unlink()
+    with pytest.raises(InputError, match=r"arm\.fmu: groups\[0\]\.plants\[0\]\.id.*no such plant"):
+        load_suite(path)

@@ -11,6 +11,7 @@ import pytest
 from harness import api, registry
 from harness.cosim import Connection, Coupled, couple
 from harness.errors import InputError
+from harness.plant_files import make_part
 from harness.protocols import Plant
 from plants.fmu import FmuPlant
 from plants.fmu_mockups import pendulum_fmu
@@ -127,7 +128,7 @@ def test_a_coupling_is_a_plant_of_the_command(folder: Path) -> None:
 
 def test_the_example_file_keeps_the_pole_up() -> None:
     path = Path(__file__).parents[2] / "examples" / "coupled_cart_pole.toml"
-    with couple(path, api._make_part) as plant:
+    with couple(path, make_part) as plant:
         plant.reset(rng=RNG)
         for _ in range(600):
             y = plant.step(np.zeros(1))

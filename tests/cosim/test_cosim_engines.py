@@ -143,6 +143,15 @@ def test_four_engines_in_a_loop_come_to_the_one_ode() -> None:
     assert errors[2] < 2e-5
 
 
+def test_the_example_prints_the_order_in_the_communication_step() -> None:
+    example = script(ROOT / "examples" / "coupled_cart_pole.py")
+    steps, errors, orders = np.array(example.convergence(1.0)).T
+    assert errors[-1] < 2e-3
+    assert orders[1:] == pytest.approx(np.log2(errors[:-1] / errors[1:]))
+    assert orders[-1] == pytest.approx(1.0, abs=0.1)
+    assert np.all(np.diff(steps) < 0)
+
+
 def test_a_coupled_plant_keeps_the_contract_of_plants() -> None:
     from harness.conformance import check_plant
 

@@ -144,6 +144,39 @@ def test_a_package_moves_as_the_same_coupling_in_python(tmp_path: Path, ssd: str
         np.testing.assert_allclose(motion(read), motion(written), rtol=0, atol=1e-14)
 
 
+def boxed(inner: Path, path: Path) -> Path:
+    """Write a package whose controller is a package: its system is the nested one of NESTED."""
+    head, rest = NESTED.split('<ssd:System name="box">')
+    body, tail = rest.split("</ssd:System>", 1)
+    with zipfile.ZipFile(inner, "w") as archive:
+        archive.writestr(
+            "SystemStructure.ssd", f'{HEAD}<ssd:System name="box">{body}</ssd:System></ssd:SystemStructureDescription>'
+        )
+        archive.write(mockup("pi_controller"), "resources/pi_controller.fmu")
+    connectors = body.split("<ssd:Elements>")[0]
+    head_of = '<ssd:Component name="box" type="application/x-ssp-package" source="resources/inner.ssp">'
+    component = f"{head_of}{connectors}</ssd:Component>"
+    text = f"{head}{component}{tail}"
+    return package(path, text, "box.law", extra=lambda archive: archive.write(inner, "resources/inner.ssp"))
+
+
+def test_a_package_in_a_package_is_one_part(tmp_path: Path) -> None:
+    scratch = Path(tempfile.gettempdir())
+    before = set(scratch.glob("sysid-ssp-*"))
+    with couple_ssp(boxed(tmp_path / "inner.ssp", tmp_path / "outer.ssp"), make, changes={"sample_time": DT}) as nested:
+        boxes = motion(nested)
+    with couple_ssp(package(tmp_path / "flat.ssp"), make, changes={"sample_time": DT}) as flat:
+        assert motion(flat) == pytest.approx(boxes, abs=1e-12)
+    assert np.ptp(boxes) > 0.01
+    assert set(scratch.glob("sysid-ssp-*")) == before
+
+
+def test_packages_that_hold_themselves_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("harness.cosim.ssp.DEEPEST", 1)
+    with pytest.raises(InputError, match=r"outer\.ssp: packages inside packages.*'box'"):
+        couple_ssp(boxed(tmp_path / "inner.ssp", tmp_path / "outer.ssp"), make)
+
+
 def test_a_package_is_a_plant_of_the_command_and_leaves_no_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

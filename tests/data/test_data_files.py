@@ -175,10 +175,14 @@ def test_mcap(tmp_path: Path) -> None:
         for k, value in enumerate(VALUES):
             data = json.dumps({"position": [value, 2 * value]}).encode()
             writer.add_message(channel, log_time=10**9 + k * 10**7, publish_time=0, data=data)
+        other = writer.register_channel(topic="/imu", message_encoding="protobuf", schema_id=0)
+        writer.add_message(other, log_time=10**9, publish_time=0, data=b"x")
         writer.finish()
     table = Table(path)
     assert np.array_equal(table.read("/joint.position[1]")[0], 2 * VALUES)
     assert table.read("time")[0] == pytest.approx(np.arange(5) * 0.01)
+    with pytest.raises(InputError, match="topic '/imu' cannot be read: expected JSON messages, got protobuf messages"):
+        table.read("/imu.x")
 
 
 def test_a_missing_optional_package_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from harness.diagnosis import close_loop
+from harness.effects import builtin
 from harness.errors import InputError
 from harness.physics.models import pendulum
 from harness.signals import Run
@@ -137,3 +138,41 @@ def test_data_that_cannot_be_judged_are_refused(foreign_pendulum) -> None:
     )
     with pytest.raises(InputError, match="never move"):
         close_loop(still, "pendulum")
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda q, v, u, t: 0.15 * math.cos(5 * q) * v,  # a torque ripple that pumps and brakes
+        lambda q, v, u, t: -5.0 * (q - 0.3) * math.exp(-(((q - 0.3) / 0.1) ** 2)),  # a magnet near one angle
+        lambda q, v, u, t: -0.02 * v / (0.15 + abs(q - 0.6)) ** 2,  # a film squeezed at one angle
+    ],
+    ids=["ripple", "magnet", "squeeze film"],
+)
+def test_a_strong_law_outside_the_dictionary_is_never_a_disturbance(foreign_pendulum, law) -> None:
+    data = foreign_pendulum(21, law, amplitude=0.6)
+    few = [builtin()[name] for name in ("coulomb_friction", "sensor_offset", "input_delay", "force_bias")]
+    report = close_loop(data, "pendulum", workers=1, dictionary=few)
+    assert report.verdict == "unexplained"
+    assert report.data["adequacy"] == "proxy_or_incomplete"
+
+
+def test_three_percent_of_coloured_torque_stay_a_disturbance(foreign_pendulum) -> None:
+    few = [builtin()[name] for name in ("coulomb_friction", "sensor_offset", "input_delay", "force_bias")]
+    report = close_loop(foreign_pendulum(4, coloured=0.03), "pendulum", workers=1, dictionary=few)
+    assert report.verdict == "nothing_missing"
+    assert not report.data["rest"]["too_large_for_a_disturbance"]
+
+
+@pytest.mark.slow
+def test_two_effects_are_both_named(foreign_pendulum) -> None:
+    def law(q: float, v: float, u: float, t: float) -> float:
+        return -0.05 * math.tanh(v / 1e-3) - 0.02 * abs(v) * v
+
+    names = ("coulomb_friction", "quadratic_drag", "stribeck_friction", "asymmetric_friction", "cubic_spring",
+             "sensor_offset", "input_delay", "force_bias")  # fmt: skip
+    report = close_loop(foreign_pendulum(9, law), "pendulum", workers=1, dictionary=[builtin()[one] for one in names])
+    found = {one["name"]: one["parameters"] for one in report.data["effects"]}
+    assert set(found) == {"coulomb_friction", "quadratic_drag"}
+    assert found["coulomb_friction"]["Fc"]["value"] == pytest.approx(0.05, rel=0.05)
+    assert found["quadratic_drag"]["c"]["value"] == pytest.approx(0.02, rel=0.1)

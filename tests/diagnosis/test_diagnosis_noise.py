@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from harness.diagnosis import noise
-from harness.diagnosis.black_box import fit_black_box
+from harness.diagnosis.black_box import fit_black_box, one_step_error
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 
@@ -95,3 +95,29 @@ def test_recordings_refuse_the_fourth_difference(recordings_folder) -> None:  # 
     dryer = np.loadtxt(recordings_folder / "hair_dryer" / "dryer.dat")[:, 1]
     assert noise.fourth_difference(dryer) == pytest.approx(0.025, rel=0.06)
     assert not noise.top_octave(dryer).flat
+
+
+def test_the_one_step_error_is_the_innovation_and_the_fourth_difference_must_come_near_it() -> None:
+    rng = np.random.default_rng(7)
+    runs = [
+        record(np.zeros(3000), np.asarray(lfilter([1.0], [1.0, -1.6, 0.7], rng.standard_normal(3000)))) for _ in "ab"
+    ]
+    assert one_step_error(dataset(*runs))[0] == pytest.approx(1.0, rel=0.05)
+    short = [record(np.zeros(9), rng.standard_normal(9)) for _ in "ab"]
+    assert one_step_error(dataset(*short))[0] == np.inf
+
+
+def test_a_plant_disturbed_beyond_its_white_sensor_has_another_floor(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    runs = []
+    for _ in range(2):
+        y = smooth(4000, rng)
+        runs.append(record(rng.standard_normal(4000), y + 0.02 * y.std() * rng.standard_normal(4000)))
+    white = noise.noise_floors(dataset(*runs))[0]
+    assert white.source == "fourth_difference"
+    assert white.value is not None
+    assert one_step_error(dataset(*runs))[0] < 0.8 * noise.PREDICTED * white.value
+    monkeypatch.setattr(noise, "one_step_error", lambda data: np.array([3.0 * white.value]))
+    floor = noise.noise_floors(dataset(*runs))[0]
+    assert floor.source != "fourth_difference"
+    assert "one sample ahead" in floor.note

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from harness.diagnosis import close_loop_file
+from harness import registry
+from harness.data import load_dataset
+from harness.diagnosis import close_loop, close_loop_file
+from harness.effects import builtin
 
 PUBLISHED = {"M": 95.11, "Fv": 203.5, "offset": -3.16}
 
@@ -30,3 +33,28 @@ def test_emps_lacks_dry_friction(recordings_folder, tmp_path) -> None:
     assert data["effects"][0]["parameters"]["Fc"]["value"] == pytest.approx(20.39, rel=0.02)
     assert data["noise_floor"]["q"]["value"] is None
     assert data["closed_loop"]["u"]["p"] is not None
+
+
+@pytest.mark.slow
+def test_the_arm_of_a_pendulum_lacks_dry_friction_and_drag_together(recordings_folder) -> None:
+    loaded = load_dataset(registry.dataset_path("multi-arm-pendulum"))
+    system = loaded.system()
+    names = ("coulomb_friction", "quadratic_drag", "stribeck_friction", "sensor_delay")
+    few = [builtin()[one] for one in names]
+    report = close_loop(loaded.for_system(system), system, dictionary=few, workers=1)
+    data = report.data
+    assert report.verdict == "effects_found"
+    found = {one["name"]: one["parameters"] for one in data["effects"]}
+    assert (
+        {"coulomb_friction", "quadratic_drag"} <= set(found) <= {"coulomb_friction", "quadratic_drag", "sensor_delay"}
+    )
+    assert found["coulomb_friction"]["Fc"]["low"] > 0
+    assert found["quadratic_drag"]["c"]["low"] > 0
+    before, after = (
+        data["errors"][key]["simulation_error"]["validation"]["theta"]["rms"] for key in ("before", "after")
+    )
+    assert after < 0.6 * before
+    assert after <= 7.5e-3  # rad; initial states are estimated, so the nominal model starts from 12.4 mrad, not 24.6
+    alone = [row for row in data["candidates"] if "stribeck_friction" in str(row) or "coulomb_friction" in str(row)]
+    assert any("unphysical sign" in (row["reason"] or "") for row in alone)
+    assert any("instead of 1000 Hz" in text for text in data["warnings"])

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -71,6 +74,18 @@ def test_model_exchange_is_probed_by_its_tolerance(odd_fmu: Callable[..., Path])
 def test_what_is_no_fmu_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such FMU"):
         probe(tmp_path / "none.fmu")
+
+
+def test_a_folder_of_fmus_is_really_run(tmp_path: Path) -> None:
+    shutil.copy(mockup("mass_spring", 3), tmp_path / "given.fmu")
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-k", "foreign", "-rA", __file__]
+    environment = {**os.environ, "SYSID_HARNESS_FMUS": str(tmp_path)}
+    root = Path(__file__).parents[2]
+    done = subprocess.run(command, env=environment, cwd=root, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout
+    assert "test_foreign_fmus_run_and_repeat[given]" in done.stdout
+    assert "1 passed" in done.stdout
+    assert "skipped" not in done.stdout
 
 
 def foreign() -> list[Path]:

@@ -13,6 +13,7 @@ from harness.protocols import Experiment
 from harness.rollout import perform
 from harness.signals import FloatArray, Trajectory
 from plants.ball_beam import PymunkBallBeam
+from plants.cart_pole import PymunkCartPole
 from plants.double_cart_pole import PymunkDoubleCartPole
 
 RNG = np.random.default_rng
@@ -93,6 +94,52 @@ def test_the_beam_turns_under_torque_spring_and_the_balls_weight() -> None:
         plant.reset(rng=RNG(0), x0={"r": 0.3})
         tilt = plant.rollout(np.zeros((40, 1)))[-1, 1]
     assert tilt < -0.05, "the ball's weight at positive r turns the beam clockwise"
+
+
+def test_dry_friction_of_the_beams_pin_holds_and_brakes() -> None:
+    angles = []
+    for torque in (0.009, 0.015):
+        with PymunkBallBeam(m=1e-6, b=0.0, inertia=0.02, dry=0.01) as plant:
+            plant.reset(rng=RNG(0))
+            angles.append(plant.rollout(np.full((50, 1), torque))[-1, 1])
+    assert abs(angles[0]) < 1e-6, "below the dry friction the beam stands"
+    assert angles[1] == pytest.approx((0.015 - 0.01) / 0.02 * 0.5**2 / 2, rel=5e-3)
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_dry_friction_of_a_joint_stops_its_own_motion(joint: int) -> None:
+    x0 = {"theta1": 0.5, "theta2": -0.4}
+    relative = []
+    for friction in (0.0, 5.0):
+        options = {"bx": 0.0, "b1": 0.0, "b2": 0.0, f"friction_{joint}": friction, "outputs": ["theta1", "theta2"]}
+        with PymunkDoubleCartPole(**options) as plant:
+            plant.reset(rng=RNG(0), x0=x0)
+            theta1, theta2 = plant.rollout(np.zeros((100, 1))).T
+        relative.append(np.ptp(theta1 if joint == 1 else theta2 - theta1))
+    assert relative[0] > 0.5
+    assert relative[1] < 0.02, "a friction beyond the weight locks the joint"
+
+
+@pytest.mark.parametrize("make", [PymunkCartPole, PymunkDoubleCartPole, PymunkBallBeam])
+def test_rates_can_be_measured(make: type[PymunkCartPole]) -> None:
+    with make() as usual:
+        names = [channel.name for channel in usual.spec.states]
+        positions = [channel.name for channel in usual.spec.outputs]
+        assert positions == names[: len(positions)]
+        usual.reset(rng=RNG(0))
+        expected = usual.rollout(0.05 * push(60))
+    with make(outputs=names[::-1]) as plant:
+        assert [channel.name for channel in plant.spec.outputs] == names[::-1]
+        assert plant.reset(rng=RNG(0), x0={names[-1]: 0.3})[0] == pytest.approx(0.3)
+        plant.reset(rng=RNG(0))
+        y = plant.rollout(0.05 * push(60))
+        assert np.array_equal(y[:, ::-1][:, : len(positions)], expected)
+        assert np.array_equal(y[-1], plant.truth()[::-1])
+        plant.reset(rng=RNG(0))
+        assert np.array_equal([plant.step(u) for u in 0.05 * push(60)], y)
+    for wrong in (["speed"], [], [names[0], names[0]]):
+        with pytest.raises(InputError, match="option outputs"):
+            make(outputs=wrong)
 
 
 @pytest.mark.parametrize("make", [PymunkDoubleCartPole, PymunkBallBeam])

@@ -1,0 +1,105 @@
+"""Pairs of effects: tried where no single effect is accepted but something is left.
+
+Two laws of one family can hide each other: with viscous friction in the model, Coulomb friction and quadratic drag
+bend the decay of a swing in opposite directions, and either one alone fits best with the wrong sign. So an effect
+that only its sign speaks against is tried again beside every member of its family.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+from harness.diagnosis.accept import DELTA_BIC, LEVEL, WRONG_SIGN
+from harness.diagnosis.confirm import Candidate, Task, assess
+from harness.diagnosis.forms import Fitted
+from harness.diagnosis.screens import SEEN
+from harness.diagnosis.starts import starts_of
+from harness.diagnosis.ties import simplest, tie_set
+from harness.effects.effect import Placed
+
+if TYPE_CHECKING:
+    from harness.diagnosis.subset import Round, Search
+
+__all__ = ["best_pair", "complements", "short_of"]
+
+SHORT = 6
+
+
+def short_of(here: Round) -> list[Placed]:
+    """Return at most six effects worth combining: best refits first, then leaders of the screens."""
+    ranked = sorted((one for one in here.candidates if one.fitted is not None), key=lambda one: -one.delta_bic)
+    ordered = [one.added[0] for one in ranked] + [one.placed for one in here.screen.leaders(3)]
+    return list({str(one): one for one in ordered}.values())[:SHORT]
+
+
+def complements(candidates: Sequence[Placed], here: Round) -> list[tuple[Placed, Placed]]:
+    """Return pairs of an effect of the wrong sign, in its simplest form, with each member of its family at its port."""
+    unseen = {str(one.placed) for one in here.screen.probes if one.left < SEEN}
+    taken = {str(one) for one in here.before.effects}
+    free = [one for one in candidates if str(one) not in unseen | taken]
+    by_name = {(one.effect.name, one.at): one for one in free}
+    found: dict[frozenset[str], tuple[Placed, Placed]] = {}
+    for candidate in here.candidates:
+        wrong = any(reason.endswith(WRONG_SIGN) for reason in candidate.judgement.reasons)
+        if not wrong or candidate.delta_bic <= DELTA_BIC:
+            continue
+        given = candidate.added[0]
+        simple = next((by_name[name, given.at] for name in given.effect.nests if (name, given.at) in by_name), given)
+        for other in free:
+            kin = other.effect.name in simple.effect.family or simple.effect.name in other.effect.family
+            nested = simple.effect.name in other.effect.nests or other.effect.name in simple.effect.nests
+            if kin and not nested and other.at == simple.at and str(other) != str(simple):
+                found.setdefault(frozenset((str(simple), str(other))), (simple, other))
+    return list(found.values())
+
+
+def best_pair(search: Search, model: Fitted, here: Round) -> Candidate | None:
+    """Return the best accepted pair, where no single effect was accepted.
+
+    Beside the nominal model these are the pairs that explain the momentum residual best, those of the best refits, and
+    complements; beside an effect that stands already, complements only.
+    """
+    probes = {str(one.placed): one for one in here.screen.probes}
+    wanted = complements(search.candidates, here)
+    if not model.effects:
+        wanted += [] if here.weak is None else here.weak.pairs(8)
+        wanted += list(combinations(short_of(here)[:4], 2))
+    if not wanted:
+        return None
+    pairs = list({frozenset(map(str, pair)): pair for pair in wanted}.values())
+    search.say(f"refitting {len(pairs)} pairs")
+    tasks = [Task((*model.effects, *pair), starts_of(search, model, pair, probes, None, here.weak)) for pair in pairs]
+    p = here.p if here.line is None else None
+    judged = search.judge(model, tasks, pairs, p)
+    for _ in range(2):  # two effects share a long valley: a pair that gains is fitted on from where it ended
+        onward = {
+            k: Task(tasks[k].effects, (one.fitted.values,))
+            for k, one in enumerate(judged)
+            if one.fitted is not None and not one.fitted.converged and one.comparison.gain >= 0.1
+        }
+        if not onward:
+            break
+        tasks = [onward.get(k, task) for k, task in enumerate(tasks)]
+        judged = search.judge(model, tasks, pairs, p)
+    accepted = [one for one in judged if one.accepted and _each_needed(search, model, one)]
+    if not accepted:
+        return None
+    best = max(accepted, key=lambda one: one.delta_bic)
+    return simplest([one for one in tie_set(search.form, best, judged, seed=search.seed) if one in accepted])
+
+
+def _each_needed(search: Search, model: Fitted, pair: Candidate) -> bool:
+    """Return True if both members of a pair lower the BIC by more than 10 beside the other."""
+    assert pair.fitted is not None
+    for kept in pair.added:
+        task = Task((*model.effects, kept), starts_of(search, model, [kept], {}))
+        alone = search.refitter.fit(task)
+        if alone is None:
+            continue
+        gone = tuple(one for one in pair.added if one is not kept)
+        judged = assess(search.form, alone, [(gone, pair.fitted)], surrogate_p=None, seed=search.seed)[0]
+        if judged.delta_bic <= DELTA_BIC or judged.comparison.gain < 0.01 or judged.comparison.p > LEVEL:
+            return False
+    return True

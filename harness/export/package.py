@@ -1,0 +1,303 @@
+"""A repaired FMU as one co-simulation: an SSP package of the FMU and of its effects, which are an FMU of their own.
+
+The effects' FMU gets the command, the positions and rates and the raw outputs; it drives the inputs of the nominal FMU
+and tells what the sensors would. At the sample time of the data the package repeats the roll-outs of the report.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.export.c_model import DELAY
+from harness.export.describe import Variable, describe
+
+if TYPE_CHECKING:
+    from harness.diagnosis.fmu_system import FmuSystem
+
+__all__ = ["effects_description", "effects_source", "write_package"]
+
+SSP = "http://ssp-standard.org/SSP1/"
+SPACES = {
+    "ssd": f"{SSP}SystemStructureDescription",
+    "ssc": f"{SSP}SystemStructureCommon",
+    "ssv": f"{SSP}SystemStructureParameterValues",
+}
+NOMINAL, EFFECTS = "nominal", "effects"
+
+
+def write_package(content: Mapping[str, Any], folder: Path, target: Path, *, version: int = 2) -> Path:
+    """Write the repaired FMU of a closed loop as an SSP package.
+
+    Parameters
+    ----------
+    content : mapping
+        What ``model.json`` of kind ``fmu`` holds.
+    folder : Path
+        Where the nominal FMU lies.
+    target : Path
+        The ``.ssp``.
+    version : {2, 3}
+        FMI version of the effects' FMU.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the FMU is missing or another one, or there is no C compiler.
+    """
+    system, sample_time = _stored(content, folder)
+    part = target.with_name(target.name + ".part")
+    try:
+        with tempfile.TemporaryDirectory(prefix="sysid-package-") as scratch:
+            with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+                if system.effects:
+                    from harness.fmi import build
+
+                    made = Path(scratch)
+                    (made / "model.c").write_text(effects_source(system, sample_time), encoding="utf-8")
+                    (made / "modelDescription.xml").write_text(
+                        effects_description(system, sample_time), encoding="utf-8"
+                    )
+                    try:
+                        build.build_fmu(made, version, made / "effects.fmu", sources=True)
+                    except build.BuildError as error:
+                        raise InputError(
+                            "the effects' FMU cannot be built",
+                            expected="a C compiler",
+                            got=str(error),
+                            remedy="install gcc, or set CC",
+                        ) from error
+                    archive.write(made / "effects.fmu", f"resources/{EFFECTS}.fmu")
+                archive.write(system.path, f"resources/{NOMINAL}.fmu")
+                archive.writestr("SystemStructure.ssd", _structure(system, sample_time))
+        part.replace(target)
+    finally:
+        part.unlink(missing_ok=True)
+    return target
+
+
+def effects_source(system: FmuSystem, sample_time: float) -> str:
+    """Return model.c of the effects' FMU; its variables stand in the order of :func:`effects_description`."""
+    around = system.around
+    assert around is not None
+    names = list(system.parameter_names)[system.inner_count :]
+    delays = [(one.index, names.index(one.parameter)) for one in system.sampled if one.kind == "input_delay"]
+    late = [(one.index, names.index(one.parameter)) for one in system.sampled if one.kind == "output_delay"]
+    rounded = [(one.index, names.index(one.parameter)) for one in system.sampled if one.kind == "quantise"]
+    values = [one.value for one in system.parameters[system.inner_count :]]
+    longest = max([values[place] for _, place in (*delays, *late)], default=0.0)
+    ring = max(64, 4 * int(np.ceil(longest / sample_time)) + 4)
+    before = [f"v[LU + {i}] = late(v, {n}, v[P + {place}], 0, v[IU + {i}]);" for n, (i, place) in enumerate(delays)]
+    pushes = [f"push(v, {n}, v[IU_LAST + {i}]);" for n, (i, _) in enumerate(delays)]
+    after = [f"if (v[P + {k}] > 0) v[OY + {i}] = rint(v[OY + {i}] / v[P + {k}]) * v[P + {k}];" for i, k in rounded]
+    for n, (i, place) in enumerate(late, start=len(delays)):
+        after.append(f"v[LY + {i}] = v[OY + {i}]; v[OY + {i}] = late(v, {n}, v[P + {place}], 0, v[OY + {i}]);")
+        pushes.append(f"push(v, {n}, v[LY + {i}]);")
+    lines = [f"/* {system}: its effects, written by sysid-harness. */", around.source]
+    lines += [
+        f"enum {{ NR = {sum(around.rates)}, IU = 1, IQ = IU + NU, IV = IQ + NC, IY = IV + NR, OU = IY + NY,",
+        "  OY = OU + NU, Z = OY + NY, P = Z + NZ, COUNT = VARIABLES, FRESH, READY, PAST, LU = PAST + REMEMBERED,",
+        "  LQ = LU + NU, LR = LQ + NC, LS = LR + NC, LV = LS + NC, LY = LV + NC, IU_LAST = LY + NY,",
+        f"  OWN = IU_LAST + NU, LINES = OWN + NZ, RING = {ring},",
+        f"  MEMORY = 3 + REMEMBERED + 2 * NU + 4 * NC + NY + NZ + {len(delays) + len(late)} * RING }};",
+        f"static const double SAMPLE = {sample_time!r};",
+        DELAY,
+        _GLUE.replace("BEFORE", "\n    ".join(before))
+        .replace("AFTER", "\n    ".join(after))
+        .replace("PUSHES", "\n    ".join(pushes)),
+    ]
+    return "\n".join(lines)
+
+
+def effects_description(system: FmuSystem, sample_time: float) -> str:
+    """Return modelDescription.xml of the effects' FMU (FMI 2.0)."""
+    units = {one.name: one.unit for one in system.outputs}
+    variables = [Variable(one.name, "input", one.unit) for one in system.inputs]
+    variables += [Variable(f"position.{one.name}", "input", one.unit) for one in system.coordinates]
+    variables += [
+        Variable(f"rate.{one.name}", "input", f"{one.unit}/s") for one in system.coordinates if one.rate is not None
+    ]
+    variables += [Variable(f"raw.{name}", "input", unit) for name, unit in units.items()]
+    count = len(variables)
+    variables += [Variable(f"driven.{one.name}", "output", one.unit) for one in system.inputs]
+    variables += [Variable(f"reading.{name}", "output", unit) for name, unit in units.items()]
+    variables += [Variable(f"state.{one.name}", "state", one.unit) for one in system.hidden]
+    variables += [
+        Variable(one.name, "parameter", one.unit, one.value, one.minimum, one.maximum)
+        for one in system.parameters[system.inner_count :]
+    ]
+    token = hashlib.sha256(f"{effects_source(system, sample_time)}{system.values()}".encode()).hexdigest()[:32]
+    name = f"{system.name}-effects"
+    root = describe(name, str(system), token, variables, sample_time=sample_time, direct=range(count))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
+
+
+def _stored(content: Mapping[str, Any], folder: Path) -> tuple[FmuSystem, float]:
+    """Return the repaired system of a ``model.json``, its parameters at their fitted values."""
+    from harness import registry
+    from harness.diagnosis.fmu_reader import fmu_system
+    from harness.effects import builtin
+    from harness.effects.effect import Placed
+    from harness.specs import spec_from_dict
+
+    spec = spec_from_dict(content["spec"])
+    path = folder / str(content["model"])
+    values = {name: float(value) for name, value in content["parameters"].items()}
+    inner = {name: {"value": value, "fixed": True} for name, value in values.items() if "@" not in name}
+    system = fmu_system(path, spec, inner)
+    if system.digest != content["sha256"]:
+        raise InputError(
+            "the nominal FMU beside the model",
+            expected=f"the one of the closed loop (SHA-256 {content['sha256']}...)",
+            got=system.digest,
+            remedy="run sysid close-loop again",
+            file=path,
+        )
+    known = builtin()
+    effects = [Placed(known[name] if name in known else registry.load("effects", name), at)
+               for name, at in content["effects"]]  # fmt: skip
+    return (system.with_effects(effects) if effects else system).with_parameters(values), spec.sample_time
+
+
+def _structure(system: FmuSystem, sample_time: float) -> str:
+    """Return SystemStructure.ssd."""
+    for prefix, space in SPACES.items():
+        ElementTree.register_namespace(prefix, space)
+    root = _child(None, "ssd:SystemStructureDescription", version="1.0", name=system.name)
+    top = _child(root, "ssd:System", name=system.name)
+    outside = _child(top, "ssd:Connectors")
+    for kind, channels in (("input", system.inputs), ("output", system.outputs)):
+        for one in channels:
+            _connector(outside, one.name, kind)
+    elements = _child(top, "ssd:Elements")
+    positions = list(dict.fromkeys(one.position for one in system.coordinates))
+    rates = list(dict.fromkeys(one.rate for one in system.coordinates if one.rate is not None))
+    measured = [one.name for one in system.outputs]
+    shown = list(dict.fromkeys([*measured, *positions, *rates]))
+    inner = {one.name: one.value for one in system.parameters[: system.inner_count]}
+    _component(elements, NOMINAL, [one.name for one in system.inputs], shown, inner)
+    wires = _child(top, "ssd:Connections")
+    if not system.effects:
+        for one in system.inputs:
+            _wire(wires, "", one.name, NOMINAL, one.name)
+        for name in measured:
+            _wire(wires, NOMINAL, name, "", name)
+    else:
+        ins = [*(one.name for one in system.inputs), *(f"position.{one.name}" for one in system.coordinates)]
+        ins += [f"rate.{one.name}" for one in system.coordinates if one.rate is not None]
+        ins += [f"raw.{name}" for name in measured]
+        outs = [*(f"driven.{one.name}" for one in system.inputs), *(f"reading.{name}" for name in measured)]
+        _component(elements, EFFECTS, ins, outs, {})
+        for channel in system.inputs:
+            _wire(wires, "", channel.name, EFFECTS, channel.name)
+            _wire(wires, EFFECTS, f"driven.{channel.name}", NOMINAL, channel.name)
+        for moved in system.coordinates:
+            _wire(wires, NOMINAL, moved.position, EFFECTS, f"position.{moved.name}")
+            if moved.rate is not None:
+                _wire(wires, NOMINAL, moved.rate, EFFECTS, f"rate.{moved.name}")
+        for name in measured:
+            _wire(wires, NOMINAL, name, EFFECTS, f"raw.{name}")
+            _wire(wires, EFFECTS, f"reading.{name}", "", name)
+    _child(root, "ssd:DefaultExperiment", startTime="0", stopTime=repr(1000 * sample_time))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
+
+
+def _component(parent: Any, name: str, inputs: list[str], outputs: list[str], values: Mapping[str, float]) -> None:
+    """Add a component with its connectors and parameter values (SI)."""
+    node = _child(
+        parent, "ssd:Component", name=name, type="application/x-fmu-sharedlibrary", source=f"resources/{name}.fmu"
+    )
+    connectors = _child(node, "ssd:Connectors")
+    for kind, names in (("input", inputs), ("output", outputs)):
+        for one in names:
+            _connector(connectors, one, kind)
+    if values:
+        binding = _child(_child(node, "ssd:ParameterBindings"), "ssd:ParameterBinding")
+        given = _child(_child(binding, "ssd:ParameterValues"), "ssv:ParameterSet", version="1.0", name="calibrated")
+        listed = _child(given, "ssv:Parameters")
+        for key, value in values.items():
+            _child(_child(listed, "ssv:Parameter", name=key), "ssv:Real", value=repr(float(value)))
+
+
+def _connector(parent: Any, name: str, kind: str) -> None:
+    """Add a real connector."""
+    _child(_child(parent, "ssd:Connector", name=name, kind=kind), "ssc:Real")
+
+
+def _wire(parent: Any, source: str, output: str, target: str, connector: str) -> None:
+    """Add a connection; an empty component is the system itself."""
+    ends = {"startElement": source, "startConnector": output, "endElement": target, "endConnector": connector}
+    _child(parent, "ssd:Connection", **{key: value for key, value in ends.items() if value})
+
+
+def _child(parent: Any, tag: str, **attributes: str) -> Any:
+    """Return a new element."""
+    prefix, _, name = tag.partition(":")
+    full = f"{{{SPACES[prefix]}}}{name}"
+    return ElementTree.Element(full, attributes) if parent is None else ElementTree.SubElement(parent, full, attributes)
+
+
+_GLUE = """
+static const char *check(const double *v) { (void)v; return NULL; }
+
+static void prepare(double *v)
+{
+    for (int i = 0; i < NZ; i++) v[OWN + i] = v[Z + i] != START[Z + i];
+    for (int i = 0; i < REMEMBERED; i++) v[PAST + i] = 0;
+    v[COUNT] = v[FRESH] = 0;
+    v[READY] = 1;
+}
+
+static double internal_step(const double *v) { (void)v; return SAMPLE; }
+
+/* What the box gets over the coming sample, and what the sensors tell now; all that a step needs is kept. */
+static void evaluate(double *v)
+{
+    double rate[NC + 1], z[NZ + 1];
+    for (int i = 0, k = 0; i < NC; i++) {
+        v[LQ + i] = v[IQ + i];
+        v[LV + i] = RATE[i] ? v[IV + k++] : 0;
+    }
+    for (int i = 0; i < NU; i++) v[LU + i] = v[IU_LAST + i] = v[IU + i];
+    BEFORE
+    motion(v + PAST, v + LQ, v + LV, SAMPLE, v + LR, v + LS);
+    for (int i = 0; i < NC; i++) rate[i] = v[LR + i];
+    if (NZ && v[READY] && v[COUNT] == 0) {
+        starts(v + LU, v + LQ, rate, v + P, z);
+        for (int i = 0; i < NZ; i++)
+            if (!v[OWN + i]) v[Z + i] = z[i];
+    }
+    for (int i = 0; i < NZ; i++) z[i] = v[Z + i];
+    ahead(v + LU, v + LQ, v + LR, v + LS, v[V_time], SAMPLE, v + P, z, v + OU);
+    reading(v + IY, v + LQ, v + LR, v + V_time, v + P, v + OY);
+    AFTER
+    v[FRESH] = 1;
+}
+
+/* A master may have set the inputs of the step's end already: the step uses what was evaluated at its beginning. */
+static void advance(double *v, double h)
+{
+    double mean[NU + 1];
+    if (!v[FRESH]) evaluate(v);
+    ahead(v + LU, v + LQ, v + LR, v + LS, v[V_time], h, v + P, v + Z, mean);
+    remember(v + PAST, v + LQ, v + LV);
+    PUSHES
+    v[COUNT] += 1;
+    v[FRESH] = 0;
+}
+"""

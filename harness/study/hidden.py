@@ -1,0 +1,336 @@
+"""Hidden effects: the size of each, written by hand, as parameters of the truth and in the words of the dictionary.
+
+The "nominal" size of a force is 6 to 10 % (drawn) of the rms torque at its place: of the command on a driven
+coordinate, of gravity on the pole's hinge. "quarter" is a fourth of that. What is no force:
+
+=====================  ============================================  ===========================
+effect                 nominal                                       quarter
+=====================  ============================================  ===========================
+delays, lag            2 to 3 samples                                0.5 to 0.75 samples
+gains                  6 to 10 %                                     1.5 to 2.5 %
+limits                 6 to 10 % of the signal's rms is cut off      1.5 to 2.5 %
+quantisation           step 0.6 to 1 % of the signal's rms           a fourth
+elasticity             resonance at 6 Hz, motor a fourth of inertia  12 Hz
+backlash               half play 6 to 10 % of the motion's rms       a fourth
+end stop               beyond 80 % of the largest excursion          beyond 95 %
+rectification          the whole sign                                (has no size)
+=====================  ============================================  ===========================
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.signals import FloatArray
+from harness.study.context import PRE, Context, Hidden, Sensor, rms
+from harness.study.truths import DT, GRAVITY, SUBSTEPS
+
+__all__ = ["OUTSIDE", "hide", "hide_outside"]
+
+OUTSIDE = ("root_friction", "even_drag", "position_damping", "torque_ripple", "force_step", "maxwell_element")
+"""Laws that the dictionary does not have."""
+_LEVEL = {"nominal": 1.0, "quarter": 0.25}
+
+
+def hide(name: str, at: str, level: str, context: Context, rng: np.random.Generator) -> Hidden:
+    """Return an effect of the dictionary, hidden in the truth at a size that the motion tells.
+
+    Raises
+    ------
+    InputError
+        If no truth has this effect.
+    """
+    maker = _MAKERS.get(name)
+    if maker is None:
+        raise InputError(
+            "effect without a truth", expected=", ".join(sorted(_MAKERS)), got=name, remedy="choose one of these"
+        )
+    scale = _LEVEL[level]
+    return maker(context, at, scale, scale * float(rng.uniform(0.06, 0.10)), rng)
+
+
+def _put(context: Context, at: str, values: Mapping[str, float]) -> dict[str, float]:
+    """Return parameters of a coordinate under the names of the truth."""
+    return {f"{name}{context.coordinate(at)}": value for name, value in values.items()}
+
+
+def _simple(truth: str, named: str, shape: Callable[[FloatArray, FloatArray], FloatArray]) -> Any:
+    """Return the maker of a force that is one coefficient times a shape of (q, v)."""
+
+    def make(name: str, context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+        value = size * context.torque(at) / rms(shape(context.q(at), context.v(at)))
+        engine = {
+            "quadratic_drag": {"c2": value},
+            "linear_spring": {f"spring_{at}": value},
+        }.get(name, {})
+        return Hidden(name, at, _put(context, at, {truth: value}), {named: value}, engine)
+
+    return make
+
+
+def _coulomb(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    level = size * context.torque(at)
+    engine = {"Fc": level, "Fs": level, "joint_friction": level, f"friction_{at}": level, f"F{at}": level}
+    return Hidden("coulomb_friction", at, _put(context, at, {"Fp": level, "Fm": level}), {"Fc": level}, engine)
+
+
+def _stribeck(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    force, vs = size * context.torque(at), 0.25 * rms(context.v(at))
+    Fs, Fc = 1.8 * force, 0.8 * force
+    truth = _put(context, at, {"Fss": Fs, "Fst": Fc, "vs": vs})
+    return Hidden("stribeck_friction", at, truth, {"Fs": Fs, "Fc": Fc, "vs": vs}, {"Fs": Fs, "Fc": Fc, "vs": vs})
+
+
+def _asymmetric(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    force, more = size * context.torque(at), 0.4 * float(rng.choice([-1.0, 1.0]))
+    values = {"Fp": (1 + more) * force, "Fm": (1 - more) * force}
+    return Hidden("asymmetric_friction", at, _put(context, at, values), values)
+
+
+def _hysteresis(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    values = {"Fh": size * context.torque(at), "xs": 0.05 * rms(context.q(at))}
+    return Hidden("hysteresis", at, _put(context, at, values), values)
+
+
+def _load(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    values = {"mu": size * context.torque(at) / context.load(at)}
+    return Hidden("load_dependent_friction", at, _put(context, at, values), values)
+
+
+def _position(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    level, swing, phase = size * context.torque(at), 0.6, float(rng.uniform(-math.pi, math.pi))
+    truth = _put(context, at, {"Fpos": level, "pa": swing, "pphi": phase})
+    return Hidden("position_dependent_friction", at, truth, {"Fc": level, "a": swing, "phi": phase})
+
+
+def _bias(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    value = size * context.torque(at) * float(rng.choice([-1.0, 1.0]))
+    return Hidden("force_bias", at, _put(context, at, {"F0": value}), {"F0": value})
+
+
+def _tilt(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    pull = context.gravity * rms(np.cos(context.q("theta")))
+    if context.plant == "cart-pole":
+        pull = (context.values["mc"] + context.values["mp"]) * GRAVITY
+    value = size * rms(context.u) / pull * float(rng.choice([-1.0, 1.0]))
+    return Hidden("gravity_tilt", at, {"tilt": value}, {"alpha": value})
+
+
+def _payload(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    a = np.gradient(context.v(at), DT)
+    angle = at == "theta"
+    felt = context.inertia(at) * a + (context.gravity * np.sin(context.q(at)) if angle else 0.0)
+    part = size * context.torque(at) / rms(felt)
+    values = {"dJ": part * context.inertia(at), "dG": part * context.gravity if angle else 0.0}
+    record = (len(context.u) - PRE) * DT
+    own = {use: float(rng.uniform(0.3, 0.7)) * record for use in ("estimation", "validation")}
+    later = {use: _put(context, at, {"t0": t0 + PRE * DT}) for use, t0 in own.items()}
+    return Hidden("payload_step", at, _put(context, at, values), {**values, "t0": own["estimation"]}, own=later)
+
+
+def _end_stop(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    q, v = context.q(at), context.v(at)
+    stop = (0.80 if scale == 1.0 else 0.95) * float(np.abs(q).max())
+    k = 20 * context.torque(at) / rms(q)
+    d = 0.05 * context.torque(at) / rms(v)
+    truth = _put(context, at, {"stop": stop, "ks": k, "ds": d})
+    return Hidden("end_stop", at, truth, {"stop": stop, "k": k, "d": d})
+
+
+def _delay(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    tau = _late(scale, rng)
+    return Hidden("input_delay", at, {"delay": tau}, {"tau": tau})
+
+
+def _late(scale: float, rng: np.random.Generator) -> float:
+    """Return a delay of whole fine steps [s]."""
+    step = DT / SUBSTEPS
+    return round(scale * float(rng.uniform(2.0, 3.0)) * DT / step) * step
+
+
+def _lag(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    tau = scale * float(rng.uniform(2.0, 3.0)) * DT
+    return Hidden("actuator_lag", at, {"tau": tau}, {"tau": tau})
+
+
+def _dead_zone(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    width = size * rms(context.u)
+    return Hidden("dead_zone", at, {"width": width}, {"width": width})
+
+
+def _saturation(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    limit = _cut(context.u, size)
+    return Hidden("saturation", at, {"limit": limit}, {"limit": limit})
+
+
+def _cut(signal: FloatArray, size: float) -> float:
+    """Return the limit that cuts off this share of a signal's rms."""
+    low, high = 0.0, float(np.abs(signal).max())
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        cut = rms(signal - np.clip(signal, -middle, middle)) > size * rms(signal)
+        low, high = (middle, high) if cut else (low, middle)
+    return high
+
+
+def _rate_limit(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    u = context.u
+    low, high = 0.0, float(np.abs(np.diff(u)).max()) / DT
+    for _ in range(25):
+        middle = 0.5 * (low + high)
+        z, most, error = float(u[0]), middle * DT, 0.0
+        for value in u.tolist():
+            z += min(max(value - z, -most), most)
+            error += (value - z) ** 2
+        cut = math.sqrt(error / len(u)) > size * rms(u)
+        low, high = (middle, high) if cut else (low, middle)
+    return Hidden("rate_limit", at, {"R": high}, {"R": high})
+
+
+def _gain(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    gain = 1 + size * float(rng.choice([-1.0, 1.0]))
+    return Hidden("input_gain", at, {"gain": gain}, {"gain": gain})
+
+
+def _two_masses(context: Context, share: float, hertz: float, ratio: float) -> dict[str, float]:
+    """Return motor inertia, stiffness and damping of a transmission with this resonance."""
+    load = context.inertia("x" if context.plant == "cart-pole" else "theta")
+    motor = share * load
+    reduced, omega = motor * load / (motor + load), 2 * math.pi * hertz
+    return {"k": omega**2 * reduced, "Jm": motor, "d": 2 * ratio * omega * reduced}
+
+
+def _elasticity(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    one = _two_masses(context, 0.25, 6.0 if scale == 1.0 else 12.0, 0.05)
+    return Hidden("elasticity", at, {"kt": one["k"], "Jm": one["Jm"], "dt": one["d"]}, one)
+
+
+def _backlash(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    one = _two_masses(context, 0.15, 15.0, 1.0) | {"gap": size * rms(context.q(at))}
+    truth = {"kt": one["k"], "Jm": one["Jm"], "dt": one["d"], "gap": one["gap"]}
+    return Hidden("backlash", at, truth, one)
+
+
+def _cogging(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    teeth = float(rng.integers(4, 9)) / (1.0 if at == "theta" else max(1.0, rms(context.q(at))))
+    amplitude, phase = math.sqrt(2) * size * context.torque(at), float(rng.uniform(-math.pi, math.pi))
+    teeth = max(teeth, 3.0)
+    truth = _put(context, at, {"cog": amplitude, "cogk": teeth, "cogphi": phase})
+    return Hidden("cogging", at, truth, {"A": amplitude, "k": teeth, "phi": phase})
+
+
+def _periodic(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    amplitude, omega = math.sqrt(2) * size * context.torque(at), 2 * math.pi * float(rng.uniform(0.8, 4.0))
+    own = {use: float(rng.uniform(-math.pi, math.pi)) for use in ("estimation", "validation")}
+    later = {use: _put(context, at, {"perphi": phase - omega * PRE * DT}) for use, phase in own.items()}
+    truth = _put(context, at, {"per": amplitude, "perw": omega})
+    named = {"A": amplitude, "omega": omega, "phi": own["estimation"]}
+    return Hidden("periodic_disturbance", at, truth, named, own=later)
+
+
+def _sensor_delay(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    tau = _late(scale, rng)
+    return Hidden("sensor_delay", at, _put(context, at, {"sdelay": tau}), {"tau": tau})
+
+
+def _sensor_gain(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    gain = 1 + size * float(rng.choice([-1.0, 1.0]))
+    return Hidden("sensor_gain", at, {}, {"gain": gain}, sensor=lambda y: gain * y)
+
+
+def _sensor_offset(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    value = size * rms(context.q(at)) * float(rng.choice([-1.0, 1.0]))
+    if at == "theta":
+        value = size * context.torque(at) / (context.gravity * rms(np.cos(context.q(at)))) * float(np.sign(value))
+    return Hidden("sensor_offset", at, {}, {"offset": value}, sensor=lambda y: y + value)
+
+
+def _quantisation(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    step = 0.1 * size * rms(context.q(at))
+    sensor: Sensor = lambda y: step * np.round(y / step)  # noqa: E731 - one line, like its neighbours
+    return Hidden("sensor_quantisation", at, {}, {"step": step}, sensor=sensor, late=True)
+
+
+def _rectification(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    return Hidden("sensor_rectification", at, {}, {}, sensor=np.abs)
+
+
+def _sensor_saturation(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    limit = _cut(context.q(at), size)
+    return Hidden("sensor_saturation", at, {}, {"limit": limit}, sensor=lambda y: np.clip(y, -limit, limit))
+
+
+def _named(name: str, make: Any) -> Any:
+    """Return a maker of a simple force with its name bound."""
+    return lambda context, at, scale, size, rng: make(name, context, at, scale, size, rng)
+
+
+_MAKERS: dict[str, Callable[[Context, str, float, float, np.random.Generator], Hidden]] = {
+    "coulomb_friction": _coulomb,
+    "stribeck_friction": _stribeck,
+    "asymmetric_friction": _asymmetric,
+    "hysteresis": _hysteresis,
+    "load_dependent_friction": _load,
+    "position_dependent_friction": _position,
+    "quadratic_drag": _named("quadratic_drag", _simple("c", "c", lambda q, v: v**2)),
+    "linear_spring": _named("linear_spring", _simple("k", "k", lambda q, v: q)),
+    "quadratic_spring": _named("quadratic_spring", _simple("k2", "k2", lambda q, v: q**2)),
+    "cubic_spring": _named("cubic_spring", _simple("k3", "k3", lambda q, v: q**3)),
+    "eccentric_load": _named("eccentric_load", _simple("A", "A", lambda q, v: np.cos(q))),
+    "force_bias": _bias,
+    "gravity_tilt": _tilt,
+    "payload_step": _payload,
+    "end_stop": _end_stop,
+    "input_delay": _delay,
+    "actuator_lag": _lag,
+    "dead_zone": _dead_zone,
+    "saturation": _saturation,
+    "rate_limit": _rate_limit,
+    "input_gain": _gain,
+    "elasticity": _elasticity,
+    "backlash": _backlash,
+    "cogging": _cogging,
+    "periodic_disturbance": _periodic,
+    "sensor_delay": _sensor_delay,
+    "sensor_gain": _sensor_gain,
+    "sensor_offset": _sensor_offset,
+    "sensor_quantisation": _quantisation,
+    "sensor_rectification": _rectification,
+    "sensor_saturation": _sensor_saturation,
+}
+
+
+def hide_outside(name: str, at: str, level: str, context: Context, rng: np.random.Generator) -> Hidden:
+    """Return a law that is not in the dictionary, at twice the size of an effect (12 to 20 % of the rms torque).
+
+    Raises
+    ------
+    InputError
+        If there is no such law.
+    """
+    force = 2 * _LEVEL[level] * float(rng.uniform(0.06, 0.10)) * context.torque(at)
+    q, v = context.q(at), context.v(at)
+    if name == "maxwell_element":
+        tau = 0.3
+        m = np.zeros(len(v))
+        for k in range(1, len(v)):
+            m[k] = m[k - 1] + DT * (v[k - 1] - m[k - 1] / tau)
+        values = {"km": force / rms(m), "taum": tau}
+    elif name == "force_step":
+        values = {"stepf": 2 * force, "stept": (PRE + 0.5 * (len(v) - PRE)) * DT}
+    else:
+        truth, shape = {
+            "root_friction": ("root", np.sqrt(np.abs(v))),
+            "even_drag": ("even", v**2),
+            "position_damping": ("vdp", q**2 * v),
+            "torque_ripple": ("ripple", context.u * np.cos(5 * q)),
+        }.get(name, ("", v))
+        if not truth:
+            raise InputError("law outside the dictionary", expected=", ".join(OUTSIDE), got=name, remedy="choose one")
+        values = {truth: force / rms(shape)}
+    return Hidden(name, at, _put(context, at, values))

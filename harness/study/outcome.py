@@ -1,0 +1,136 @@
+"""How an answer counts: right, tied, wrong or missed; and which effects are exactly the same on a plant."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+__all__ = ["Answer", "Outcome", "judge_answer"]
+
+Group = frozenset[str]
+_SAME: dict[str, tuple[tuple[Group, ...], ...]] = {
+    "pendulum": (
+        (
+            frozenset({"gravity_tilt@base"}),
+            frozenset({"sensor_offset@theta"}),
+            frozenset({"eccentric_load@theta"}),
+        ),
+        (
+            frozenset({"asymmetric_friction@theta"}),
+            frozenset({"coulomb_friction@theta", "force_bias@theta"}),
+        ),
+    ),
+    "cart-pole": tuple(
+        (
+            frozenset({f"asymmetric_friction@{at}"}),
+            frozenset({f"coulomb_friction@{at}", f"force_bias@{at}"}),
+        )
+        for at in ("x", "theta")
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a diagnosis said.
+
+    Attributes
+    ----------
+    verdict : str
+        ``effects_found``, ``nothing_missing`` or ``unexplained``.
+    accepted : tuple of str
+        ``effect@place``.
+    ties : tuple of tuple of frozenset
+        For each accepted effect, all members of its tie set; a member may hold two effects.
+    unseen : frozenset of str
+        Effects that the report says this experiment cannot show.
+    """
+
+    verdict: str
+    accepted: tuple[str, ...]
+    ties: tuple[tuple[Group, ...], ...] = ()
+    unseen: Group = frozenset()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The word and its reason.
+
+    Attributes
+    ----------
+    word : str
+        ``right``, ``tied``, ``wrong``, ``missed``, or ``flagged``: no effect named, but said that something is missing.
+    how : str
+        What made it tied or wrong.
+    """
+
+    word: str
+    how: str = ""
+
+
+def judge_answer(truth: Collection[str], answer: Answer, plant: str) -> Outcome:
+    """Return how an answer counts.
+
+    Right: the accepted set is the truth, effect and place. Tied: one member can be chosen for each accepted effect
+    (from its tie set, or from its exactly equal family on this plant) so that together they are the truth; or
+    nothing was accepted, and the report says that the truth cannot be told from the nominal parameters.
+
+    Examples
+    --------
+    >>> judge_answer({"gravity_tilt@base"}, Answer("effects_found", ("sensor_offset@theta",)), "pendulum").word
+    'tied'
+    >>> judge_answer({"coulomb_friction@x"}, Answer("effects_found", ("coulomb_friction@theta",)), "cart-pole").word
+    'wrong'
+    """
+    wanted, accepted = frozenset(truth), frozenset(answer.accepted)
+    if not accepted:
+        return _nothing_accepted(wanted, answer)
+    if accepted == wanted:
+        return Outcome("right")
+    if wanted:
+        plain = [[frozenset({name}), *tie] for name, tie in zip(answer.accepted, _padded(answer), strict=True)]
+        if _reaches(wanted, plain, ()):
+            return Outcome("tied", "tie set")
+        if _reaches(wanted, plain, _SAME[plant]):
+            return Outcome("tied", "same family")
+    covered = wanted & (accepted | {name for tie in answer.ties for group in tie for name in group})
+    if not wanted:
+        return Outcome("wrong", "false alarm")
+    if covered == wanted:
+        return Outcome("wrong", "something else accepted beside the truth")
+    return Outcome("wrong", "part of the truth" if covered else "another effect")
+
+
+def _nothing_accepted(wanted: Group, answer: Answer) -> Outcome:
+    """Return the outcome of an answer without effects."""
+    if answer.verdict == "unexplained":
+        return Outcome("flagged")
+    if not wanted:
+        return Outcome("right")
+    if wanted <= answer.unseen:
+        return Outcome("tied", "said to be invisible")
+    return Outcome("missed")
+
+
+def _padded(answer: Answer) -> Sequence[tuple[Group, ...]]:
+    """Return the tie sets, empty ones where none is told."""
+    return [*answer.ties, *(() for _ in range(len(answer.accepted) - len(answer.ties)))]
+
+
+def _reaches(wanted: Group, choices: Iterable[Sequence[Group]], same: Sequence[Sequence[Group]]) -> bool:
+    """Return True if one choice for each accepted effect gives the truth, up to what is exactly the same."""
+    for chosen in product(*choices):
+        union: Group = frozenset().union(*chosen)
+        if union == wanted or any(one == wanted for one in _equal(union, same)):
+            return True
+    return False
+
+
+def _equal(names: Group, same: Sequence[Sequence[Group]]) -> Iterable[Group]:
+    """Yield sets that are exactly the same as this one, one exchange in each family."""
+    found = {names}
+    for family in same:
+        for one in tuple(found):
+            found |= {(one - old) | new for old in family if old <= one for new in family}
+    return found

@@ -1,0 +1,225 @@
+"""Records for a task: drawn parameters, an excitation that moves the plant well, a truth simulated by somebody else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.rng import stream
+from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory, Use
+from harness.study.context import PRE, Context, Hidden, rms
+from harness.study.engines import BALANCE_BAND, balanced_run, engine_run
+from harness.study.hidden import hide, hide_outside
+from harness.study.plan import NOISE, Task
+from harness.study.truths import DT, Motion, simulate
+
+__all__ = ["SAMPLES", "SPECS", "Records", "make_records", "multisine"]
+
+SAMPLES = 5000
+"""Of one record: 20 s at 250 Hz."""
+BAND = (0.1, 3.0)
+"""Of the multisine [Hz]."""
+_ANGLE = Channel("theta", "rad", period=2 * math.pi)
+SPECS = {
+    "pendulum": PlantSpec((Channel("u", "N m"),), (_ANGLE,), DT),
+    "cart-pole": PlantSpec((Channel("u", "N"),), (Channel("x", "m"), _ANGLE), DT),
+}
+USES: tuple[Use, ...] = ("estimation", "validation")
+
+
+@dataclass(frozen=True, eq=False)
+class Records:
+    """The records of a task and the truth behind them.
+
+    Attributes
+    ----------
+    dataset : Dataset
+    parameters : dict
+        True nominal parameters, in the words of the model.
+    hidden : tuple of Hidden
+    noise : float
+        Standard deviation of the sensors [rad, m].
+    peak : float
+        Largest angle of the estimation record [deg].
+    """
+
+    dataset: Dataset
+    parameters: dict[str, float]
+    hidden: tuple[Hidden, ...]
+    noise: float
+    peak: float
+
+
+def make_records(task: Task, *, samples: int = SAMPLES) -> Records:
+    """Return the records of a task; all random numbers are keyed by the task.
+
+    Raises
+    ------
+    PlantError
+        If the truth leaves every bound.
+    InputError
+        If an effect has no truth.
+    """
+    key = ("study", task.key, task.seed)
+    parameters = _draw_parameters(task.plant, stream(*key, "parameters"))
+    values = _truth_values(task.plant, parameters)
+    noise = NOISE.get(task.noise) or float(np.exp(stream(*key, "noise-level").uniform(*np.log(list(NOISE.values())))))
+    if task.engine == "balanced":
+        return _balanced(task, parameters, noise, samples)
+    commands, starts = {}, {}
+    draw = stream(*key, "excitation")
+    target = math.radians(draw.uniform(70.0, 120.0) if task.plant == "pendulum" else draw.uniform(40.0, 90.0))
+    for use in USES:
+        wave = multisine(samples, DT, draw, BAND)
+        wave = np.concatenate([wave[-PRE:], wave])
+        start = _start(task.plant, draw)
+        commands[use], starts[use] = _scaled(values, wave, start, target), start
+    context = Context(task.plant, values, simulate(values, commands["estimation"], start=starts["estimation"]),
+                      commands["estimation"])  # fmt: skip
+    hidden = _hidden(task, context, stream(*key, "effects"))
+    runs, peak = [], 0.0
+    for use in USES:
+        u = commands[use]
+        disturbance = task.disturbance * rms(u) * coloured(len(u), DT, stream(*key, use, "disturbance"))
+        reading = _simulated(task, parameters, values, hidden, use, u, disturbance, starts[use])
+        y = _measured(task.plant, hidden, reading[PRE:], noise, stream(*key, use, "noise"))
+        t: FloatArray = np.arange(samples, dtype=np.float64) * DT
+        runs.append(Run(Trajectory(t, u[PRE:, None], y, SPECS[task.plant]), use, use))
+        peak = peak or math.degrees(float(np.abs(reading[:, -1]).max()))
+    return Records(Dataset(task.key, tuple(runs)), parameters, hidden, noise, peak)
+
+
+def multisine(n: int, dt: float, rng: np.random.Generator, band: tuple[float, float]) -> FloatArray:
+    """Return a multisine with random phases, period ``n dt``, lines over a band [Hz] and an rms of 1."""
+    length = n * dt
+    lines = np.arange(math.ceil(band[0] * length), math.floor(band[1] * length) + 1) / length
+    phases = rng.uniform(0, 2 * np.pi, lines.size)
+    wave = np.cos(2 * np.pi * np.outer(np.arange(n) * dt, lines) + phases).sum(axis=1)
+    return np.asarray(wave * math.sqrt(2 / lines.size))
+
+
+def coloured(n: int, dt: float, rng: np.random.Generator) -> FloatArray:
+    """Return first-order noise with a corner between 0.3 and 3 Hz and an rms of 1."""
+    from scipy.signal import lfilter
+
+    corner = math.exp(rng.uniform(math.log(0.3), math.log(3.0)))
+    pole = math.exp(-2 * math.pi * corner * dt)
+    slow = np.asarray(lfilter([1.0], [1.0, -pole], rng.standard_normal(n + 2000))[2000:])
+    return slow / rms(slow)
+
+
+def _draw_parameters(plant: str, rng: np.random.Generator) -> dict[str, float]:
+    """Return nominal parameters in the words of the model."""
+
+    def between(low: float, high: float) -> float:
+        return math.exp(rng.uniform(math.log(low), math.log(high)))
+
+    if plant == "pendulum":
+        mass, length = between(0.5, 2.0), between(0.2, 0.5)
+        J, mgl = mass * length**2, mass * 9.81 * length
+        return {"J": J, "b": 2 * between(0.02, 0.1) * math.sqrt(J * mgl), "mgl": mgl}
+    mc, mp, length = between(0.5, 2.0), between(0.15, 0.5), between(0.3, 0.7)
+    hinge = 2 * between(0.005, 0.03) * mp * length**2 * math.sqrt(9.81 / length)
+    return {"mc": mc, "mp": mp, "l": length, "bx": (mc + mp) * between(0.3, 1.5), "btheta": hinge}
+
+
+def _truth_values(plant: str, parameters: Mapping[str, float]) -> dict[str, float]:
+    """Return them in the words of the truth."""
+    if plant == "pendulum":
+        return {"J": parameters["J"], "mgl": parameters["mgl"], "b0": parameters["b"]}
+    common = {name: parameters[name] for name in ("mc", "mp", "l")}
+    return {"dof": 2.0, **common, "b0": parameters["bx"], "b1": parameters["btheta"]}
+
+
+def _start(plant: str, rng: np.random.Generator) -> FloatArray:
+    """Return where a record begins: hanging, a little aside, at rest."""
+    angle = rng.uniform(-0.3, 0.3)
+    return np.array([angle, 0.0]) if plant == "pendulum" else np.array([0.0, angle, 0.0, 0.0])
+
+
+def _scaled(values: Mapping[str, float], wave: FloatArray, start: FloatArray, target: float) -> FloatArray:
+    """Return a command that brings the angle to about a largest excursion, by bisection on the truth."""
+    own = values.get("mgl") or (values["mc"] + values["mp"]) * 9.81
+    low, high = 0.0, 4.0 * own
+    for _ in range(9):
+        middle = 0.5 * (low + high)
+        angle = simulate(values, middle * wave, start=start, substeps=2).q[:, -1]
+        low, high = (middle, high) if np.abs(angle).max() < target else (low, middle)
+    return low * wave
+
+
+def _hidden(task: Task, context: Context, rng: np.random.Generator) -> tuple[Hidden, ...]:
+    """Return what is hidden, with its sizes."""
+    make = hide_outside if task.study == "outside" else hide
+    return tuple(make(*_split(one), task.level, context, rng) for one in task.effects)
+
+
+def _split(effect: str) -> tuple[str, str]:
+    name, _, at = effect.partition("@")
+    return name, at
+
+
+def _simulated(
+    task: Task,
+    parameters: Mapping[str, float],
+    values: Mapping[str, float],
+    hidden: tuple[Hidden, ...],
+    use: str,
+    u: FloatArray,
+    disturbance: FloatArray,
+    start: FloatArray,
+) -> FloatArray:
+    """Return the coordinates (N, ny) as the sensors see them, before what sensors do to them."""
+    if task.engine in ("bullet", "pymunk", "fmu"):
+        options: dict[str, Any] = {}
+        for one in hidden:
+            options.update(one.engine)
+        return engine_run(task.engine, task.plant, parameters, options, u + disturbance, start)
+    full = dict(values)
+    for one in hidden:
+        full.update(one.truth)
+        full.update(one.own.get(use, {}))
+    motion: Motion = simulate(full, u, start=start, disturbance=disturbance)
+    return motion.reading
+
+
+def _measured(
+    plant: str, hidden: tuple[Hidden, ...], reading: FloatArray, noise: float, rng: np.random.Generator
+) -> FloatArray:
+    """Return what is recorded: the sensors' errors, then noise; rounding comes last."""
+    names = [channel.name for channel in SPECS[plant].outputs]
+    y = reading.copy()
+    for one in hidden:
+        if one.sensor is not None and not one.late:
+            y[:, names.index(one.at)] = one.sensor(y[:, names.index(one.at)])
+    y = y + noise * rng.standard_normal(y.shape)
+    for one in hidden:
+        if one.sensor is not None and one.late:
+            y[:, names.index(one.at)] = one.sensor(y[:, names.index(one.at)])
+    return y
+
+
+def _balanced(task: Task, parameters: Mapping[str, float], noise: float, samples: int) -> Records:
+    """Return records of the cart-pole balanced upright by LQR in pymunk."""
+    key = ("study", task.key, task.seed)
+    mass = parameters["mc"] + parameters["mp"]
+    amplitude = 6.0 * mass
+    # The motion under feedback is not known before it was run, so sizes refer to a likely one.
+    u = 0.4 * amplitude * multisine(samples, DT, stream(*key, "size"), BALANCE_BAND)
+    angle = 0.1 * multisine(samples, DT, stream(*key, "size-angle"), (0.2, 2.0))
+    position = 0.1 * multisine(samples, DT, stream(*key, "size-position"), (0.1, 1.0))
+    q = np.column_stack([position, angle])
+    v = np.gradient(q, DT, axis=0)
+    likely = Motion(q, v, q, u)
+    context = Context(task.plant, _truth_values(task.plant, parameters), likely, u)
+    hidden = _hidden(task, context, stream(*key, "effects"))
+    runs, peak = [], 0.0
+    for use in USES:
+        t, u, y = balanced_run(task, parameters, hidden, noise, amplitude, use, samples)
+        runs.append(Run(Trajectory(t, u, y, SPECS[task.plant]), use, use))
+        peak = peak or math.degrees(float(np.abs(y[:, 1]).max()))
+    return Records(Dataset(task.key, tuple(runs)), dict(parameters), hidden, noise, peak)

@@ -1,0 +1,208 @@
+"""One row: make the records, diagnose them, refit the oracle, compare with the truth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from harness.errors import HarnessError
+from harness.study.outcome import Answer, judge_answer
+from harness.study.plan import Task
+from harness.study.records import SAMPLES, Records, make_records
+
+__all__ = ["COLUMNS", "do_row"]
+
+COLUMNS = (
+    "key",
+    "study",
+    "plant",
+    "engine",
+    "model",
+    "truth",
+    "level",
+    "noise",
+    "disturbance",
+    "index",
+    "base",
+    "seed",
+    "status",
+    "reason",
+    "outcome",
+    "how",
+    "verdict",
+    "adequacy",
+    "accepted",
+    "ties",
+    "validation_before",
+    "validation_after",
+    "validation_oracle",
+    "ratio",
+    "improvement",
+    "oracle_improvement",
+    "residual_over_floor",
+    "covered",
+    "intervals",
+    "outside_interval",
+    "noise_sd",
+    "peak_deg",
+    "cpu_s",
+    "wall_s",
+)
+
+
+def do_row(task: Task, *, samples: int = SAMPLES, workers: int = 1) -> dict[str, Any]:
+    """Return the row of a task; what goes wrong is a row with its reason.
+
+    Parameters
+    ----------
+    task : Task
+    samples : int
+        Of one record.
+    workers : int
+        Processes of the diagnosis.
+
+    Returns
+    -------
+    dict
+        The columns :data:`COLUMNS`; empty text for what is not known.
+    """
+    row = dict.fromkeys(COLUMNS, "") | task.columns()
+    try:
+        records = make_records(task, samples=samples)
+        row.update(noise_sd=_short(records.noise), peak_deg=_short(records.peak))
+        row.update(_diagnose(task, records, workers))
+        row["status"] = "ok"
+    except HarnessError as error:
+        row.update(status=error.status, reason=" ".join(str(error).split())[:300])
+    except Exception as error:  # a fault of the diagnosis is a result of the study, and must not stop it
+        row.update(status="crashed", reason=f"{type(error).__name__}: {' '.join(str(error).split())}"[:300])
+    return row
+
+
+def _diagnose(task: Task, records: Records, workers: int) -> dict[str, Any]:
+    """Return the columns that a diagnosis fills."""
+    from harness.diagnosis.algorithm import diagnose
+    from harness.diagnosis.forms import rms, weighted_rms
+    from harness.diagnosis.isolability import unseen
+
+    model = _model(task, records)
+    cpu, wall = time.process_time(), time.monotonic()
+    found = diagnose(records.dataset, model, seed=task.seed, workers=workers)
+    cpu, wall = time.process_time() - cpu, time.monotonic() - wall
+    accepted = tuple(str(one.placed) for one in found.result.accepted)
+    ties = tuple(
+        tuple(frozenset(str(placed) for placed in member) for member in one.tie) for one in found.result.accepted
+    )
+    # what the report says this experiment cannot show matters only where nothing was found
+    hidden = unseen(found.first_screen) if task.effects and not accepted else []
+    invisible = frozenset(f"{one['name']}@{one['at']}" for one in hidden)
+    answer = Answer(found.verdict, accepted, ties, invisible)
+    outcome = judge_answer(task.effects, answer, task.plant)
+    before, after = weighted_rms(found.nominal.validation), weighted_rms(found.final.validation)
+    oracle: float | None = before  # where nothing is hidden, the nominal fit knows all
+    if task.effects:
+        oracle = None if task.study in ("outside", "cost") else _oracle(found, task, records)
+    ratios = [
+        float(size / floor) for size, floor in zip(rms(found.final.validation), found.form.floors, strict=True) if floor
+    ]
+    row: dict[str, Any] = {
+        "outcome": outcome.word,
+        "how": outcome.how,
+        "verdict": found.verdict,
+        "adequacy": found.adequacy.grade,
+        "accepted": " + ".join(accepted),
+        "ties": "; ".join(" / ".join(sorted(" & ".join(sorted(one)) for one in tie)) for tie in ties if len(tie) > 1),
+        "validation_before": _short(before),
+        "validation_after": _short(after),
+        "improvement": _short(before / after),
+        "residual_over_floor": _short(max(ratios)) if ratios else "",
+        "cpu_s": f"{cpu:.2f}",
+        "wall_s": f"{wall:.2f}",
+    }
+    if oracle is not None:
+        row.update(
+            validation_oracle=_short(oracle), ratio=_short(after / oracle), oracle_improvement=_short(before / oracle)
+        )
+    if outcome.word == "right":
+        row.update(_coverage(found.final, records))
+    return row
+
+
+def _oracle(found: Any, task: Task, records: Records) -> float | None:
+    """Return the validation error of a refit that knows which effects are there; None where it cannot be made.
+
+    It starts from the true values, so it does not lose by a local minimum.
+    """
+    from harness.diagnosis.confirm import Refitter
+    from harness.diagnosis.confirm import Task as Refit
+    from harness.diagnosis.forms import weighted_rms
+    from harness.diagnosis.prepare import sizes_of
+    from harness.diagnosis.store import Store
+    from harness.effects import builtin
+    from harness.effects.effect import Placed
+
+    known = builtin()
+    sizes = sizes_of(found.system, found.nominal.values, found.dataset)
+    start: dict[str, float] = {**found.nominal.values, **_nominal_truth(found.nominal.values, records.parameters)}
+    placed = []
+    for one in records.hidden:
+        here = Placed(known[one.name], one.at)
+        placed.append(here)
+        values = here.effect.complete(one.named, sizes.get(one.at, sizes.get("base", {})))
+        start.update({here.name(name): value for name, value in values.items()})
+    refit = Refit(tuple(placed), (start,))
+    fitted = Refitter(found.form, Store(None, ""), task.seed, 1).fit(refit)
+    return None if fitted is None or not fitted.finite else weighted_rms(fitted.validation)
+
+
+def _nominal_truth(values: Mapping[str, float], truth: Mapping[str, float]) -> dict[str, float]:
+    """Return the true values of the nominal parameters that the model has."""
+    return {name: value for name, value in truth.items() if name in values}
+
+
+def _coverage(model: Any, records: Records) -> dict[str, Any]:
+    """Return how many intervals of the final model hold the true value.
+
+    Compared are the nominal parameters and those of the effects that mean the same in truth and dictionary; smoothing
+    widths, phases and instants that belong to one record have no truth to compare with.
+    """
+    from harness.effects import builtin
+    from harness.effects.effect import Placed
+
+    truth = dict(records.parameters)
+    known = builtin()
+    for one in records.hidden:
+        here = Placed(known[one.name], one.at)
+        for parameter in here.effect.parameters:
+            if parameter.name in one.named and not parameter.nuisance and not parameter.per_record:
+                truth[here.name(parameter.name)] = one.named[parameter.name]
+    outside, count = [], 0
+    for name, interval in model.intervals().items():
+        if name not in truth or not np.isfinite([interval.low, interval.high]).all():
+            continue
+        count += 1
+        if not interval.low <= truth[name] <= interval.high:
+            half = 0.5 * (interval.high - interval.low)
+            outside.append(f"{name} ({(interval.value - truth[name]) / half:+.2g})" if half > 0 else name)
+    return {"covered": count - len(outside), "intervals": count, "outside_interval": "; ".join(outside)}
+
+
+def _model(task: Task, records: Records) -> Any:
+    """Return the nominal model: the built-in one, or an FMU whose parameters start 20 % off."""
+    if task.model == "fmu":
+        from harness import registry
+        from harness.diagnosis.fmu_reader import fmu_system
+
+        path = registry.load("plants", "fmu").mockup(task.plant.replace("-", "_"))
+        return fmu_system(path, records.dataset.spec, {k: 1.2 * v for k, v in records.parameters.items()})
+    from harness.physics import load_model
+
+    return load_model(task.plant)
+
+
+def _short(value: float) -> str:
+    """Return a number in five digits; empty text for one that is not finite."""
+    return f"{value:.5g}" if np.isfinite(value) else ""

@@ -1,0 +1,207 @@
+/* Truth of the studies: a pendulum or a cart-pole with laws written by hand, integrated by Runge-Kutta in fine steps.
+
+   It shares no code with the models or the dictionary. Dry friction has a true standstill (Karnopp 1985): at rest it
+   balances what pulls, up to its level; in motion it is the level against the motion; a reversal is located inside
+   the step. Dead zone, limits, play and stops have sharp corners.
+
+   Coordinate 0 is driven: the angle of the pendulum or the position of the cart. p[] is indexed by the enum that is
+   put before this text; a name that ends in 0 or 1 belongs to that coordinate. State: q0 q1 v0 v1, motor angle and
+   rate, hysteresis of both coordinates, Maxwell element of both. */
+#include <math.h>
+
+enum { NX = 10, MOTOR = 4, RATE = 5, HYST = 6, MAXWELL = 8 };
+#define AT(name, i) p[name##0 + (i) * (P_b1 - P_b0)]
+
+static double sign(double x) { return (x > 0) - (x < 0); }
+static double play(double x, double gap) { return fabs(x) <= gap ? 0 : x - copysign(gap, x); }
+
+/* What the joint of coordinate i carries across its motion. */
+static double carried(const double *p, int i, const double *x)
+{
+    const double g = p[P_g];
+    if (p[P_dof] < 1.5) return p[P_mgl] * cos(x[0]) + p[P_J] * x[2] * x[2];
+    const double ml = p[P_mp] * p[P_l];
+    if (i == 0) return (p[P_mc] + p[P_mp]) * g + ml * x[3] * x[3] * cos(x[1]);
+    return ml * g * cos(x[1]) + ml * p[P_l] * x[3] * x[3];
+}
+
+/* Level of the dry friction of coordinate i for motion in one direction. */
+static double level(const double *p, int i, double side, const double *x)
+{
+    const double v = x[2 + i], ratio = v / AT(P_vs, i);
+    double value = side > 0 ? AT(P_Fp, i) : AT(P_Fm, i);
+    value += AT(P_Fst, i) + (AT(P_Fss, i) - AT(P_Fst, i)) * exp(-ratio * ratio);
+    value += (1 + AT(P_pa, i) * cos(x[i] + AT(P_pphi, i))) * AT(P_Fpos, i);
+    value += AT(P_mu, i) * fabs(carried(p, i, x));
+    return value > 0 ? value : 0;
+}
+
+/* Force on coordinate i without dry friction; dx of the hidden states of that coordinate. */
+static double force(const double *p, int i, const double *x, double *dx, double u, double t)
+{
+    const double q = x[i], v = x[2 + i];
+    double f = AT(P_F0, i) - AT(P_b, i) * v - AT(P_c, i) * fabs(v) * v;
+    f -= AT(P_k, i) * q + AT(P_k2, i) * q * q + AT(P_k3, i) * q * q * q;
+    f -= AT(P_A, i) * cos(q);
+    f += AT(P_cog, i) * sin(AT(P_cogk, i) * q + AT(P_cogphi, i));
+    f += AT(P_per, i) * sin(AT(P_perw, i) * t + AT(P_perphi, i));
+    const double beyond = play(q, AT(P_stop, i));
+    if (beyond != 0) f -= AT(P_ks, i) * beyond + AT(P_ds, i) * v;
+    const double z = x[HYST + i];
+    f -= AT(P_Fh, i) * z;
+    dx[HYST + i] = (v - 0.5 * fabs(v) * z - 0.5 * v * fabs(z)) / AT(P_xs, i);
+    const double m = x[MAXWELL + i];
+    f -= AT(P_km, i) * m;
+    dx[MAXWELL + i] = v - m / AT(P_taum, i);
+    f -= AT(P_root, i) * sign(v) * sqrt(fabs(v)) + AT(P_even, i) * v * v + AT(P_vdp, i) * q * q * v;
+    f += AT(P_ripple, i) * u * cos(5 * q);
+    if (t >= AT(P_stept, i)) f += AT(P_stepf, i);
+    if (t >= AT(P_t0, i)) f -= AT(P_dG, i) * sin(q);
+    return f;
+}
+
+/* Mass matrix (a, b, d) and total forces without dry friction; hidden rates into dx. */
+static void equations(const double *p, const double *x, double *dx, double u, double t, double *m, double *f)
+{
+    const int two = p[P_dof] > 1.5;
+    const double g = p[P_g], tilt = p[P_tilt];
+    double drive = u;
+    if (p[P_kt] > 0) {
+        const double e = x[MOTOR] - x[0], contact = play(e, p[P_gap]);
+        drive = contact != 0 ? p[P_kt] * contact + p[P_dt] * (x[RATE] - x[2]) : 0;
+        dx[MOTOR] = x[RATE];
+        dx[RATE] = (u - drive) / p[P_Jm];
+    } else
+        dx[MOTOR] = dx[RATE] = 0;
+    f[0] = drive + force(p, 0, x, dx, u, t);
+    f[1] = 0;
+    if (!two) {
+        f[0] -= p[P_mgl] * sin(x[0] + tilt);
+        m[0] = p[P_J], m[1] = 0, m[2] = 1;
+        dx[HYST + 1] = dx[MAXWELL + 1] = 0;
+    } else {
+        const double ml = p[P_mp] * p[P_l];
+        f[0] += ml * sin(x[1]) * x[3] * x[3] - (p[P_mc] + p[P_mp]) * g * sin(tilt);
+        f[1] = force(p, 1, x, dx, u, t) - ml * g * sin(x[1] + tilt);
+        m[0] = p[P_mc] + p[P_mp], m[1] = ml * cos(x[1]), m[2] = ml * p[P_l];
+        if (t >= p[P_t01]) m[2] += p[P_dJ1];
+    }
+    if (t >= p[P_t00]) m[0] += p[P_dJ0];
+}
+
+/* mode: 0 free of dry friction, +-1 sliding, 2 stuck. */
+static void rates(const double *p, const double *x, double *dx, double u, double t, const int *mode)
+{
+    double m[3], f[2];
+    equations(p, x, dx, u, t, m, f);
+    for (int i = 0; i < 2; i++)
+        if (mode[i] == 1 || mode[i] == -1) f[i] -= mode[i] * level(p, i, mode[i], x);
+    double a0, a1;
+    if (p[P_dof] < 1.5) {
+        a0 = mode[0] == 2 ? 0 : f[0] / m[0];
+        a1 = 0;
+    } else if (mode[0] == 2 || mode[1] == 2) {
+        a0 = mode[0] == 2 ? 0 : f[0] / m[0];
+        a1 = mode[1] == 2 ? 0 : f[1] / m[2];
+    } else {
+        const double determinant = m[0] * m[2] - m[1] * m[1];
+        a0 = (m[2] * f[0] - m[1] * f[1]) / determinant;
+        a1 = (m[0] * f[1] - m[1] * f[0]) / determinant;
+    }
+    dx[0] = x[2], dx[1] = x[3], dx[2] = a0, dx[3] = a1;
+}
+
+static void runge_kutta(const double *p, double *x, double u, double t, double h, const int *mode)
+{
+    double k1[NX], k2[NX], k3[NX], k4[NX], y[NX];
+    rates(p, x, k1, u, t, mode);
+    for (int i = 0; i < NX; i++) y[i] = x[i] + 0.5 * h * k1[i];
+    rates(p, y, k2, u, t + 0.5 * h, mode);
+    for (int i = 0; i < NX; i++) y[i] = x[i] + 0.5 * h * k2[i];
+    rates(p, y, k3, u, t + 0.5 * h, mode);
+    for (int i = 0; i < NX; i++) y[i] = x[i] + h * k3[i];
+    rates(p, y, k4, u, t + h, mode);
+    for (int i = 0; i < NX; i++) x[i] += h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
+}
+
+/* Whether coordinates at rest stay there, and which way those that slip begin to move. */
+static void choose(const double *p, const double *x, double u, double t, int *mode)
+{
+    const int n = p[P_dof] > 1.5 ? 2 : 1;
+    mode[0] = mode[1] = 0;
+    for (int i = 0; i < n; i++)
+        if (level(p, i, 1, x) > 0 || level(p, i, -1, x) > 0) mode[i] = x[2 + i] > 0 ? 1 : x[2 + i] < 0 ? -1 : 2;
+    for (int i = 0; i < n; i++) {
+        if (mode[i] != 2) continue;
+        double m[3], f[2], dx[NX];
+        equations(p, x, dx, u, t, m, f);
+        double pull = f[i];
+        const int j = 1 - i;
+        if (n == 2 && mode[j] != 2) { /* the other one moves: its inertia pulls at this one */
+            const double other = f[j] - (mode[j] ? mode[j] * level(p, j, mode[j], x) : 0);
+            pull -= m[1] * other / m[2 * j];
+        }
+        const int way = pull > 0 ? 1 : -1;
+        if (fabs(pull) > level(p, i, way, x)) mode[i] = way;
+    }
+}
+
+static void advance(const double *p, double *x, double u, double t, double h)
+{
+    for (int reversals = 0; h > 0 && reversals < 8; reversals++) {
+        int mode[2];
+        double before[NX];
+        choose(p, x, u, t, mode);
+        for (int i = 0; i < NX; i++) before[i] = x[i];
+        runge_kutta(p, x, u, t, h, mode);
+        double part = 1;
+        int who = -1;
+        for (int i = 0; i < 2; i++) {
+            if ((mode[i] != 1 && mode[i] != -1) || mode[i] * x[2 + i] >= 0 || before[2 + i] == 0) continue;
+            const double share = before[2 + i] / (before[2 + i] - x[2 + i]);
+            if (who < 0 || share < part) part = share, who = i;
+        }
+        if (who < 0) break;
+        for (int i = 0; i < NX; i++) x[i] = before[i];
+        runge_kutta(p, x, u, t, part * h, mode);
+        x[2 + who] = 0;
+        t += part * h;
+        h -= part * h;
+    }
+}
+
+/* n samples of substeps fine steps h each; u: command, d: unknown force, both held over a sample.
+   states (n, 4): q0 q1 v0 v1 at the samples. readings (n, 2): q0 q1 as the sensors delay them. passed (n): the force
+   that left the actuator in the first fine step of each sample. */
+__attribute__((visibility("default"))) int simulate(const double *p, const double *start, const double *u, const double *d, int n, int substeps, double h,
+             double *states, double *readings, double *passed)
+{
+    double x[NX] = {start[0], start[1], start[2], start[3], start[0], start[2]};
+    const long late = lround(p[P_delay] / h), sensor[2] = {lround(p[P_sdelay0] / h), lround(p[P_sdelay1] / h)};
+    const double share = p[P_tau] > 0 ? 1 - exp(-h / p[P_tau]) : 1;
+    double z = u[0];
+    for (int k = 0; k < n; k++)
+        for (int i = 0; i < 2; i++) readings[2 * k + i] = start[i];
+    for (long s = 0; s < (long)n * substeps; s++) {
+        const long k = s / substeps, command = s - late < 0 ? 0 : (s - late) / substeps;
+        for (int i = 0; i < 2; i++) {
+            const long at = s + sensor[i];
+            if (at % substeps == 0 && at / substeps < n) readings[2 * (at / substeps) + i] = x[i];
+        }
+        double f = play(u[command], p[P_width]);
+        if (fabs(f) > p[P_limit]) f = copysign(p[P_limit], f);
+        const double change = share * (f - z), most = p[P_R] * h;
+        const double old = z;
+        z += fabs(change) > most ? copysign(most, change) : change;
+        /* halfway between old and new state: right to second order, where a held value would be half a step late */
+        f = p[P_tau] > 0 || p[P_R] < 1e29 ? 0.5 * (old + z) : f;
+        f *= p[P_gain];
+        if (s % substeps == 0) {
+            for (int i = 0; i < 4; i++) states[4 * k + i] = x[i];
+            passed[k] = f;
+        }
+        advance(p, x, f + d[k], s * h, h);
+        if (!isfinite(x[0]) || fabs(x[0]) > 1e6 || fabs(x[1]) > 1e6) return 1;
+    }
+    return 0;
+}

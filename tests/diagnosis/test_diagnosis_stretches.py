@@ -1,0 +1,60 @@
+"""Long records: what the search sees of them, and the refit on all."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from harness.diagnosis.forms import fit_here
+from harness.diagnosis.output_form import OutputForm
+from harness.diagnosis.stretches import polished, stretched
+from harness.physics.models import pendulum
+from harness.rng import stream
+from harness.signals import Dataset, Run, Trajectory
+
+
+def _record(samples: int, seed: int) -> Trajectory:
+    system = pendulum().system()
+    simulator = system.simulator(0.02)
+    rng = stream("test-stretches", seed)
+    u = np.repeat(rng.standard_normal((samples // 10 + 1, 1)), 10, axis=0)[:samples]
+    y = simulator.rollout([0.1, 0.05, 1.0], [0.3, 0.0], u) + 1e-3 * rng.standard_normal((samples, 1))
+    return Trajectory(np.arange(samples) * 0.02, u, y, simulator.spec)
+
+
+def test_short_records_stay_as_they_are() -> None:
+    data = Dataset("x", (Run(_record(200, 0)), Run(_record(100, 1), "validation")))
+    assert stretched(data, long=200, length=20) is data
+
+
+def test_stretches_are_consecutive_rows_of_every_record_and_the_cut_is_said() -> None:
+    records = [_record(300, 0), _record(100, 1)]
+    data = Dataset("x", (Run(records[0]), Run(_record(120, 2), "validation"), Run(records[1]), Run(records[1], "test")))
+    short = stretched(data, long=350, length=30, count=4)
+    assert [len(one) for one in short.estimation] == [30, 30, 30, 30]
+    assert len(short.validation[0]) == 120
+    assert len(short.test[0]) == 100
+    for one in short.estimation[:3]:
+        first = round(float(one.t[0]) / 0.02)
+        assert np.array_equal(one.y, records[0].y[first : first + 30])
+    assert short.estimation[0].t[0] < 1.5 < short.estimation[2].t[0]
+    assert "400 estimation samples" in short.warnings[-1]
+    assert "120 samples" in short.warnings[-1]
+
+
+def test_the_answer_is_refitted_on_whole_records_and_seen_on_the_stretches() -> None:
+    whole = Dataset("x", (Run(_record(1200, 3)), Run(_record(300, 4), "validation")))
+    short = stretched(whole, long=1000, length=100, count=2)
+    system = pendulum().system()
+
+    def form(data: Dataset) -> OutputForm:
+        return OutputForm(system, data, sizes={}, horizon=None, weights=np.array([1e-3]), floors=[1e-3])
+
+    start = {"J": 0.12, "b": 0.04, "mgl": 1.1}
+    stretch, full = form(short), form(whole)
+    rough, wanted = fit_here(stretch, (), [start]), fit_here(full, (), [start])
+    found = polished(stretch, rough, whole)
+    assert [len(one) for one in found.estimation] == [100, 100]
+    for name, value in wanted.values.items():
+        assert abs(found.values[name] - value) < 1e-4 * abs(value)
+    assert any(abs(rough.values[name] - value) > 1e-4 * abs(value) for name, value in wanted.values.items())
+    assert np.sqrt(np.mean(np.concatenate(found.estimation) ** 2)) < 1.2

@@ -1,0 +1,69 @@
+"""How answers count, and the exact bounds."""
+
+from __future__ import annotations
+
+import pytest
+from scipy import stats
+
+from harness.errors import InputError
+from harness.study.outcome import Answer, judge_answer
+from harness.study.statistics import clopper_pearson, upper_bound
+
+
+def group(*names):
+    return frozenset(names)
+
+
+@pytest.mark.parametrize(
+    ("truth", "answer", "word"),
+    [
+        ({"coulomb_friction@x"}, Answer("effects_found", ("coulomb_friction@x",)), "right"),
+        ({"coulomb_friction@x"}, Answer("effects_found", ("coulomb_friction@theta",)), "wrong"),
+        (set(), Answer("nothing_missing", ()), "right"),
+        (set(), Answer("unexplained", ()), "flagged"),
+        (set(), Answer("effects_found", ("force_bias@x",)), "wrong"),
+        ({"dead_zone@u"}, Answer("nothing_missing", ()), "missed"),
+        ({"dead_zone@u"}, Answer("unexplained", ()), "flagged"),
+        ({"input_gain@u"}, Answer("nothing_missing", (), (), group("input_gain@u")), "tied"),
+        (
+            {"stribeck_friction@x"},
+            Answer("effects_found", ("coulomb_friction@x",), ((group("stribeck_friction@x"),),)),
+            "tied",
+        ),
+        (
+            {"stribeck_friction@x"},
+            Answer("effects_found", ("coulomb_friction@x", "cogging@x"), ((group("stribeck_friction@x"),), ())),
+            "wrong",
+        ),
+        ({"asymmetric_friction@x"}, Answer("effects_found", ("coulomb_friction@x", "force_bias@x")), "tied"),
+        ({"coulomb_friction@x", "force_bias@x"}, Answer("effects_found", ("asymmetric_friction@x",)), "tied"),
+        (
+            {"coulomb_friction@x", "input_delay@u"},
+            Answer("effects_found", ("coulomb_friction@x",)),
+            "wrong",
+        ),
+        ({"gravity_tilt@base"}, Answer("effects_found", ("sensor_offset@theta",)), "wrong"),
+    ],
+)
+def test_an_answer_counts_as_it_should(truth, answer, word):
+    assert judge_answer(truth, answer, "cart-pole").word == word
+
+
+def test_tilt_and_offset_are_the_same_on_one_joint_only():
+    answer = Answer("effects_found", ("stribeck_friction@theta", "sensor_offset@theta"))
+    assert judge_answer({"stribeck_friction@theta", "gravity_tilt@base"}, answer, "pendulum").word == "tied"
+
+
+@pytest.mark.parametrize(("found", "of"), [(0, 300), (1, 300), (7, 40), (40, 40)])
+def test_bounds_are_those_of_the_binomial_distribution(found, of):
+    bound = upper_bound(found, of)
+    if found < of:
+        assert stats.binom.cdf(found, of, bound) == pytest.approx(0.05)
+    ours = clopper_pearson(found, of)
+    theirs = stats.binomtest(found, of).proportion_ci(0.95, method="exact")
+    assert ours == pytest.approx((theirs.low, theirs.high))
+
+
+def test_impossible_counts_are_refused():
+    with pytest.raises(InputError):
+        upper_bound(3, 2)

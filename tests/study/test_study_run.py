@@ -1,0 +1,170 @@
+"""The command: rows at once, resume, force, budget, the summary; and two real rows."""
+
+from __future__ import annotations
+
+import pytest
+
+from harness.errors import InputError
+from harness.study import running
+from harness.study.plan import plan
+from harness.study.row import COLUMNS, do_row
+from harness.study.store import ROWS, RowStore, read_rows
+from harness.study.tables import counts, summary
+
+
+def row(number, outcome="right", study="confusion", truth="coulomb_friction@x", **more):
+    values = {
+        "key": f"k{number}", "study": study, "plant": "cart-pole", "engine": "laws", "truth": truth,
+        "level": "nominal" if truth else "", "noise": "low", "disturbance": "0.0", "status": "ok",
+        "outcome": outcome, "verdict": "effects_found" if outcome == "wrong" or truth else "nothing_missing",
+        "accepted": truth, "ratio": "1.0", "improvement": "200", "oracle_improvement": "210", "cpu_s": "3",
+        "wall_s": "4", "covered": "5", "intervals": "5", "adequacy": "explained", **more,
+    }  # fmt: skip
+    return dict.fromkeys(COLUMNS, "") | values
+
+
+def test_rows_survive_a_killed_run_and_come_back(tmp_path):
+    store = RowStore(tmp_path)
+    for number in range(3):
+        store.add(row(number, reason='a "quoted", odd reason'))
+    with (tmp_path / ROWS).open("a") as file:
+        file.write("k3,confusion,cart-po")  # the process was killed in the middle of a line
+    again = RowStore(tmp_path, resume=True)
+    assert list(again.rows) == ["k0", "k1", "k2"]
+    again.add(row(4))
+    assert list(read_rows(tmp_path / ROWS)) == ["k0", "k1", "k2", "k4"]
+    assert read_rows(tmp_path / ROWS)["k0"]["reason"] == 'a "quoted", odd reason'
+
+
+def test_a_resumed_study_tries_again_what_crashed(tmp_path):
+    store = RowStore(tmp_path)
+    for number, status in enumerate(("ok", "crashed", "timeout", "diverged")):
+        store.add(row(number, status=status))
+    assert list(RowStore(tmp_path, resume=True).rows) == ["k0", "k3"]
+
+
+def test_a_folder_with_rows_is_not_overwritten(tmp_path):
+    RowStore(tmp_path).add(row(0))
+    with pytest.raises(InputError, match="--resume"):
+        RowStore(tmp_path)
+    assert RowStore(tmp_path, force=True).rows == {}
+
+
+def test_a_foreign_table_is_refused(tmp_path):
+    (tmp_path / ROWS).write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match="another version"):
+        RowStore(tmp_path, resume=True)
+
+
+def test_the_summary_counts_what_the_rows_say():
+    rows = [
+        row(0),
+        row(1, "tied"),
+        row(2, "wrong", accepted="cogging@x", how="another effect", ratio="1.5"),
+        row(3, "missed", accepted="", verdict="nothing_missing"),
+        row(4, study="none", truth=""),
+        row(5, "wrong", study="none", truth="", accepted="force_bias@x"),
+        row(6, status="timeout", reason="took longer", outcome=""),
+    ]
+    text = summary(rows, seeds="tuning", planned=9, keys={one["key"] for one in rows})
+    assert counts(rows) == {"right": 2, "tied": 1, "wrong": 2, "flagged": 0, "missed": 1}
+    assert "7 of 9 planned records done" in text
+    assert "| right or tied, nominal size | 95 % | 2 of 4 (50.0 %" in text
+    assert "| validation error within 1.1 of the oracle's | 90 % | 3 of 4" in text
+    assert "| white sensor noise alone | 2 | 1 | 97.47 % | 0 |" in text
+    assert (
+        "| coulomb_friction@x | cart-pole, laws, nominal, low, 0 % | cogging@x | wrong: another effect | 1.5 |" in text
+    )
+    assert "`k6`: timeout: took longer" in text
+
+
+def test_other_rows_of_the_folder_are_left_out():
+    text = summary([row(0), row(1)], seeds="tuning", planned=1, keys={"k0"})
+    assert "1 of 1 planned records done" in text
+
+
+@pytest.fixture
+def quick_rows(monkeypatch):
+    """Replace the pool by rows that cost nothing; returns the keys that were asked for."""
+    asked = []
+
+    def pooled(tasks, workers, store, end, told, samples):
+        for one in tasks:
+            asked.append(one.key)
+            store.add(row(0, truth="", study="none", key=one.key))
+            told(one)
+
+    monkeypatch.setattr(running, "_pooled", pooled)
+    return asked
+
+
+def test_resume_does_only_what_is_left(tmp_path, quick_rows):
+    seen = []
+    running.study("false-alarms", out=tmp_path, records=4, progress=lambda *step: seen.append(step[:2]))
+    assert len(quick_rows) == 4
+    assert seen[0] == (0, 4)
+    assert seen[-1] == (4, 4)
+    result = running.study("false-alarms", out=tmp_path, records=6, resume=True)
+    assert len(quick_rows) == 6
+    assert (result.done, result.planned) == (6, 6)
+    assert (tmp_path / running.SUMMARY).read_text() == result.text
+
+
+@pytest.mark.parametrize("wrong", [{"seeds": "mine"}, {"budget": 0.0}, {"workers": 0}, {"plants": ["crane"]}])
+def test_wrong_options_are_refused_before_anything_is_written(tmp_path, wrong):
+    with pytest.raises(InputError):
+        running.study("all", out=tmp_path / "new", **wrong)
+    assert not (tmp_path / "new").exists()
+
+
+def test_the_picture_shows_single_effects(tmp_path):
+    from harness.study.picture import confusion_picture
+
+    rows = [row(0), row(1, "wrong", accepted="cogging@x"), row(2, truth="", accepted="")]
+    assert confusion_picture(rows, tmp_path / "matrix.png")
+    assert (tmp_path / "matrix.png").stat().st_size > 5000
+    assert not confusion_picture([row(0, study="two")], tmp_path / "none.png")
+
+
+def test_a_fault_is_a_row_with_its_reason(monkeypatch):
+    from harness.errors import PlantError
+    from harness.study import row as module
+
+    def broken(task, samples):
+        raise PlantError("the truth leaves every bound", status="diverged")
+
+    monkeypatch.setattr(module, "make_records", broken)
+    found = do_row(plan("confusion")[0])
+    assert (found["status"], found["reason"]) == ("diverged", "the truth leaves every bound")
+
+
+def test_coverage_compares_what_means_the_same():
+    from types import SimpleNamespace
+
+    from harness.diagnosis.accept import Interval
+    from harness.study.context import Hidden
+    from harness.study.row import _coverage
+
+    hidden = Hidden("position_dependent_friction", "theta", {}, {"Fc": 0.2, "a": 0.6, "phi": 1.0})
+    records = SimpleNamespace(parameters={"J": 0.1, "b": 0.05}, hidden=(hidden,))
+    name = "position_dependent_friction@theta"
+    intervals = {
+        "J": Interval(0.11, 0.09, 0.13),
+        "b": Interval(0.08, 0.06, 0.10),
+        f"{name}.Fc": Interval(0.2, 0.1, 0.3),
+        f"{name}.a": Interval(0.5, float("nan"), float("nan")),
+        f"{name}.phi": Interval(7.0, 6.9, 7.1),
+        f"{name}.w": Interval(0.01, 0.0, 0.02),
+    }
+    found = _coverage(SimpleNamespace(intervals=lambda: intervals), records)
+    assert found == {"covered": 2, "intervals": 3, "outside_interval": "b (+1.5)"}
+
+
+@pytest.mark.slow
+def test_two_rows_end_to_end(tmp_path):
+    result = running.study("false-alarms", out=tmp_path, records=2, plants=["pendulum"], workers=1, samples=1500)
+    assert [one["status"] for one in result.rows] == ["ok", "ok"]
+    assert {one["verdict"] for one in result.rows} == {"nothing_missing"}
+    assert all(float(one["cpu_s"]) > 0 for one in result.rows)
+    assert "2 of 2 planned records done" in (tmp_path / running.SUMMARY).read_text()
+    assert "| with 2 % coloured torque | 1 | 0 |" in result.text
