@@ -204,7 +204,7 @@ def diagnose(
         nominal=nominal,
         same_minimum=same,
         result=result,
-        screened=lambda: sensitivity_screen(form, nominal, candidates, size_of, scaled=False),
+        screened=lambda: sensitivity_screen(form, nominal, candidates, size_of),
         adequacy=adequacy,
         families=families,
         warnings=warnings,

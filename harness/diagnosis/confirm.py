@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.accept import (
+    GAIN,
     Comparison,
     Interval,
     Judgement,
@@ -267,6 +268,10 @@ def assess(
         comparison = compare_blocks(before.validation, fitted.validation, rng=draws)
         intervals = fitted.intervals()
         reasons: list[str] = []
+        if fitted.unaided and comparison.gain >= GAIN:
+            alone = compare_blocks(before.unaided or before.validation, fitted.unaided, rng=draws)
+            if alone.gain < GAIN:
+                reasons.append("it gains only through fitted initial values of its hidden state")
         mains: dict[str, Interval] = {}
         for placed in added:
             p = surrogate_p.get(str(placed)) if isinstance(surrogate_p, Mapping) else surrogate_p

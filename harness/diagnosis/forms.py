@@ -44,6 +44,9 @@ class Fitted:
         Parameters of the validation records themselves (phase, instant of a change).
     record : dict
         What :meth:`Form.solve` returned.
+    unaided : tuple of array (N_i, ny)
+        The validation residual with hidden states of effects starting where the effects say, not where they fit best: a
+        slow hidden state that is fitted anew in every window is a free force. Empty without hidden states.
     """
 
     effects: tuple[Placed, ...]
@@ -57,6 +60,7 @@ class Fitted:
     jacobian: tuple[FloatArray, ...]
     refitted: dict[str, float] = field(default_factory=dict)
     record: dict[str, Any] = field(default_factory=dict, repr=False)
+    unaided: tuple[FloatArray, ...] = ()
 
     @property
     def finite(self) -> bool:

@@ -14,6 +14,8 @@ from harness.signals import FloatArray
 __all__ = ["ALIKE", "isolability", "separating", "unseen"]
 
 ALIKE = 0.95
+INVISIBLE = 0.03
+"""Share of a barely visible effect that must be left beside the nominal parameters (a simulation is not linear)."""
 MOST = 26
 
 
@@ -49,7 +51,7 @@ def unseen(screen: Screen) -> list[dict[str, Any]]:
     """Return the effects that this experiment cannot show, each with the reason."""
     rows = []
     for one in screen.probes:
-        if one.left < SEEN or not one.rank:
+        if one.left < SEEN or one.least < INVISIBLE or not one.rank:
             by = f"nominal parameter {one.absorbed_by}" if one.absorbed_by else "nominal parameters or initial states"
             rows.append(
                 {

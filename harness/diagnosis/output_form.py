@@ -25,6 +25,8 @@ from harness.signals import Dataset, FloatArray, Trajectory
 __all__ = ["OutputForm"]
 
 ITERATIONS = 50
+COARSE = 1e-3
+"""Relative decrease of the cost at which a fit at a shorter horizon than the form's is good enough."""
 STIFFER = 4
 """A start that needs more than so many times the steps of another one is put off."""
 PER_RECORD = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
@@ -161,6 +163,11 @@ class OutputForm:
             other = self._windows(system, q, "validation")
             y0 = np.array(record["x0_validation"], dtype=float).reshape(len(other), system.nx)
             outside = other.together(other.evaluate(q, y0, keep=True).residuals)
+        unaided: list[FloatArray] = []
+        hidden = int(getattr(system, "hidden_count", 0))
+        if outside and hidden:
+            z0 = self._hidden_at_rest(system, q, other, y0)
+            unaided = other.together(other.evaluate(q, z0, keep=True).residuals)
         ny = len(self.weights)
         return Fitted(
             effects=tuple(effects),
@@ -171,6 +178,7 @@ class OutputForm:
             message=str(record["message"]),
             estimation=tuple(one / self.weights for one in inside),
             validation=tuple(one / self.weights for one in outside),
+            unaided=tuple(one / self.weights for one in unaided),
             jacobian=tuple(np.split(jacobian.reshape(len(jacobian) // ny, ny, len(free)), cuts)),
             refitted=dict(record["refitted"]),
             record=dict(record),
@@ -337,7 +345,9 @@ class OutputForm:
             states = [self._from_data(simulator, one, p)[0] for one in records]
         windows = self._cut(simulator, records, horizon)
         x0 = self._fit_states(windows, p, windows.starts_from(states), 8)
-        solution = minimise(windows, p, x0, free, self._iterations(horizon), decrease=self.decrease)
+        last = horizon == self.horizon  # before, a fit is a start for the next horizon and need not be exact
+        decrease = self.decrease if last else max(self.decrease, COARSE)
+        solution = minimise(windows, p, x0, free, self._iterations(horizon), decrease=decrease)
         if not np.isfinite(solution.evaluation.cost):
             return None
         solution.states = windows.together(solution.evaluation.states)  # type: ignore[attr-defined]
@@ -435,6 +445,15 @@ class OutputForm:
                 for k in fresh:
                     x0[row, k] = hidden[k - first]
         return x0
+
+    def _hidden_at_rest(self, system: Any, p: FloatArray, windows: Windows, x0: FloatArray) -> FloatArray:
+        """Return initial states of validation windows with the hidden ones where their effects say."""
+        result, first = x0.copy(), system.nx - system.hidden_count
+        for row, (number, place, _) in enumerate(windows.places):
+            result[row, first:] = windows.simulator.hidden_start(
+                x0[row], self.records["validation"][number].u[place], p
+            )
+        return result
 
     def _state_bases(self, base: Fitted, use: str) -> tuple[list[FloatArray], list[tuple[int, int, int]]]:
         """Return for each window an orthonormal basis of what its initial state can do."""

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 __all__ = ["best_pair", "complements", "short_of"]
 
+PAIR_GAIN = 0.5
+"""Share of the squared validation error that a pair must take away: among many pairs one gains a little by chance."""
+
 SHORT = 6
 
 
@@ -83,7 +86,8 @@ def best_pair(search: Search, model: Fitted, here: Round) -> Candidate | None:
             break
         tasks = [onward.get(k, task) for k, task in enumerate(tasks)]
         judged = search.judge(model, tasks, pairs, p)
-    accepted = [one for one in judged if one.accepted and _each_needed(search, model, one)]
+    found = [one for one in judged if one.accepted and one.comparison.gain >= PAIR_GAIN]
+    accepted = [one for one in found if _each_needed(search, model, one)]
     if not accepted:
         return None
     best = max(accepted, key=lambda one: one.delta_bic)

@@ -50,7 +50,10 @@ class Probe:
     direction : array (rows,)
         The change itself, unit length, nominal Jacobian removed.
     absorbed_by : str
-        Nominal parameter that mimics it best, where ``left`` is small.
+        Nominal parameter that mimics it best, where ``least`` is small.
+    least : float
+        ``left`` at the strength where it was smallest: far from small effects a motion that magnifies everything makes
+        any two of them look apart.
     """
 
     placed: Placed
@@ -62,6 +65,7 @@ class Probe:
     basis: FloatArray = field(repr=False)
     direction: FloatArray = field(repr=False)
     absorbed_by: str = ""
+    least: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -214,20 +218,25 @@ def _probe(
     order = sorted(range(len(tried)), key=lambda k: -tried[k][0])
     score, r2, left, rank, _, basis, direction, change = tried[order[0]]
     absorbed = ""
-    if left < 0.3 and base.free:
+    if min(one[2] for one in tried) < 0.3 and base.free:
         norms = np.linalg.norm(jacobian, axis=0)
         cosines = np.abs(change @ jacobian) / np.where(norms > 0, norms, np.inf)
         absorbed = base.free[int(np.argmax(cosines))]
     starts = tuple(tried[k][4] for k in order[:3])
-    return Probe(placed, starts, r2, rank, left, float(score), basis, direction, absorbed)
+    least = min(one[2] for one in tried)
+    return Probe(placed, starts, r2, rank, left, float(score), basis, direction, absorbed, least)
 
 
 def _weaker(placed: Placed, values: Mapping[str, float], factor: float) -> dict[str, float] | None:
     """Return values with the strength of an effect times a factor; None if it is not needed or has no strength."""
-    strengths = [one.name for one in placed.effect.parameters if one.linear and not one.fixed and one.neutral == 0.0]
-    if not 0 < factor < WEAKER or not strengths:
+    neutral = {
+        one.name: one.neutral
+        for one in placed.effect.parameters
+        if one.linear and not one.fixed and one.neutral is not None
+    }
+    if not 0 < factor < WEAKER or not neutral:
         return None
-    return {**values, **{name: factor * values[name] for name in strengths}}
+    return {**values, **{name: zero + factor * (values[name] - zero) for name, zero in neutral.items()}}
 
 
 def _refined(
