@@ -25,8 +25,6 @@ from harness.signals import Dataset, FloatArray, Trajectory
 __all__ = ["OutputForm"]
 
 ITERATIONS = 50
-COARSE = 1e-3
-"""Relative decrease of the cost at which a fit at a shorter horizon than the form's is good enough."""
 STIFFER = 4
 """A start that needs more than so many times the steps of another one is put off."""
 PER_RECORD = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
@@ -345,9 +343,7 @@ class OutputForm:
             states = [self._from_data(simulator, one, p)[0] for one in records]
         windows = self._cut(simulator, records, horizon)
         x0 = self._fit_states(windows, p, windows.starts_from(states), 8)
-        last = horizon == self.horizon  # before, a fit is a start for the next horizon and need not be exact
-        decrease = self.decrease if last else max(self.decrease, COARSE)
-        solution = minimise(windows, p, x0, free, self._iterations(horizon), decrease=decrease)
+        solution = minimise(windows, p, x0, free, self._iterations(horizon), decrease=self.decrease)
         if not np.isfinite(solution.evaluation.cost):
             return None
         solution.states = windows.together(solution.evaluation.states)  # type: ignore[attr-defined]
@@ -447,12 +443,21 @@ class OutputForm:
         return x0
 
     def _hidden_at_rest(self, system: Any, p: FloatArray, windows: Windows, x0: FloatArray) -> FloatArray:
-        """Return initial states of validation windows with the hidden ones where their effects say."""
+        """Return initial states of validation windows: hidden ones where their effects say, the others fitted to it."""
         result, first = x0.copy(), system.nx - system.hidden_count
+        records = self.records["validation"]
         for row, (number, place, _) in enumerate(windows.places):
-            result[row, first:] = windows.simulator.hidden_start(
-                x0[row], self.records["validation"][number].u[place], p
-            )
+            result[row, first:] = windows.simulator.hidden_start(x0[row], records[number].u[place], p)
+        for _ in range(3):  # Gauss-Newton over the states of the nominal model
+            residuals = windows.evaluate(p, result, keep=True).residuals
+            for row, ((number, place, last), rest) in enumerate(zip(windows.places, residuals, strict=True)):
+                record = records[number]
+                _, _, slope = windows.simulator.sensitivities(p, result[row], record.u[place:last], t0=record.t[place])
+                known = (slope[..., :first] / self.weights[:, None]).reshape(-1, first)
+                wanted = (rest / self.weights).reshape(-1)
+                if not (np.isfinite(known).all() and np.isfinite(wanted).all()):
+                    continue
+                result[row, :first] += np.linalg.lstsq(known, wanted, rcond=1e-10)[0]
         return result
 
     def _state_bases(self, base: Fitted, use: str) -> tuple[list[FloatArray], list[tuple[int, int, int]]]:
