@@ -27,6 +27,8 @@ __all__ = ["best_pair", "complements", "short_of"]
 PAIR_GAIN = 0.5
 """Share of the squared validation error that a pair must take away: among many pairs one gains a little by chance."""
 
+PROMISING = 0.4
+"""Share of the residual that a pair must explain in a screen to be refitted; a screen is linear, a fit is not."""
 SHORT = 6
 
 
@@ -67,15 +69,15 @@ def best_pair(search: Search, model: Fitted, here: Round) -> Candidate | None:
     probes = {str(one.placed): one for one in here.screen.probes}
     wanted = complements(search.candidates, here)
     if not model.effects:
-        wanted += [] if here.weak is None else here.weak.pairs(8)
-        wanted += list(combinations(short_of(here)[:4], 2))
+        likely = [] if here.weak is None else here.weak.pairs(8)
+        likely += list(combinations(short_of(here)[:4], 2))
+        wanted += _promising(here, likely)
     if not wanted:
         return None
     pairs = list({frozenset(map(str, pair)): pair for pair in wanted}.values())
     search.say(f"refitting {len(pairs)} pairs")
     tasks = [Task((*model.effects, *pair), starts_of(search, model, pair, probes, None, here.weak)) for pair in pairs]
-    p = here.p if here.line is None else None
-    judged = search.judge(model, tasks, pairs, p)
+    judged = search.judge(model, tasks, pairs, here.p)
     for _ in range(2):  # two effects share a long valley: a pair that gains is fitted on from where it ended
         onward = {
             k: Task(tasks[k].effects, (one.fitted.values,))
@@ -85,13 +87,21 @@ def best_pair(search: Search, model: Fitted, here: Round) -> Candidate | None:
         if not onward:
             break
         tasks = [onward.get(k, task) for k, task in enumerate(tasks)]
-        judged = search.judge(model, tasks, pairs, p)
+        judged = search.judge(model, tasks, pairs, here.p)
     found = [one for one in judged if one.accepted and one.comparison.gain >= PAIR_GAIN]
     accepted = [one for one in found if _each_needed(search, model, one)]
     if not accepted:
         return None
     best = max(accepted, key=lambda one: one.delta_bic)
     return simplest([one for one in tie_set(search.form, best, judged, seed=search.seed) if one in accepted])
+
+
+def _promising(here: Round, pairs: Sequence[tuple[Placed, Placed]]) -> list[tuple[Placed, Placed]]:
+    """Return the pairs that could take away as much as a pair must, by either screen: at most six, best first."""
+    screens = [here.screen] + ([] if here.weak is None else [here.weak.screen])
+    shares = {frozenset(map(str, pair)): (max(one.share(*pair) for one in screens), pair) for pair in pairs}
+    ranked = sorted(shares.values(), key=lambda one: -one[0])
+    return [pair for share, pair in ranked if share >= PROMISING][:SHORT]
 
 
 def _each_needed(search: Search, model: Fitted, pair: Candidate) -> bool:

@@ -70,11 +70,22 @@ class Probe:
 
 @dataclass(frozen=True)
 class Screen:
-    """All probes of one screen, best score first, and the nominal basis they were made against."""
+    """All probes of one screen, best score first; the nominal basis and the residual they were made against."""
 
     probes: tuple[Probe, ...]
     nominal: FloatArray = field(repr=False)
     failed: dict[str, str] = field(default_factory=dict)
+    residual: FloatArray | None = field(default=None, repr=False)
+
+    def share(self, *effects: Placed) -> float:
+        """Return the share of the residual in the span of several effects together (0 to 1), linearised."""
+        names = {str(one) for one in effects}
+        bases = [one.basis for one in self.probes if str(one.placed) in names and one.rank]
+        if self.residual is None or not bases:
+            return 0.0
+        power = float(self.residual @ self.residual)
+        both = orthonormal(np.concatenate(bases, axis=1), tolerance=1e-3)
+        return float(np.sum((both.T @ self.residual) ** 2)) / power if power > 0 else 0.0
 
     def leaders(self, count: int) -> list[Probe]:
         """Return the best probes that can be seen at all."""
@@ -135,7 +146,7 @@ def sensitivity_screen(
         else:
             probes.append(found)
     probes.sort(key=lambda one: -one.score)
-    return Screen(tuple(probes), nominal, failed)
+    return Screen(tuple(probes), nominal, failed, residual)
 
 
 def shortlist(

@@ -96,7 +96,7 @@ class Search:
             here = self.round(model)
             rounds.append(here)
             winner = self.winner(here.candidates)
-            if winner is None and here.candidates and len(picked) + 2 <= MOST_EFFECTS:
+            if winner is None and here.candidates and here.p <= LEVEL and len(picked) + 2 <= MOST_EFFECTS:
                 winner = best_pair(self, model, here)
             if winner is None:
                 break
@@ -147,8 +147,8 @@ class Search:
         if p > LEVEL and line is None and not signs:
             self.notes.append(f"the dictionary explains the residual no better than surrogates of it (p = {p:.3f})")
             return Round(model, screen, weak, test, p, line, ())
-        chosen = shortlist(screen, None if weak is None else weak.screen, rest)
-        # a linear screen is blind to a lost sign: it has a test of its own
+        # A line and a lost sign have tests of their own; they vouch for nothing else.
+        chosen = shortlist(screen, None if weak is None else weak.screen, rest) if p <= LEVEL else []
         chosen += [one for one in rest if str(one) in signs and str(one) not in map(str, chosen)]
         if line is not None:
             chosen += [
@@ -157,7 +157,12 @@ class Search:
         probes = {str(one.placed): one for one in screen.probes}
         tasks = [Task((*model.effects, one), starts_of(self, model, [one], probes, line, weak)) for one in chosen]
         self.say(f"refitting {len(tasks)} candidates")
-        null = {str(one): min(p, signs.get(str(one), 1.0)) for one in chosen} if line is None else None
+        null = {
+            str(one): 0.0
+            if line is not None and one.effect.name == "periodic_disturbance"
+            else min(p, signs.get(str(one), 1.0))
+            for one in chosen
+        }
         candidates = self.judge(model, tasks, [(one,) for one in chosen], null)
         again = polished(tasks, candidates)
         if again:

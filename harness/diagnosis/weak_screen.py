@@ -136,7 +136,7 @@ def weak_screen(
             probes.append(best[1])
             parameters[str(placed)] = best[2]
     probes.sort(key=lambda one: -one.score)
-    return WeakScreen(Screen(tuple(probes), nominal, failed), base.estimation, parameters, independent)
+    return WeakScreen(Screen(tuple(probes), nominal, failed, clean), base.estimation, parameters, independent)
 
 
 def _probe(
