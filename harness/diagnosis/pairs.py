@@ -22,7 +22,7 @@ from harness.effects.effect import Placed
 if TYPE_CHECKING:
     from harness.diagnosis.subset import Round, Search
 
-__all__ = ["best_pair", "complements", "short_of"]
+__all__ = ["best_pair", "compatible", "complements", "short_of"]
 
 PAIR_GAIN = 0.5
 """Share of the squared validation error that a pair must take away: among many pairs one gains a little by chance."""
@@ -30,6 +30,12 @@ PAIR_GAIN = 0.5
 PROMISING = 0.4
 """Share of the residual that a pair must explain in a screen to be refitted; a screen is linear, a fit is not."""
 SHORT = 6
+
+
+def compatible(effects: Sequence[Placed]) -> bool:
+    """Return False for effects that exclude each other: between an input and a coordinate lies one transmission."""
+    driven = [one.at for one in effects if one.effect.drives]
+    return len(driven) == len(set(driven))
 
 
 def short_of(here: Round) -> list[Placed]:
@@ -74,7 +80,10 @@ def best_pair(search: Search, model: Fitted, here: Round) -> Candidate | None:
         wanted += _promising(here, likely)
     if not wanted:
         return None
-    pairs = list({frozenset(map(str, pair)): pair for pair in wanted}.values())
+    distinct = {frozenset(map(str, pair)): pair for pair in wanted}.values()
+    pairs = [pair for pair in distinct if compatible((*model.effects, *pair))]
+    if not pairs:
+        return None
     search.say(f"refitting {len(pairs)} pairs")
     tasks = [Task((*model.effects, *pair), starts_of(search, model, pair, probes, None, here.weak)) for pair in pairs]
     judged = search.judge(model, tasks, pairs, here.p)

@@ -18,7 +18,7 @@ from harness.diagnosis.confirm import Candidate, Refitter, Task, assess
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.exchange import Accepted, swapped, with_ties
 from harness.diagnosis.forms import Fitted, Form
-from harness.diagnosis.pairs import best_pair
+from harness.diagnosis.pairs import best_pair, compatible
 from harness.diagnosis.residual_tests import detect, max_autocorrelation
 from harness.diagnosis.screens import SEEN, Screen, sensitivity_screen, shortlist
 from harness.diagnosis.starts import line_of, polished, starts_of
@@ -127,7 +127,7 @@ class Search:
     def round(self, model: Fitted) -> Round:
         """Screen, test against surrogates, refit the short list."""
         taken = {str(one) for one in model.effects}
-        rest = [one for one in self.candidates if str(one) not in taken]
+        rest = [one for one in self.candidates if str(one) not in taken and compatible((*model.effects, one))]
         self.say("screening the dictionary")
         screen = sensitivity_screen(self.form, model, rest, self._size)
         weak = self._weak_screen(model, rest)
