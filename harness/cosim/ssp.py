@@ -155,15 +155,19 @@ def _made(
     try:
         return make("fmu", options)
     except InputError as error:
-        name = Path(component.source).name
-        raise InputError(
-            f"component {component.name!r} ({name}): {error.what}",
-            expected=error.expected,
-            got=error.got,
-            remedy=error.remedy,
-            file=path,
-            place=error.place,
-        ) from error
+        raise _named(error, component, path) from error
+
+
+def _named(error: InputError, component: Component, path: Path) -> InputError:
+    """Return an error that says in which component of a package it arose."""
+    return InputError(
+        f"component {component.name!r} ({Path(component.source).name}): {error.what}",
+        expected=error.expected,
+        got=error.got,
+        remedy=error.remedy,
+        file=path,
+        place=error.place,
+    )
 
 
 def _nested(component: Component, folder: Path, make: Make, sample_time: float | None, path: Path, depth: int) -> Plant:
@@ -181,15 +185,7 @@ def _nested(component: Component, folder: Path, make: Make, sample_time: float |
     try:
         return couple_ssp(folder / component.source, make, changes=changes, values=values, depth=depth + 1)
     except InputError as error:  # the unpacked package is gone when the user reads this
-        name = Path(component.source).name
-        raise InputError(
-            f"component {component.name!r} ({name}): {error.what}",
-            expected=error.expected,
-            got=error.got,
-            remedy=error.remedy,
-            file=path,
-            place=error.place,
-        ) from error
+        raise _named(error, component, path) from error
 
 
 def _set_values(structure: Structure, values: Mapping[str, Any], path: Path) -> None:

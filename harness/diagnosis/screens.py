@@ -112,9 +112,11 @@ def sensitivity_screen(
     sizes: Callable[[Placed], Mapping[str, float]],
     *,
     progress: Callable[[str], None] | None = None,
-    scaled: bool = True,
 ) -> Screen:
     """Probe every candidate against the residual of a fitted model.
+
+    An effect that moves the outputs much more than the residual is probed once more, so weakly that it moves them as
+    much: only there does the linearised model say what the effect could explain.
 
     Parameters
     ----------
@@ -126,9 +128,6 @@ def sensitivity_screen(
         Effects to add, one at a time.
     sizes : callable
         Sizes of the data at an effect's port.
-    scaled : bool
-        Probe an effect that moves the outputs much more than the residual once more, so weakly that it moves them as
-        much: only there does the linearised model say what the effect could explain.
     """
     jacobian = stacked(base.jacobian) if base.free else np.zeros((sum(r.size for r in base.estimation), 0))
     nominal = orthonormal(jacobian, tolerance=1e-7)
@@ -140,7 +139,7 @@ def sensitivity_screen(
     for placed in candidates:
         if progress is not None:
             progress(str(placed))
-        found = _probe(form, base, placed, sizes(placed), nominal, jacobian, residual, independent, scaled)
+        found = _probe(form, base, placed, sizes(placed), nominal, jacobian, residual, independent)
         if found is None:
             failed[str(placed)] = "the model with it cannot be simulated"
         else:
@@ -195,7 +194,6 @@ def _probe(
     jacobian: FloatArray,
     residual: FloatArray,
     independent: float,
-    scaled: bool,
 ) -> Probe | None:
     """Return the probe of one effect: the best of its start values, all of them kept as starts."""
     tried: list[tuple[float, float, float, int, dict[str, float], FloatArray, FloatArray, FloatArray]] = []
@@ -210,7 +208,7 @@ def _probe(
         size = float(np.linalg.norm(change))
         if not np.isfinite(size) or size == 0:
             continue
-        weaker = _weaker(placed, values, np.sqrt(power) / size) if scaled and number < usual else None
+        weaker = _weaker(placed, values, np.sqrt(power) / size) if number < usual else None
         if weaker is not None:
             grid.append(weaker)
         direction = change - nominal @ (nominal.T @ change)
@@ -228,13 +226,12 @@ def _probe(
         return None
     order = sorted(range(len(tried)), key=lambda k: -tried[k][0])
     score, r2, left, rank, _, basis, direction, change = tried[order[0]]
-    absorbed = ""
-    if min(one[2] for one in tried) < 0.3 and base.free:
+    absorbed, least = "", min(one[2] for one in tried)
+    if least < 0.3 and base.free:
         norms = np.linalg.norm(jacobian, axis=0)
         cosines = np.abs(change @ jacobian) / np.where(norms > 0, norms, np.inf)
         absorbed = base.free[int(np.argmax(cosines))]
     starts = tuple(tried[k][4] for k in order[:3])
-    least = min(one[2] for one in tried)
     return Probe(placed, starts, r2, rank, left, float(score), basis, direction, absorbed, least)
 
 
