@@ -23,11 +23,13 @@ _LARGEST_LOG_STEP = 2.0
 _DECREASE = 1e-7
 # Relative decrease of the cost that a step must promise to be tried.
 _NOTHING = 1e-10
+# A simulation is given up at so many times the cost from which a step starts; rounding is far below.
+_MORE = 1 + 1e-9
 
 
 @dataclass(eq=False)
 class Solution:
-    """Where a minimisation ended."""
+    """Where a minimisation ended; its normal equations are those of the free parameters and the states."""
 
     p: FloatArray
     x0: FloatArray
@@ -119,7 +121,8 @@ def minimise(
     high = np.array([one.maximum for one in system.parameters])
     floor = _TINY * np.maximum(np.abs([one.value for one in system.parameters]), 1e-3)
     p = np.where(logarithmic, np.maximum(p, np.maximum(low, floor)), p)
-    now = windows.evaluate(p, x0, keep=True)
+    columns = np.flatnonzero(np.concatenate([free, np.ones(windows.simulator.nx, dtype=bool)]))
+    now = windows.trial(p, x0, columns=columns, keep=True)
     if not np.isfinite(now.cost):
         return Solution(p, x0, now, False, 0, "the simulation diverges at the start", states_free)
     damping, growth = 1e-3, 4.0
@@ -144,7 +147,8 @@ def minimise(
             change = np.zeros_like(x0) if back is None else back[1] - back[0] @ moved
             expected = float(moved @ slope[:, :count].sum(axis=0) + np.sum(change * slope[:, count:]))
             expected -= 0.5 * _quadratic(gram, moved, change)
-            then = windows.evaluate(trial, x0 + change, keep=True)
+            # What costs more is rejected, whatever else the simulation would have told.
+            then = windows.trial(trial, x0 + change, columns=columns, budget=now.cost * _MORE, keep=True)
             gain = now.cost - then.cost
             if np.isfinite(then.cost) and gain >= 0:
                 accepted = True
@@ -177,12 +181,13 @@ def minimise_states(windows: Windows, p: FloatArray, x0: FloatArray, max_iterati
     if nx == 0:
         return x0
     x0 = x0.copy()
-    now = windows.evaluate(p, x0)
+    columns = np.arange(count, count + nx)
+    now = windows.trial(p, x0, columns=columns)
     # A window that diverges from where the data put it may do better from rest.
     broken = ~np.isfinite(now.costs)
     if broken.any():
         x0[broken] = 0.0
-        now = windows.evaluate(p, x0)
+        now = windows.trial(p, x0, columns=columns)
     damping = np.full(len(windows), 1e-3)
     active = np.isfinite(now.costs)
     rows = np.arange(nx)
@@ -200,7 +205,8 @@ def minimise_states(windows: Windows, p: FloatArray, x0: FloatArray, max_iterati
         active = active & (0.5 * np.einsum("wi,wi->w", g, solved) > _NOTHING * now.costs)
         if not active.any():
             break
-        then = windows.evaluate(p, x0 + solved)
+        limits = np.where(active, now.costs, -1.0)
+        then = windows.trial(p, x0 + solved, columns=columns, limits=limits)
         better = active & (then.costs < now.costs)
         gain = np.where(better, now.costs - np.where(np.isfinite(then.costs), then.costs, 0.0), 0.0)
         done = better & (gain <= 1e-7 * now.costs)

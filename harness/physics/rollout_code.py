@@ -1,20 +1,105 @@
-"""The functions behind a simulator: one Runge-Kutta stage with sensitivities, as CasADi functions and as C."""
+"""The functions behind a simulator: a system, its derivatives, and one sample of the Runge-Kutta method in CasADi."""
 
 from __future__ import annotations
 
+import contextlib
 import functools
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
-from harness.physics.ccode import FINE, c_function, dense, near_zero
+from harness.physics.ccode import FINE, dense
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
     from harness.physics.system import System
 
-__all__ = ["Functions", "rollout_source"]
+__all__ = ["Functions", "Linear"]
+
+
+@contextlib.contextmanager
+def _literally() -> Iterator[None]:
+    """Keep CasADi from simplifying expressions: they are then computed in the order of the C code, to the last bit."""
+    before = ca.GlobalOptions.getSimplificationOnTheFly()
+    ca.GlobalOptions.setSimplificationOnTheFly(False)
+    try:
+        yield
+    finally:
+        ca.GlobalOptions.setSimplificationOnTheFly(before)
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A function of (x, u, p, t) with its derivatives, sparse: the value (n, 1), by x (n, nx), by p, by u."""
+
+    arguments: list[Any]
+    value: Any
+    by_x: Any
+    by_p: Any
+    by_u: Any
+
+    def entries(self, kind: str) -> list[tuple[int, int, Any]]:
+        """Return row, column and expression of the entries of ``by_x``, ``by_p`` or ``by_u`` that are not always 0."""
+        matrix = getattr(self, kind)
+        rows, columns = matrix.sparsity().get_triplet()
+        return list(zip(rows, columns, matrix.nonzeros(), strict=True))
+
+    def function(self, name: str) -> Any:
+        """Return the CasADi function (x, u, p, t) -> (value, entries by x, by p, by u)."""
+        parts = [ca.vertcat(*[one for _, _, one in self.entries(kind)]) for kind in ("by_x", "by_p", "by_u")]
+        with _literally():
+            return dense(name, self.arguments, [self.value, *(ca.SX(one) for one in parts)])
+
+
+def _without_quotients(arguments: list[Any], outputs: list[Any]) -> list[Any]:
+    """Return the outputs with the quotients in all but the first one written as products with a reciprocal.
+
+    The derivatives of a quotient divide by the same number again and again, and a division costs as much as ten
+    products. What the first output computes stays as it is.
+    """
+    function = ca.Function("whole", arguments, outputs)
+    steps = [
+        (function.instruction_id(k), function.instruction_input(k), function.instruction_output(k))
+        for k in range(function.n_instructions())
+    ]
+    needed, kept = set(), [False] * len(steps)
+    for k in reversed(range(len(steps))):
+        operation, source, target = steps[k]
+        if operation == ca.OP_OUTPUT:
+            kept[k] = target[0] == 0
+        else:
+            kept[k] = target[0] in needed
+            needed.discard(target[0])
+        if kept[k] and operation != ca.OP_INPUT:
+            needed.update(source)
+    entries: list[list[Any]] = [[] for _ in outputs]
+    work: dict[int, Any] = {}
+    reciprocals: dict[int, Any] = {}
+    with _literally():
+        for k, (operation, source, target) in enumerate(steps):
+            if operation == ca.OP_OUTPUT:
+                entries[target[0]].append(work[source[0]])
+            elif operation == ca.OP_INPUT:
+                work[target[0]] = arguments[source[0]].nz[source[1]]
+            elif operation == ca.OP_CONST:
+                work[target[0]] = ca.SX(function.instruction_constant(k))
+            elif operation == ca.OP_DIV and not kept[k]:
+                by = work[source[1]]
+                place = by.element_hash()
+                if place not in reciprocals:
+                    reciprocals[place] = 1.0 / by
+                work[target[0]] = work[source[0]] * reciprocals[place]
+            elif len(source) == 1:
+                work[target[0]] = ca.SX.unary(operation, work[source[0]])
+            else:
+                work[target[0]] = ca.SX.binary(operation, work[source[0]], work[source[1]])
+        return [
+            ca.SX(one.sparsity(), ca.vertcat(*found)) if found else one
+            for one, found in zip(outputs, entries, strict=True)
+        ]
 
 
 class Functions:
@@ -40,40 +125,55 @@ class Functions:
         """The function (x, u, p, t) -> derivative of the output by the state (ny, nx)."""
         return ca.Function("output_slope", self.arguments, [ca.jacobian(self.h, self.system.x)])
 
+    def rates(self, delay_columns: tuple[int, ...]) -> Linear:
+        """Return dx/dt with its derivatives; those by u only if the inputs depend on parameters."""
+        return self._linear("rates", self.system.f, bool(delay_columns))
+
+    def readings(self, delay_columns: tuple[int, ...]) -> Linear:
+        """Return the outputs with their derivatives; those by u only if the inputs depend on parameters."""
+        return self._linear("readings", self.h, bool(delay_columns))
+
+    def _linear(self, name: str, value: Any, delays: bool) -> Linear:
+        if (name, delays) not in self._machines:
+            x, u, p, _ = self.arguments
+            by_u = ca.jacobian(value, u) if delays else ca.SX(value.shape[0], u.shape[0])
+            found = [ca.densify(value), ca.jacobian(value, x), ca.jacobian(value, p), by_u]
+            self._machines[name, delays] = Linear(self.arguments, *_without_quotients(self.arguments, ca.cse(found)))
+        return self._machines[name, delays]  # type: ignore[no-any-return]
+
     def stage(self, delay_columns: tuple[int, ...]) -> Any:
         """Return the function (x, S, u, dU, p, t) -> (dx, dS) of one stage; dU (nu, delays) row by row."""
-        s, d, matrix, injected = self._injection(delay_columns)
-        system = self.system
-        change = ca.mtimes(ca.jacobian(system.f, system.x), matrix)
-        change[:, : system.np] += ca.jacobian(system.f, system.p)
-        if delay_columns and system.nu:
-            change += ca.mtimes(ca.jacobian(system.f, system.u), injected)
-        inputs = [system.x, s, system.u, d, system.p, system.t]
-        return dense("stage", inputs, [system.f, ca.vec(change.T)])
+        return self._carried("stage", self.rates(delay_columns), delay_columns)
 
     def measure(self, delay_columns: tuple[int, ...]) -> Any:
         """Return the function (x, S, u, dU, p, t) -> (y, dY), dY (ny, np + nx) row by row."""
-        s, d, matrix, injected = self._injection(delay_columns)
-        system = self.system
-        change = ca.mtimes(ca.jacobian(self.h, system.x), matrix)
-        change[:, : system.np] += ca.jacobian(self.h, system.p)
-        if delay_columns and system.nu:
-            change += ca.mtimes(ca.jacobian(self.h, system.u), injected)
-        inputs = [system.x, s, system.u, d, system.p, system.t]
-        return dense("measure", inputs, [self.h, ca.vec(change.T)])
+        return self._carried("measure", self.readings(delay_columns), delay_columns)
 
-    def _injection(self, delay_columns: tuple[int, ...]) -> tuple[Any, Any, Any, Any]:
-        """Return the symbols S and dU, S as a matrix, and dU as a sparse matrix (nu, np + nx)."""
+    def _carried(self, name: str, parts: Linear, delay_columns: tuple[int, ...]) -> Any:
+        """Return the function of the value and of A S + (B + F dU), in the order of the C code."""
         system = self.system
         ns = system.np + system.nx
         s = ca.SX.sym("S", system.nx * ns)
         d = ca.SX.sym("dU", system.nu * len(delay_columns))
         matrix = ca.reshape(s, ns, system.nx).T
-        injected = ca.SX(system.nu, ns)
-        for row in range(system.nu):
+        with _literally():
+            source = {(row, column): entry for row, column, entry in parts.entries("by_p")}
             for place, column in enumerate(delay_columns):
-                injected[row, column] = d[row * len(delay_columns) + place]
-        return s, d, matrix, injected
+                late: dict[int, Any] = {}
+                for row, port, entry in parts.entries("by_u"):
+                    term = entry * d[port * len(delay_columns) + place]
+                    late[row] = late[row] + term if row in late else term
+                for row, term in late.items():
+                    source[row, column] = source[row, column] + term if (row, column) in source else term
+            rows: dict[int, Any] = {}
+            for row, column, entry in parts.entries("by_x"):
+                term = matrix[column, :] if entry.is_one() else entry * matrix[column, :]
+                rows[row] = rows[row] + term if row in rows else term
+            change = [rows.get(row, ca.SX.zeros(1, ns)) for row in range(parts.value.shape[0])]
+            for (row, column), entry in source.items():
+                change[row][column] = change[row][column] + entry
+            x, u, p, t = self.arguments
+            return dense(name, [x, s, u, d, p, t], [parts.value, ca.vertcat(*(one.T for one in change))])
 
     def step(self, h: float, substeps: int) -> Any:
         """Return the function (x, u, p, t) -> x one sample later, input held."""
@@ -87,6 +187,36 @@ class Functions:
                 )
             self._machines[key] = ca.Function("step", [x, u, p, t], [state])
         return self._machines[key]
+
+    def windows(
+        self,
+        p: FloatArray,
+        x0: FloatArray,
+        u: FloatArray,
+        slope: FloatArray | None,
+        t0: FloatArray,
+        how: tuple[float, int, bool, bool, tuple[int, ...]],
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Simulate windows on the virtual machine; ``how`` is dt, substeps, foh, sensitivities and delay columns."""
+        m, n = u.shape[:2]
+        _, _, foh, sensitivities, _ = how
+        nx, ny, ns = self.system.nx, self.system.ny, self.system.np + self.system.nx
+        x, y = np.full((m, n, nx), np.nan), np.full((m, n, ny), np.nan)
+        s = np.full((m, n, ny, ns), np.nan) if sensitivities else None
+        for window in range(m):
+            held = u[window]
+            after = np.vstack([held[1:], held[-1:]]) if foh else held
+            d_held = d_after = None
+            if slope is not None:
+                d_held = slope[window].reshape(n, -1)
+                d_after = np.vstack([d_held[1:], d_held[-1:]]) if foh else d_held
+            start = p[window], x0[window]
+            k = self.virtual_machine(*how, *start, held, after, d_held, d_after, float(t0[window]))
+            rows = k[0].shape[0]
+            x[window, :rows], y[window, :rows] = k[0], k[1]
+            if s is not None:
+                s[window, :rows] = k[2].reshape(rows, ny, ns)
+        return x, y, s
 
     def virtual_machine(
         self,
@@ -134,8 +264,14 @@ class Functions:
     ) -> tuple[Any, Any]:
         """Return the functions (state, moving, p, t) of one sample: next state, and measurement."""
         key = (dt, substeps, foh, sensitivities, delay_columns)
-        if key in self._machines:
-            return self._machines[key]  # type: ignore[no-any-return]
+        if key not in self._machines:
+            with _literally():
+                self._machines[key] = self._sampled(dt, substeps, foh, sensitivities, delay_columns)
+        return self._machines[key]  # type: ignore[no-any-return]
+
+    def _sampled(
+        self, dt: float, substeps: int, foh: bool, sensitivities: bool, delay_columns: tuple[int, ...]
+    ) -> tuple[Any, Any]:
         system = self.system
         nx, nu, nd = system.nx, system.nu, len(delay_columns) if sensitivities else 0
         size = nx * (1 + system.np + nx) if sensitivities else nx
@@ -169,7 +305,6 @@ class Functions:
         else:
             outputs = [self.output(state, u, p, t)]
         look = ca.Function("look", [state, moving, p, t], outputs)
-        self._machines[key] = (step, look)
         return step, look
 
     def _advance(self, slope: Any, x: Any, inputs: Any, t: Any, h: float) -> Any:
@@ -197,128 +332,3 @@ def _runge_kutta(slope: Any, x: Any, inputs: list[Any], t: Any, h: float) -> Any
     k3 = slope(x + 0.5 * h * k2, inputs[1], t + 0.5 * h)
     k4 = slope(x + h * k3, inputs[2], t + h)
     return x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-
-
-def rollout_source(functions: Functions, sensitivities: bool, delay_columns: tuple[int, ...]) -> str:
-    """Return the C source of ``sysid_rollout`` for a system: the loop over windows, samples, substeps and stages."""
-    system = functions.system
-    nd = len(delay_columns) if sensitivities else 0
-    if sensitivities:
-        bodies = [c_function("stage", functions.stage(delay_columns))]
-        bodies.append(c_function("measure", functions.measure(delay_columns)))
-    else:
-        bodies = [c_function("stage", functions.derivative), c_function("measure", functions.output)]
-    sizes = {
-        "NX": system.nx,
-        "NU": system.nu,
-        "NY": system.ny,
-        "NP": system.np,
-        "ND": nd,
-        "NS": system.np + system.nx if sensitivities else 0,
-    }
-    sizes["FINE"] = FINE
-    bodies.append(near_zero(system, "sysid"))
-    head = "\n".join(f"#define {name} {size}" for name, size in sizes.items())
-    call = _CALLS_SENSITIVE if sensitivities else _CALLS_PLAIN
-    return "\n\n".join(["#include <math.h>\n#include <stddef.h>", head, *bodies, call + _LOOP]) + "\n"
-
-
-_CALLS_SENSITIVE = """\
-#define STAGE(z, u, d, p, t, dz) stage(z, (z) + NX, u, d, p, t, dz, (dz) + NX)
-#define MEASURE(z, u, d, p, t, y, s) measure(z, (z) + NX, u, d, p, t, y, s)
-"""
-
-_CALLS_PLAIN = """\
-#define STAGE(z, u, d, p, t, dz) stage(z, u, p, t, dz)
-#define MEASURE(z, u, d, p, t, y, s) measure(z, u, p, t, y)
-"""
-
-_LOOP = """\
-#define NZ (NX * (1 + NS))
-#define NW (NU * ND)
-#define ROOM(n) ((n) > 0 ? (n) : 1)
-
-static void blend(const double *a, const double *b, double share, int n, double *out) {
-  int i;
-  for (i = 0; i < n; i++) out[i] = share == 1.0 ? b[i] : a[i] + (b[i] - a[i])*share;
-}
-
-typedef struct { const double *u, *u_next, *d, *d_next, *p; int foh; } sample;
-
-/* One step from z to the next, h long: over the shares a to b of a sample, m between them. */
-static void runge_kutta(const sample *in, const double *z, double *next, double t, double h, double a, double m,
-                        double b) {
-  double w[ROOM(NZ)], k1[ROOM(NZ)], k2[ROOM(NZ)], k3[ROOM(NZ)], k4[ROOM(NZ)];
-  double ub[3][ROOM(NU)], db[3][ROOM(NW)];
-  const double *ua = in->u, *um = in->u, *ue = in->u, *da = in->d, *dm = in->d, *de = in->d, *p = in->p;
-  const double middle = t + 0.5*h, end = t + h;
-  int i;
-  (void)da; (void)dm; (void)de;
-  if (in->foh) {
-    blend(in->u, in->u_next, a, NU, ub[0]);
-    blend(in->u, in->u_next, m, NU, ub[1]);
-    blend(in->u, in->u_next, b, NU, ub[2]);
-    ua = ub[0]; um = ub[1]; ue = ub[2];
-    if (NW > 0) {
-      blend(in->d, in->d_next, a, NW, db[0]);
-      blend(in->d, in->d_next, m, NW, db[1]);
-      blend(in->d, in->d_next, b, NW, db[2]);
-      da = db[0]; dm = db[1]; de = db[2];
-    }
-  }
-  STAGE(z, ua, da, p, &t, k1);
-  for (i = 0; i < NZ; i++) w[i] = z[i] + 0.5*h*k1[i];
-  STAGE(w, um, dm, p, &middle, k2);
-  for (i = 0; i < NZ; i++) w[i] = z[i] + 0.5*h*k2[i];
-  STAGE(w, um, dm, p, &middle, k3);
-  for (i = 0; i < NZ; i++) w[i] = z[i] + h*k3[i];
-  STAGE(w, ue, de, p, &end, k4);
-  for (i = 0; i < NZ; i++) next[i] = z[i] + h/6.0*(k1[i] + 2.0*k2[i] + 2.0*k3[i] + k4[i]);
-}
-
-int sysid_rollout(long m, long n, const double *p, const double *x0, const double *u, const double *d,
-                  const double *t0, double dt, long substeps, int foh, double *x, double *y, double *s) {
-  double z[ROOM(NZ)], next[ROOM(NZ)];
-  const double h = dt/(double)substeps;
-  long window, k, j;
-  int i, part, finite;
-  (void)s;
-  for (window = 0; window < m; window++, p += NP, x0 += NX) {
-    for (i = 0; i < NX; i++) z[i] = x0[i];
-    for (i = NX; i < NZ; i++) z[i] = 0.0;
-    for (i = 0; NS > 0 && i < NX; i++) z[NX + i*NS + NP + i] = 1.0;
-    for (k = 0; k < n; k++, x += NX, y += NY, u += NU) {
-      const double time = t0[window] + (double)k*dt;
-      const double *u_next = k + 1 < n ? u + NU : u, *d_next = k + 1 < n ? d + NW : d;
-      finite = 1;
-      for (i = 0; i < NX; i++) finite = finite && isfinite(z[i]);
-      if (!finite) break;
-      for (i = 0; i < NX; i++) x[i] = z[i];
-      MEASURE(z, u, d, p, &time, y, s);
-      if (NS > 0) s += NY*NS;
-      const sample in = {u, u_next, d, d_next, p, foh};
-      for (j = 0; k + 1 < n && j < substeps; j++) {
-        const double start = time + (double)j*h, many = (double)substeps;
-        runge_kutta(&in, z, next, start, h, (double)j/many, ((double)j + 0.5)/many, ((double)j + 1.0)/many);
-        if (sysid_near_zero(z, next)) { /* a force changes its sign: finer steps */
-          for (part = 0; part < FINE; part++) {
-            const double a = ((double)j + (double)part/FINE)/many, m = ((double)j + (part + 0.5)/FINE)/many;
-            runge_kutta(&in, z, next, start + part*(h/FINE), h/FINE, a, m, ((double)j + (part + 1.0)/FINE)/many);
-            for (i = 0; i < NZ; i++) z[i] = next[i];
-          }
-        } else {
-          for (i = 0; i < NZ; i++) z[i] = next[i];
-        }
-      }
-      if (NW > 0) d += NW;
-    }
-    if (NW > 0) d += NW*(n - k);
-    for (; k < n; k++, x += NX, y += NY, u += NU) {
-      for (i = 0; i < NX; i++) x[i] = NAN;
-      for (i = 0; i < NY; i++) y[i] = NAN;
-      for (i = 0; i < NY*NS; i++) s[i] = NAN;
-      if (NS > 0) s += NY*NS;
-    }
-  }
-  return 0;
-}"""

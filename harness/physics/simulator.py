@@ -12,7 +12,9 @@ import numpy as np
 from harness.errors import InputError
 from harness.fmi.build import compiler
 from harness.physics.ccode import FINE, Compilation
-from harness.physics.rollout_code import Functions, rollout_source
+from harness.physics.rollout_call import Sums, all_columns, call_rollout
+from harness.physics.rollout_code import Functions
+from harness.physics.rollout_source import rollout_source
 from harness.physics.sampled import SampledBlocks
 from harness.signals import FloatArray, PlantSpec
 
@@ -134,16 +136,13 @@ class Simulator:
             self.substeps = max(self.substeps, _SMOOTH_PIECES)
         self.backend = backend
         self._finer: list[tuple[FloatArray, FloatArray]] = []
-        self.functions = Functions(system)
-        self.sampled = SampledBlocks(system, self.dt)
+        self.functions, self.sampled = Functions(system), SampledBlocks(system, self.dt)
         self._compilation: dict[bool, Compilation] = {}
         self._work = 0
         self._compiles = compiler() is not None
-        if backend == "c":
-            if not self._compiles:
-                raise InputError(
-                    "no C compiler", expected="gcc or cc", got="none", remedy='install one, or use backend "casadi"'
-                )
+        if backend == "c" and not self._compiles:
+            remedy = 'install one, or use backend "casadi"'
+            raise InputError("no C compiler", expected="gcc or cc", got="none", remedy=remedy)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle what it was made of; functions and compiled code are made again."""
@@ -270,6 +269,64 @@ class Simulator:
         y, s = self.sampled.outputs(y, s, values)
         return x, y, s
 
+    def sums(
+        self,
+        p: FloatArray,
+        x0: FloatArray,
+        u: FloatArray,
+        slope: FloatArray | None,
+        t0: FloatArray,
+        data: tuple[FloatArray, FloatArray, FloatArray],
+        *,
+        columns: Any = None,
+        limits: FloatArray | None = None,
+        budget: float = np.inf,
+        keep: bool = False,
+        sensitivities: bool = False,
+    ) -> Sums | None:
+        """Simulate windows as :meth:`windows` does and sum up the normal equations on the way.
+
+        Parameters
+        ----------
+        p, x0, u, slope, t0 : as for :meth:`windows`
+        data : tuple
+            Measured outputs (M, N, ny), sigma (ny,), periods (ny,), 0 for an output that does not wrap.
+        columns : array of int, optional
+            Which of (p, x0) are asked for; the sums of the others are 0. All of them by default.
+        limits, budget : array (M,), float
+            A window whose cost exceeds its limit is given up, its cost infinite (negative: not simulated); all of them
+            once they together exceed the budget.
+        keep, sensitivities : bool
+            Give states and residuals, and the sensitivities by all columns, too.
+
+        Returns
+        -------
+        Sums or None
+            None if that is not possible: no compiled code, or sensors that act on the samples.
+        """
+        possible = self.backend != "casadi" and self._compiles and not self.sampled.output_blocks
+        if not possible or (library := self._compiled(True).library()) is None:
+            return None
+        measured, sigma, period = data
+        m, n, ny, ns = u.shape[0], u.shape[1], self.spec.ny, self.np + self.nx
+        smooth = self.intersample == "smooth"
+        substeps, every = (1, self.substeps) if smooth else (self.substeps, 1)
+        if smooth:
+            u, slope = self._refined(u), None if slope is None else self._refined(slope)
+        found = Sums(np.zeros(m), np.zeros(ny), np.zeros((m, ns, ns)), np.zeros((m, ns)), budget, None, None, None)
+        if keep:
+            found.states, found.residuals = np.empty((m, n, self.nx)), np.empty((m, n, ny))
+        if sensitivities:
+            columns, found.sensitivities = None, np.empty((m, n, ny, ns))
+        chosen = all_columns(ns) if columns is None else np.ascontiguousarray(columns, dtype=np.intc)
+        arrays = {"p": p, "x0": x0, "u": u, "d": slope, "t0": t0, "columns": chosen, "limit": limits}
+        arrays |= {"measured": measured, "sigma": sigma, "period": period}
+        arrays |= {"x": found.states, "y": found.residuals, "s": found.sensitivities}
+        arrays |= {"cost": found.costs, "squares": found.squares, "gram": found.gram, "slope": found.slope}
+        foh = self.intersample != "zoh"
+        found.budget = call_rollout(library, self.dt / every, substeps, foh, every, budget, **arrays)
+        return found
+
     def _fit(self, given: Any, what: str, m: int, size: int, batch: bool) -> FloatArray:
         """Return an array (m, size), or refuse the shape."""
         array = np.asarray(given, dtype=float)
@@ -346,25 +403,10 @@ class Simulator:
         ny, ns = self.spec.ny, self.np + self.nx
         x, y = np.empty((m, n, self.nx)), np.empty((m, n, ny))
         s = np.empty((m, n, ny, ns)) if sensitivities else None
-        call = library.sysid_rollout
-        call.restype = ctypes.c_int
-        status = call(
-            ctypes.c_long(m),
-            ctypes.c_long(n),
-            _pointer(p),
-            _pointer(x0),
-            _pointer(u),
-            _pointer(slope),
-            _pointer(t0),
-            ctypes.c_double(dt),
-            ctypes.c_long(substeps),
-            ctypes.c_int(self.intersample != "zoh"),
-            _pointer(x),
-            _pointer(y),
-            _pointer(s),
-        )
-        if status != 0:
-            raise MemoryError("the compiled rollout found no memory")
+        columns = all_columns(ns) if sensitivities else None
+        foh = self.intersample != "zoh"
+        arrays = {"p": p, "x0": x0, "u": u, "d": slope, "t0": t0, "columns": columns, "x": x, "y": y, "s": s}
+        call_rollout(library, dt, substeps, foh, 1, np.inf, **arrays)
         return x, y, s
 
     def _in_casadi(
@@ -378,44 +420,8 @@ class Simulator:
         dt: float,
         substeps: int,
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        m, n = u.shape[:2]
-        ny, ns = self.spec.ny, self.np + self.nx
-        x, y = np.full((m, n, self.nx), np.nan), np.full((m, n, ny), np.nan)
-        s = np.full((m, n, ny, ns), np.nan) if sensitivities else None
-        foh = self.intersample != "zoh"
-        for window in range(m):
-            held = u[window]
-            after = np.vstack([held[1:], held[-1:]]) if foh else held
-            d_held = d_after = None
-            if slope is not None:
-                d_held = slope[window].reshape(n, -1)
-                d_after = np.vstack([d_held[1:], d_held[-1:]]) if foh else d_held
-            k = self.functions.virtual_machine(
-                dt,
-                substeps,
-                foh,
-                sensitivities,
-                self.sampled.delay_columns,
-                p[window],
-                x0[window],
-                held,
-                after,
-                d_held,
-                d_after,
-                float(t0[window]),
-            )
-            rows = k[0].shape[0]
-            x[window, :rows], y[window, :rows] = k[0], k[1]
-            if s is not None:
-                s[window, :rows] = k[2].reshape(rows, ny, ns)
-        return x, y, s
-
-
-def _pointer(array: FloatArray | None) -> Any:
-    """Return a C pointer to the data of an array (NULL for None)."""
-    if array is None:
-        return None
-    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+        how = dt, substeps, self.intersample != "zoh", sensitivities, self.sampled.delay_columns
+        return self.functions.windows(p, x0, u, slope, t0, how)
 
 
 def _rebuilt(system: System, dt: float, intersample: Intersample, substeps: int, backend: Backend) -> Simulator:

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
+from harness.physics.rollout_call import Sums
 from harness.physics.smoothing import smooth
 from harness.signals import FloatArray, Trajectory
 
@@ -48,6 +50,8 @@ class Evaluation:
     """By window: (L, ny) and (L, nx)."""
     jacobian: FloatArray | None = None
     """As :meth:`Windows.jacobian` returns it; None if it was not asked for, or a window diverged."""
+    starts: list[FloatArray] = field(default_factory=list)
+    """With the Jacobian: by window an orthonormal basis (L * ny, k) of what its initial state can do."""
 
 
 class Windows:
@@ -79,6 +83,7 @@ class Windows:
             group.order.append(order)
         self.groups = list(lengths.values())
         self.periods = [channel.period for channel in simulator.spec.outputs]
+        self._wraps = np.array([period or 0.0 for period in self.periods])
         self._y = [self._cut(group, [record.y for record in self.trajectories]) for group in self.groups]
         self._t = [
             np.array([self.trajectories[r].t[k] for r, k in zip(group.record, group.first, strict=True)])
@@ -123,50 +128,119 @@ class Windows:
         jacobian : bool
             Keep the Jacobian by the parameters as well, unless a window diverges.
         """
-        simulator = self.simulator
-        ns, ny = simulator.np + simulator.nx, simulator.spec.ny
+        return self._evaluated(p, x0, keep, jacobian)
+
+    def trial(
+        self,
+        p: FloatArray,
+        x0: FloatArray,
+        *,
+        columns: npt.NDArray[np.intp] | None = None,
+        limits: FloatArray | None = None,
+        budget: float = np.inf,
+        keep: bool = False,
+    ) -> Evaluation:
+        """Simulate all windows as far as a step of a fit needs it; more is computed where there is no compiled code.
+
+        Parameters
+        ----------
+        p, x0, keep
+            As for :meth:`evaluate`.
+        columns : array of int, optional
+            Which of (p, x0) are asked for; the rest of ``gram`` and ``slope`` need not hold.
+        limits : array (W,), optional
+            A window whose cost exceeds its limit may be given up, with an infinite cost; one with a negative limit is
+            not simulated.
+        budget : float
+            All windows may be given up, with infinite costs, once their costs together exceed it.
+        """
+        if not self._summing:
+            return self.evaluate(p, x0, keep=keep)
+        return self._evaluated(p, x0, keep, False, columns, limits, budget)
+
+    @property
+    def _summing(self) -> bool:
+        """True if the simulator can sum up the normal equations by itself (that of an FMU cannot)."""
+        return hasattr(self.simulator, "sums")
+
+    def _evaluated(
+        self,
+        p: FloatArray,
+        x0: FloatArray,
+        keep: bool,
+        jacobian: bool,
+        columns: npt.NDArray[np.intp] | None = None,
+        limits: FloatArray | None = None,
+        budget: float = np.inf,
+    ) -> Evaluation:
+        """Simulate group by group, by compiled sums where they are to be had."""
+        ns, ny = self.simulator.np + self.simulator.nx, self.simulator.spec.ny
         count = len(self.places)
-        costs, gram, slope = np.zeros(count), np.zeros((count, ns, ns)), np.zeros((count, ns))
-        squares = np.zeros(ny)
-        result = Evaluation(0.0, costs, gram, slope, squares)
+        result = Evaluation(0.0, np.zeros(count), np.zeros((count, ns, ns)), np.zeros((count, ns)), np.zeros(ny))
         if keep:
             result.residuals = [np.zeros(0)] * count
             result.states = [np.zeros(0)] * count
         rows: list[FloatArray] = [np.zeros(0)] * count
+        if jacobian:
+            result.starts = [np.zeros(0)] * count
         inputs, slopes = self._inputs(p)
         for number, group in enumerate(self.groups):
-            m = len(group.order)
-            values = np.ascontiguousarray(np.broadcast_to(p, (m, p.shape[0])))
-            x, y, s = simulator.windows(
-                values, np.ascontiguousarray(x0[group.order]), inputs[number], slopes[number], self._t[number]
-            )
-            assert s is not None
-            r = self._y[number] - y
-            for column, period in enumerate(self.periods):
-                if period is not None:
-                    r[..., column] = (r[..., column] + period / 2) % period - period / 2
-            with np.errstate(over="ignore", invalid="ignore"):
-                squares += np.einsum("wki,wki->i", r, r)
-                weighted = (r / self.sigma).reshape(m, -1)
-                s /= self.sigma[:, None]
-                j = s.reshape(m, -1, ns)
-                own = 0.5 * np.einsum("wk,wk->w", weighted, weighted)
-                gram[group.order] = j.transpose(0, 2, 1) @ j
-                slope[group.order] = (weighted[:, None, :] @ j)[:, 0]
-            broken = ~(np.isfinite(own) & np.isfinite(gram[group.order]).all(axis=(1, 2)))
-            own[broken] = np.inf
-            costs[group.order] = own
-            if keep:
+            values = np.ascontiguousarray(np.broadcast_to(p, (len(group.order), p.shape[0])))
+            given = values, np.ascontiguousarray(x0[group.order]), inputs[number], slopes[number], self._t[number]
+            found = None
+            if self._summing:
+                found = self.simulator.sums(
+                    *given,
+                    (self._y[number], self.sigma, self._wraps),
+                    columns=columns,
+                    limits=None if limits is None else np.ascontiguousarray(limits[group.order]),
+                    budget=budget,
+                    keep=keep,
+                    sensitivities=jacobian,
+                )
+            if found is None:
+                found = self._summed(number, *given)
+            budget = min(budget, found.budget)
+            result.costs[group.order], result.squares = found.costs, result.squares + found.squares
+            result.gram[group.order], result.slope[group.order] = found.gram, found.slope
+            if keep and found.residuals is not None and found.states is not None:
                 for row, order in enumerate(group.order):
-                    result.residuals[order] = r[row]
-                    result.states[order] = x[row]
-            if jacobian and not broken.any():
+                    result.residuals[order], result.states[order] = found.residuals[row], found.states[row]
+            if jacobian and found.sensitivities is not None and np.isfinite(found.costs).all():
                 for row, order in enumerate(group.order):
-                    rows[order] = self._without_state(j[row])
-        result.cost = float(np.sum(costs))
+                    by = found.sensitivities[row] / self.sigma[:, None]
+                    rows[order], result.starts[order] = self._without_state(by.reshape(-1, ns))
+        result.cost = float(np.sum(result.costs))
         if jacobian and np.isfinite(result.cost):
             result.jacobian = np.vstack(rows)
         return result
+
+    def _summed(
+        self,
+        number: int,
+        p: FloatArray,
+        x0: FloatArray,
+        u: FloatArray,
+        slope: FloatArray | None,
+        t0: FloatArray,
+    ) -> Sums:
+        """Return the sums of a group of windows from their sensitivities."""
+        x, y, s = self.simulator.windows(p, x0, u, slope, t0)
+        assert s is not None
+        m = y.shape[0]
+        r = self._y[number] - y
+        for column, period in enumerate(self.periods):
+            if period is not None:
+                r[..., column] = (r[..., column] + period / 2) % period - period / 2
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = np.einsum("wki,wki->i", r, r)
+            weighted = (r / self.sigma).reshape(m, -1)
+            j = (s / self.sigma[:, None]).reshape(m, -1, s.shape[-1])
+            costs = 0.5 * np.einsum("wk,wk->w", weighted, weighted)
+            gram = j.transpose(0, 2, 1) @ j
+            gradient = (weighted[:, None, :] @ j)[:, 0]
+        costs[~(np.isfinite(costs) & np.isfinite(gram).all(axis=(1, 2)))] = np.inf
+        return Sums(costs, squares, gram, gradient, np.inf, x, r, s)
 
     def jacobian(self, p: FloatArray, x0: FloatArray) -> FloatArray:
         """Return d(predicted / sigma)/dp (n_data, np), the directions of each window's x0 projected out.
@@ -183,17 +257,18 @@ class Windows:
             )
             assert s is not None
             for row, order in enumerate(group.order):
-                rows[order] = self._without_state((s[row] / self.sigma[:, None]).reshape(-1, s.shape[-1]))
+                rows[order] = self._without_state((s[row] / self.sigma[:, None]).reshape(-1, s.shape[-1]))[0]
         return np.vstack(rows)
 
-    def _without_state(self, j: FloatArray) -> FloatArray:
-        """Return the derivatives by p of one window, those by its initial state projected out."""
+    def _without_state(self, j: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the derivatives by p of one window without what its initial state can do, and a basis of that."""
         by_p, by_x = j[:, : self.simulator.np], j[:, self.simulator.np :]
+        left = np.zeros((len(j), 0))
         if by_x.shape[1]:
             left, sizes, _ = np.linalg.svd(by_x, full_matrices=False)
             left = left[:, sizes > 1e-10 * max(sizes[0], 1e-300)]
             by_p = by_p - left @ (left.T @ by_p)
-        return np.ascontiguousarray(by_p)
+        return np.ascontiguousarray(by_p), left
 
     def together(self, parts: list[FloatArray]) -> list[FloatArray]:
         """Return arrays by window put together by record."""
