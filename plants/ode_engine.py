@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -29,42 +28,26 @@ class Engine:
         self.nu, self.nx, self.ny = simulator.spec.nu, simulator.nx, simulator.spec.ny
         self._library = None if compiler() is None else simulator.library()
         if self._library is not None:
-            self._call = self._library.sysid_rollout
-            self._call.restype = ctypes.c_int
-            self._x0, self._u, self._t = np.zeros(self.nx), np.zeros((2, self.nu)), np.zeros(1)
-            self._xs, self._ys = np.zeros((2, self.nx)), np.zeros((2, self.ny))
-            self._arguments = self._packed(2, self._x0, self._u, self._t, self._xs, self._ys)
+            self._x0, self._u, self._t = np.zeros((1, self.nx)), np.zeros((1, 2, self.nu)), np.zeros(1)
+            self._xs, self._ys = np.zeros((1, 2, self.nx)), np.zeros((1, 2, self.ny))
+            self._call = self._made(self._x0, self._u, self._t, self._xs, self._ys)
 
-    def _packed(
-        self, n: int, x0: FloatArray, u: FloatArray, t: FloatArray, xs: FloatArray, ys: FloatArray
-    ) -> tuple[Any, ...]:
-        def pointer(array: FloatArray) -> Any:
-            return array.ctypes.data_as(ctypes.c_void_p)
+    def _made(self, x0: FloatArray, u: FloatArray, t: FloatArray, xs: FloatArray, ys: FloatArray) -> Callable[[], None]:
+        """Return the roll-out from and into these arrays."""
+        from harness.physics.rollout_call import repeated_rollout
 
-        return (
-            ctypes.c_long(1),
-            ctypes.c_long(n),
-            pointer(self.p),
-            pointer(x0),
-            pointer(u),
-            None,
-            pointer(t),
-            ctypes.c_double(self.simulator.dt),
-            ctypes.c_long(self.simulator.substeps),
-            ctypes.c_int(0),
-            pointer(xs),
-            pointer(ys),
-            None,
-        )
+        one = self.simulator
+        assert self._library is not None
+        return repeated_rollout(self._library, one.dt, one.substeps, p=self.p[None], x0=x0, u=u, t0=t, x=xs, y=ys)
 
     def step(self, x: FloatArray, u: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:
         """Return the state and the output one sample later (the output under the same input)."""
         if self._library is None:
             new = self.simulator.step(x, u, self.p, t)
             return new, self.simulator.output(new, u, self.p, t + self.simulator.dt)
-        self._x0[:], self._u[:], self._t[0] = x, u, t
-        self._call(*self._arguments)
-        return self._xs[1].copy(), self._ys[1].copy()
+        self._x0[0], self._u[0], self._t[0] = x, u, t
+        self._call()
+        return self._xs[0, 1].copy(), self._ys[0, 1].copy()
 
     def run(self, x: FloatArray, u: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:
         """Return states (N, nx) and outputs (N, ny) from a state; row 0 is the state itself."""
@@ -72,10 +55,9 @@ class Engine:
         if self._library is None:
             states = self.simulator.states(self.p, x, u, t0=t)
             return states, self.simulator.rollout(self.p, x, u, t0=t)
-        xs, ys = np.empty((n, self.nx)), np.empty((n, self.ny))
-        held, start, when = np.ascontiguousarray(u), np.ascontiguousarray(x), np.array([t])
-        self._call(*self._packed(n, start, held, when, xs, ys))
-        return xs, ys
+        xs, ys = np.empty((1, n, self.nx)), np.empty((1, n, self.ny))
+        self._made(np.array(x, dtype=float)[None], np.array(u, dtype=float)[None], np.array([t]), xs, ys)()
+        return xs[0], ys[0]
 
     def output(self, x: FloatArray, u: FloatArray, t: float) -> FloatArray:
         """Return the output in a state."""

@@ -10,7 +10,7 @@ from harness.data.suspicion import swapped_in_and_out, swapped_runs, units_betwe
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, Run, Trajectory
 
-__all__ = ["check_run", "check_runs"]
+__all__ = ["check_run", "check_runs", "saturated", "stuck"]
 
 _FACTORS = (
     (180.0 / np.pi, "one is in degrees and the other in radians"),
@@ -62,8 +62,8 @@ def check_run(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> li
         if still[i]:
             notes.append(f"output {channel.name} never moves ({trajectory.y[0, i]:g} {channel.unit})")
         else:
-            notes += _stuck(channel, trajectory.y[:, i], spec.sample_time)
-            notes += _saturated(channel, trajectory.y[:, i])
+            notes += stuck(channel, trajectory.y[:, i], spec.sample_time)
+            notes += saturated(channel, trajectory.y[:, i])
             notes += _out_of_range(channel, trajectory.y[:, i])
     for i, channel in enumerate(spec.inputs):
         if not np.ptp(trajectory.u[:, i]):
@@ -109,7 +109,7 @@ def _runs_of_equal(values: FloatArray) -> tuple[np.ndarray, np.ndarray]:
     return starts, np.diff(np.concatenate((starts, [len(values)])))
 
 
-def _stuck(channel: Channel, values: FloatArray, dt: float) -> list[str]:
+def stuck(channel: Channel, values: FloatArray, dt: float, kind: str = "output") -> list[str]:
     """Say that a sensor stood still while it otherwise never does."""
     starts, lengths = _runs_of_equal(values)
     longest = int(np.argmax(lengths))
@@ -124,13 +124,13 @@ def _stuck(channel: Channel, values: FloatArray, dt: float) -> list[str]:
         return []
     first = starts[longest]
     return [
-        f"output {channel.name} stands still at {values[first]:g} {channel.unit} for {length} samples from sample "
+        f"{kind} {channel.name} stands still at {values[first]:g} {channel.unit} for {length} samples from sample "
         f"{first} ({length * dt:g} s) while elsewhere it does not for more than {int(others.max())}: a stuck sensor or "
         "a drop-out?"
     ]
 
 
-def _saturated(channel: Channel, values: FloatArray) -> list[str]:
+def saturated(channel: Channel, values: FloatArray, kind: str = "output") -> list[str]:
     """Say that a sensor rests at its largest or smallest value in several places."""
     if np.unique(values[:2000]).size < 8:
         return []
@@ -142,7 +142,7 @@ def _saturated(channel: Channel, values: FloatArray) -> list[str]:
         inside = int(at.sum())
         if inside >= max(8, 0.003 * len(values)) and at.max() >= max(5, 5 * typical):
             notes.append(
-                f"output {channel.name} rests at its {word} value {limit:g} {channel.unit} for {inside} samples in "
+                f"{kind} {channel.name} rests at its {word} value {limit:g} {channel.unit} for {inside} samples in "
                 f"{at.size} places: a saturated sensor or an end stop?"
             )
     return notes

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.intervals import Interval, block_interval
 from harness.diagnosis.residual_tests import RATIO, effective_samples
 from harness.signals import FloatArray
 
@@ -54,28 +54,6 @@ class Comparison:
     def distinguishable(self) -> bool:
         """True if one of the two is better beyond the bootstrap's 1 % (either side)."""
         return self.p <= LEVEL or self.p >= 1 - LEVEL
-
-
-@dataclass(frozen=True)
-class Interval:
-    """An estimate with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-    @property
-    def excludes_zero(self) -> bool:
-        """True if zero lies outside."""
-        return self.low > 0 or self.high < 0
-
-    def to_dict(self, unit: str) -> dict[str, Any]:
-        """Return the entry of ``report.json``; figures that do not exist are None."""
-
-        def known(x: float) -> float | None:
-            return float(x) if np.isfinite(x) else None
-
-        return {"value": known(self.value), "low": known(self.low), "high": known(self.high), "unit": unit}
 
 
 @dataclass(frozen=True)
@@ -157,52 +135,6 @@ def bic(residual: Sequence[FloatArray], parameters: int, samples: float) -> floa
     if not np.isfinite(power).all():
         return float("inf")
     return float(samples * np.mean(np.log(np.maximum(power, 1e-300))) + parameters * np.log(max(samples, 2.0)))
-
-
-def block_interval(
-    values: FloatArray, jacobian: Sequence[FloatArray], residual: Sequence[FloatArray], *, blocks: int = BLOCKS
-) -> tuple[Interval, ...]:
-    """Return 95 % intervals that stay honest where the residual is coloured.
-
-    The covariance is the block (cluster) sandwich (J'J)^-1 (sum_b g_b g_b') (J'J)^-1 with g_b = J_b' r_b, the analytic
-    form of the block bootstrap of the linearised fit; never smaller than the Gauss-Newton covariance. Student's t with
-    ``blocks - 1`` degrees of freedom.
-
-    Parameters
-    ----------
-    values : array (p,)
-        The estimates.
-    jacobian : sequence of array (N_i, ny, p)
-        Weighted derivatives of the outputs, initial states projected out.
-    residual : sequence of array (N_i, ny)
-        Weighted residuals.
-    blocks : int
-        Consecutive blocks over all records.
-    """
-    from scipy import stats
-
-    p = values.size
-    j = np.concatenate([one.reshape(-1, p) for one in jacobian])
-    r = np.concatenate([one.reshape(-1) for one in residual])
-    ny = residual[0].shape[1]
-    scale = np.linalg.norm(j, axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
-    j = j / scale
-    _, singular, right = np.linalg.svd(j, full_matrices=False)
-    alive = singular > 1e-9 * singular.max(initial=1e-300)
-    bread = (right[alive].T / singular[alive] ** 2) @ right[alive]
-    n = r.size
-    edges = np.linspace(0, n // ny, min(blocks, n // ny) + 1).astype(int)[:-1] * ny
-    gradients = np.add.reduceat(j * r[:, None], edges, axis=0)
-    count = len(edges)
-    meat = gradients.T @ gradients * (count / max(count - 1, 1))
-    robust = bread @ meat @ bread
-    plain = bread * float(r @ r) / max(n - p, 1)
-    half = stats.t.ppf(0.975, max(count - 1, 1)) * np.sqrt(np.maximum(np.diag(robust), np.diag(plain))) / scale
-    # a direction the data do not move has no interval
-    unseen = np.sum(right[~alive] ** 2, axis=0) > 1e-6 if (~alive).any() else np.zeros(p, dtype=bool)
-    half = np.where(unseen | (np.linalg.norm(j, axis=0) == 0), np.inf, half)
-    return tuple(Interval(float(v), float(v - h), float(v + h)) for v, h in zip(values, half, strict=True))
 
 
 def judge(

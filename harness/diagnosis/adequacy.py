@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.diagnosis.accept import compare_blocks
-from harness.diagnosis.surrogates import phase_randomised
+from harness.diagnosis.surrogates import surrogates
 from harness.signals import FloatArray
 
 __all__ = [
@@ -136,6 +136,7 @@ def predictable_part(
     rng: np.random.Generator,
     count: int = 100,
     roughness: Mapping[str, FloatArray] | None = None,
+    windows: tuple[Sequence[tuple[int, int, int]], Sequence[tuple[int, int, int]]] = ((), ()),
 ) -> tuple[tuple[Predictable, ...], FloatArray]:
     """Fit every family on the estimation residual and see what it predicts of the validation residual.
 
@@ -153,6 +154,9 @@ def predictable_part(
     roughness : mapping of array (k, k), optional
         For each family the matrix of its penalty (P-splines: squared second differences of the coefficients, Eilers &
         Marx, Stat. Sci. 11:89, 1996); by default the size of the coefficients.
+    windows : (sequence, sequence) of (run, first, last), optional
+        Of free runs over windows, on estimation and on validation; see
+        :func:`harness.diagnosis.surrogates.surrogates`.
 
     Returns
     -------
@@ -161,7 +165,8 @@ def predictable_part(
     null : array (count,)
         Largest held-out share on the surrogates.
     """
-    inside, outside = (_side(one, count, rng) for one in (estimation, validation))
+    both = zip((estimation, validation), windows, strict=True)
+    inside, outside = (_side(one, cut, count, rng) for one, cut in both)
     ny = estimation[0].shape[1]
     found: list[tuple[str, FloatArray, FloatArray, FloatArray]] = []
     for axes, (fit, check) in families.items():
@@ -279,10 +284,12 @@ def no_small_disturbance(
     )
 
 
-def _side(series: Sequence[FloatArray], count: int, rng: np.random.Generator) -> _Side:
+def _side(
+    series: Sequence[FloatArray], windows: Sequence[tuple[int, int, int]], count: int, rng: np.random.Generator
+) -> _Side:
     """Return the residual and its surrogates as columns, and the rows of consecutive folds."""
     truth = np.concatenate([one.reshape(-1) for one in series])
-    drawn = phase_randomised(series, count, rng=rng).reshape(count, -1)
+    drawn = surrogates(series, windows, count, rng=rng).reshape(count, -1)
     both = np.concatenate([truth[None], drawn]).T
     parts = np.array_split(np.arange(truth.size), FOLDS)
     return _Side(both, [slice(int(one[0]), int(one[-1]) + 1) for one in parts if one.size])

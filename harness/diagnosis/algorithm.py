@@ -12,29 +12,32 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.adequacy import Adequacy, grade, no_small_disturbance, nothing_left, predictable_part
-from harness.diagnosis.columns_check import check_columns, check_scale
+from harness.diagnosis.adequacy import Adequacy
+from harness.diagnosis.columns_check import check_columns
 from harness.diagnosis.confirm import Refitter
+from harness.diagnosis.dictionary import placed
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, Form
+from harness.diagnosis.horizons import far_above, searched
+from harness.diagnosis.leftover import leftover
 from harness.diagnosis.noise import NoiseFloor, noise_floors
 from harness.diagnosis.nominal import fit_nominal, reweighed
 from harness.diagnosis.output_form import OutputForm
-from harness.diagnosis.prepare import Horizon, short_window
-from harness.diagnosis.response import Family, responses_of
+from harness.diagnosis.prepare import Horizon
+from harness.diagnosis.response import Family
 from harness.diagnosis.screens import Screen, sensitivity_screen
 from harness.diagnosis.store import Store, fingerprint
 from harness.diagnosis.stretches import polished, stretched
 from harness.diagnosis.subset import Search, SearchResult
 from harness.diagnosis.thinning import thinned_dataset
 from harness.effects.effect import Effect, Placed
-from harness.errors import FitError, HarnessError
-from harness.rng import stream
+from harness.errors import FitError
 from harness.signals import Dataset
 
 __all__ = ["Diagnosis", "diagnose"]
 
 Progress = Callable[[float, str], None]
+DISTURBED = "something that is not measured disturbs the plant: over short windows the effects stand out most from it"
 
 
 @dataclass(eq=False)
@@ -125,10 +128,8 @@ def diagnose(
     warnings = list(dataset.warnings)
     say(0.02, "first fit of the nominal model")
     if hasattr(system, "coordinates") and hasattr(system, "f"):
-        check_columns(system, dataset)
+        warnings += check_columns(system, dataset)
     values = ways.rough_values(system, dataset)
-    if hasattr(system, "f"):
-        warnings += check_scale(system, values)
     horizon = ways.choose_horizon(system, values, dataset)
     say(0.06, "noise floor")
     floors = noise_floors(dataset, horizon=horizon.seconds)
@@ -151,47 +152,51 @@ def diagnose(
         warnings.append("the nominal fit did not end in the same minimum from two starts")
     form, nominal, floors = reweighed(form, output, nominal, floors, warnings)
     sizes = output.sizes
-    identity = fingerprint(dataset, model=str(system), parameters=str(system.parameters), horizon=horizon.seconds,
-                           inverse=inverse, weights=form.weights.tolist())  # fmt: skip
     count = min(os.cpu_count() or 1, 4) if workers is None else workers
-    refitter = Refitter(form, Store(folder, identity), seed, count, lambda name: say(_fraction(), f"refitted {name}"))
     steps = iter(np.linspace(0.25, 0.8, 60))
 
     def _fraction() -> float:
         return float(next(steps, 0.8))
 
-    candidates = [one for one in _placed(system, dictionary) if form.judges(one)]
+    everything, faults = placed(system, dictionary)
+    warnings += faults
+    candidates = [one for one in everything if form.judges(one)]
 
     def size_of(placed: Placed) -> Mapping[str, float]:
         return sizes.get(placed.at, sizes.get("base", {}))
 
-    search = Search(form, weak, candidates, sizes, refitter, seed, lambda text: say(_fraction(), text))
-    result = search.run(nominal)
+    def search_of(one: Form) -> Search:
+        seconds = getattr(one, "horizon", horizon.seconds)
+        identity = fingerprint(dataset, model=str(system), parameters=str(system.parameters), horizon=seconds,
+                               inverse=inverse, weights=one.weights.tolist())  # fmt: skip
+        keeper = Store(folder, identity)
+        refitter = Refitter(one, keeper, seed, count, lambda name: say(_fraction(), f"refitted {name}"))
+        return Search(one, weak, candidates, sizes, refitter, seed, lambda text: say(_fraction(), text))
+
+    def graded(one: Form, found: SearchResult, others: Sequence[tuple[Form, Fitted]]) -> Any:
+        say(0.82, "what is left, and whether it can be predicted")
+        return leftover(one, found, others, weak, dataset, seed, detected=search_of(one).detected(found.model))
+
+    usual, usual_nominal = form, nominal
+    form, nominal, result = searched(form, nominal, search_of, size_of)
+    others = [] if form is usual or result.accepted else [(usual, usual_nominal)]
+    adequacy, families = graded(form, result, others)
+    if form is not usual and adequacy.predictable:
+        # no disturbance can be predicted: a law is missing that the search over short windows did not find
+        again = search_of(usual).run(usual_nominal)
+        if again.accepted and not far_above(usual, again.model):
+            form, nominal, result = usual, usual_nominal, again
+            adequacy, families = graded(form, result, [])
+    if form is not usual:
+        assert isinstance(form, OutputForm)
+        output, horizon = form, Horizon(form.horizon, DISTURBED)
     if dataset is not whole:
-        say(0.8, "refitting on the whole records")
-        again = polished(form, nominal, whole)
-        result = replace(result, model=again if result.model is nominal else polished(form, result.model, whole))
-        nominal = again
-    say(0.82, "what is left, and whether it can be predicted")
-    left = search.detected(result.model) or not all(form.floors)
-    adequacy, families = _adequacy(form, result.model, seed) if left else (nothing_left(), {})
-    if isinstance(form, OutputForm) and search.detected(result.model):
-        seconds = short_window(dataset)
-        if horizon.seconds is None or horizon.seconds > 1.5 * seconds:
-            other, more = _adequacy(*form.shortened(result.model, seconds), seed)
-            if other.rest > adequacy.rest:
-                adequacy, families = other, more
-        if not adequacy.predictable and weak is not None and all(weak.judges(one) for one in result.model.effects):
-            # a strong law makes free runs lose track; in the momentum balance of the measured motion it shows directly
-            other, more = _adequacy(weak, weak.evaluate(*_solved(weak, result.model)), seed)
-            if other.predictable:
-                adequacy, families = other, more
-        if not result.accepted and not adequacy.predictable:
-            for seen in (result.model, form.shortened(result.model, seconds)[1]):
-                for use, parts in (("estimation", seen.estimation), ("validation", seen.validation)):
-                    outputs = [run.y / form.weights for run in form.records[use]]
-                    if no_small_disturbance(parts, outputs, form.floors):
-                        adequacy = replace(adequacy, grade="proxy_or_incomplete", too_large=True)
+        say(0.85, "refitting on the whole records")
+        first = polished(form, nominal, whole)
+        result = replace(result, model=first if result.model is nominal else polished(form, result.model, whole))
+        nominal = first
+        adequacy, families = graded(form, result, [])
+    warnings += undetermined(result.model)
     return Diagnosis(
         dataset=dataset,
         system=system,
@@ -212,6 +217,22 @@ def diagnose(
     )
 
 
+def undetermined(model: Fitted) -> list[str]:
+    """Return a warning for every effect whose size the data hardly tell, though it takes away error."""
+    found = []
+    for one in model.effects:
+        name, parameter = one.main(), one.effect.main
+        if name is None or parameter is None or parameter.neutral is None or name not in model.free:
+            continue
+        interval = model.intervals()[name]
+        if interval.low <= parameter.neutral <= interval.high:
+            found.append(
+                f"the 95 % interval of {name} includes {parameter.neutral:g}: what is left stays correlated for so "
+                "long that its size is hardly known; that the error falls is no chance"
+            )
+    return found
+
+
 def _ways(system: Any) -> Any:
     """Return what prepares the loop: for equations, or for an FMU."""
     from harness.diagnosis import prepare
@@ -222,44 +243,3 @@ def _ways(system: Any) -> Any:
 
         return fmu_prepare
     return prepare
-
-
-def _solved(weak: EquationForm, fitted: Fitted) -> tuple[tuple[Placed, ...], Mapping[str, Any]]:
-    """Return the effects of a model and their fit in the momentum balance."""
-    return fitted.effects, weak.solve(fitted.effects, [fitted.values], seed=0)
-
-
-def _adequacy(form: Form, fitted: Fitted, seed: int) -> tuple[Adequacy, dict[str, Family]]:
-    """Return how much of what is left can be predicted on validation data."""
-    responses, families, outside = responses_of(form, fitted)
-    usable = {
-        name: pair for name, pair in responses.items() if all(np.isfinite(one).all() for part in pair for one in part)
-    }
-    inside = form.clean(fitted, [one[:, :, None] for one in fitted.estimation])
-    found, null = predictable_part(
-        [one[:, :, 0] for one in inside],
-        outside,
-        usable,
-        rng=stream("diagnosis-adequacy", seed),
-        roughness={name: family.roughness() for name, family in families.items()},
-    )
-    return grade(found, null, outside, form.floors, rng=stream("diagnosis-adequacy-blocks", seed)), families
-
-
-def _placed(system: Any, dictionary: Sequence[Effect] | None) -> list[Placed]:
-    """Return every effect at every port it fits: built in, of plug-ins, or the dictionary given."""
-    from harness.effects import builtin, place_all
-
-    if dictionary is not None:
-        return place_all(system, dictionary)
-    known = dict(builtin())
-    try:
-        from harness import registry
-
-        for entry in registry.entries("effects"):
-            made = registry.load("effects", entry.id)
-            if isinstance(made, Effect):
-                known.setdefault(made.name, made)
-    except HarnessError:
-        pass  # no plug-in brings effects
-    return place_all(system, known.values())

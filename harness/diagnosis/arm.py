@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.adequacy import Adequacy, grade, predictable_part
+from harness.diagnosis.arm_checks import check_torques
 from harness.diagnosis.arm_form import JointForm, joint_dictionary
 from harness.diagnosis.arm_motion import ArmRun, arm_runs, moving_rows, standstill
 from harness.diagnosis.arm_wide import DETAIL, WideResult, wide_search
@@ -182,7 +183,7 @@ def diagnose_arm(
             progress(part, what)
 
     dataset = checked(dataset, arm)
-    warnings = list(dataset.warnings)
+    warnings = [*dataset.warnings, *check_torques(dataset.runs)]
     say(0.02, "motion of the joints")
     runs = arm_runs(arm, dataset)
     still = standstill(runs)

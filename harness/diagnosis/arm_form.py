@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.arm_motion import CALM, ArmRun, moving_rows
+from harness.diagnosis.descent import Bar
 from harness.diagnosis.equation import Equations, Form, expressible
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.motion import Motion, motion_band
@@ -112,7 +113,9 @@ class JointForm(EquationForm):
         """Return True for forces without a state, and for the torque gain: inertia is known on an absolute scale."""
         return expressible(placed) or placed.effect.name == "input_gain"
 
-    def solve(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], *, seed: int) -> dict[str, Any]:
+    def solve(
+        self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], *, seed: int, bar: Bar | None = None
+    ) -> dict[str, Any]:
         """Fit; see :class:`harness.diagnosis.forms.Form`.
 
         Raises
@@ -121,7 +124,7 @@ class JointForm(EquationForm):
             If the residual of a trial is not finite.
         """
         try:
-            return super().solve(effects, starts, seed=seed)
+            return super().solve(effects, starts, seed=seed, bar=bar)
         except ValueError as error:
             raise FitError(
                 "joint residual", expected="finite numbers", got=str(error), remedy="another start, or another effect"

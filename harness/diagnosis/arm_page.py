@@ -55,7 +55,8 @@ def _figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
         if joint is not None and joint.result.accepted:
             form, final = joint.form, joint.result.model
             motion = max(form.motions["validation"], key=lambda one: one.q.shape[0])
-            own = form.force([one.placed for one in joint.result.accepted], final, motion)[:, 0]
+            # the torque that overcomes a force has the other sign
+            own = -form.force([one.placed for one in joint.result.accepted], final, motion)[:, 0]
             inside = moving_rows(motion)[:, 0] > 0
             left = max(final.validation, key=len)[inside, 0] * form.weights[0]
             nominal = max(joint.nominal.validation, key=len)[inside, 0] * form.weights[0]
@@ -97,9 +98,12 @@ def _levels(data: dict[str, Any]) -> str:
             axis.bar(place + offset, heights, 0.92 * width, color=colour, label=label)
             for x, value in zip(place + offset, heights, strict=True):
                 if np.isfinite(value):
-                    axis.annotate(f"{value:.2g}", (x, value), ha="center", va="bottom", fontsize=7, color=INK)
+                    axis.annotate(
+                        f"{value:.2g}", (x, value), (0, 2), textcoords="offset points", ha="center", va="bottom",
+                        fontsize=7, color=INK, rotation=90 if len(names) > 4 else 0,
+                    )  # fmt: skip
         axis.set_xticks(place, names)
         axis.set(yscale="log", ylabel=f"torque [{data['joints'][0]['unit']}]")
-        axis.margins(y=0.16)
+        axis.margins(y=0.3)
         axis.legend(loc="upper right", ncols=len(rows))
     return svg[0]

@@ -4,6 +4,8 @@
     By joint: ``joint`` (name of its position), ``link_joint`` (name in the URDF), ``judged``, ``standstill`` (share of
     the time), ``effects``, ``before`` and ``after`` (by use: rms of the torque residual while it moves), ``unit``,
     ``torque_rms``, ``clock_s`` (by how long its torque is recorded too late), ``rest``, ``not_tried``.
+``closed_loop_bias``
+    Says in ``text`` why the bias that feedback puts on the parameters is not tested.
 ``inertia``
     ``fixed`` (the URDF is believed) or ``calibrated``.
 """
@@ -16,12 +18,18 @@ import numpy as np
 
 from harness.diagnosis.arm import ArmDiagnosis, JointDiagnosis
 from harness.diagnosis.arm_wide import SEEN, WideCandidate
+from harness.diagnosis.closed_loop_bias import BiasTest
 from harness.diagnosis.exchange import Accepted
 from harness.diagnosis.isolability import separating
 
 __all__ = ["arm_report"]
 
 FORMAT = "sysid-harness/close-loop/1"
+NO_PATH = (
+    "an arm is always held by its controller, and the planned path, from outside that loop, is not used; what shakes "
+    "the arm and is answered by the controller may bias friction and gains"
+)
+"""Why the bias of feedback is not tested on an arm."""
 
 
 def arm_report(found: ArmDiagnosis) -> dict[str, Any]:
@@ -49,6 +57,7 @@ def arm_report(found: ArmDiagnosis) -> dict[str, Any]:
         "null": {"p": found.wide.p},
         "not_visible": _not_visible(found),
         "form": "inverse dynamics",
+        "closed_loop_bias": BiasTest((), NO_PATH).to_dict({}),
         "warnings": list(dict.fromkeys(found.warnings)),
         "seconds": round(found.seconds, 2),
     }

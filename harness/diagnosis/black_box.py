@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from harness.diagnosis.residual_tests import max_autocorrelation
 from harness.signals import Dataset, FloatArray, Trajectory
 
 __all__ = ["BlackBox", "fit_black_box", "one_step_error"]
@@ -28,7 +29,7 @@ class BlackBox:
     innovations : tuple of float
         One-step error of each output (rms).
     free_run : tuple of (float or None)
-        Free-run error of each output at the horizon (rms); None if the free run is not finite.
+        Free-run error of each output at the horizon (rms); None if its one-step errors are not valid or it diverges.
     validated : bool
         True if the one-step errors on validation and estimation agree within 30 %, are nearly white, and the free
         run is finite.
@@ -55,7 +56,7 @@ class _Structure:
 
 
 def fit_black_box(dataset: Dataset, *, horizon: float | None = None) -> BlackBox:
-    """Fit black boxes of growing order; return the best free run of a validated one, else the best of all.
+    """Fit black boxes of growing order; return the best free run of a validated one, else the best one-step error.
 
     Parameters
     ----------
@@ -83,9 +84,14 @@ def fit_black_box(dataset: Dataset, *, horizon: float | None = None) -> BlackBox
             continue
         inside = _one_step(structure, fitted, estimation)
         outside = _one_step(structure, fitted, validation)
-        free = _free_run(structure, fitted, validation, samples)
-        total = float(np.sqrt(np.mean(free**2))) if np.isfinite(free).all() else np.inf
-        validated, words = _validate(inside, outside, total)
+        validated, words = _validate(inside, outside)
+        free = np.full(ny, np.nan)
+        if validated:
+            free = _free_run(structure, fitted, validation, samples)
+            if not np.isfinite(free).all():
+                validated, words = False, "not validated: its free run diverges"
+        error = np.sqrt(np.mean((free if validated else np.concatenate(outside)) ** 2))
+        total = float(error) if np.isfinite(error) else np.inf
         if best is not None and (not validated, total) >= (not best[1].validated, best[0]):
             continue
         rms = np.sqrt(np.mean(np.concatenate(outside) ** 2, axis=0)) * scale
@@ -207,16 +213,12 @@ def _free_run(structure: _Structure, theta: FloatArray, records: Sequence[_Recor
     return np.sqrt(total / max(count, 1))
 
 
-def _validate(inside: Sequence[FloatArray], outside: Sequence[FloatArray], total: float) -> tuple[bool, str]:
+def _validate(inside: Sequence[FloatArray], outside: Sequence[FloatArray]) -> tuple[bool, str]:
     """Judge a black box by its one-step errors; returns the verdict and its words."""
-    from harness.diagnosis.residual_tests import max_autocorrelation
-
     a = float(np.sqrt(np.mean(np.concatenate(inside) ** 2)))
     b = float(np.sqrt(np.mean(np.concatenate(outside) ** 2)))
     n = min(one.shape[0] for one in outside)
     acf = max(max_autocorrelation(one[:, j]) for one in outside for j in range(one.shape[1]))
-    if not np.isfinite(total):
-        return False, "not validated: its free run diverges"
     if b > 1.3 * a:
         return False, f"not validated: its one-step error grows {b / a:.2f} times from estimation to validation"
     if acf > max(0.15, 4.0 / np.sqrt(n)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +68,7 @@ def close_loop(
     inverse_dynamics: bool | None = None,
     workers: int | None = None,
     name: str | None = None,
+    options: Mapping[str, Any] | None = None,
     references: Sequence[Mapping[str, FloatArray]] = (),
 ) -> Report:
     """Find the effect that a model lacks, add it, report the error before and after.
@@ -98,6 +99,8 @@ def close_loop(
     name : str, optional
         What the nominal model is loaded by (``NAME`` or ``FILE.py:NAME``), for ``model.json``; by default the name of
         the model.
+    options : mapping, optional
+        What the nominal model was loaded with beside its name, for ``model.json``.
     references : sequence of mapping, optional
         For each run of the data set the recorded signals from outside a control loop (reference, added excitation) by
         name, arrays (N,): the instruments of the test for the bias of closed-loop data.
@@ -138,7 +141,7 @@ def close_loop(
     data = report_data(found, references)
     if folder is not None:
         write_html(found, data, folder / HTML)
-        repaired = _repaired(found, name or system.name)
+        repaired = _repaired(found, name or system.name, options or {}, dataset.spec.sample_time)
         if is_fmu(system):
             repaired = _repaired_fmu(found, folder)
         write_atomic(folder / MODEL, json.dumps(repaired, indent=1, allow_nan=False) + "\n")
@@ -188,18 +191,31 @@ def close_loop_file(
         progress=progress,
         workers=workers,
         name="" if loaded.nominal is None else loaded.nominal.model,
+        options=None if box else _options(loaded),
         references=loaded.references,
     )
 
 
-def _repaired(found: Diagnosis, name: str) -> dict[str, Any]:
-    """Return the repaired model as a grey box that ``sysid export`` reads."""
+def _options(loaded: Any) -> dict[str, Any]:
+    """Return the options that a data set loads its model with."""
+    from harness.data.ports import model_options
+
+    if loaded.nominal is None:
+        return {}
+    spec = loaded.dataset.spec
+    ports = [[channel.name for channel in side] for side in (spec.inputs, spec.outputs)]
+    return model_options(loaded.nominal.model, loaded.nominal.options, *ports)
+
+
+def _repaired(found: Diagnosis, name: str, options: Mapping[str, Any], sample_time: float) -> dict[str, Any]:
+    """Return the repaired model as a grey box that ``sysid export`` reads, at the sample time of the records given."""
     from harness.specs import spec_to_dict
 
     return {
         "kind": "grey-box",
-        "spec": spec_to_dict(found.dataset.spec),
+        "spec": spec_to_dict(replace(found.dataset.spec, sample_time=sample_time)),  # records may have been thinned
         "model": name,
+        "options": dict(options),
         "parameters": {key: float(value) for key, value in found.final.system.values(found.final.values).items()},
         "effects": [[placed.effect.name, placed.at] for placed in found.final.system.effects],
         "intersample": found.dataset.intersample,

@@ -76,6 +76,8 @@ class BiasTest:
         Shift of the combination of parameters that moves most, in standard errors of the fit.
     shifts : dict
         By parameter.
+    unreached : int
+        Combinations of parameters that the instruments hardly move: the test says nothing about them.
     """
 
     instruments: tuple[str, ...]
@@ -86,6 +88,7 @@ class BiasTest:
     strength: float = float("nan")
     largest: float = float("nan")
     shifts: dict[str, Shift] = field(default_factory=dict)
+    unreached: int = 0
 
     @property
     def biased(self) -> bool | None:
@@ -103,6 +106,7 @@ class BiasTest:
             "p": _known(self.p),
             "strength": _known(self.strength),
             "largest_shift_in_standard_errors": _known(self.largest),
+            "untested_combinations": self.unreached,
             "biased": self.biased,
             "parameters": shifts,
             "text": self.text(shifts),
@@ -112,17 +116,18 @@ class BiasTest:
         """Return the outcome in one sentence."""
         if self.reason:
             return f"the test of the bias could not be made: {self.reason}"
+        silent = f"; combinations of parameters that the instruments hardly move, untested: {self.unreached}"
         sizes = {name: one["shift_in_standard_errors"] or 0.0 for name, one in shifts.items()}
         worst = max(sizes, key=lambda name: abs(sizes[name]))
         moved = f"{worst} moves most, by {sizes[worst]:+.2g} standard errors"
         if self.biased:
             return (
                 "the instrumented fit differs: the feedback of disturbances biases the parameters "
-                f"({moved}; the worst combination by {self.largest:.2g})"
+                f"({moved}; the worst combination by {self.largest:.2g})" + silent * bool(self.unreached)
             )
         return (
             f"no bias that matters was found: the instrumented fit agrees within {self.largest:.2g} standard errors "
-            f"of the combination that moves most ({moved})"
+            f"of the combination that moves most ({moved})" + silent * bool(self.unreached)
         )
 
 
@@ -297,7 +302,7 @@ def _compare(
         for name, d, s in zip(free, moved, own, strict=True)
     }
     p = float(stats.f.sf(statistic, q, second))
-    return BiasTest(names, "", float(statistic), (q, second), p, strength, largest, shifts)
+    return BiasTest(names, "", float(statistic), (q, second), p, strength, largest, shifts, left.shape[1] - q)
 
 
 def _spread(weights: FloatArray, r: FloatArray, lengths: Sequence[int], ny: int, q: int) -> tuple[FloatArray, int]:
@@ -379,11 +384,8 @@ def _same(a: FloatArray, b: FloatArray) -> bool:
 
 def _continuous(run: Trajectory) -> FloatArray:
     """Return the outputs with the jumps of angles taken out."""
-    columns = [
-        np.unwrap(run.y[:, k], period=channel.period) if channel.period is not None else run.y[:, k]
-        for k, channel in enumerate(run.spec.outputs)
-    ]
-    return np.column_stack(columns)
+    channels = enumerate(run.spec.outputs)
+    return np.column_stack([np.unwrap(run.y[:, k], period=c.period) if c.period else run.y[:, k] for k, c in channels])
 
 
 def _filtered(signals: FloatArray, dt: float, tau: float) -> FloatArray:

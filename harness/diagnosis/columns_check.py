@@ -1,7 +1,9 @@
 """Columns that the model cannot mean: a unit wrong by 1000, two columns exchanged. Only a model can see these.
 
 Where the rough fit explains next to nothing, it is repeated with one column scaled by 1000 or two exchanged; a repair
-that explains nearly everything is no accident.
+that explains nearly everything is no accident, and the record is refused. Where it explains the record, but with
+parameters more than 100 times off what the model declares, and within 10 times of it once a column is scaled by 1000,
+the units are doubted in a warning: the declared values may be placeholders.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import numpy as np
 from harness.errors import HarnessError, InputError
 from harness.signals import Dataset, FloatArray, Trajectory
 
-__all__ = ["Repair", "check_columns", "check_scale", "likely_repair", "repairs"]
+__all__ = ["Repair", "check_columns", "doubtful_units", "likely_repair", "repairs"]
 
 NOTHING = 0.5
 """Above this error, relative to the motion of the output within a window, the rough fit explains next to nothing."""
@@ -25,19 +27,26 @@ BETTER = 0.2
 CLEAR = 0.03
 """A repair that leaves no more than this needs no comparison with others."""
 SAMPLES = 1500
+FAR, NEAR = 100.0, 10.0
+"""Parameters as declared: not even within the first factor for the columns as they are, within the second for others.
+
+A unit wrong by 1000 moves parameters by a power of 1000; halfway, by 30, it could as well be the declared value that
+is wrong. Three times on either side of that, nothing is said.
+"""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Repair:
-    """One thing that may be wrong with the columns: words for it, and the record as it would be without it."""
+    """One thing that may be wrong with the columns: words, the record without it, and the factor if it is a scale."""
 
     words: str
     remedy: str
     record: Trajectory
+    factor: float | None = None
 
 
-def check_columns(system: Any, dataset: Dataset) -> None:
-    """Refuse columns that fit the model only when scaled by 1000 or exchanged.
+def check_columns(system: Any, dataset: Dataset) -> list[str]:
+    """Refuse columns that fit the model only when scaled by 1000 or exchanged; say where a unit may be wrong.
 
     Parameters
     ----------
@@ -45,14 +54,22 @@ def check_columns(system: Any, dataset: Dataset) -> None:
         The nominal model, its parameters at what is known of them.
     dataset : Dataset
 
+    Returns
+    -------
+    list of str
+        See :func:`doubtful_units`.
+
     Raises
     ------
     InputError
         Naming the column and what is probably wrong with it.
     """
-    found = likely_repair(system, max(dataset.estimation, key=len), dataset.intersample)
+    record = max(dataset.estimation, key=len)
+    cut = _plain(record)
+    before, values = _fit(system, cut, dataset.intersample)
+    found = likely_repair(system, record, dataset.intersample) if before > NOTHING else None
     if found is None:
-        return
+        return _doubtful(system, cut, values, before, dataset.intersample)
     repair, before, after = found
     raise InputError(
         repair.words,
@@ -62,38 +79,30 @@ def check_columns(system: Any, dataset: Dataset) -> None:
     )
 
 
-def check_scale(system: Any, values: Mapping[str, float]) -> list[str]:
-    """Say so if the fitted parameters are the start values, some of them times 1000: then an input's unit is.
+def doubtful_units(system: Any, record: Trajectory, intersample: Any = "zoh") -> list[str]:
+    """Return a warning if a column scaled by 1000 would bring the parameters to what the model declares.
 
-    A force in N mm read as N m scales inertia, damping and stiffness alike, so that the model fits as well as before.
+    The declared values and the inputs predict the size of every output, and a unit wrong by 1000 leaves that by a power
+    of 1000: as a force in N mm read as N m does, which scales inertia, damping and stiffness alike, so that the model
+    fits as well as before. So the rough fit is repeated with the parameters held within a factor 100 of the declared
+    ones. Where it fails, and does not fail within a factor 10 with a column scaled, that column is named. Parameters
+    of declared value 0 are free; a declared value wrong by 100 alone says nothing.
 
     Parameters
     ----------
     system : System
-        With start values.
-    values : mapping
-        The fitted ones.
+        With declared values.
+    record : Trajectory
+    intersample : str
 
-    Examples
-    --------
-    >>> from harness.physics.models import pendulum
-    >>> check_scale(pendulum().system(), {"J": 103.0, "b": 48.0, "mgl": 1010.0})[0][:54]
-    'J, b, mgl come out about 1000 times their start values'
+    Returns
+    -------
+    list of str
+        Empty, or one sentence with the channels and the factors.
     """
-    free = [one for one in system.parameters if not one.fixed and one.value and values.get(one.name)]
-    ratios = np.array([abs(values[one.name] / one.value) for one in free])
-    for factor, other in ((1e3, "large"), (1e-3, "small")):
-        scaled = np.abs(np.log10(ratios / factor)) < 1.0 if ratios.size else np.zeros(0, dtype=bool)
-        others = np.abs(np.log10(ratios[~scaled])) < 1.0 if ratios.size else scaled
-        typical = float(np.median(ratios[scaled])) / factor if scaled.any() else 0.0
-        if scaled.sum() >= 2 and others.all() and 0.5 < typical < 2.0:
-            names = ", ".join(one.name for one, on in zip(free, scaled, strict=True) if on)
-            inputs = ", ".join(channel.name for channel in system.inputs) or "the outputs"
-            return [
-                f"{names} come out about {factor:g} times their start values: is column {inputs} 1000 times too "
-                f"{other} for its unit? (if the plant is that size, give start values)"
-            ]
-    return []
+    cut = _plain(record)
+    before, values = _fit(system, cut, intersample)
+    return _doubtful(system, cut, values, before, intersample)
 
 
 def likely_repair(system: Any, record: Trajectory, intersample: Any = "zoh") -> tuple[Repair, float, float] | None:
@@ -125,6 +134,7 @@ def repairs(record: Trajectory) -> Iterator[Repair]:
                     f"column {channel.name} is 1000 times too {word} for {channel.unit}",
                     f"correct the unit of {channel.name}, or give it scale = {factor:g}",
                     replace(record, **{kind: scaled}),
+                    factor,
                 )
         for a, b in combinations(range(len(channels)), 2):
             order = list(range(len(channels)))
@@ -140,6 +150,43 @@ def repairs(record: Trajectory) -> Iterator[Repair]:
         )
 
 
+def _doubtful(system: Any, cut: Trajectory, values: Mapping[str, float], free: float, intersample: Any) -> list[str]:
+    """Return the warning of :func:`doubtful_units` from the free fit of a plain record and its error."""
+    told = {one.name: one.value for one in system.parameters if not one.fixed and one.value}
+    off = [name for name, value in told.items() if not 1 / FAR < values.get(name, np.nan) / value < FAR]
+    if not off:
+        return []
+    held = _fit(_held(system, FAR), cut, intersample, declared=True)[0]
+    good = max(1.5 * free, CLEAR)
+    if held <= good:  # the data say nothing about what is off
+        return []
+    system = _held(system, NEAR)
+    found = {
+        one: _fit(system, one.record, intersample, declared=True)[0] for one in repairs(cut) if one.factor is not None
+    }
+    likely = [one for one, error in found.items() if error <= min(good, BETTER * held)]
+    if not likely:
+        return []
+    words = " or ".join(one.words.removeprefix("column ") for one in likely)
+    moved = ", ".join(f"{name} {told[name]:.3g} -> {values[name]:.3g}" for name in off)
+    return [
+        f"check the units: perhaps {words}. The record as it is needs parameters more than {FAR:g} times off the "
+        f"declared ones ({moved}), and would not with that column scaled; if the plant is that size, give the model "
+        "such values"
+    ]
+
+
+def _held(system: Any, factor: float) -> Any:
+    """Return the system with its free parameters held within a factor of their declared values."""
+
+    def held(one: Any) -> Any:
+        low, high = sorted((one.value / factor, one.value * factor))
+        return replace(one, minimum=max(low, one.minimum), maximum=min(high, one.maximum))
+
+    parts = tuple(held(one) if not one.fixed and one.value else one for one in system.parameters)
+    return replace(system, parameters=parts)
+
+
 def _plain(record: Trajectory) -> Trajectory:
     """Return the first samples, angles unwrapped and without a period: a wrapped error would always look small."""
     cut = record.measured()[: min(len(record), SAMPLES)]
@@ -153,6 +200,13 @@ def _plain(record: Trajectory) -> Trajectory:
 
 def _error(system: Any, record: Trajectory, intersample: Any) -> float:
     """Return the error of a rough fit over windows, relative to the motion within them; infinite if it fails."""
+    return _fit(system, record, intersample)[0]
+
+
+def _fit(
+    system: Any, record: Trajectory, intersample: Any, *, declared: bool = False
+) -> tuple[float, dict[str, float]]:
+    """Return the same with the parameters, those declared if it fails; ``declared``: start from these."""
     from harness.physics.output_error import fit_output_error
 
     dt, n = record.spec.sample_time, len(record)
@@ -160,18 +214,18 @@ def _error(system: Any, record: Trajectory, intersample: Any) -> float:
     plain = replace(system, outputs=tuple(replace(channel, period=None) for channel in system.outputs))
     moved = _motion(record.y, samples)
     if not (moved > 0).all():
-        return float("inf")
+        return float("inf"), system.values()
     noise = {channel.name: float(size) for channel, size in zip(system.outputs, moved, strict=True)}
     try:
         with np.errstate(all="ignore"):
             found = fit_output_error(
                 plain, [record], horizon=samples * dt, continuation=(), noise=noise, intersample=intersample,
-                max_iterations=20,
+                max_iterations=20, start=plain.values() if declared else None,
             )  # fmt: skip
     except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
-        return float("inf")
+        return float("inf"), system.values()
     error = float(np.sqrt(np.mean((found.rms / moved) ** 2)))
-    return error if np.isfinite(error) else float("inf")
+    return (error if np.isfinite(error) else float("inf")), dict(found.parameters)
 
 
 def _motion(y: FloatArray, samples: int) -> FloatArray:

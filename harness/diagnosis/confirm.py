@@ -24,6 +24,7 @@ from harness.diagnosis.accept import (
     information_samples,
     judge,
 )
+from harness.diagnosis.descent import Bar
 from harness.diagnosis.forms import Fitted, Form, placed_name, rms
 from harness.diagnosis.store import Store
 from harness.effects.effect import Placed
@@ -38,16 +39,18 @@ INSTANT = 0.05
 
 @dataclass(frozen=True)
 class Task:
-    """One refit: the effects, and full parameter values to start from."""
+    """One refit: the effects, full parameter values to start from, and what it must promise to be carried on."""
 
     effects: tuple[Placed, ...]
     starts: tuple[Mapping[str, float], ...]
+    bar: Bar | None = None
 
     @property
     def key(self) -> str:
         """Name in the store."""
         places = ";".join(",".join(f"{k}={v:.12g}" for k, v in sorted(one.items())) for one in self.starts)
-        return f"{placed_name(self.effects)}|{places}"
+        bar = "" if self.bar is None else f"|{placed_name(self.bar.effects)}+{self.bar.gain:g}"
+        return f"{placed_name(self.effects)}|{places}{bar}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +118,7 @@ def _solve(form: Form, task: Task, seed: int) -> dict[str, Any]:
 
     try:
         with np.errstate(all="ignore"):
-            return form.solve(task.effects, task.starts, seed=seed)
+            return form.solve(task.effects, task.starts, seed=seed, bar=task.bar)
     except (HarnessError, ArithmeticError, np.linalg.LinAlgError, MemoryError) as error:
         return {"failed": " ".join(str(error).split())[:300]}
 
@@ -233,6 +236,7 @@ def assess(
     *,
     surrogate_p: Mapping[str, float] | float | None,
     seed: int,
+    failures: Sequence[str] = (),
 ) -> list[Candidate]:
     """Judge refitted models against the model before; all with the same count of independent samples.
 
@@ -247,6 +251,8 @@ def assess(
         p-value of the global null, or one for each candidate's name.
     seed : int
         Keys the bootstrap draws.
+    failures : sequence of str
+        Of each model why its refit failed; empty where it did not.
 
     Returns
     -------
@@ -258,15 +264,17 @@ def assess(
     samples = information_samples(best.estimation, noise_ratio(best, form.floors))
     reference = bic(before.estimation, len(before.free), samples)
     found = []
-    for added, fitted in models:
+    for number, (added, fitted) in enumerate(models):
         if fitted is None or not fitted.finite:
-            reason = "the refit failed" if fitted is None else "the refitted model diverges"
+            known = failures[number] if number < len(failures) else ""
+            reason = known or ("the refit failed" if fitted is None else "the refitted model diverges")
             found.append(Candidate(added, fitted, -np.inf, NOTHING, judgement=Judgement(False, (reason,))))
             continue
         delta = reference - bic(fitted.estimation, len(fitted.free), samples)
         draws = stream("diagnosis-bootstrap", placed_name(fitted.effects), seed)
         comparison = compare_blocks(before.validation, fitted.validation, rng=draws)
-        intervals = fitted.intervals()
+        # twentieths: the other conditions know how few independent samples there are, and this one asks for a sign only
+        intervals = fitted.intervals(adapt=False)
         reasons: list[str] = []
         if fitted.unaided and comparison.gain >= GAIN:
             alone = compare_blocks(before.unaided or before.validation, fitted.unaided, rng=draws)
@@ -317,6 +325,10 @@ def _judge_one(
     interval = intervals[name]
     neutral = parameter.neutral or 0.0
     shifted = Interval(interval.value - neutral, interval.low - neutral, interval.high - neutral)
+    if parameter.neutral is None and parameter.minimum >= 0:
+        # the place of a rim or of a limit: 0 is not its absence, and it was fitted through its logarithm
+        half = min(0.5 * (interval.high - interval.low) / max(abs(interval.value), 1e-300), 100.0)
+        shifted = Interval(interval.value, interval.value * np.exp(-half), interval.value * np.exp(half))
     sign = {"+": 1, "-": -1, "any": 0}[parameter.sign] if neutral == 0.0 else 0
     verdict = judge(
         converged=fitted.converged,

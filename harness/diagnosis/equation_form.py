@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from harness.diagnosis.descent import Bar
 from harness.diagnosis.equation import Equations, equations_of, expressible
 from harness.diagnosis.forms import Fitted
 from harness.diagnosis.motion import Motion, measured_coordinates, smooth_motion, thinned
@@ -59,9 +60,10 @@ class EquationForm:
         self.shape: Literal["strong", "weak"] = shape
         self.sizes = sizes
         self.columns = tuple((one.name, one.force_unit) for one in nominal.coordinates)
+        weak, smooth = shape == "weak", dataset.intersample == "smooth"
         self.motions: dict[str, tuple[Motion, ...]] = {
             use: tuple(
-                smooth_motion(run, columns, dataset.intersample if shape == "weak" else "foh")
+                smooth_motion(run, columns, dataset.intersample if weak or smooth else "foh")
                 for run in dataset.using(use)
             )
             for use in ("estimation", "validation", "test")
@@ -86,9 +88,11 @@ class EquationForm:
             self._equations[key] = equations_of(system)
         return self._equations[key]
 
-    def solve(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], *, seed: int) -> dict[str, Any]:
-        """Fit by least squares on the force residual from one or more starts; the best end counts."""
-        del seed
+    def solve(
+        self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], *, seed: int, bar: Bar | None = None
+    ) -> dict[str, Any]:
+        """Fit by least squares on the force residual from one or more starts; the best end counts. Gives up none."""
+        del seed, bar
         equations = self.equations(tuple(effects))
         system = equations.system
         best: tuple[float, dict[str, float], bool, str] | None = None

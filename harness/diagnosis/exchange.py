@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from harness.diagnosis.accept import compare_blocks
 from harness.diagnosis.confirm import Candidate, Task, assess
+from harness.diagnosis.descent import Bar
 from harness.diagnosis.forms import Fitted, placed_name
 from harness.diagnosis.pairs import SHORT, short_of
 from harness.diagnosis.screens import SEEN, Probe
@@ -20,6 +21,10 @@ if TYPE_CHECKING:
     from harness.diagnosis.subset import Round, Search
 
 __all__ = ["Accepted", "swapped", "with_ties"]
+
+
+RIVAL = 1.0
+"""A rival whose squared error over short windows exceeds that of the standing model by this share is given up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +62,10 @@ def swapped(
             tries = [one for key, one in rivals.items() if key not in taken][: SHORT + 2 - len(picked)]
             known = {k: v for k, v in model.values.items() if not k.startswith(f"{picked[place]}.")}
             stand_in = replace(model, values=known)
+            standing = Bar(model.effects, model.values, -RIVAL)
             tasks = [
-                Task((*nominal.effects, *others, one), starts_of(search, stand_in, [one], probes)) for one in tries
+                Task((*nominal.effects, *others, one), starts_of(search, stand_in, [one], probes), standing)
+                for one in tries
             ]
             before_task = Task((*nominal.effects, *others), (known,))
             before = search.refitter.fit(before_task)
@@ -131,7 +138,11 @@ def with_ties(
         here = [one for one in tries if one.at == placed.at]
         tries = (here + [one for one in tries if one.at != placed.at])[:SHORT]
         stand_in = replace(model, values=known)
-        tasks = [Task((*nominal.effects, *others, one), starts_of(search, stand_in, [one], probes)) for one in tries]
+        standing = Bar(model.effects, model.values, -RIVAL)
+        tasks = [
+            Task((*nominal.effects, *others, one), starts_of(search, stand_in, [one], probes), standing)
+            for one in tries
+        ]
         records = search.refitter.solve(tasks)
         models: list[tuple[tuple[Placed, ...], Fitted | None]] = [((placed,), model)]
         models += [

@@ -158,14 +158,21 @@ def _residual(views: Sequence[ResidualView]) -> str:
             axis.remove()
         for axis, view in zip(axes.flat, views, strict=False):
             _one_view(axis, view)
-        axes.flat[0].legend(loc="best", fontsize=7.5)
+        lines = {
+            name: line for axis in figure.axes for line, name in zip(*axis.get_legend_handles_labels(), strict=True)
+        }
+        axes.flat[0].legend(lines.values(), lines.keys(), loc="best", fontsize=7.5)
     return svg[0]
 
 
 def _one_view(axis: Axes, view: ResidualView) -> None:
     """Draw one residual panel."""
     pick = _thin(view.x.size, 4000)
-    axis.scatter(view.x[pick], view.before[pick], s=2.5, color=DATA, alpha=0.25, lw=0, rasterized=True)
+    dense = pick.size > 500
+    axis.scatter(
+        view.x[pick], view.before[pick], s=2.5 if dense else 9, color=DATA, alpha=0.25 if dense else 0.6, lw=0,
+        rasterized=True,
+    )  # fmt: skip
     _binned(axis, view.x, view.before, BEFORE, "before (mean, 10-90 %)")
     if view.after is not None:
         _binned(axis, view.x, view.after, AFTER, "after")
@@ -184,7 +191,7 @@ def _one_view(axis: Axes, view: ResidualView) -> None:
 
 def _binned(axis: Axes, x: FloatArray, y: FloatArray, colour: str, label: str) -> None:
     """Draw binned mean and 10-90 % band of ``y`` over ``x``."""
-    edges = np.unique(np.quantile(x, np.linspace(0, 1, 25)))
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, 1 + min(24, max(4, x.size // 8)))))  # few samples, few bins
     if edges.size < 3:
         return
     which = np.clip(np.digitize(x, edges) - 1, 0, edges.size - 2)
@@ -203,7 +210,7 @@ def _binned(axis: Axes, x: FloatArray, y: FloatArray, colour: str, label: str) -
 
 def _fitted(axis: Axes, x: FloatArray, force: FloatArray) -> None:
     """Draw the fitted effect: its mean over bins of the axis."""
-    edges = np.unique(np.quantile(x, np.linspace(0, 1, 60)))
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, min(60, max(6, x.size // 5)))))
     if edges.size < 3:
         return
     which = np.clip(np.digitize(x, edges) - 1, 0, edges.size - 2)

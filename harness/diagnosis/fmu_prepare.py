@@ -22,6 +22,9 @@ from harness.signals import Dataset, FloatArray
 
 __all__ = ["checked", "choose_horizon", "forms", "nominal_fmu", "prefers_equations", "rough_values", "sizes_of"]
 
+SHORTEST = 50
+"""Samples that a window has at least."""
+
 
 def nominal_fmu(path: str | Path, dataset: Dataset, parameters: Mapping[str, Any] | None = None) -> FmuSystem:
     """Return an FMU as the nominal model of a data set; parameters that do not move its outputs are kept fixed.
@@ -66,19 +69,23 @@ def rough_values(system: FmuSystem, dataset: Dataset) -> dict[str, float]:
 def choose_horizon(system: FmuSystem, values: Mapping[str, float], dataset: Dataset) -> Horizon:
     """Decide from how an error of the initial state grows whether whole records can be simulated.
 
-    The derivative of the outputs by each settable state, over the sizes of both, must not grow beyond 20.
+    The derivative of the outputs by each settable state, over the sizes of both, must not grow beyond 20. The size of a
+    state is that of the record: a free run of an unstable FMU soon has left it.
     """
     form = _plain(system, dataset, None)
     p = system.vector(values)
     shortest = np.inf
     for run in form.records["estimation"]:
         windows = Windows(form.simulator(system, p), [run], None, form.weights)
-        x0 = windows.starts_from([form._from_data(windows.simulator, run, p)[0]])
+        seen, told = form._from_data(windows.simulator, run, p)
+        x0 = windows.starts_from([seen])
         x, y, slopes = windows.simulator.windows(p[None], x0, run.u[None], None, run.t[:1])
         assert slopes is not None
         finite = np.isfinite(y[0]).all(axis=1)
         span = np.maximum(np.std(run.y, axis=0), 1e-12)
-        states = np.maximum(np.nanstd(x[0][finite], axis=0), 1e-12) if finite.any() else np.ones(system.nx)
+        begun = x[0][:SHORTEST][finite[:SHORTEST]]
+        simulated = np.std(begun, axis=0) if begun.size else np.ones(system.nx)
+        states = np.maximum(np.where(told, np.std(seen, axis=0), simulated), 1e-12)
         grown = np.abs(slopes[0][..., system.np :]) * states / span[:, None]
         worst = np.where(finite, np.nan_to_num(grown, nan=np.inf).max(axis=(1, 2), initial=0.0), np.inf)
         beyond = np.flatnonzero(worst > GROWTH)
@@ -86,7 +93,7 @@ def choose_horizon(system: FmuSystem, values: Mapping[str, float], dataset: Data
             shortest = min(shortest, beyond[0] * dataset.spec.sample_time)
     if not np.isfinite(shortest):
         return Horizon(None, "an error of the initial state does not grow: whole records are simulated")
-    length = float(max(shortest, 50 * dataset.spec.sample_time))
+    length = float(max(shortest, SHORTEST * dataset.spec.sample_time))
     return Horizon(float(f"{length:.2g}"), f"an error of the initial state grows {GROWTH:g} times in {shortest:.2g} s")
 
 

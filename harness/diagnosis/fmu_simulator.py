@@ -174,27 +174,18 @@ class FmuSimulator:
         if key in self._memory:
             x, y, s = self._memory[key]
             return x, y, s
-        system = self.system
         x, y = self.run(p, x0, u, t0)
         s = np.zeros((*y.shape, self.np + self.nx))
         if np.isfinite(y).all() and self.wanted != "none":
             blocks = {parameter for _, _, parameter in self.sampled.output_blocks}
             for k in self._free if self.wanted == "all" else ():
-                one = system.parameters[k]
                 if k in self.sampled.delay_columns:
                     if slope is not None:
                         h = 0.01 * self.dt
                         later = u + h * slope[..., self.sampled.delay_columns.index(k)]
                         s[..., k] = (self.run(p, x0, later, t0)[1] - y) / h
                 elif k not in blocks:
-                    h = STEP * max(abs(p[k]), 0.1 * abs(one.value), 1e-6)
-                    ends = np.clip([p[k] - h, p[k] + h], one.minimum, one.maximum)
-                    sides = []
-                    for end in ends:
-                        moved = p.copy()
-                        moved[k] = end
-                        sides.append(self.run(moved, x0, u, t0)[1])
-                    s[..., k] = (sides[1] - sides[0]) / (ends[1] - ends[0])
+                    s[..., k] = self._slope(k, p, x0, u, y, t0)
             sizes = np.sqrt(np.mean(x**2, axis=0))
             for k in range(self.nx):
                 h = STEP * (float(sizes[k]) if np.isfinite(sizes[k]) and sizes[k] > 0 else 0.01)
@@ -205,6 +196,28 @@ class FmuSimulator:
         while len(self._memory) > KEPT:
             self._memory.popitem(last=False)
         return x, y, s
+
+    def _slope(self, k: int, p: FloatArray, x0: FloatArray, u: FloatArray, y: FloatArray, t0: float) -> FloatArray:
+        """Return the derivative of the outputs ``y`` by a parameter (N, ny); NaN if the FMU fails on every side.
+
+        A bound itself may be refused, as a mass of 0 is, and the common step be too long for a parameter that fell far
+        below its declared value, as for damping on next to no inertia: then the difference is one-sided, or shorter.
+        """
+        one = self.system.parameters[k]
+        h = STEP * max(abs(p[k]), 0.1 * abs(one.value), 1e-6)
+        for step in (h, 1e-3 * h, 1e-6 * h):
+            ends, sides = [p[k]], [y]
+            for end in (p[k] - step, p[k] + step):
+                moved = p.copy()
+                moved[k] = end
+                there = self.run(moved, x0, u, t0)[1] if one.minimum < end < one.maximum else y * np.nan
+                if np.isfinite(there).all():
+                    ends.append(end)
+                    sides.append(there)
+            low, high = int(np.argmin(ends)), int(np.argmax(ends))
+            if low != high:
+                return np.asarray((sides[high] - sides[low]) / (ends[high] - ends[low]))
+        return np.full_like(y, np.nan)
 
     def _coupled(
         self,

@@ -12,7 +12,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from harness.diagnosis.accept import Interval, block_interval
+from harness.diagnosis.descent import Bar
+from harness.diagnosis.intervals import Interval, block_interval
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
@@ -47,6 +48,8 @@ class Fitted:
     unaided : tuple of array (N_i, ny)
         The validation residual with hidden states of effects starting where the effects say, not where they fit best: a
         slow hidden state that is fitted anew in every window is a free force. Empty without hidden states.
+    starts : tuple of array (L_w * ny, k_w)
+        For each estimation window an orthonormal basis of what its initial state can do. Empty where nothing is fitted.
     """
 
     effects: tuple[Placed, ...]
@@ -61,14 +64,15 @@ class Fitted:
     refitted: dict[str, float] = field(default_factory=dict)
     record: dict[str, Any] = field(default_factory=dict, repr=False)
     unaided: tuple[FloatArray, ...] = ()
+    starts: tuple[FloatArray, ...] = ()
 
     @property
     def finite(self) -> bool:
         """True if both residuals are finite."""
         return all(np.isfinite(one).all() for one in (*self.estimation, *self.validation))
 
-    def intervals(self) -> dict[str, Interval]:
-        """Return the 95 % interval of every free parameter.
+    def intervals(self, *, adapt: bool = True) -> dict[str, Interval]:
+        """Return the 95 % interval of every free parameter; see :func:`harness.diagnosis.intervals.block_interval`.
 
         A parameter of the nominal model that the fit has driven to 0, its lower bound, does not move any more: the
         intervals of the others are those of a fit without it.
@@ -82,7 +86,8 @@ class Fitted:
             if names and not found.keys() >= set(names):
                 columns = [one[:, :, np.array(chosen)] for one in self.jacobian]
                 values = np.array([self.values[name] for name in names])
-                for name, one in zip(names, block_interval(values, columns, self.estimation), strict=True):
+                intervals = block_interval(values, columns, self.estimation, starts=self.starts, adapt=adapt)
+                for name, one in zip(names, intervals, strict=True):
                     found.setdefault(name, one)
         return {name: found[name] for name in self.free}
 
@@ -132,8 +137,11 @@ class Form(Protocol):
         starts: Sequence[Mapping[str, float]],
         *,
         seed: int,
+        bar: Bar | None = None,
     ) -> dict[str, Any]:
         """Fit the nominal model with effects from one or more starts (full parameter names); the best end counts.
+
+        A form whose fits take long may give up one that does not come up to the bar.
 
         Returns a record of plain numbers that :meth:`evaluate` understands and that JSON can hold, with at least
         ``values``, ``converged``, ``message``, ``cost``.

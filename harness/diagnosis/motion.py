@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,9 @@ __all__ = ["Motion", "measured_coordinates", "motion_band", "smooth_motion", "th
 
 ORDER = 4
 MOST = 20
+HELD, SMOOTH = 0.1, 0.2
+"""Share of the sample rate up to which the motion is followed: with the mean over a held sample and differences of
+second order, and with smooth signals and differences of fourth order."""
 
 
 @dataclass(frozen=True)
@@ -106,18 +109,27 @@ def smooth_motion(
         The record.
     columns : dict
         From :func:`measured_coordinates`.
-    intersample : {"zoh", "foh"}
+    intersample : {"zoh", "foh", "smooth"}
         A held input jumps at the sample; the smoothed motion there belongs to the mean of both sides. Without this
-        every balance of forces would see half a sample of delay.
+        every balance of forces would see half a sample of delay. Smooth signals are interpolated where the motion
+        reaches beyond a fifth of the sample rate.
     """
     from scipy import signal
 
+    if intersample == "smooth":
+        run = _interpolated(run, [position for position, _ in columns.values() if position is not None])
     dt, n = run.spec.sample_time, len(run)
     bands = [motion_band(run.y[:, position], dt) for position, _ in columns.values() if position is not None]
     band = max(one for one, _ in bands)
-    cutoff = float(np.clip(max(clear for _, clear in bands), min(5 * band, 0.1 / dt), 0.1 / dt))
+    highest = (SMOOTH if intersample == "smooth" else HELD) / dt
+    cutoff = float(np.clip(max(clear for _, clear in bands), min(5 * band, highest), highest))
     sos = signal.butter(ORDER, 2 * cutoff * dt, output="sos")
     edge = int(np.clip(round(1.5 / (cutoff * dt)), 4, max(n // 8, 4)))
+
+    def slope(x: FloatArray) -> FloatArray:
+        second = np.gradient(x, dt)
+        return second if intersample != "smooth" else second - np.gradient(np.gradient(second)) / 6
+
     q, v, a = [], [], []
     for position, rate in columns.values():
         if position is None:
@@ -128,10 +140,10 @@ def smooth_motion(
             raw = np.unwrap(raw, period=channel.period)
         pad = min(3 * edge, n - 1)
         smooth = signal.sosfiltfilt(sos, raw, padlen=pad)
-        speed = np.gradient(smooth, dt) if rate is None else signal.sosfiltfilt(sos, run.y[:, rate], padlen=pad)
+        speed = slope(smooth) if rate is None else signal.sosfiltfilt(sos, run.y[:, rate], padlen=pad)
         q.append(smooth)
         v.append(speed)
-        a.append(np.gradient(speed, dt))
+        a.append(slope(speed))
     factor = int(np.clip(1 / (10 * band * dt), 1, MOST))
     while factor > 1 and (n - 2 * edge) // factor < 100:
         factor -= 1
@@ -139,7 +151,29 @@ def smooth_motion(
     u = run.u
     if intersample == "zoh" and n > 1:
         u = 0.5 * (u + np.concatenate([u[:1], u[:-1]]))
+    elif intersample == "smooth" and u.size:  # the balance of forces is linear in them: both sides take one filter
+        u = signal.sosfiltfilt(sos, u, axis=0, padlen=min(3 * edge, n - 1))
     return Motion(run.t, position_of, speed_of, acceleration_of, u, slice(edge, n - edge), factor, dt)
+
+
+def _interpolated(run: Trajectory, positions: list[int]) -> Trajectory:
+    """Return a record of band-limited signals on a finer grid, if the motion needs one to be followed."""
+    from scipy import signal
+
+    dt, n = run.spec.sample_time, len(run)
+    factor = int(np.ceil(max(motion_band(run.y[:, one], dt)[1] for one in positions) * dt / SMOOTH))
+    if factor <= 1:
+        return run
+
+    def finer(x: FloatArray, period: float | None = None) -> FloatArray:
+        known = x if period is None else np.unwrap(x, period=period)
+        return np.asarray(signal.resample_poly(known, factor, 1, padtype="line"))
+
+    u = [finer(run.u[:, k]) for k in range(run.u.shape[1])]
+    y = [finer(run.y[:, j], channel.period) for j, channel in enumerate(run.spec.outputs)]
+    t = run.t[0] + np.arange(n * factor) * dt / factor
+    inputs = np.stack(u, axis=1) if u else np.zeros((n * factor, 0))
+    return Trajectory(t, inputs, np.stack(y, axis=1), replace(run.spec, sample_time=dt / factor))
 
 
 def thinned(motion: Motion, most: int = 6000) -> Motion:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.descent import STIFFER, Bar, distinct, first_ends, promise
 from harness.diagnosis.forms import Fitted
 from harness.diagnosis.unfold import signs_by_model, unfolded_starts
 from harness.effects.compose import compose
@@ -25,8 +27,8 @@ from harness.signals import Dataset, FloatArray, Trajectory
 __all__ = ["OutputForm"]
 
 ITERATIONS = 50
-STIFFER = 4
-"""A start that needs more than so many times the steps of another one is put off."""
+SHORT = 250
+"""Samples of a horizon that no shorter windows lead to."""
 PER_RECORD = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
 """Parameters that belong to a record, not to the plant: refitted on validation."""
 
@@ -79,6 +81,7 @@ class OutputForm:
             use: tuple(run.measured() for run in dataset.using(use)) for use in ("estimation", "validation", "test")
         }
         self._systems: dict[tuple[str, ...], Any] = {}
+        self._before: dict[Any, Solution | None] = {}
 
     def judges(self, placed: Placed) -> bool:
         """Return True: everything can be simulated."""
@@ -107,23 +110,25 @@ class OutputForm:
         starts: Sequence[Mapping[str, float]],
         *,
         seed: int,
+        bar: Bar | None = None,
     ) -> dict[str, Any]:
-        """Fit over short windows first, then over the horizon, from each start; the best end counts."""
+        """Fit over short windows first, then over the horizon, from each start; the best end counts.
+
+        A model that does not come up to the bar over short windows is given up; see :class:`Bar`.
+        """
         del seed
         system = self.system(effects)
         free = np.array([not one.fixed for one in system.parameters], dtype=bool)
-        ends = []
+        ends: list[Any] = []
         for some in self._by_expense(system, starts or ({},)):
-            found_ends = [self._stage(system, p, None, free, self._path()[0]) for p in some]
-            ends = [one for one in found_ends if one is not None]
+            ends = first_ends(self, system, some, free, self._path()[0], bar)
             if ends:
                 break
         best: dict[str, Any] | None = None
-        ends.sort(key=lambda one: one.evaluation.cost)
-        for number, end in enumerate(ends[:2]):
-            if number and best is not None and (best["converged"] or end.evaluation.cost > 4 * ends[0].evaluation.cost):
+        for end in ends:
+            if best is not None and best["converged"]:
                 break
-            found = self._descend(system, end, free)
+            found = self._descend(system, end, free, bar if end is ends[0] else None)
             if found is not None and (best is None or found["cost"] < best["cost"]):
                 best = found
         vectors = [system.vector(one["values"]) for one in unfolded_starts(self, effects, starts)]
@@ -164,7 +169,7 @@ class OutputForm:
         unaided: list[FloatArray] = []
         hidden = int(getattr(system, "hidden_count", 0))
         if outside and hidden:
-            z0 = self._hidden_at_rest(system, q, other, y0)
+            z0 = self._hidden_carried(system, q, other, y0)
             unaided = other.together(other.evaluate(q, z0, keep=True).residuals)
         ny = len(self.weights)
         return Fitted(
@@ -180,6 +185,7 @@ class OutputForm:
             jacobian=tuple(np.split(jacobian.reshape(len(jacobian) // ny, ny, len(free)), cuts)),
             refitted=dict(record["refitted"]),
             record=dict(record),
+            starts=tuple(result.starts),
         )
 
     def responses(self, base: Fitted, placed: Placed, values: Mapping[str, float]) -> tuple[FloatArray, ...] | None:
@@ -213,6 +219,10 @@ class OutputForm:
     def clean(self, base: Fitted, parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
         """Take out of columns (N_i, ny, k) of the estimation runs what the initial states can do."""
         return self.without_states(base, parts, "estimation")
+
+    def seams(self, base: Fitted, use: str = "estimation") -> list[tuple[int, int, int]]:
+        """Return the windows of the runs of a use as (run, first, last)."""
+        return self._state_bases(base, use)[1]
 
     def without_states(self, base: Fitted, parts: Sequence[FloatArray], use: str) -> tuple[FloatArray, ...]:
         """Take out of columns (N_i, ny, k) what the initial states of the windows of a use can do."""
@@ -316,25 +326,39 @@ class OutputForm:
 
         A start that is much stiffer than another one costs more than all the others, and is tried if these diverge.
         """
-        distinct: list[FloatArray] = []
-        for start in starts:
-            p = system.vector({k: v for k, v in start.items() if k in system.parameter_names})
-            if not any(np.allclose(p, other, rtol=1e-9) for other in distinct):
-                distinct.append(p)
-        steps = [getattr(self.simulator(system, p), "substeps", 1) for p in distinct]
-        easy = [p for p, count in zip(distinct, steps, strict=True) if count <= STIFFER * min(steps)]
-        stiff = [p for p, count in zip(distinct, steps, strict=True) if count > STIFFER * min(steps)]
+        known = [system.vector({k: v for k, v in one.items() if k in system.parameter_names}) for one in starts]
+        vectors = distinct(known)
+        steps = [getattr(self.simulator(system, p), "substeps", 1) for p in vectors]
+        easy = [p for p, count in zip(vectors, steps, strict=True) if count <= STIFFER * min(steps)]
+        stiff = [p for p, count in zip(vectors, steps, strict=True) if count > STIFFER * min(steps)]
         return [easy, stiff]
 
     def _path(self) -> list[float | None]:
         """Return the horizons of a fit in their order."""
         longest = max(len(one) for one in self.records["estimation"]) * self.sample_time
         target = longest if self.horizon is None else self.horizon
+        if target <= SHORT * self.sample_time:
+            return [self.horizon]
         steps = [max(part * target, 50 * self.sample_time) for part in (0.1, 0.3)]
         return [*(one for one in dict.fromkeys(steps) if one < 0.6 * target), self.horizon]
 
+    def cost_of(self, bar: Bar, horizon: float | None) -> Solution | None:
+        """Return the fit of the model before at a horizon; found once."""
+        key = (tuple(map(str, bar.effects)), tuple(sorted(bar.values.items())), horizon)
+        if key not in self._before:
+            system = self.system(bar.effects)
+            free = np.array([not one.fixed for one in system.parameters], dtype=bool)
+            self._before[key] = self._stage(system, system.vector(bar.values), None, free, horizon)
+        return self._before[key]
+
     def _stage(
-        self, system: Any, p: FloatArray, states: list[FloatArray] | None, free: Any, horizon: float | None
+        self,
+        system: Any,
+        p: FloatArray,
+        states: list[FloatArray] | None,
+        free: Any,
+        horizon: float | None,
+        iterations: int | None = None,
     ) -> Solution | None:
         """Fit at one horizon; None if the simulation diverges."""
         records = list(self.records["estimation"])
@@ -343,7 +367,8 @@ class OutputForm:
             states = [self._from_data(simulator, one, p)[0] for one in records]
         windows = self._cut(simulator, records, horizon)
         x0 = self._fit_states(windows, p, windows.starts_from(states), 8)
-        solution = minimise(windows, p, x0, free, self._iterations(horizon), decrease=self.decrease)
+        most = self._iterations(horizon) if iterations is None else iterations
+        solution = minimise(windows, p, x0, free, most, decrease=self.decrease)
         if not np.isfinite(solution.evaluation.cost):
             return None
         solution.states = windows.together(solution.evaluation.states)  # type: ignore[attr-defined]
@@ -356,9 +381,17 @@ class OutputForm:
         found = [self._ended(self.nominal, one) for one in ends if one is not None]
         return [{**one, **self._on_validation(self.nominal, one)} for one in found]
 
-    def _descend(self, system: Any, solution: Any, free: Any) -> dict[str, Any] | None:
-        """Return the end of one start, from its first stage on."""
-        for horizon in self._path()[1:]:
+    def _descend(self, system: Any, solution: Any, free: Any, bar: Bar | None = None) -> dict[str, Any] | None:
+        """Return the end of one start, from its first stage on.
+
+        Raises
+        ------
+        GivenUp
+            If it does not come up to the bar.
+        """
+        path = self._path()
+        for before, horizon in pairwise(path):
+            promise(self, bar, system, solution, before)
             solution = self._stage(system, solution.p, solution.states, free, horizon)
             if solution is None:
                 return None
@@ -442,22 +475,33 @@ class OutputForm:
                     x0[row, k] = hidden[k - first]
         return x0
 
-    def _hidden_at_rest(self, system: Any, p: FloatArray, windows: Windows, x0: FloatArray) -> FloatArray:
-        """Return initial states of validation windows: hidden ones where their effects say, the others fitted to it."""
+    def _hidden_carried(self, system: Any, p: FloatArray, windows: Windows, x0: FloatArray) -> FloatArray:
+        """Return initial states of validation windows with the hidden ones handed on from window to window.
+
+        They start where their effects say, and are carried over the seams by how far they are from there (a twist, a
+        bent bristle); the other states are fitted to each window. So hidden states are what the motion made them.
+        """
         result, first = x0.copy(), system.nx - system.hidden_count
-        records = self.records["validation"]
-        for row, (number, place, _) in enumerate(windows.places):
-            result[row, first:] = windows.simulator.hidden_start(x0[row], records[number].u[place], p)
-        for _ in range(3):  # Gauss-Newton over the states of the nominal model
-            residuals = windows.evaluate(p, result, keep=True).residuals
-            for row, ((number, place, last), rest) in enumerate(zip(windows.places, residuals, strict=True)):
-                record = records[number]
-                _, _, slope = windows.simulator.sensitivities(p, result[row], record.u[place:last], t0=record.t[place])
+        simulator, records = windows.simulator, self.records["validation"]
+        away, before = np.zeros(system.hidden_count), -1
+        for row, (number, place, last) in enumerate(windows.places):
+            record = records[number][place:last]
+            alone = Windows(simulator, [record], None, self.weights)
+            away = away if number == before else np.zeros(system.hidden_count)
+            before = number
+            for _ in range(3):  # Gauss-Newton over the states of the nominal model
+                result[row, first:] = simulator.hidden_start(result[row], record.u[0], p) + away
+                rest = alone.evaluate(p, result[row : row + 1], keep=True).residuals[0]
+                _, _, slope = simulator.sensitivities(p, result[row], record.u, t0=float(record.t[0]))
                 known = (slope[..., :first] / self.weights[:, None]).reshape(-1, first)
                 wanted = (rest / self.weights).reshape(-1)
                 if not (np.isfinite(known).all() and np.isfinite(wanted).all()):
-                    continue
+                    break
                 result[row, :first] += np.linalg.lstsq(known, wanted, rcond=1e-10)[0]
+            result[row, first:] = simulator.hidden_start(result[row], record.u[0], p) + away
+            end = alone.evaluate(p, result[row : row + 1], keep=True).states[0][-1]
+            if np.isfinite(end).all():
+                away = end[first:] - simulator.hidden_start(end, record.u[-1], p)
         return result
 
     def _state_bases(self, base: Fitted, use: str) -> tuple[list[FloatArray], list[tuple[int, int, int]]]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from harness.diagnosis.accept import DELTA_BIC, LEVEL, WRONG_SIGN
 from harness.diagnosis.confirm import Candidate, Task, assess
+from harness.diagnosis.descent import Bar
 from harness.diagnosis.forms import Fitted
 from harness.diagnosis.screens import SEEN
 from harness.diagnosis.starts import starts_of
@@ -26,6 +27,11 @@ __all__ = ["best_pair", "compatible", "complements", "short_of"]
 
 PAIR_GAIN = 0.5
 """Share of the squared validation error that a pair must take away: among many pairs one gains a little by chance."""
+
+PAIR_PROMISE = 0.25
+"""Share of the error that a pair must take away over short windows to be fitted over long ones."""
+ONWARD = 0.1
+"""Share of the error that a pair must take away to be fitted on where it has not converged."""
 
 PROMISING = 0.4
 """Share of the residual that a pair must explain in a screen to be refitted; a screen is linear, a fit is not."""
@@ -85,13 +91,16 @@ def best_pair(search: Search, model: Fitted, here: Round) -> Candidate | None:
     if not pairs:
         return None
     search.say(f"refitting {len(pairs)} pairs")
-    tasks = [Task((*model.effects, *pair), starts_of(search, model, pair, probes, None, here.weak)) for pair in pairs]
+    bar = Bar(model.effects, model.values, PAIR_PROMISE)
+    tasks = [
+        Task((*model.effects, *pair), starts_of(search, model, pair, probes, None, here.weak), bar) for pair in pairs
+    ]
     judged = search.judge(model, tasks, pairs, here.p)
     for _ in range(2):  # two effects share a long valley: a pair that gains is fitted on from where it ended
         onward = {
             k: Task(tasks[k].effects, (one.fitted.values,))
             for k, one in enumerate(judged)
-            if one.fitted is not None and not one.fitted.converged and one.comparison.gain >= 0.1
+            if one.fitted is not None and not one.fitted.converged and one.comparison.gain >= ONWARD
         }
         if not onward:
             break

@@ -173,7 +173,7 @@ def sizes_of(system: Any, values: Mapping[str, float], dataset: Dataset) -> dict
     if columns is not None:
         motion = smooth_motion(runs[0], columns, dataset.intersample)
         known = motion_sizes(system, Signals(motion.t, motion.u, motion.q, motion.v, motion.a), values)
-        return {port: {**common, **sizes} for port, sizes in known.items()}
+        return {port: {**sizes, **common} for port, sizes in known.items()}
     result: dict[str, dict[str, float]] = {"base": dict(common)}
     u = np.concatenate([run.u for run in runs])
     y = np.concatenate([run.y for run in runs])

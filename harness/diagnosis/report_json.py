@@ -7,6 +7,9 @@ Keys of ``sysid-harness/close-loop/1``:
     effect accepted, though the rest is predictable).
 ``adequacy``
     ``explained``, ``mostly_explained``, ``proxy_or_incomplete``: the predictable part of what is left, over the noise.
+``stand_in``
+    ``flagged``: the accepted effects imitate something that is not in the dictionary, their names are no diagnosis;
+    ``reasons``.
 ``effects``
     Accepted effects: ``name``, ``at``, ``delta_bic``, and ``parameters`` with ``value``, ``low``, ``high`` (95 %) and
     ``unit``.
@@ -47,7 +50,9 @@ from harness.diagnosis.confirm import Candidate
 from harness.diagnosis.experiments import Bench, separate_with
 from harness.diagnosis.forms import Fitted, rms
 from harness.diagnosis.isolability import isolability, separating, unseen
+from harness.diagnosis.report_summary import summary
 from harness.diagnosis.scores import equation_error, noise_ratios, simulation_error
+from harness.diagnosis.stand_in import stand_in
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
@@ -82,12 +87,14 @@ def report_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray]]
     if found.system.h is None:
         warnings.append(AROUND)
     names, cosines = isolability(found.first_screen, first=[str(one.placed) for one in found.result.accepted])
+    reasons = list(stand_in(found))
     data: dict[str, Any] = {
         "format": FORMAT,
         "dataset": found.dataset.name,
         "model": found.system.name,
         "verdict": found.verdict,
         "adequacy": found.adequacy.grade,
+        "stand_in": {"flagged": bool(reasons), "reasons": reasons},
         "summary": "",
         "effects": [_effect(found, one.placed, one.delta_bic) for one in found.result.accepted],
         "tie_sets": [[_named(member) for member in one.tie] for one in found.result.accepted],
@@ -117,7 +124,7 @@ def report_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray]]
         "warnings": list(dict.fromkeys(warnings)),
         "seconds": round(found.seconds, 2),
     }
-    data["summary"] = _summary(data)
+    data["summary"] = summary(data)
     return data
 
 
@@ -389,36 +396,3 @@ def _closed_loop(found: Diagnosis) -> dict[str, Any]:
             else "no relation of the residual to later inputs was found",
         }
     return result
-
-
-def _summary(data: dict[str, Any]) -> str:
-    """Return the verdict in one line."""
-    before = data["errors"]["before"]["simulation_error"]["validation"]
-    after = data["errors"]["after"]["simulation_error"]["validation"]
-    change = ", ".join(
-        f"{name} {_short(before[name]['rms'])} -> {_short(after[name]['rms'])} {before[name]['unit']}"
-        for name in before
-    )
-    if data["verdict"] == "effects_found":
-        names = " and ".join(f"{one['name'].replace('_', ' ')} at {one['at']}" for one in data["effects"])
-        tied = sum(len(one) > 1 for one in data["tie_sets"])
-        more = " (tied with others, see below)" if tied else ""
-        return f"{data['model']} lacks {names}{more}; validation simulation error {change}; {_word(data['adequacy'])}"
-    if data["verdict"] == "nothing_missing":
-        rest = "; what is left is an unpredictable disturbance" if data["disturbance"] else ""
-        return f"nothing is missing in {data['model']}: validation simulation error {change.split(' -> ')[0]}{rest}"
-    return f"something is missing in {data['model']}, and no effect of the dictionary explains it ({change})"
-
-
-def _word(adequacy: str) -> str:
-    """Return an adequacy grade in words."""
-    return {
-        "explained": "the residual is explained",
-        "mostly_explained": "the residual is mostly explained",
-        "proxy_or_incomplete": "the answer is a proxy or incomplete",
-    }[adequacy]
-
-
-def _short(value: float | None) -> str:
-    """Return a number in few digits."""
-    return "unknown" if value is None else f"{value:.3g}"

@@ -15,6 +15,7 @@ import numpy as np
 
 from harness.diagnosis.accept import LEVEL
 from harness.diagnosis.confirm import Candidate, Refitter, Task, assess
+from harness.diagnosis.descent import Bar
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.exchange import Accepted, swapped, with_ties
 from harness.diagnosis.forms import Fitted, Form
@@ -87,13 +88,13 @@ class Search:
     say: Callable[[str], None] = lambda text: None
     notes: list[str] = field(default_factory=list)
 
-    def run(self, nominal: Fitted) -> SearchResult:
-        """Return the final model, starting from the fitted nominal one."""
+    def run(self, nominal: Fitted, *, first: Round | None = None) -> SearchResult:
+        """Return the final model, starting from the fitted nominal one (and its first round, if that is done)."""
         model = nominal
         rounds: list[Round] = []
         picked: list[Placed] = []
         while len(picked) < MOST_EFFECTS and self.detected(model, later=bool(picked)):
-            here = self.round(model)
+            here = first if first is not None and not rounds else self.round(model)
             rounds.append(here)
             winner = self.winner(here.candidates)
             if winner is None and here.candidates and here.p <= LEVEL and len(picked) + 2 <= MOST_EFFECTS:
@@ -134,13 +135,13 @@ class Search:
         bases = {str(one.placed): one.basis for one in screen.probes if one.left >= SEEN and one.rank}
         rng = stream("diagnosis-surrogates", len(model.effects), self.seed)
         cleaned = self.form.clean(model, [one[:, :, None] for one in model.estimation])
-        test = surrogate_test([one[:, :, 0] for one in cleaned], bases, screen.nominal, rng=rng)
+        seams: list[tuple[int, int, int]] = getattr(self.form, "seams", lambda _: [])(model)
+        test = surrogate_test([one[:, :, 0] for one in cleaned], bases, screen.nominal, rng=rng, windows=seams)
         p = test.p
         if weak is not None:
-            # two tests of one null: the smaller p counts twice
             momentum = {str(one.placed): one.basis for one in weak.screen.probes if one.left >= SEEN and one.rank}
             other = surrogate_test(list(weak.residual), momentum, weak.screen.nominal, rng=rng)
-            p = min(1.0, 2 * min(test.p, other.p))
+            p = min(test.p, other.p)  # either one opens the way to the refits, which have tests of their own
             test = other if other.p < test.p else test
         line = line_of(self, model)
         signs = {key: own for key, own in hidden_signs(self.form, rest).items() if own <= LEVEL}
@@ -155,7 +156,8 @@ class Search:
                 one for one in rest if one.effect.name == "periodic_disturbance" and str(one) not in map(str, chosen)
             ]
         probes = {str(one.placed): one for one in screen.probes}
-        tasks = [Task((*model.effects, one), starts_of(self, model, [one], probes, line, weak)) for one in chosen]
+        bar = Bar(model.effects, model.values)
+        tasks = [Task((*model.effects, one), starts_of(self, model, [one], probes, line, weak), bar) for one in chosen]
         self.say(f"refitting {len(tasks)} candidates")
         null = {
             str(one): 0.0
@@ -186,7 +188,8 @@ class Search:
         models = [
             (new, self.refitter.evaluate(task, record)) for new, task, record in zip(added, tasks, records, strict=True)
         ]
-        return assess(self.form, before, models, surrogate_p=p, seed=self.seed)
+        failures = [str(record.get("failed", "")) for record in records]
+        return assess(self.form, before, models, surrogate_p=p, seed=self.seed, failures=failures)
 
     def winner(self, candidates: Sequence[Candidate]) -> Candidate | None:
         """Return the simplest member of the tie set of the best accepted candidate."""

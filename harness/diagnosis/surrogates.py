@@ -1,7 +1,9 @@
-"""Phase-randomised surrogates: what the dictionary finds in a residual of the same spectrum with no cause in it.
+"""Surrogates: what the dictionary finds in a residual of the same kind with no cause in it.
 
 A residual of unmodelled coloured disturbance correlates with slow regressors by chance. The null of the loop is
-therefore not white noise but the residual's own spectrum (Theiler et al., Physica D 58:77, 1992).
+therefore not white noise but the residual's own spectrum (Theiler et al., Physica D 58:77, 1992). The error of short
+free runs is no stationary signal either: it is 0 at the start of every window and grows. There the windows themselves
+are shuffled, each with a random sign, which keeps their shape and breaks what ties them to the motion.
 """
 
 from __future__ import annotations
@@ -15,7 +17,19 @@ from harness.signals import FloatArray
 
 _TOGETHER = 32
 
-__all__ = ["SurrogateTest", "orthonormal", "phase_randomised", "scores", "surrogate_test"]
+ENOUGH = 10
+"""Windows that can be shuffled; of fewer there are too few different surrogates."""
+
+__all__ = [
+    "ENOUGH",
+    "SurrogateTest",
+    "orthonormal",
+    "phase_randomised",
+    "scores",
+    "surrogate_test",
+    "surrogates",
+    "window_shuffled",
+]
 
 
 @dataclass(frozen=True)
@@ -79,6 +93,57 @@ def phase_randomised(series: Sequence[FloatArray], count: int, *, rng: np.random
     return np.concatenate(parts, axis=1)
 
 
+def window_shuffled(
+    series: Sequence[FloatArray], windows: Sequence[tuple[int, int, int]], count: int, *, rng: np.random.Generator
+) -> FloatArray:
+    """Return surrogates of errors of free runs over windows: windows of equal length exchanged, with random signs.
+
+    Parameters
+    ----------
+    series : sequence of array (N_i, ny)
+        The error of each run.
+    windows : sequence of (run, first, last)
+        The samples ``first`` to ``last - 1`` of a run are one window.
+    count : int
+        Number of surrogates.
+    rng : Generator
+        Source of order and signs.
+
+    Returns
+    -------
+    array (count, sum N_i, ny)
+
+    Examples
+    --------
+    >>> x = np.arange(4.0)[:, None]
+    >>> s = window_shuffled([x], [(0, 0, 2), (0, 2, 4)], 5, rng=np.random.default_rng(0))
+    >>> sorted({tuple(np.abs(one[:, 0]).tolist()) for one in s})
+    [(0.0, 1.0, 2.0, 3.0), (2.0, 3.0, 0.0, 1.0)]
+    """
+    offsets = np.concatenate([[0], np.cumsum([len(one) for one in series])])
+    whole = np.concatenate(list(series))
+    result = np.broadcast_to(whole, (count, *whole.shape)).copy()
+    firsts: dict[int, list[int]] = {}
+    for run, first, last in windows:
+        firsts.setdefault(last - first, []).append(int(offsets[run]) + first)
+    for length, starts in firsts.items():
+        rows = np.array(starts)[:, None] + np.arange(length)
+        blocks = whole[rows]
+        order = np.argsort(rng.random((count, len(starts))), axis=1)
+        signs = rng.choice([-1.0, 1.0], size=(count, len(starts)))
+        result[:, rows] = blocks[order] * signs[:, :, None, None]
+    return result
+
+
+def surrogates(
+    series: Sequence[FloatArray], windows: Sequence[tuple[int, int, int]], count: int, *, rng: np.random.Generator
+) -> FloatArray:
+    """Return surrogates (count, sum N_i, ny): shuffled windows where there are ten or more, else randomised phases."""
+    if len(windows) >= ENOUGH:
+        return window_shuffled(series, windows, count, rng=rng)
+    return phase_randomised(series, count, rng=rng)
+
+
 def orthonormal(columns: FloatArray, *, without: FloatArray | None = None, tolerance: float = 1e-6) -> FloatArray:
     """Return an orthonormal basis (N, k) of ``columns`` (N, m) after ``without`` (N, p, orthonormal) is removed.
 
@@ -139,8 +204,9 @@ def surrogate_test(
     *,
     rng: np.random.Generator,
     count: int = 300,
+    windows: Sequence[tuple[int, int, int]] = (),
 ) -> SurrogateTest:
-    """Test whether the dictionary explains the residual better than it explains residuals of the same spectrum.
+    """Test whether the dictionary explains the residual better than it explains surrogates of it.
 
     Parameters
     ----------
@@ -154,9 +220,12 @@ def surrogate_test(
         Source of the phases.
     count : int
         Number of surrogates.
+    windows : sequence of (run, first, last), optional
+        Where the residual is that of free runs over windows. If there are ten or more, they are shuffled; else the
+        phases of the runs are randomised.
     """
     truth = np.concatenate([one.reshape(-1) for one in residual])[:, None]
-    drawn = phase_randomised(residual, count, rng=rng).reshape(count, -1).T
+    drawn = surrogates(residual, windows, count, rng=rng).reshape(count, -1).T
 
     def power(columns: FloatArray) -> FloatArray:
         whole = np.einsum("nc,nc->c", columns, columns)

@@ -17,6 +17,8 @@ __all__ = ["leader", "simplest", "tie_set"]
 WITHIN = 10.0
 SHARE = 0.002
 """Candidates also tie within this share of what the best gains: at N = 5000 a numerical detail is worth 10 in BIC."""
+SPECIAL = 0.01
+"""The same for a special case of the best: the rounding of a law is worth hundreds in BIC, a law is worth more."""
 ALIKE = 0.02
 """Validation errors that differ by less than this count as equal, whatever the bootstrap says."""
 VAGUE = 0.5
@@ -29,7 +31,8 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
     A candidate ties if it is within 10 of the best in BIC (or within 0.2 % of what the best gains), and the paired
     bootstrap on validation cannot tell the two (or they differ by less than 2 %).
     A special case of the best within 10 in BIC ties whatever the bootstrap says: the evidence for the more general
-    effect is then no more than the evidence that an effect needs to be accepted at all.
+    effect is then no more than the evidence that an effect needs to be accepted at all. A special case that gains
+    within 1 % as much ties if its validation error is within 2 %.
     A more complex one whose additional parameters are not determined by the data (Stribeck friction seen only at high
     speed) also ties: only the penalty separates it, not the data.
     """
@@ -39,7 +42,8 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
     for one in candidates:
         if one is best or one.fitted is None or not one.fitted.finite:
             continue
-        close = best.delta_bic - one.delta_bic <= max(WITHIN, SHARE * best.delta_bic)
+        nested = _special_case(one, best)
+        close = best.delta_bic - one.delta_bic <= max(WITHIN, (SPECIAL if nested else SHARE) * best.delta_bic)
         if not close:
             gap = _deviance(one.fitted, samples) - _deviance(best.fitted, samples)
             close = gap <= WITHIN and one.parameters > best.parameters and _vague(one)
@@ -47,7 +51,8 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
             continue
         key = f"{placed_name(best.added)} against {placed_name(one.added)}"
         versus = compare_blocks(best.fitted.validation, one.fitted.validation, rng=stream("diagnosis-tie", key, seed))
-        if not versus.distinguishable or abs(versus.gain) < ALIKE or _special_case(one, best):
+        within = best.delta_bic - one.delta_bic <= WITHIN
+        if not versus.distinguishable or abs(versus.gain) < ALIKE or (nested and within):
             tied.append(one)
     return tied
 
@@ -91,7 +96,7 @@ def simplest(tied: Sequence[Candidate]) -> Candidate:
 
 def _special_case(one: Candidate, best: Candidate) -> bool:
     """Return True if one differs from the best only by effects that the best one's effects contain."""
-    if len(one.added) != len(best.added) or best.delta_bic - one.delta_bic > WITHIN:
+    if len(one.added) != len(best.added):
         return False
     pairs = zip(one.added, best.added, strict=True)
     return all(a.at == b.at and (a.effect.name == b.effect.name or a.effect.name in b.effect.nests) for a, b in pairs)
@@ -106,7 +111,7 @@ def _deviance(fitted: Fitted, samples: float) -> float:
 def _vague(candidate: Candidate) -> bool:
     """Return True if a parameter of the added effects (no smoothing width, no phase) is not determined."""
     assert candidate.fitted is not None
-    intervals = candidate.fitted.intervals()
+    intervals = candidate.fitted.intervals(adapt=False)
     for placed in candidate.added:
         for one in placed.effect.parameters:
             name = placed.name(one.name)

@@ -76,7 +76,7 @@ class EffectParameter:
     meaning: str = ""
 
     def start(self, sizes: Mapping[str, float]) -> float:
-        """Return the start value for data of these sizes, within the bounds.
+        """Return the start value for data of these sizes, within the bounds (the floor that they set included).
 
         Parameters
         ----------
@@ -89,18 +89,20 @@ class EffectParameter:
         >>> par("tau", "s", scale="2 dt", minimum=0.0).start({"dt": 0.01})
         0.02
         """
-        return float(np.clip(_sized(self.scale or self._default_scale(), sizes), self.minimum, self.maximum))
+        value = _sized(self.scale or self._default_scale(), sizes)
+        return float(np.clip(value, self.lowest(sizes, np.inf), self.maximum))
 
     def lowest(self, sizes: Mapping[str, float], value: float) -> float:
         """Return the lower bound for data of these sizes; never above a value that was given."""
         if not self.floor or not sizes:
             return self.minimum
-        return max(self.minimum, min(_sized(self.floor, sizes), value))
+        return float(max(self.minimum, min(_sized(self.floor, sizes), value, self.maximum)))
 
     def starts(self, sizes: Mapping[str, float]) -> tuple[float, ...]:
         """Return the start values worth trying, the usual one first."""
         first = self.start(sizes)
-        values = [float(np.clip(first * factor, self.minimum, self.maximum)) for factor in self.grid]
+        low = self.lowest(sizes, np.inf)
+        values = [float(np.clip(first * factor, low, self.maximum)) for factor in self.grid]
         return tuple(dict.fromkeys([first, *values]))
 
     def _default_scale(self) -> str:

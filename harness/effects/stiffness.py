@@ -130,7 +130,9 @@ def payload_step(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any, a: Any) -> Any:
     [
         par("stop", "q", scale="1.2 q", sign="+", minimum=0.0, main=True, grid=(1.0, 0.8, 1.3),
             meaning="half of the free travel"),
-        par("k", "F/q", scale="10 F/q", sign="+", minimum=0.0, neutral=0.0, linear=True, meaning="its stiffness"),
+        # what gives way as far as the plant usually moves under the usual force ends no travel
+        par("k", "F/q", scale="10 F/q", floor="1 F/q", sign="+", minimum=0.0, neutral=0.0, linear=True,
+            meaning="its stiffness"),
         par("d", "F/v", scale="0.1 F/v", sign="+", minimum=0.0, neutral=0.0, linear=True, nuisance=True,
             meaning="damping of the stop"),
         par("centre", "q", scale="0", fixed=True, meaning="middle of the free travel"),

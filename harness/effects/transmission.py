@@ -79,14 +79,20 @@ def backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     "coordinate",
     [
         par("A", "F", scale="0.05 F", neutral=0.0, main=True, linear=True, meaning="amplitude"),
-        par("k", "rad/q", scale="6", minimum=2.5, maximum=1000.0,
+        # k times the travel (2 sqrt(2) rms) reaches pi/2: over less than a quarter of a period nothing repeats
+        par("k", "rad/q", scale="6", floor="0.56 q^-1", minimum=2.5, maximum=1000.0,
             grid=(1.0, 0.5, 0.6666666666666666, 1.3333333333333333, 2.0, 3.0, 4.0),
             meaning="periods per turn"),
         par("phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), meaning="phase"),
     ],
     formula="F = A sin(k q + phi), k >= 2.5",
-    family=("position_dependent_friction", "periodic_disturbance", "eccentric_load"),
-    limits={"eccentric_load": "for one period per turn (excluded: k >= 2.5)"},
+    family=("cubic_spring", "quadratic_spring", "position_dependent_friction", "periodic_disturbance",
+            "eccentric_load"),
+    limits={
+        "eccentric_load": "for one period per turn (excluded: k >= 2.5)",
+        "quadratic_spring": "if the motion covers less than half a period about a crest",
+        "cubic_spring": "if the motion covers less than a period about a zero, with the stiffness free",
+    },
     experiment="slow full turns in both directions: the force repeats with the angle whatever the speed",
 )  # fmt: skip
 def cogging(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:

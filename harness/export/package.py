@@ -19,6 +19,7 @@ import numpy as np
 from harness.errors import InputError
 from harness.export.c_model import DELAY
 from harness.export.describe import Variable, describe
+from harness.units import base_units
 
 if TYPE_CHECKING:
     from harness.diagnosis.fmu_system import FmuSystem
@@ -124,16 +125,8 @@ def effects_source(system: FmuSystem, sample_time: float) -> str:
 
 def effects_description(system: FmuSystem, sample_time: float) -> str:
     """Return modelDescription.xml of the effects' FMU (FMI 2.0)."""
-    units = {one.name: one.unit for one in system.outputs}
-    variables = [Variable(one.name, "input", one.unit) for one in system.inputs]
-    variables += [Variable(f"position.{one.name}", "input", one.unit) for one in system.coordinates]
-    variables += [
-        Variable(f"rate.{one.name}", "input", f"{one.unit}/s") for one in system.coordinates if one.rate is not None
-    ]
-    variables += [Variable(f"raw.{name}", "input", unit) for name, unit in units.items()]
-    count = len(variables)
-    variables += [Variable(f"driven.{one.name}", "output", one.unit) for one in system.inputs]
-    variables += [Variable(f"reading.{name}", "output", unit) for name, unit in units.items()]
+    variables = _ports(system)
+    count = sum(one.role == "input" for one in variables)
     variables += [Variable(f"state.{one.name}", "state", one.unit) for one in system.hidden]
     variables += [
         Variable(one.name, "parameter", one.unit, one.value, one.minimum, one.maximum)
@@ -144,6 +137,18 @@ def effects_description(system: FmuSystem, sample_time: float) -> str:
     root = describe(name, str(system), token, variables, sample_time=sample_time, direct=range(count))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
+
+
+def _ports(system: FmuSystem) -> list[Variable]:
+    """Return inputs and outputs of the effects' FMU."""
+    variables = [Variable(one.name, "input", one.unit) for one in system.inputs]
+    variables += [Variable(f"position.{one.name}", "input", one.unit) for one in system.coordinates]
+    variables += [
+        Variable(f"rate.{one.name}", "input", f"{one.unit}/s") for one in system.coordinates if one.rate is not None
+    ]
+    variables += [Variable(f"raw.{one.name}", "input", one.unit) for one in system.outputs]
+    variables += [Variable(f"driven.{one.name}", "output", one.unit) for one in system.inputs]
+    return variables + [Variable(f"reading.{one.name}", "output", one.unit) for one in system.outputs]
 
 
 def _stored(content: Mapping[str, Any], folder: Path) -> tuple[FmuSystem, float]:
@@ -182,14 +187,16 @@ def _structure(system: FmuSystem, sample_time: float) -> str:
     outside = _child(top, "ssd:Connectors")
     for kind, channels in (("input", system.inputs), ("output", system.outputs)):
         for one in channels:
-            _connector(outside, one.name, kind)
+            _connector(outside, one.name, kind, one.unit)
     elements = _child(top, "ssd:Elements")
     positions = list(dict.fromkeys(one.position for one in system.coordinates))
     rates = list(dict.fromkeys(one.rate for one in system.coordinates if one.rate is not None))
     measured = [one.name for one in system.outputs]
     shown = list(dict.fromkeys([*measured, *positions, *rates]))
-    inner = {one.name: one.value for one in system.parameters[: system.inner_count]}
-    _component(elements, NOMINAL, [one.name for one in system.inputs], shown, inner)
+    inner = {one.name: (one.value, one.unit) for one in system.parameters[: system.inner_count]}
+    own = _own_units(system.path)
+    _component(elements, NOMINAL, {one.name: own.get(one.name) for one in system.inputs},
+               {name: own.get(name) for name in shown}, inner)  # fmt: skip
     wires = _child(top, "ssd:Connections")
     if not system.effects:
         for one in system.inputs:
@@ -197,10 +204,7 @@ def _structure(system: FmuSystem, sample_time: float) -> str:
         for name in measured:
             _wire(wires, NOMINAL, name, "", name)
     else:
-        ins = [*(one.name for one in system.inputs), *(f"position.{one.name}" for one in system.coordinates)]
-        ins += [f"rate.{one.name}" for one in system.coordinates if one.rate is not None]
-        ins += [f"raw.{name}" for name in measured]
-        outs = [*(f"driven.{one.name}" for one in system.inputs), *(f"reading.{name}" for name in measured)]
+        ins, outs = ({one.name: one.unit for one in _ports(system) if one.role == role} for role in ("input", "output"))
         _component(elements, EFFECTS, ins, outs, {})
         for channel in system.inputs:
             _wire(wires, "", channel.name, EFFECTS, channel.name)
@@ -212,31 +216,75 @@ def _structure(system: FmuSystem, sample_time: float) -> str:
         for name in measured:
             _wire(wires, NOMINAL, name, EFFECTS, f"raw.{name}")
             _wire(wires, EFFECTS, f"reading.{name}", "", name)
+    _units(root, "ssd:Units")
     _child(root, "ssd:DefaultExperiment", startTime="0", stopTime=repr(1000 * sample_time))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
 
 
-def _component(parent: Any, name: str, inputs: list[str], outputs: list[str], values: Mapping[str, float]) -> None:
-    """Add a component with its connectors and parameter values (SI)."""
+def _component(
+    parent: Any,
+    name: str,
+    inputs: Mapping[str, str | None],
+    outputs: Mapping[str, str | None],
+    values: Mapping[str, tuple[float, str]],
+) -> None:
+    """Add a component with its connectors (units by name) and parameter values (SI, with their units)."""
     node = _child(
         parent, "ssd:Component", name=name, type="application/x-fmu-sharedlibrary", source=f"resources/{name}.fmu"
     )
     connectors = _child(node, "ssd:Connectors")
-    for kind, names in (("input", inputs), ("output", outputs)):
-        for one in names:
-            _connector(connectors, one, kind)
+    for kind, units in (("input", inputs), ("output", outputs)):
+        for one, unit in units.items():
+            _connector(connectors, one, kind, unit)
     if values:
         binding = _child(_child(node, "ssd:ParameterBindings"), "ssd:ParameterBinding")
         given = _child(_child(binding, "ssd:ParameterValues"), "ssv:ParameterSet", version="1.0", name="calibrated")
         listed = _child(given, "ssv:Parameters")
-        for key, value in values.items():
-            _child(_child(listed, "ssv:Parameter", name=key), "ssv:Real", value=repr(float(value)))
+        for key, (value, unit) in values.items():
+            stated = {} if _base(unit) is None else {"unit": unit}
+            _child(_child(listed, "ssv:Parameter", name=key), "ssv:Real", value=repr(float(value)), **stated)
+        _units(given, "ssv:Units")
 
 
-def _connector(parent: Any, name: str, kind: str) -> None:
-    """Add a real connector."""
-    _child(_child(parent, "ssd:Connector", name=name, kind=kind), "ssc:Real")
+def _connector(parent: Any, name: str, kind: str, unit: str | None) -> None:
+    """Add a real connector; without a unit that of the FMU's variable counts."""
+    stated = {} if unit is None or _base(unit) is None else {"unit": unit}
+    _child(_child(parent, "ssd:Connector", name=name, kind=kind), "ssc:Real", **stated)
+
+
+def _own_units(path: Path) -> dict[str, str]:
+    """Return the units that an FMU states for its variables, by name."""
+    from fmpy import read_model_description
+
+    described = read_model_description(str(path), validate=False)
+    declared = {one.name: one.unit or getattr(one.declaredType, "unit", None) for one in described.modelVariables}
+    return {name: unit for name, unit in declared.items() if unit is not None}
+
+
+def _base(unit: str) -> dict[str, str] | None:
+    """Return the attributes of a BaseUnit of SSP 1.0; None if the unit is not known or has no whole powers."""
+    try:
+        powers, factor, offset = base_units(unit)
+    except InputError:
+        return None
+    if any(power != int(power) for power in powers.values()):
+        return None
+    attributes = {name: str(int(power)) for name, power in powers.items()}
+    return (
+        attributes
+        | ({} if factor == 1.0 else {"factor": repr(factor)})
+        | ({} if offset == 0.0 else {"offset": repr(offset)})
+    )
+
+
+def _units(parent: Any, tag: str) -> None:
+    """Define the units that are used inside an element."""
+    used = dict.fromkeys(unit for one in parent.iter() if (unit := one.get("unit")) is not None)
+    if used:
+        node = _child(parent, tag)
+        for unit in used:
+            _child(_child(node, "ssc:Unit", name=unit), "ssc:BaseUnit", **(_base(unit) or {}))
 
 
 def _wire(parent: Any, source: str, output: str, target: str, connector: str) -> None:

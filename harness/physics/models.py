@@ -16,6 +16,7 @@ from harness.physics.mechanism import Mechanism
 from harness.physics.ode import Ode
 from harness.physics.parameters import Parameter
 from harness.physics.system import System
+from harness.physics.tanks import two_tanks
 
 __all__ = [
     "BUILT_IN",
@@ -147,52 +148,6 @@ def oscillator() -> Mechanism:
     m.Q = [u - c * rate]
     m.parameters(m=("kg", 1.0), c=("N s/m", 0.1), k=("N/m", 1.0))
     return m
-
-
-def two_tanks(pump_offset: bool = False) -> Ode:
-    """Two tanks in cascade, Torricelli outflow; levels in the unit of the level sensor; y is the lower level.
-
-    ``upper' = k_pump u - k_upper sqrt(upper)``, ``lower' = k_upper sqrt(upper) - k_lower sqrt(lower)``. The unit of the
-    unmeasured upper level is chosen so that what leaves it raises the lower level as much.
-
-    Parameters
-    ----------
-    pump_offset : bool
-        The pump delivers ``k_pump (u + u_0)``: its flow is not 0 at 0 V.
-
-    Examples
-    --------
-    >>> print(two_tanks().system())
-    two-tanks: u [V] -> y [V]
-    >>> two_tanks(pump_offset=True).system().parameter_names
-    ('k_pump', 'k_upper', 'k_lower', 'u_0')
-    """
-    known: dict[str, Any] = {
-        "k_pump": ("1/s", 0.02, 0.0),
-        "k_upper": ("V^0.5/s", 0.03, 0.0),
-        "k_lower": ("V^0.5/s", 0.03, 0.0),
-    }
-    if pump_offset:
-        known["u_0"] = ("V", 0.0)
-    o = Ode(
-        "two-tanks",
-        x="upper lower",
-        u="u",
-        p=" ".join(known),
-        units={"upper": "V", "lower": "V", "u": "V"},
-        parameters=known,
-        process="upper lower",
-    )
-    (upper, lower), (u,), (k_pump, k_upper, k_lower) = o.x, o.u, o.p[:3]
-    drive = u + o.p[3] if pump_offset else u
-
-    def root(level: Any) -> Any:
-        # Rounded off below 1e-4 V: the slope of the square root at an empty tank is infinite.
-        return sp.sqrt(sp.Max(level, 0) + 1e-4) - 1e-2
-
-    o.rhs = [k_pump * drive - k_upper * root(upper), k_upper * root(upper) - k_lower * root(lower)]
-    o.outputs = {"y": (lower, "V")}
-    return o
 
 
 def linear(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["Sums", "all_columns", "call_rollout"]
+__all__ = ["Sums", "all_columns", "call_rollout", "repeated_rollout"]
 
 _COUNTS = ("m", "n", "substeps", "every", "chosen")
 _INPUTS = ("p", "x0", "u", "d", "t0", "columns")
@@ -72,13 +73,39 @@ def call_rollout(
         ``y`` are residuals and the sums go to ``cost`` (M,), ``squares`` (ny,), ``gram`` (M, ns, ns) and ``slope``
         (M, ns): entries of columns that are not chosen, and squares, are added to or left as they are.
     """
+    job = _job(dt, substeps, foh, every, budget, arrays)
+    library.sysid_rollout(ctypes.byref(job))
+    return float(job.budget)
+
+
+def repeated_rollout(library: ctypes.CDLL, dt: float, substeps: int, **arrays: FloatArray) -> Callable[[], None]:
+    """Return a function that simulates from and into the same arrays at every call, input held.
+
+    For one sample at a time, where packing the arguments would cost more than the simulation.
+
+    Parameters
+    ----------
+    library, dt, substeps, **arrays
+        As :func:`call_rollout` takes them: ``p``, ``x0``, ``u``, ``t0``, ``x`` and ``y``.
+    """
+    job = _job(dt, substeps, False, 1, np.inf, arrays)
+    call, argument = library.sysid_rollout, ctypes.byref(job)
+
+    def run(_kept: Any = (job, arrays)) -> None:
+        call(argument)
+
+    return run
+
+
+def _job(
+    dt: float, substeps: int, foh: bool, every: int, budget: float, arrays: Mapping[str, FloatArray | Any]
+) -> _Job:
+    """Return the arguments as C sees them; the arrays must live as long as it is used."""
     m, n = arrays["u"].shape[:2]
     columns = arrays.get("columns")
     pointers = {name: one.ctypes.data for name, one in arrays.items() if one is not None}
     chosen = 0 if columns is None else len(columns)
-    job = _Job(m=m, n=n, substeps=substeps, every=every, chosen=chosen, dt=dt, budget=budget, foh=int(foh), **pointers)
-    library.sysid_rollout(ctypes.byref(job))
-    return float(job.budget)
+    return _Job(m=m, n=n, substeps=substeps, every=every, chosen=chosen, dt=dt, budget=budget, foh=int(foh), **pointers)
 
 
 def all_columns(count: int) -> Any:

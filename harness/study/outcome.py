@@ -6,9 +6,10 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-__all__ = ["Answer", "Outcome", "judge_answer"]
+__all__ = ["STAND_IN", "Answer", "Outcome", "judge_answer"]
 
 Group = frozenset[str]
+STAND_IN = "said to be a stand-in"
 _SAME: dict[str, tuple[tuple[Group, ...], ...]] = {
     "pendulum": (
         (
@@ -45,12 +46,15 @@ class Answer:
         For each accepted effect, all members of its tie set; a member may hold two effects.
     unseen : frozenset of str
         Effects that the report says this experiment cannot show.
+    stand_in : bool
+        The report says that the accepted effects imitate something that is not in the dictionary.
     """
 
     verdict: str
     accepted: tuple[str, ...]
     ties: tuple[tuple[Group, ...], ...] = ()
     unseen: Group = frozenset()
+    stand_in: bool = False
 
 
 @dataclass(frozen=True)
@@ -60,9 +64,10 @@ class Outcome:
     Attributes
     ----------
     word : str
-        ``right``, ``tied``, ``wrong``, ``missed``, or ``flagged``: no effect named, but said that something is missing.
+        ``right``, ``tied``, ``wrong``, ``missed``, or ``flagged``: said that something is missing, and no effect named
+        as the cause (none accepted, or the accepted ones called a stand-in).
     how : str
-        What made it tied or wrong.
+        What made it tied, wrong or flagged; for a right answer, that it was called a stand-in all the same.
     """
 
     word: str
@@ -74,7 +79,8 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str) -> Outcome:
 
     Right: the accepted set is the truth, effect and place. Tied: one member can be chosen for each accepted effect
     (from its tie set, or from its exactly equal family on this plant) so that together they are the truth; or
-    nothing was accepted, and the report says that the truth cannot be told from the nominal parameters.
+    nothing was accepted, and the report says that the truth cannot be told from the nominal parameters. Other sets are
+    wrong, unless the report calls them a stand-in: then something was flagged.
 
     Examples
     --------
@@ -87,7 +93,7 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str) -> Outcome:
     if not accepted:
         return _nothing_accepted(wanted, answer)
     if accepted == wanted:
-        return Outcome("right")
+        return Outcome("right", STAND_IN if answer.stand_in else "")
     if wanted:
         plain = [[frozenset({name}), *tie] for name, tie in zip(answer.accepted, _padded(answer), strict=True)]
         if _reaches(wanted, plain, ()):
@@ -97,6 +103,8 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str) -> Outcome:
     covered = wanted & (accepted | {name for tie in answer.ties for group in tie for name in group})
     if not wanted:
         return Outcome("wrong", "false alarm")
+    if answer.stand_in:
+        return Outcome("flagged", STAND_IN)
     if covered == wanted:
         return Outcome("wrong", "something else accepted beside the truth")
     return Outcome("wrong", "part of the truth" if covered else "another effect")

@@ -34,6 +34,7 @@ COLUMNS = (
     "how",
     "verdict",
     "adequacy",
+    "stand_in",
     "accepted",
     "ties",
     "validation_before",
@@ -87,6 +88,7 @@ def _diagnose(task: Task, records: Records, workers: int) -> dict[str, Any]:
     from harness.diagnosis.algorithm import diagnose
     from harness.diagnosis.forms import rms, weighted_rms
     from harness.diagnosis.isolability import unseen
+    from harness.diagnosis.stand_in import stand_in
 
     model = _model(task, records)
     cpu, wall = time.process_time(), time.monotonic()
@@ -99,7 +101,8 @@ def _diagnose(task: Task, records: Records, workers: int) -> dict[str, Any]:
     # what the report says this experiment cannot show matters only where nothing was found
     hidden = unseen(found.first_screen) if task.effects and not accepted else []
     invisible = frozenset(f"{one['name']}@{one['at']}" for one in hidden)
-    answer = Answer(found.verdict, accepted, ties, invisible)
+    imitates = stand_in(found)
+    answer = Answer(found.verdict, accepted, ties, invisible, bool(imitates))
     outcome = judge_answer(task.effects, answer, task.plant)
     before, after = weighted_rms(found.nominal.validation), weighted_rms(found.final.validation)
     oracle: float | None = before  # where nothing is hidden, the nominal fit knows all
@@ -113,6 +116,7 @@ def _diagnose(task: Task, records: Records, workers: int) -> dict[str, Any]:
         "how": outcome.how,
         "verdict": found.verdict,
         "adequacy": found.adequacy.grade,
+        "stand_in": "; ".join(imitates),
         "accepted": " + ".join(accepted),
         "ties": "; ".join(" / ".join(sorted(" & ".join(sorted(one)) for one in tie)) for tie in ties if len(tie) > 1),
         "validation_before": _short(before),

@@ -15,6 +15,9 @@ __all__ = [
     "RECORDINGS",
     "cascaded_tanks",
     "coupled_drives",
+    "coupled_drives_1",
+    "coupled_drives_2",
+    "coupled_drives_3",
     "emps",
     "hair_dryer",
     "load_recording",
@@ -34,7 +37,12 @@ cascaded_tanks = _HERE / "cascaded-tanks.toml"
 """Cascaded tanks: two tanks with overflow."""
 
 coupled_drives = _HERE / "coupled-drives.toml"
-"""Coupled electric drives: a belt drive whose sensor reads the absolute speed."""
+"""Coupled electric drives: a belt drive whose sensor reads the absolute speed, three recordings by one model."""
+
+coupled_drives_1 = _HERE / "coupled-drives-1.toml"
+coupled_drives_2 = _HERE / "coupled-drives-2.toml"
+coupled_drives_3 = _HERE / "coupled-drives-3.toml"
+"""The three recordings of the coupled drives, each by itself."""
 
 multi_arm_pendulum = _HERE / "multi-arm-pendulum.toml"
 """One arm of a multi-arm pendulum: free swing with dry friction and drag."""
@@ -43,7 +51,18 @@ hair_dryer = _HERE / "hair-dryer.toml"
 """Hair dryer: close to linear, nothing missing."""
 
 RECORDINGS = {
-    path.stem: path for path in (emps, silverbox, cascaded_tanks, coupled_drives, multi_arm_pendulum, hair_dryer)
+    path.stem: path
+    for path in (
+        emps,
+        silverbox,
+        cascaded_tanks,
+        coupled_drives,
+        coupled_drives_1,
+        coupled_drives_2,
+        coupled_drives_3,
+        multi_arm_pendulum,
+        hair_dryer,
+    )
 }
 """Paths of the recipes by name."""
 

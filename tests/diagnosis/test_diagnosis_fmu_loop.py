@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import json
 import pickle
+import zipfile
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from harness import api, registry
+from harness.cosim.ssp_structure import read_structure
 from harness.diagnosis import close_loop
 from harness.diagnosis.fmu_prepare import nominal_fmu
 from harness.diagnosis.fmu_reader import fmu_system
@@ -20,8 +23,10 @@ from harness.diagnosis.fmu_simulator import FmuSimulator
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.errors import InputError
+from harness.export.package import SSP, write_package
 from harness.plant_files import make_plant
-from harness.signals import Dataset, PlantSpec, Run, Trajectory
+from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
+from harness.specs import spec_to_dict
 from plants.mockups import mockup
 
 DT, N = 0.01, 1000
@@ -151,6 +156,63 @@ def test_the_repaired_fmu_is_one_package_that_repeats_the_report(dry, tmp_path):
     np.testing.assert_allclose(np.array(y), own, rtol=0, atol=1e-6)
     recorded = api.simulate(str(target), scenario="multisine", out=tmp_path / "again.csv")
     assert [channel.name for channel in recorded.spec.outputs] == ["theta"]
+
+
+def test_the_package_states_its_units(dry, tmp_path):
+    from fmpy.ssp.ssd import read_ssd  # held against the schema of SSP 1.0
+
+    target = tmp_path / "repaired.ssp"
+    api.export(dry[1], out=target)
+    described = read_ssd(str(target))
+    units = {one.name: one for one in described.units}
+    torque = units["N m"]
+    assert (torque.kg, torque.m, torque.s, torque.rad) == (1, 2, -2, 0)
+    assert (units["rad/s"].rad, units["rad/s"].s) == (1, -1)
+    found = {part.name: part.connectors for part in read_structure(target).components}
+    for name, connector in {"u": ("input", "kg**1 * m**2 * s**-2"), "theta": ("output", "rad**1")}.items():
+        assert found["nominal"][name] == connector
+    assert found["effects"]["rate.theta"] == ("input", "s**-1 * rad**1")
+    assert all(unit is not None for connectors in found.values() for _, unit in connectors.values())
+    nominal = next(one for one in described.system.elements if one.name == "nominal")
+    values = nominal.parameterBindings[0].parameterValues[0].parameters
+    assert {one.name: one.unit for one in values}.items() >= {"J": "kg m^2", "mgl": "N m"}.items()
+
+
+def test_a_package_around_an_fmu_in_degrees_leaves_the_conversion_to_the_units(tmp_path):
+    turned = tmp_path / "degrees.fmu"
+    with zipfile.ZipFile(mockup("pendulum")) as old, zipfile.ZipFile(turned, "w") as new:
+        for entry in old.infolist():
+            text = old.read(entry)
+            if entry.filename == "modelDescription.xml":
+                assert text.count(b'unit="rad"') >= 1
+                text = text.replace(b'unit="rad"', b'unit="deg"').replace(
+                    b"<UnitDefinitions>",
+                    b'<UnitDefinitions><Unit name="deg"><BaseUnit rad="1" factor="0.017453292519943295"/></Unit>',
+                )
+            new.writestr(entry, text)
+    spec = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)
+    system = fmu_system(turned, spec, {"J": 0.06}).with_effects([Placed(EFFECTS["force_bias"], "theta", {"F0": 0.1})])
+    content = {
+        "kind": "fmu",
+        "spec": spec_to_dict(spec),
+        "model": turned.name,
+        "sha256": system.digest,
+        "parameters": system.values(),
+        "effects": [["force_bias", "theta"]],
+    }
+    package = write_package(content, tmp_path, tmp_path / "degrees.ssp")
+    with zipfile.ZipFile(package) as archive:
+        root = ElementTree.fromstring(archive.read("SystemStructure.ssd"))
+    space = {"ssd": f"{SSP}SystemStructureDescription", "ssc": f"{SSP}SystemStructureCommon"}
+    stated = {
+        (part.get("name"), one.get("name")): one.find("ssc:Real", space).get("unit")
+        for part in root.iterfind("ssd:System/ssd:Elements/ssd:Component", space)
+        for one in part.iterfind("ssd:Connectors/ssd:Connector", space)
+    }
+    assert stated["nominal", "theta"] == "deg"
+    assert stated["effects", "raw.theta"] == "rad"
+    degree = root.find("ssd:Units/ssc:Unit[@name='deg']/ssc:BaseUnit", space)
+    assert (degree.get("rad"), float(degree.get("factor"))) == ("1", pytest.approx(np.pi / 180))
 
 
 def test_with_nothing_hidden_nothing_is_missing():

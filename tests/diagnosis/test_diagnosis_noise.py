@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from harness.diagnosis import noise
+from harness.diagnosis import black_box, noise
 from harness.diagnosis.black_box import fit_black_box, one_step_error
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
@@ -76,6 +76,64 @@ def test_black_box_reaches_the_noise_of_a_linear_system_and_is_not_believed_else
     assert box.free_run[0] == pytest.approx(0.05 * y.std(), rel=0.25)
     floor = noise.noise_floors(dataset(*runs))[0]
     assert floor.source == "black_box"
+
+
+def overlapping(rng: np.random.Generator, n: int = 3000, more: int = 400) -> np.ndarray:
+    """Return realisations of a waveform, each running on over its own beginning."""
+    waves = [np.asarray(lfilter([1.0], [1.0, -0.5], rng.standard_normal(n))) for _ in range(3)]
+    return np.concatenate([np.concatenate([one, one[:more]]) for one in waves])
+
+
+def test_an_input_that_comes_back_after_another_motion_shows_the_noise() -> None:
+    rng = np.random.default_rng(4)
+    u = overlapping(rng)
+    clean = np.asarray(lfilter([0.1], np.poly([0.95 + 0.2j, 0.95 - 0.2j]), u)).real
+    y = clean + 0.03 * clean.std() * np.asarray(lfilter([0.8], [1.0, -0.6], rng.standard_normal(u.size)))
+    measured = u + 0.02 * u.std() * rng.standard_normal(u.size)  # a measured input never repeats exactly
+    assert noise.period_of(u[:, None]) is None
+    assert noise.repeated_stretches(measured[:, None], y) == pytest.approx(0.03 * clean.std(), rel=0.25)
+    floor = noise.noise_floors(dataset(record(measured, y), record(measured, y)))[0]
+    assert (floor.source, "come back" in floor.note) == ("repeated_periods", True)
+
+
+def test_what_repeats_from_its_beginning_or_never_settles_shows_no_noise() -> None:
+    rng = np.random.default_rng(5)
+    u = overlapping(rng)
+    y = np.asarray(lfilter([0.1], [1.0, -0.9], u))
+    same = y + 0.02 * np.sin(np.arange(u.size))  # a loop makes its motion, and so its force, repeat: no transient
+    for first in (0, 3400, 6800):
+        same[first + 3000 : first + 3400] = same[first : first + 400]
+    same += 0.001 * rng.standard_normal(u.size)
+    assert noise.repeated_stretches(u[:, None], same) is None
+    assert noise.repeated_stretches(u[:, None], np.cumsum(u)) is None
+    assert noise.repeated_stretches(rng.standard_normal((3000, 1)), rng.standard_normal(3000)) is None
+    assert noise.repeated_stretches(np.zeros((3000, 1)), rng.standard_normal(3000)) is None
+
+
+def test_a_black_box_whose_free_run_is_far_from_its_one_step_error_is_no_floor() -> None:
+    rng = np.random.default_rng(6)
+    runs = []
+    for _ in range(2):
+        u = rng.standard_normal(4000)
+        force = np.asarray(lfilter([0.3], [1.0, -0.7], u)) + 0.5 * rng.standard_normal(4000)
+        runs.append(record(u, np.asarray(lfilter([1.0], [1.0, -1.9, 0.92], force))))
+    box = fit_black_box(dataset(*runs))
+    assert box.validated
+    assert box.free_run[0] > noise.PREDICTED * box.innovations[0]
+    floor = noise.noise_floors(dataset(*runs))[0]
+    assert (floor.value, floor.source) == (None, None)
+    assert "not only noise" in floor.note
+
+
+def test_a_black_box_with_a_coloured_error_is_not_run_freely(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(8)
+    u = [rng.standard_normal(800) for _ in "ab"]
+    runs = [record(one, np.asarray(lfilter([1.0], [1.0, -0.9], one))) for one in u]
+    monkeypatch.setattr(black_box, "max_autocorrelation", lambda x: 0.9)
+    monkeypatch.setattr(black_box, "_free_run", lambda *_: pytest.fail("its free run costs more than all the rest"))
+    box = fit_black_box(dataset(*runs))
+    assert not box.validated
+    assert box.free_run == (None,)
 
 
 def test_quantisation_bounds_the_floor_from_below() -> None:

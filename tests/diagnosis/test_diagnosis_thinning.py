@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from harness import api
+from harness.diagnosis import close_loop
 from harness.diagnosis.noise import top_octave
 from harness.diagnosis.residual_tests import max_autocorrelation
 from harness.diagnosis.thinning import thinned_dataset, white_keeping_filter
+from harness.effects import builtin
+from harness.physics import Parameter
 from harness.physics.models import pendulum
+from harness.plant_files import make_plant
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), 0.001)
@@ -31,6 +39,23 @@ def test_a_free_swing_keeps_its_shape_and_says_what_was_done() -> None:
     assert 0.005 <= thin.spec.sample_time <= 0.03
     np.testing.assert_allclose(run.y[:, 0], np.exp(-0.1 * run.t) * np.cos(8 * run.t), atol=2e-4)
     assert any("1000 Hz" in text for text in thin.warnings)
+
+
+def test_the_repaired_model_of_a_thinned_record_runs_at_the_rate_of_the_record(tmp_path: Path) -> None:
+    data = swing(1e-3)
+    known = {"J": Parameter("J", "kg m^2", 0.1, fixed=True), "mgl": 6.4}
+    drag = [builtin()["quadratic_drag"]]
+    report = close_loop(data, "pendulum", parameters=known, dictionary=drag, workers=1, out=tmp_path / "out")
+    assert any("instead of 1000 Hz" in text for text in report.data["warnings"])
+    assert json.loads((tmp_path / "out" / "model.json").read_text())["spec"]["sample_time"] == 0.001
+    target = api.export(tmp_path / "out", out=tmp_path / "repaired.fmu")[0]
+    system, n = report.model, 3000
+    own = system.simulator(0.001).rollout(system.vector(), np.array([0.9, 0.0]), np.zeros((n, 1)))
+    with make_plant(str(target), {}) as plant:
+        assert plant.spec.sample_time == 0.001
+        y = [plant.reset(rng=np.random.default_rng(0), x0={"state.theta": 0.9})]
+        y += [plant.step(np.zeros(1)) for _ in range(n - 1)]
+    np.testing.assert_allclose(np.array(y), own, rtol=0, atol=1e-9)
 
 
 def test_white_noise_stays_white_and_its_declared_level_follows() -> None:

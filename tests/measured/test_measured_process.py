@@ -28,13 +28,13 @@ def errors_of(found: Diagnosis) -> tuple[list[float], list[float]]:
 
 
 @pytest.mark.slow
-def test_the_tanks_overflow(recordings_folder: Path) -> None:
-    found = diagnosed("cascaded-tanks", "overflow", "sensor_offset", "input_delay", "saturation")
+def test_the_tanks_overflow_and_the_lower_level_has_a_limit(recordings_folder: Path) -> None:
+    found = diagnosed("cascaded-tanks", "overflow", "level_saturation", "sensor_offset", "sensor_saturation")
     assert found.verdict == "effects_found"
-    assert [str(one) for one in found.final.effects] == ["overflow@upper"]
+    assert sorted(map(str, found.final.effects)) == ["level_saturation@lower", "overflow@upper"]
     before, after = errors_of(found)
-    assert before[0] == pytest.approx(0.78, abs=0.02)  # V
-    assert after[0] < 0.45
+    assert before[0] == pytest.approx(0.72, abs=0.02)  # V
+    assert after[0] <= 0.27
     assert found.same_minimum
     # 0.017 V of white noise is there, and no model comes near it: one sample ahead 0.05 V is the best
     assert found.floors[0].value is None
@@ -42,12 +42,22 @@ def test_the_tanks_overflow(recordings_folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_drive_reads_speed_without_its_sign(recordings_folder: Path) -> None:
-    found = diagnosed("coupled-drives", "sensor_rectification", "dead_zone", "sensor_offset")
-    assert sorted(map(str, found.final.effects)) == ["dead_zone@u", "sensor_rectification@y"]
+@pytest.mark.parametrize(("recording", "limit"), [(1, 0.2), (2, 0.4), (3, 0.12)])
+def test_each_drive_reads_speed_without_its_sign(recordings_folder: Path, recording: int, limit: float) -> None:
+    found = diagnosed(f"coupled-drives-{recording}", "sensor_rectification", "dead_zone", "sensor_offset")
+    assert [str(one) for one in found.final.effects] == ["sensor_rectification@y"]
     before, after = errors_of(found)
-    assert min(before) > 0.25
-    assert all(error < limit for error, limit in zip(after, (0.4, 0.4, 0.17), strict=True))  # ticks/s
+    assert after[0] <= limit < 0.6 * before[0]  # ticks/s
+
+
+@pytest.mark.slow
+def test_one_model_of_three_drives_of_unlike_gain_names_the_lost_sign_first(recordings_folder: Path) -> None:
+    found = diagnosed("coupled-drives", "sensor_rectification", "dead_zone", "sensor_offset")
+    assert str(found.final.effects[0]) == "sensor_rectification@y"
+    before, after = errors_of(found)
+    assert sum(after) < sum(before)  # ticks/s
+    # by itself each recording comes down to 0.2, 0.3 and 0.1: one gain for the three does not fit
+    assert sum(after) > 0.7
 
 
 def test_nothing_is_missing_in_the_dryer(recordings_folder: Path) -> None:

@@ -49,6 +49,15 @@ def test_an_answer_counts_as_it_should(truth, answer, word):
     assert judge_answer(truth, answer, "cart-pole").word == word
 
 
+def test_a_stand_in_is_no_confident_name() -> None:
+    two = ("coulomb_friction@x", "stribeck_friction@x")
+    assert judge_answer({"root_friction@x"}, Answer("effects_found", two), "cart-pole").word == "wrong"
+    assert judge_answer({"root_friction@x"}, Answer("effects_found", two, stand_in=True), "cart-pole").word == "flagged"
+    right = judge_answer(set(two), Answer("effects_found", two, stand_in=True), "cart-pole")
+    assert (right.word, right.how) == ("right", "said to be a stand-in")
+    assert judge_answer((), Answer("effects_found", two, stand_in=True), "cart-pole").word == "wrong"
+
+
 def test_tilt_and_offset_are_the_same_on_one_joint_only():
     answer = Answer("effects_found", ("stribeck_friction@theta", "sensor_offset@theta"))
     assert judge_answer({"stribeck_friction@theta", "gravity_tilt@base"}, answer, "pendulum").word == "tied"

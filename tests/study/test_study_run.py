@@ -78,6 +78,22 @@ def test_the_summary_counts_what_the_rows_say():
     assert "`k6`: timeout: took longer" in text
 
 
+def test_laws_outside_the_dictionary_count_by_what_the_report_says():
+    law = {"study": "outside", "truth": "root_friction@x", "verdict": "effects_found"}
+    rows = [
+        row(0, outcome="wrong", **law, residual_over_floor="1.2"),
+        row(1, outcome="flagged", **law, stand_in="two laws imitate it"),
+        row(2, outcome="flagged", **{**law, "verdict": "unexplained"}),
+        row(3, outcome="missed", **{**law, "verdict": "nothing_missing"}),
+        row(4, outcome="right", stand_in="doubted"),
+    ]
+    text = summary(rows, seeds="tuning", planned=5, keys={f"k{n}" for n in range(5)})
+    assert "| root_friction@x | 4 | 1 | 1 | 1 | 1 |" in text
+    assert "`k0`: named root_friction@x, 1.2 x floor" in text
+    assert "`k1`" not in text
+    assert "| right or tied, but called a stand-in | none | 1 of 1" in text
+
+
 def test_other_rows_of_the_folder_are_left_out():
     text = summary([row(0), row(1)], seeds="tuning", planned=1, keys={"k0"})
     assert "1 of 1 planned records done" in text

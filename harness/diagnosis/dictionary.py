@@ -1,0 +1,92 @@
+"""The effects that a diagnosis tries: built in, of plug-ins, or given; broken plug-ins are named, the others count."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from harness import registry
+from harness.effects import builtin, compose, place_all
+from harness.effects.effect import Effect, Placed
+from harness.errors import HarnessError
+
+__all__ = ["placed"]
+
+
+def placed(system: Any, dictionary: Sequence[Effect] | None = None) -> tuple[list[Placed], list[str]]:
+    """Return every effect at every port of a system that it fits, and what is wrong with plug-ins.
+
+    Parameters
+    ----------
+    system : System or FmuSystem
+    dictionary : sequence of Effect, optional
+        Effects to use in place of the built-in ones and those of plug-ins; a fault of one of these is raised.
+
+    Returns
+    -------
+    list of Placed
+    list of str
+        One sentence for each plug-in that could not be used: which entry point it is and what failed.
+
+    Examples
+    --------
+    >>> from harness.physics.models import pendulum
+    >>> found, faults = placed(pendulum().system())
+    >>> [str(one) for one in found if one.at == "base"], faults
+    (['gravity_tilt@base'], [])
+    """
+    if dictionary is not None:
+        return place_all(system, dictionary), []
+    known = builtin()
+    found = place_all(system, known.values())
+    faults: list[str] = []
+    names = {name: "the harness" for name in known}
+    for entry in _outside(known, faults):
+        where = f"effect plug-in {entry.id!r} of {entry.distribution} ({entry.target})"
+        try:
+            made = _loaded(entry)
+            if made.name in names:
+                raise TypeError(f"{names[made.name]} already has an effect named {made.name!r}")
+            places = place_all(system, [made])
+            for one in places:
+                _composed(system, one)
+        except Exception as error:  # a stranger's code may raise anything, and must not stop the diagnosis
+            faults.append(f"{where} is broken and was not tried: {_words(error)}")
+            continue
+        names[made.name] = entry.distribution
+        found += places
+    return found, faults
+
+
+def _outside(known: dict[str, Effect], faults: list[str]) -> list[registry.Entry]:
+    """Return the entry points of plug-ins."""
+    try:
+        return [one for one in registry.entries("effects") if one.id not in known]
+    except HarnessError as error:
+        faults.append(f"effects of plug-ins could not be looked up: {error}")
+        return []
+
+
+def _loaded(entry: registry.Entry) -> Effect:
+    """Return the effect behind an entry point."""
+    made = registry.load("effects", entry.id)
+    if not isinstance(made, Effect):
+        raise TypeError(f"it is a {type(made).__name__}, not an effect made with @effect")
+    return made
+
+
+def _composed(system: Any, one: Placed) -> None:
+    """Build a system with the effect: its block is called here for the first time."""
+    from harness.diagnosis.fmu_system import FmuSystem, fits_fmu
+
+    if not isinstance(system, FmuSystem):
+        compose(system, [one])
+    elif fits_fmu(one.effect):
+        system.with_effects([one])
+
+
+def _words(error: Exception) -> str:
+    """Return what failed, in one line without the remedy's repetition of the entry point."""
+    cause = error.__cause__ if isinstance(error, HarnessError) and error.__cause__ is not None else error
+    text = " ".join(str(cause).split()) or "no message"
+    return text if isinstance(cause, HarnessError) else f"{type(cause).__name__}: {text}"

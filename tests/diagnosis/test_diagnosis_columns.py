@@ -1,0 +1,90 @@
+"""Units wrong by 1000 that the model could swallow: the channel and the factor are said, and right records pass."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from harness.diagnosis.columns_check import check_columns, doubtful_units
+from harness.physics import load_model
+from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
+
+DT, N = 0.02, 400
+
+
+def swinging_cart() -> Trajectory:
+    """Return a cart with a hanging pole under a multisine: Heun's method on equations written by hand."""
+    mc, mp, length, bx, btheta, g = 0.8, 0.3, 0.6, 0.3, 0.01, 9.81
+
+    def slope(s: FloatArray, u: float) -> FloatArray:
+        sin, cos = np.sin(s[1]), np.cos(s[1])
+        mass = np.array([[mc + mp, mp * length * cos], [mp * length * cos, mp * length**2]])
+        force = [u - bx * s[2] + mp * length * s[3] ** 2 * sin, -btheta * s[3] - mp * g * length * sin]
+        return np.concatenate([s[2:], np.linalg.solve(mass, force)])
+
+    system, rng = load_model("cart-pole"), np.random.default_rng(3)
+    t = np.arange(N) * DT
+    u = sum(0.8 * np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) for f in (0.25, 0.5, 0.8, 1.3))
+    state, y, h = np.array([0.0, 0.2, 0.0, 0.0]), np.empty((N, 2)), DT / 10
+    for k in range(N):
+        y[k] = state[:2]
+        for _ in range(10):
+            first = slope(state, u[k])
+            state = state + 0.5 * h * (first + slope(state + h * first, u[k]))
+    y += 1e-4 * rng.standard_normal(y.shape)
+    return Trajectory(t, u[:, None], y, PlantSpec(system.inputs, system.outputs, DT))
+
+
+@pytest.fixture(scope="module")
+def cart() -> Trajectory:
+    """The record, made once."""
+    return swinging_cart()
+
+
+def scaled(record: Trajectory, kind: str, column: int, factor: float) -> Trajectory:
+    """Return the record with one column in another unit."""
+    values = getattr(record, kind).copy()
+    values[:, column] *= factor
+    return replace(record, **{kind: values})
+
+
+@pytest.mark.parametrize(
+    ("kind", "column", "factor", "words"),
+    [("u", 0, 1e3, "u is 1000 times too large for N"), ("y", 0, 1e-3, "x is 1000 times too small for m")],
+)
+def test_a_unit_wrong_by_1000_is_said_where_the_parameters_could_swallow_it(
+    cart: Trajectory, kind: str, column: int, factor: float, words: str
+) -> None:
+    found = doubtful_units(load_model("cart-pole"), scaled(cart, kind, column, factor))
+    assert len(found) == 1
+    assert words in found[0]
+    assert "check the units" in found[0]
+    assert "theta is" not in found[0]
+
+
+def test_a_force_and_an_angle_that_cannot_be_told_apart_are_both_named(foreign_pendulum) -> None:
+    record = foreign_pendulum(5, n=600).estimation[0]
+    small = load_model("pendulum")
+    found = doubtful_units(small, scaled(record, "y", 0, 1e-3))
+    assert ["u is 1000 times too large" in found[0], "theta is 1000 times too small" in found[0]] == [True, True]
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+@pytest.mark.parametrize("name", ["J", "b", "mgl"])
+def test_a_declared_parameter_wrong_by_ten_says_nothing_about_units(foreign_pendulum, name: str, factor: float) -> None:
+    system = load_model("pendulum")
+    wrong = system.with_parameters({name: factor * system.parameter(name).value})
+    assert check_columns(wrong, foreign_pendulum(6, n=600)) == []
+
+
+def test_placeholders_and_a_plant_a_hundred_times_as_large_are_no_doubt(foreign_pendulum) -> None:
+    system = load_model("pendulum")
+    small = system.with_parameters({one.name: one.value / 80 for one in system.parameters})
+    assert check_columns(small, foreign_pendulum(7, n=600)) == []
+
+
+def test_a_right_cart_with_values_far_off_passes(cart: Trajectory) -> None:
+    system = load_model("cart-pole").with_parameters({"mc": 8.0, "mp": 0.03, "btheta": 1.0})
+    assert check_columns(system, Dataset("cart", (Run(cart, "estimation"),))) == []
