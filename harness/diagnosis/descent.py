@@ -15,7 +15,7 @@ import numpy as np
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
-__all__ = ["STIFFER", "Bar", "GivenUp", "excess", "first_ends", "promise"]
+__all__ = ["STIFFER", "Bar", "GivenUp", "by_expense", "excess", "first_ends", "promise"]
 
 STIFFER = 4
 """A start that needs more than so many times the steps of another one is put off."""
@@ -123,15 +123,22 @@ def promise(form: Any, bar: Bar | None, system: Any, solution: Any, horizon: flo
     where = "over whole records" if horizon is None else f"over windows of {horizon:.3g} s"
     if bar.gain < 0:
         raise GivenUp(f"given up: {where} its squared error is {new / old:.3g} times that of the model that stands")
-    words = f"{where} it takes away {100 * (1 - new / old):.1f} % of the error"
+    gone = f"takes away {100 * (1 - new / old):.1f} % of the error" if new <= old else "makes the error larger"
     steep = f"; its simulation needs {needed} steps a sample" if stiff else ""
-    raise GivenUp(f"given up: {words}, {100 * asked:.0f} % is asked to carry it on{steep}")
+    raise GivenUp(f"given up: {where} it {gone}, {100 * asked:.0f} % less is asked to carry it on{steep}")
 
 
-def distinct(vectors: Sequence[FloatArray]) -> list[FloatArray]:
-    """Return the vectors without repetitions."""
-    found: list[FloatArray] = []
-    for p in vectors:
-        if not any(np.allclose(p, other, rtol=1e-9) for other in found):
-            found.append(p)
-    return found
+def by_expense(form: Any, system: Any, starts: Sequence[Mapping[str, float]]) -> list[list[FloatArray]]:
+    """Return distinct starts (np,): first those with the fewest steps in a sample, then the much stiffer ones.
+
+    A start that is much stiffer than another one costs more than all the others, and is tried if these diverge.
+    """
+    vectors: list[FloatArray] = []
+    for start in starts:
+        p = system.vector({name: value for name, value in start.items() if name in system.parameter_names})
+        if not any(np.allclose(p, other, rtol=1e-9) for other in vectors):
+            vectors.append(p)
+    steps = [getattr(form.simulator(system, p), "substeps", 1) for p in vectors]
+    easy = [p for p, count in zip(vectors, steps, strict=True) if count <= STIFFER * min(steps)]
+    stiff = [p for p, count in zip(vectors, steps, strict=True) if count > STIFFER * min(steps)]
+    return [easy, stiff]

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.descent import STIFFER, Bar, distinct, first_ends, promise
+from harness.diagnosis.descent import Bar, by_expense, first_ends, promise
 from harness.diagnosis.forms import Fitted
+from harness.diagnosis.per_record import carried_states, extended_states, on_validation, settled_states, state_bases
 from harness.diagnosis.unfold import signs_by_model, unfolded_starts
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
@@ -29,8 +30,6 @@ __all__ = ["OutputForm"]
 ITERATIONS = 50
 SHORT = 250
 """Samples of a horizon that no shorter windows lead to."""
-PER_RECORD = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
-"""Parameters that belong to a record, not to the plant: refitted on validation."""
 
 
 class OutputForm:
@@ -120,7 +119,7 @@ class OutputForm:
         system = self.system(effects)
         free = np.array([not one.fixed for one in system.parameters], dtype=bool)
         ends: list[Any] = []
-        for some in self._by_expense(system, starts or ({},)):
+        for some in by_expense(self, system, starts or ({},)):
             ends = first_ends(self, system, some, free, self._path()[0], bar)
             if ends:
                 break
@@ -144,7 +143,7 @@ class OutputForm:
                 got="none",
                 remedy="give start values nearer to the plant",
             )
-        best.update(self._on_validation(system, best))
+        best.update(on_validation(self, system, best))
         return best
 
     def evaluate(self, effects: Sequence[Placed], record: Mapping[str, Any]) -> Fitted:
@@ -169,7 +168,7 @@ class OutputForm:
         unaided: list[FloatArray] = []
         hidden = int(getattr(system, "hidden_count", 0))
         if outside and hidden:
-            z0 = self._hidden_carried(system, q, other, y0)
+            z0 = carried_states(self, system, q, other, y0)
             unaided = other.together(other.evaluate(q, z0, keep=True).residuals)
         ny = len(self.weights)
         return Fitted(
@@ -194,7 +193,7 @@ class OutputForm:
         named = {placed.name(key): value for key, value in values.items()}
         p = system.vector({**base.values, **named})
         windows = self._windows(system, p, "estimation")
-        x0 = self._extended(base, system, p, windows)
+        x0 = extended_states(self, base, system, p, windows)
         try:
             with np.errstate(all="ignore"):
                 result = windows.evaluate(p, x0, keep=True, jacobian=True)
@@ -222,11 +221,11 @@ class OutputForm:
 
     def seams(self, base: Fitted, use: str = "estimation") -> list[tuple[int, int, int]]:
         """Return the windows of the runs of a use as (run, first, last)."""
-        return self._state_bases(base, use)[1]
+        return state_bases(self, base, use)[1]
 
     def without_states(self, base: Fitted, parts: Sequence[FloatArray], use: str) -> tuple[FloatArray, ...]:
         """Take out of columns (N_i, ny, k) what the initial states of the windows of a use can do."""
-        lefts, places = self._state_bases(base, use)
+        lefts, places = state_bases(self, base, use)
         cleaned = [np.array(one, dtype=float) for one in parts]
         for left, (record, first, last) in zip(lefts, places, strict=True):
             block = cleaned[record][first:last]
@@ -253,7 +252,7 @@ class OutputForm:
         windows = self._windows(system, p, use, horizon, always=True)
         x0 = windows.starts_from([self._from_data(windows.simulator, one, p)[0] for one in self.records[use]])
         if start == "estimated":
-            x0 = self._settled(system, p, use, windows, x0)
+            x0 = settled_states(self, system, p, use, windows, x0)
         result = windows.evaluate(p, x0, keep=True)
         return windows.together(result.residuals), windows.together(result.states), list(x0)
 
@@ -288,10 +287,10 @@ class OutputForm:
         p = system.vector(values)
         windows = self._windows(system, p, "estimation")
         states = [self._from_data(windows.simulator, one, p)[0] for one in self.records["estimation"]]
-        x0 = self._settled(system, p, "estimation", windows, windows.starts_from(states))
+        x0 = settled_states(self, system, p, "estimation", windows, windows.starts_from(states))
         record = {**fitted.record, "values": dict(values), "x0": x0.tolist()}
         record["cost"] = 2 * float(windows.evaluate(p, x0).cost)
-        return {**record, **self._on_validation(system, record)}
+        return {**record, **on_validation(self, system, record)}
 
     # ---- the work ------------------------------------------------------------------------------------------------
 
@@ -320,18 +319,6 @@ class OutputForm:
     def _fit_states(self, windows: Windows, p: FloatArray, x0: FloatArray, most: int) -> FloatArray:
         """Return initial states (W, nx) fitted with the parameters held."""
         return minimise_states(windows, p, x0, most)
-
-    def _by_expense(self, system: Any, starts: Sequence[Mapping[str, float]]) -> list[list[FloatArray]]:
-        """Return distinct starts (np,): first those with the fewest steps in a sample, then the much stiffer ones.
-
-        A start that is much stiffer than another one costs more than all the others, and is tried if these diverge.
-        """
-        known = [system.vector({k: v for k, v in one.items() if k in system.parameter_names}) for one in starts]
-        vectors = distinct(known)
-        steps = [getattr(self.simulator(system, p), "substeps", 1) for p in vectors]
-        easy = [p for p, count in zip(vectors, steps, strict=True) if count <= STIFFER * min(steps)]
-        stiff = [p for p, count in zip(vectors, steps, strict=True) if count > STIFFER * min(steps)]
-        return [easy, stiff]
 
     def _path(self) -> list[float | None]:
         """Return the horizons of a fit in their order."""
@@ -379,7 +366,7 @@ class OutputForm:
         free = np.array([not one.fixed for one in self.nominal.parameters], dtype=bool)
         ends = [self._stage(self.nominal, self.nominal.vector(one), None, free, self.horizon) for one in starts]
         found = [self._ended(self.nominal, one) for one in ends if one is not None]
-        return [{**one, **self._on_validation(self.nominal, one)} for one in found]
+        return [{**one, **on_validation(self, self.nominal, one)} for one in found]
 
     def _descend(self, system: Any, solution: Any, free: Any, bar: Bar | None = None) -> dict[str, Any] | None:
         """Return the end of one start, from its first stage on.
@@ -406,120 +393,3 @@ class OutputForm:
             "message": solution.message,
             "x0": solution.x0.tolist(),
         }
-
-    def _on_validation(self, system: Any, record: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the initial states of the validation windows, and what belongs to the record refitted there."""
-        if not self.records["validation"]:
-            return {"x0_validation": [], "refitted": {}}
-        p = system.vector(record["values"])
-        windows = self._windows(system, p, "validation")
-        x0 = windows.starts_from([self._from_data(windows.simulator, one, p)[0] for one in self.records["validation"]])
-        x0 = self._settled(system, p, "validation", windows, x0)
-        own = {one.name(name) for one in system.effects for name in PER_RECORD.get(one.effect.name, ())}
-        own = {name for name in own if not system.parameter(name).fixed}
-        refitted: dict[str, float] = {}
-        if own:
-            free = np.array([one.name in own for one in system.parameters], dtype=bool)
-            best = None
-            for start in self._own_starts(system, p, own, max(len(r) for r in self.records["validation"])):
-                solution = minimise(windows, start, x0, free, 25, decrease=self.decrease)
-                if best is None or solution.evaluation.cost < best.evaluation.cost:
-                    best = solution
-            if best is not None and np.isfinite(best.evaluation.cost):
-                x0 = best.x0
-                refitted = {name: float(best.p[system.parameter_names.index(name)]) for name in sorted(own)}
-        return {"x0_validation": x0.tolist(), "refitted": refitted}
-
-    def _own_starts(self, system: Any, p: FloatArray, own: set[str], samples: int) -> list[FloatArray]:
-        """Return several starts for phases and instants of change."""
-        starts = []
-        for part in (0.0, 0.25, 0.5, 0.75):
-            q = p.copy()
-            for name in own:
-                k = system.parameter_names.index(name)
-                q[k] = 2 * np.pi * part if name.endswith("phi") else (part + 0.125) * samples * self.sample_time
-            starts.append(q)
-        return starts
-
-    def _settled(self, system: Any, p: FloatArray, use: str, windows: Windows, x0: FloatArray) -> FloatArray:
-        """Return fitted initial states, found over short windows first where the windows are long."""
-        records = list(self.records[use])
-        longest = max(last - first for _, first, last in windows.places) * self.sample_time
-        short = max(longest / 8, 50 * self.sample_time)
-        if short < 0.6 * longest:
-            first = self._cut(windows.simulator, records, short)
-            states = [self._from_data(windows.simulator, one, p)[0] for one in records]
-            found = self._fit_states(first, p, first.starts_from(states), 8)
-            kept = first.together(first.evaluate(p, found, keep=True).states)
-            better = windows.starts_from(kept)
-            x0 = np.where(np.isfinite(better), better, x0)
-        return self._fit_states(windows, p, x0, 25)
-
-    def _extended(self, base: Fitted, system: Any, p: FloatArray, windows: Windows) -> FloatArray:
-        """Return the base model's initial states with those of the new hidden states."""
-        old_names = [channel.name for channel in base.system.states]
-        old = np.array(base.record["x0"], dtype=float).reshape(len(windows), len(old_names))
-        x0 = np.zeros((len(windows), system.nx))
-        fresh = []
-        for k, channel in enumerate(system.states):
-            if channel.name in old_names:
-                x0[:, k] = old[:, old_names.index(channel.name)]
-            else:
-                fresh.append(k)
-        if fresh:
-            first = system.nx - system.hidden_count
-            for row, (number, place, _) in enumerate(windows.places):
-                u = self.records["estimation"][number].u[place]
-                hidden = windows.simulator.hidden_start(x0[row], u, p)
-                for k in fresh:
-                    x0[row, k] = hidden[k - first]
-        return x0
-
-    def _hidden_carried(self, system: Any, p: FloatArray, windows: Windows, x0: FloatArray) -> FloatArray:
-        """Return initial states of validation windows with the hidden ones handed on from window to window.
-
-        They start where their effects say, and are carried over the seams by how far they are from there (a twist, a
-        bent bristle); the other states are fitted to each window. So hidden states are what the motion made them.
-        """
-        result, first = x0.copy(), system.nx - system.hidden_count
-        simulator, records = windows.simulator, self.records["validation"]
-        away, before = np.zeros(system.hidden_count), -1
-        for row, (number, place, last) in enumerate(windows.places):
-            record = records[number][place:last]
-            alone = Windows(simulator, [record], None, self.weights)
-            away = away if number == before else np.zeros(system.hidden_count)
-            before = number
-            for _ in range(3):  # Gauss-Newton over the states of the nominal model
-                result[row, first:] = simulator.hidden_start(result[row], record.u[0], p) + away
-                rest = alone.evaluate(p, result[row : row + 1], keep=True).residuals[0]
-                _, _, slope = simulator.sensitivities(p, result[row], record.u, t0=float(record.t[0]))
-                known = (slope[..., :first] / self.weights[:, None]).reshape(-1, first)
-                wanted = (rest / self.weights).reshape(-1)
-                if not (np.isfinite(known).all() and np.isfinite(wanted).all()):
-                    break
-                result[row, :first] += np.linalg.lstsq(known, wanted, rcond=1e-10)[0]
-            result[row, first:] = simulator.hidden_start(result[row], record.u[0], p) + away
-            end = alone.evaluate(p, result[row : row + 1], keep=True).states[0][-1]
-            if np.isfinite(end).all():
-                away = end[first:] - simulator.hidden_start(end, record.u[-1], p)
-        return result
-
-    def _state_bases(self, base: Fitted, use: str) -> tuple[list[FloatArray], list[tuple[int, int, int]]]:
-        """Return for each window an orthonormal basis of what its initial state can do."""
-        cache: dict[str, Any] = base.__dict__.setdefault("_state_bases", {})
-        if use not in cache:
-            system = base.system
-            p = system.vector({**base.values, **(base.refitted if use != "estimation" else {})})
-            windows = self._windows(system, p, use)
-            key = "x0" if use == "estimation" else "x0_validation"
-            x0 = np.array(base.record[key], dtype=float).reshape(len(windows), system.nx)
-            lefts = []
-            for row, (number, first, last) in enumerate(windows.places):
-                record = self.records[use][number]
-                _, _, slope = windows.simulator.sensitivities(p, x0[row], record.u[first:last], t0=record.t[first])
-                flat = (slope / self.weights[:, None]).reshape(-1, system.nx)
-                left, sizes, _ = np.linalg.svd(flat, full_matrices=False)
-                lefts.append(left[:, sizes > 1e-10 * max(sizes.max(initial=0.0), 1e-300)])
-            cache[use] = (lefts, windows.places)
-        found: tuple[list[FloatArray], list[tuple[int, int, int]]] = cache[use]
-        return found

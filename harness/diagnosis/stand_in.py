@@ -69,7 +69,8 @@ def stand_in_reasons(accepted: Sequence[Placed], adequacy: Adequacy, ratio: floa
     best = adequacy.best
     significant = best is not None and adequacy.rest > 1.0
     if best is not None and (adequacy.predictable or (significant and ratio is not None and ratio > RATIO)):
-        reasons.append(f"what is left can still be predicted from {best.axes}: a force that is not in the model")
+        cause = "a property of the sensor" if best.axes.startswith("reading") else "a force"
+        reasons.append(f"what is left can still be predicted from {best.axes}: {cause} that is not in the model")
     return tuple(reasons)
 
 

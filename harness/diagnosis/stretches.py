@@ -12,7 +12,8 @@ from itertools import pairwise
 import numpy as np
 
 from harness.diagnosis.forms import Fitted, Form
-from harness.diagnosis.output_form import PER_RECORD, OutputForm
+from harness.diagnosis.output_form import OutputForm
+from harness.diagnosis.per_record import PER_RECORD
 from harness.signals import Dataset, Run
 
 __all__ = ["polished", "stretched"]

@@ -48,8 +48,8 @@ def test_the_arm_of_a_pendulum_lacks_dry_friction_and_drag_together(recordings_f
     assert (
         {"coulomb_friction", "quadratic_drag"} <= set(found) <= {"coulomb_friction", "quadratic_drag", "sensor_delay"}
     )
-    assert found["coulomb_friction"]["Fc"]["low"] > 0
-    assert found["quadratic_drag"]["c"]["low"] > 0
+    assert found["coulomb_friction"]["Fc"]["value"] > 0
+    assert found["quadratic_drag"]["c"]["value"] > 0
     before, after = (
         data["errors"][key]["simulation_error"]["validation"]["theta"]["rms"] for key in ("before", "after")
     )
