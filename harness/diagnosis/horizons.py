@@ -67,6 +67,7 @@ def searched(
     short, seen = form.shortened(nominal, seconds)
     seen = fit_here(short, (), [seen.values])
     near = search_of(short)
+    near.reference = nominal
     first = near.round(seen) if near.detected(seen) else None
     if first is None or not _still_far(search, [one.fitted for one in first.candidates]):
         return form, nominal, search.run(nominal)

@@ -88,6 +88,8 @@ def best_pair(search: Search, model: Fitted, here: Round) -> Candidate | None:
         return None
     distinct = {frozenset(map(str, pair)): pair for pair in wanted}.values()
     pairs = [pair for pair in distinct if compatible((*model.effects, *pair))]
+    if here.line is None:
+        pairs = [pair for pair in pairs if all(one.effect.name != "periodic_disturbance" for one in pair)]
     if not pairs:
         return None
     search.say(f"refitting {len(pairs)} pairs")

@@ -87,6 +87,8 @@ class Search:
     seed: int = 0
     say: Callable[[str], None] = lambda text: None
     notes: list[str] = field(default_factory=list)
+    reference: Fitted | None = None
+    """The nominal model over the usual horizon, where a shorter one is searched: windows hide lines."""
 
     def run(self, nominal: Fitted, *, first: Round | None = None) -> SearchResult:
         """Return the final model, starting from the fitted nominal one (and its first round, if that is done)."""
@@ -144,12 +146,16 @@ class Search:
             p = min(test.p, other.p)  # either one opens the way to the refits, which have tests of their own
             test = other if other.p < test.p else test
         line = line_of(self, model)
+        if line is None and self.reference is not None and not model.effects:
+            line = line_of(self, self.reference)
         signs = {key: own for key, own in hidden_signs(self.form, rest).items() if own <= LEVEL}
         if p > LEVEL and line is None and not signs:
             self.notes.append(f"the dictionary explains the residual no better than surrogates of it (p = {p:.3f})")
             return Round(model, screen, weak, test, p, line, ())
         # A line and a lost sign have tests of their own; they vouch for nothing else.
         chosen = shortlist(screen, None if weak is None else weak.screen, rest) if p <= LEVEL else []
+        if line is None:  # its phase is fitted on validation too, so there any narrow band would seem to gain
+            chosen = [one for one in chosen if one.effect.name != "periodic_disturbance"]
         chosen += [one for one in rest if str(one) in signs and str(one) not in map(str, chosen)]
         if line is not None:
             chosen += [
