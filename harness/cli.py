@@ -5,27 +5,33 @@ Exit status: 0 done (whatever the verdict), 1 a fault of ours, 2 input that cann
 
 from __future__ import annotations
 
-import json
 import os
 import sys
-import time
-import tomllib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from harness import __version__, api
 from harness.errors import HarnessError, InputError
+from harness.terminal import (
+    fail,
+    hidden_effect,
+    option_pairs,
+    print_bench,
+    print_fmu,
+    print_identified,
+    print_json,
+    print_planned,
+    progress_bar,
+    say,
+    seed_range,
+    wide_console,
+)
 
 if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.progress import Progress, TaskID
-
-    from harness.benchmark import BenchResult
-    from harness.diagnosis.planned import Planned
+    pass
 
 __all__ = ["app", "main"]
 
@@ -58,13 +64,13 @@ def list_command(
     if what is not None and what.endswith(".fmu"):
         description = api.describe_fmu(what)
         if as_json:
-            _print_json(description)
+            print_json(description)
         else:
-            _print_fmu(description)
+            print_fmu(description)
         return
     parts = api.list_parts(what)
     if as_json:
-        _print_json(parts)
+        print_json(parts)
         return
     from rich.table import Table
 
@@ -75,7 +81,7 @@ def list_command(
         for row in rows:
             foreign = "" if row["distribution"] == "sysid-harness" else f" (from {row['distribution']})"
             shown.add_row(f"  {row['id']}", row["summary"] + foreign)
-        _console().print(shown)
+        wide_console().print(shown)
 
 
 @app.command()
@@ -98,23 +104,23 @@ def simulate(
     force: Force = False,
 ) -> None:
     """Run a scenario on a plant and record it."""
-    with _progress("simulating") as bar:
+    with progress_bar("simulating") as bar:
         task = bar.add_task(plant, total=None)
         trajectory = api.simulate(
             plant,
             scenario=scenario,
             seed=seed,
             out=out,
-            options=_pairs(option, "--option"),
-            scenario_options=_pairs(scenario_option, "--scenario-option"),
-            hide=[_hidden(text) for text in hide or ()],
+            options=option_pairs(option, "--option"),
+            scenario_options=option_pairs(scenario_option, "--scenario-option"),
+            hide=[hidden_effect(text) for text in hide or ()],
             role=role,
             force=force,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
-    _say(str(trajectory))
+    say(str(trajectory))
     if out is not None:
-        _say(f"wrote {out}")
+        say(f"wrote {out}")
 
 
 @app.command()
@@ -129,7 +135,7 @@ def bench(
 ) -> None:
     """Run a suite of plants x scenarios x identifiers x seeds and print its table."""
     folder = out if out is not None else Path("results") / Path(suite).stem
-    with _progress(f"benchmark {suite}") as bar:
+    with progress_bar(f"benchmark {suite}") as bar:
         task = bar.add_task(suite, total=None)
 
         def show(done: int, total: int, what: str) -> None:
@@ -139,12 +145,12 @@ def bench(
             suite,
             out=folder,
             workers=workers,
-            seeds=_seeds(seeds),
+            seeds=seed_range(seeds),
             engine=engine,
             resume=resume,
             progress=show,
         )
-    _print_bench(result, as_json=as_json)
+    print_bench(result, as_json=as_json)
 
 
 @app.command()
@@ -153,7 +159,7 @@ def table(
     as_json: AsJson = False,
 ) -> None:
     """Print a stored benchmark again, and render its report anew."""
-    _print_bench(api.table(directory), as_json=as_json)
+    print_bench(api.table(directory), as_json=as_json)
 
 
 @app.command()
@@ -171,16 +177,16 @@ def identify(
     fitted = api.identify(
         dataset,
         identifier=identifier,
-        options=_pairs(option, "--option"),
+        options=option_pairs(option, "--option"),
         model=model,
         validation=validation,
         out=out,
         seed=seed,
         force=force,
     )
-    _print_identified(fitted, identifier)
+    print_identified(fitted, identifier)
     if out is not None:
-        _say(f"wrote {out}")
+        say(f"wrote {out}")
 
 
 @app.command(name="close-loop")
@@ -196,7 +202,7 @@ def close_loop(
     workers: Annotated[int | None, typer.Option(min=1, help="processes; default all cores, at most 4")] = None,
 ) -> None:
     """Find the effect that a model lacks, add it, report the error before and after."""
-    with _progress("closing the loop") as bar:
+    with progress_bar("closing the loop") as bar:
         task = bar.add_task(dataset, total=1.0)
 
         def show(fraction: float, what: str) -> None:
@@ -214,12 +220,12 @@ def close_loop(
             workers=workers,
         )
     if as_json:
-        _print_json(report.data)
+        print_json(report.data)
         return
-    _console().print(str(report), highlight=False, markup=False, soft_wrap=True)
+    wide_console().print(str(report), highlight=False, markup=False, soft_wrap=True)
     for text in report.data["warnings"]:
         print(f"sysid: note: {text}", file=sys.stderr)
-    _say(f"report: {out / 'report.html'}")
+    say(f"report: {out / 'report.html'}")
 
 
 @app.command()
@@ -237,7 +243,7 @@ def study(
     force: Force = False,
 ) -> None:
     """Try the closed loop on simulated truths: confusion, false alarms, coverage, cost."""
-    with _progress("benchmark study") as bar:
+    with progress_bar("benchmark study") as bar:
         task = bar.add_task(which, total=None)
 
         def show(done: int, total: int, what: str) -> None:
@@ -257,8 +263,8 @@ def study(
             force=force,
             progress=show,
         )
-    _say(result.text)
-    _say(f"{result.done} of {result.planned} records done; tables: {out / 'study.md'}")
+    say(result.text)
+    say(f"{result.done} of {result.planned} records done; tables: {out / 'study.md'}")
 
 
 @app.command()
@@ -279,15 +285,15 @@ def isolability(
     found = api.isolability(
         model,
         scenario=scenario,
-        scenario_options=_pairs(scenario_option, "--scenario-option"),
-        parameters=_pairs(parameter, "--parameter"),
+        scenario_options=option_pairs(scenario_option, "--scenario-option"),
+        parameters=option_pairs(parameter, "--parameter"),
         sample_time=sample_time,
         seed=seed,
     )
     if as_json:
-        _print_json(found.to_dict())
+        print_json(found.to_dict())
     else:
-        _print_planned(found)
+        print_planned(found)
 
 
 @app.command()
@@ -299,7 +305,7 @@ def export(
 ) -> None:
     """Write a model as a co-simulation FMU, with its C source."""
     for path in api.export(source, out=out, fmi=fmi, force=force):
-        _say(f"wrote {path}")
+        say(f"wrote {path}")
 
 
 @app.command()
@@ -310,10 +316,10 @@ def check(
     """Hold a plug-in to its contract; exit 2 if it breaks it."""
     results = api.check(name)
     if as_json:
-        _print_json([{"name": r.name, "passed": r.passed, "reason": r.reason} for r in results])
+        print_json([{"name": r.name, "passed": r.passed, "reason": r.reason} for r in results])
     else:
         for result in results:
-            _say(f"{'pass' if result.passed else 'FAIL'}  {result.name}{': ' + result.reason if result.reason else ''}")
+            say(f"{'pass' if result.passed else 'FAIL'}  {result.name}{': ' + result.reason if result.reason else ''}")
     failed = [result.name for result in results if not result.passed]
     if failed:
         raise InputError(
@@ -328,7 +334,7 @@ def check(
 def _root(version: Annotated[bool, typer.Option("--version", help="print the version")] = False) -> None:
     """Co-simulation test harness for system identification that closes the loop with measured data."""
     if version:
-        _say(f"sysid-harness {__version__}")
+        say(f"sysid-harness {__version__}")
         raise typer.Exit()
 
 
@@ -341,220 +347,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if code == INTERRUPTED:  # the library turns Ctrl-C into a status
             raise KeyboardInterrupt
     except HarnessError as error:
-        _fail(" ".join(str(error).split()), 2)
+        fail(" ".join(str(error).split()), 2)
     except (KeyboardInterrupt, typer.Abort):
-        _fail("interrupted; what was finished is kept, --resume continues", INTERRUPTED)
+        fail("interrupted; what was finished is kept, --resume continues", INTERRUPTED)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
     except Exception as error:
         if hasattr(error, "format_message") and hasattr(error, "exit_code"):
-            _fail(f"{error.format_message()}; remedy: sysid --help", 2)
+            fail(f"{error.format_message()}; remedy: sysid --help", 2)
         if os.environ.get("SYSID_HARNESS_DEBUG"):
             raise
-        _fail(
+        fail(
             f"a fault in sysid-harness: {type(error).__name__}: {' '.join(str(error).split())}; "
             "remedy: set SYSID_HARNESS_DEBUG=1 for the traceback and report it",
             1,
         )
     sys.exit(code if isinstance(code, int) else 0)
-
-
-def _fail(message: str, status: int) -> None:
-    """Print one line on standard error and leave."""
-    print(f"sysid: {message}", file=sys.stderr)
-    sys.exit(status)
-
-
-def _say(text: str) -> None:
-    print(text)
-
-
-def _print_json(content: Any) -> None:
-    print(json.dumps(content, indent=1, allow_nan=False))
-
-
-def _console() -> Console:
-    """Return a console that folds nothing when its output is a file or a pipe."""
-    from rich.console import Console
-
-    return Console(width=None if sys.stdout.isatty() else max(120, int(os.environ.get("COLUMNS", "0") or 0)))
-
-
-class _Lines:
-    """Progress where standard error is no terminal: one line every few seconds."""
-
-    def __init__(self, title: str) -> None:
-        self.title = title
-        self.next = time.monotonic() + 5.0
-
-    def add_task(self, description: str, total: float | None = None) -> TaskID:
-        return cast("TaskID", 0)
-
-    def update(
-        self, task: TaskID, *, completed: float = 0.0, total: float | None = None, description: str | None = None
-    ) -> None:
-        if time.monotonic() < self.next:
-            return
-        self.next = time.monotonic() + 5.0
-        share = f"{100 * completed:.0f} %" if total is None else f"{completed:.0f} of {total:.0f}"
-        print(f"{self.title}: {share}{f', {description}' if description else ''}", file=sys.stderr, flush=True)
-
-
-@contextmanager
-def _progress(title: str) -> Iterator[Progress | _Lines]:
-    """Show on standard error how far something long has come: a bar on a terminal, else a line now and then."""
-    if not sys.stderr.isatty():
-        yield _Lines(title)
-        return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn() if title.startswith("benchmark") else TextColumn("{task.percentage:>3.0f}%"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    ) as bar:
-        yield bar
-
-
-def _value(text: str) -> Any:
-    """Read an option's value as TOML (3, 0.5, true, [1, 2]); anything else is text."""
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
-
-
-def _pairs(texts: Sequence[str] | None, flag: str) -> dict[str, Any]:
-    """Read ``k=v`` pairs; ``k.NAME=v`` is an entry of the table ``k``, and NAME may hold dots itself."""
-    result: dict[str, Any] = {}
-    for text in texts or ():
-        key, equals, value = text.partition("=")
-        if not equals or not key:
-            raise InputError("option", expected="k=v", got=repr(text), remedy=f"write {flag} name=value", place=flag)
-        head, dot, name = key.strip().partition(".")
-        head = head.replace("-", "_")
-        table = result.setdefault(head, {}) if dot else None
-        if dot and not (name and isinstance(table, dict)):
-            raise InputError("option", expected=f"{head}.NAME=v", got=repr(text), remedy="correct it", place=flag)
-        if table is None:
-            result[head] = _value(value.strip())
-        else:
-            table[name] = _value(value.strip())
-    return result
-
-
-def _hidden(text: str) -> tuple[str, str, dict[str, float]]:
-    """Read ``effect@port:k=v,k=v``."""
-    head, _, tail = text.partition(":")
-    name, at, port = head.partition("@")
-    if not (name and at and port):
-        raise InputError(
-            "hidden effect",
-            expected="EFFECT@PORT:k=v,...",
-            got=repr(text),
-            remedy="write e.g. --hide coulomb_friction@theta:Fc=0.05",
-            place="--hide",
-        )
-    pairs = _pairs([part for part in tail.split(",") if part], "--hide")
-    for key, value in pairs.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(
-                "hidden effect", expected=f"a number for {key}", got=repr(value), remedy="correct it", place="--hide"
-            )
-    return name, port, {key: float(value) for key, value in pairs.items()}
-
-
-def _print_bench(result: BenchResult, *, as_json: bool) -> None:
-    """Print a benchmark's table, and where its files are."""
-    if as_json:
-        _print_json(result.to_records())
-        return
-    _console().print(result.table())
-    if result.folder is not None:
-        _say(f"report: {result.report}")
-        _say(f"results: {result.folder / 'results.parquet'}")
-
-
-def _print_planned(found: Planned) -> None:
-    """Print the isolability matrix (hundredths), the pairs that look alike, and what stays invisible."""
-    width = max(map(len, found.effects), default=0)
-    _say(f"share of the row's effect that the column's can mimic, in hundredths ({found.horizon})")
-    _say(" " * (width + 4) + "".join(f"{k + 1:>4}" for k in range(len(found.effects))))
-    for k, (name, row) in enumerate(zip(found.effects, found.cosines, strict=True)):
-        _say(f"{k + 1:>3} {name:<{width}}" + "".join(f"{100 * value:>4.0f}" for value in row))
-    for one, other, cosine in found.alike:
-        _say(f"cannot be told apart: {one} and {other} ({cosine:.3f})")
-    for hidden in found.hidden:
-        _say(f"not visible: {hidden['name']}@{hidden['at']}: {hidden['reason']}")
-
-
-def _print_identified(fitted: api.Identified, identifier: str) -> None:
-    """Print the scores of a model, output by output."""
-    from rich.table import Table
-
-    shown = Table(title=f"{identifier}: NRMSE (rms)", title_justify="left", box=None, padding=(0, 2, 0, 0))
-    for name in ("use", "run", "output", "equation error", "simulation error", "initial state"):
-        shown.add_column(name, justify="right" if name.endswith("error") else "left")
-    for use, one_step in fitted.equation_error.items():
-        for run, (one, free) in enumerate(zip(one_step, fitted.simulation_error[use], strict=True)):
-            for column, channel in enumerate(fitted.model.spec.outputs):
-                scores = [f"{s.nrmse[column]:.4g} ({s.rms[column]:.3g} {channel.unit})" for s in (one, free)]
-                shown.add_row(use, str(run), channel.name, *scores, free.initial_state)
-    _console().print(shown)
-    for name, value in getattr(fitted.model, "parameters", {}).items():
-        deviation = getattr(fitted.model, "deviations", {}).get(name)
-        _say(f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else ""))
-    for warning in fitted.warnings:
-        _say(f"warning: {warning}")
-
-
-def _print_fmu(content: dict[str, Any]) -> None:
-    """Print what is in an FMU."""
-    from rich.table import Table
-
-    _say(
-        f"{content['model']} (FMI {content['fmi']}, {content['tool'] or 'tool not told'}): "
-        f"{content['description'] or ''}"
-    )
-    _say(f"platforms: {', '.join(content['platforms']) or 'none'}")
-    for kind, abilities in content["kinds"].items():
-        can = [name for name, has in abilities.items() if has is True] if isinstance(abilities, dict) else abilities
-        _say(f"{kind}: {', '.join(map(str, can)) or 'no optional abilities'}")
-    shown = Table(box=None, padding=(0, 2, 0, 0))
-    for name in ("name", "causality", "variability", "type", "unit", "start", "description"):
-        shown.add_column(name, overflow="fold")
-    for row in content["variables"]:
-        cells = ("name", "causality", "variability", "type", "unit", "start", "description")
-        shown.add_row(*("" if row[name] is None else str(row[name]) for name in cells))
-    _console().print(shown)
-    for problem in content["problems"]:
-        _say(f"warning: {problem}")
-
-
-def _seeds(text: str | None) -> tuple[int, int] | None:
-    """Read ``A..B``."""
-    if text is None:
-        return None
-    first, dots, last = text.partition("..")
-    try:
-        pair = (int(first), int(last if dots else first))
-    except ValueError:
-        pair = (1, 0)
-    if pair[0] > pair[1] or pair[0] < 0:
-        raise InputError(
-            "seeds", expected="A..B with 0 <= A <= B", got=repr(text), remedy="write e.g. --seeds 0..4", place="--seeds"
-        )
-    return pair

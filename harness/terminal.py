@@ -1,0 +1,243 @@
+"""What the ``sysid`` command reads from options and writes to the terminal: pairs, seeds, progress, tables."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+import tomllib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, cast
+
+from harness.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
+
+    from harness.api import Identified
+    from harness.benchmark import BenchResult
+    from harness.diagnosis.planned import Planned
+
+__all__ = [
+    "Lines",
+    "fail",
+    "hidden_effect",
+    "option_pairs",
+    "option_value",
+    "print_bench",
+    "print_fmu",
+    "print_identified",
+    "print_json",
+    "print_planned",
+    "progress_bar",
+    "say",
+    "seed_range",
+    "wide_console",
+]
+
+
+def fail(message: str, status: int) -> None:
+    """Print one line on standard error and leave."""
+    print(f"sysid: {message}", file=sys.stderr)
+    sys.exit(status)
+
+
+def say(text: str) -> None:
+    """Print a line."""
+    print(text)
+
+
+def print_json(content: Any) -> None:
+    """Print JSON without NaN."""
+    print(json.dumps(content, indent=1, allow_nan=False))
+
+
+def wide_console() -> Console:
+    """Return a console that folds nothing when its output is a file or a pipe."""
+    from rich.console import Console
+
+    return Console(width=None if sys.stdout.isatty() else max(120, int(os.environ.get("COLUMNS", "0") or 0)))
+
+
+class Lines:
+    """Progress where standard error is no terminal: one line every few seconds."""
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self.next = time.monotonic() + 5.0
+
+    def add_task(self, description: str, total: float | None = None) -> TaskID:
+        """Return the only task there is."""
+        return cast("TaskID", 0)
+
+    def update(
+        self, task: TaskID, *, completed: float = 0.0, total: float | None = None, description: str | None = None
+    ) -> None:
+        """Print a line if the last one is some seconds old."""
+        if time.monotonic() < self.next:
+            return
+        self.next = time.monotonic() + 5.0
+        share = f"{100 * completed:.0f} %" if total is None else f"{completed:.0f} of {total:.0f}"
+        print(f"{self.title}: {share}{f', {description}' if description else ''}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def progress_bar(title: str) -> Iterator[Progress | Lines]:
+    """Show on standard error how far something long has come: a bar on a terminal, else a line now and then."""
+    if not sys.stderr.isatty():
+        yield Lines(title)
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn() if title.startswith("benchmark") else TextColumn("{task.percentage:>3.0f}%"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    ) as bar:
+        yield bar
+
+
+def option_value(text: str) -> Any:
+    """Read an option's value as TOML (3, 0.5, true, [1, 2]); anything else is text."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def option_pairs(texts: Sequence[str] | None, flag: str) -> dict[str, Any]:
+    """Read ``k=v`` pairs; ``k.NAME=v`` is an entry of the table ``k``, and NAME may hold dots itself."""
+    result: dict[str, Any] = {}
+    for text in texts or ():
+        key, equals, value = text.partition("=")
+        if not equals or not key:
+            raise InputError("option", expected="k=v", got=repr(text), remedy=f"write {flag} name=value", place=flag)
+        head, dot, name = key.strip().partition(".")
+        head = head.replace("-", "_")
+        table = result.setdefault(head, {}) if dot else None
+        if dot and not (name and isinstance(table, dict)):
+            raise InputError("option", expected=f"{head}.NAME=v", got=repr(text), remedy="correct it", place=flag)
+        if table is None:
+            result[head] = option_value(value.strip())
+        else:
+            table[name] = option_value(value.strip())
+    return result
+
+
+def hidden_effect(text: str) -> tuple[str, str, dict[str, float]]:
+    """Read ``effect@port:k=v,k=v``."""
+    head, _, tail = text.partition(":")
+    name, at, port = head.partition("@")
+    if not (name and at and port):
+        raise InputError(
+            "hidden effect",
+            expected="EFFECT@PORT:k=v,...",
+            got=repr(text),
+            remedy="write e.g. --hide coulomb_friction@theta:Fc=0.05",
+            place="--hide",
+        )
+    pairs = option_pairs([part for part in tail.split(",") if part], "--hide")
+    for key, value in pairs.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(
+                "hidden effect", expected=f"a number for {key}", got=repr(value), remedy="correct it", place="--hide"
+            )
+    return name, port, {key: float(value) for key, value in pairs.items()}
+
+
+def print_bench(result: BenchResult, *, as_json: bool) -> None:
+    """Print a benchmark's table, and where its files are."""
+    if as_json:
+        print_json(result.to_records())
+        return
+    wide_console().print(result.table())
+    if result.folder is not None:
+        say(f"report: {result.report}")
+        say(f"results: {result.folder / 'results.parquet'}")
+
+
+def print_planned(found: Planned) -> None:
+    """Print the isolability matrix (hundredths), the pairs that look alike, and what stays invisible."""
+    width = max(map(len, found.effects), default=0)
+    say(f"share of the row's effect that the column's can mimic, in hundredths ({found.horizon})")
+    say(" " * (width + 4) + "".join(f"{k + 1:>4}" for k in range(len(found.effects))))
+    for k, (name, row) in enumerate(zip(found.effects, found.cosines, strict=True)):
+        say(f"{k + 1:>3} {name:<{width}}" + "".join(f"{100 * value:>4.0f}" for value in row))
+    for one, other, cosine in found.alike:
+        say(f"cannot be told apart: {one} and {other} ({cosine:.3f})")
+    for hidden in found.hidden:
+        say(f"not visible: {hidden['name']}@{hidden['at']}: {hidden['reason']}")
+
+
+def print_identified(fitted: Identified, identifier: str) -> None:
+    """Print the scores of a model, output by output."""
+    from rich.table import Table
+
+    shown = Table(title=f"{identifier}: NRMSE (rms)", title_justify="left", box=None, padding=(0, 2, 0, 0))
+    for name in ("use", "run", "output", "equation error", "simulation error", "initial state"):
+        shown.add_column(name, justify="right" if name.endswith("error") else "left")
+    for use, one_step in fitted.equation_error.items():
+        for run, (one, free) in enumerate(zip(one_step, fitted.simulation_error[use], strict=True)):
+            for column, channel in enumerate(fitted.model.spec.outputs):
+                scores = [f"{s.nrmse[column]:.4g} ({s.rms[column]:.3g} {channel.unit})" for s in (one, free)]
+                shown.add_row(use, str(run), channel.name, *scores, free.initial_state)
+    wide_console().print(shown)
+    for name, value in getattr(fitted.model, "parameters", {}).items():
+        deviation = getattr(fitted.model, "deviations", {}).get(name)
+        say(f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else ""))
+    for warning in fitted.warnings:
+        say(f"warning: {warning}")
+
+
+def print_fmu(content: dict[str, Any]) -> None:
+    """Print what is in an FMU."""
+    from rich.table import Table
+
+    say(
+        f"{content['model']} (FMI {content['fmi']}, {content['tool'] or 'tool not told'}): "
+        f"{content['description'] or ''}"
+    )
+    say(f"platforms: {', '.join(content['platforms']) or 'none'}")
+    for kind, abilities in content["kinds"].items():
+        can = [name for name, has in abilities.items() if has is True] if isinstance(abilities, dict) else abilities
+        say(f"{kind}: {', '.join(map(str, can)) or 'no optional abilities'}")
+    shown = Table(box=None, padding=(0, 2, 0, 0))
+    for name in ("name", "causality", "variability", "type", "unit", "start", "description"):
+        shown.add_column(name, overflow="fold")
+    for row in content["variables"]:
+        cells = ("name", "causality", "variability", "type", "unit", "start", "description")
+        shown.add_row(*("" if row[name] is None else str(row[name]) for name in cells))
+    wide_console().print(shown)
+    for problem in content["problems"]:
+        say(f"warning: {problem}")
+
+
+def seed_range(text: str | None) -> tuple[int, int] | None:
+    """Read ``A..B``."""
+    if text is None:
+        return None
+    first, dots, last = text.partition("..")
+    try:
+        pair = (int(first), int(last if dots else first))
+    except ValueError:
+        pair = (1, 0)
+    if pair[0] > pair[1] or pair[0] < 0:
+        raise InputError(
+            "seeds", expected="A..B with 0 <= A <= B", got=repr(text), remedy="write e.g. --seeds 0..4", place="--seeds"
+        )
+    return pair
