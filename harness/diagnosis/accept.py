@@ -16,6 +16,7 @@ from harness.diagnosis.residual_tests import RATIO, effective_samples
 from harness.signals import FloatArray
 
 __all__ = [
+    "OWN_GAIN",
     "WRONG_SIGN",
     "Comparison",
     "Interval",
@@ -31,6 +32,9 @@ BLOCKS = 20
 DRAWS = 4000
 DELTA_BIC = 10.0
 GAIN = 0.01
+OWN_GAIN = 0.1
+"""Share of the validation error that an effect must take away if a phase or instant of it is fitted to validation:
+that alone gains some percent wherever a residual is coloured."""
 LEVEL = 0.01
 WRONG_SIGN = "its main parameter has an unphysical sign"
 
@@ -147,6 +151,7 @@ def judge(
     minimum: float,
     maximum: float,
     surrogate_p: float | None = None,
+    gain: float = GAIN,
 ) -> Judgement:
     """Apply the acceptance rule.
 
@@ -166,6 +171,8 @@ def judge(
         Bounds of the main parameter.
     surrogate_p : float, optional
         p-value of the global null.
+    gain : float
+        Share of the validation error that must be gone.
     """
     reasons: list[str] = []
     if not converged:
@@ -174,9 +181,9 @@ def judge(
         reasons.append(f"no better than on surrogates of the residual (p = {surrogate_p:.3f})")
     if not delta_bic > DELTA_BIC:
         reasons.append(f"delta BIC {delta_bic:.1f} is not above {DELTA_BIC:g}")
-    if not comparison.gain >= GAIN:
+    if not comparison.gain >= gain:
         reasons.append(
-            f"validation error falls by {100 * comparison.gain:.2f} %, not by 1 %"
+            f"validation error falls by {100 * comparison.gain:.2f} %, not by {100 * gain:g} %"
             if comparison.gain >= 0
             else "validation error grows"
         )

@@ -16,6 +16,7 @@ import numpy as np
 
 from harness.diagnosis.accept import (
     GAIN,
+    OWN_GAIN,
     Comparison,
     Interval,
     Judgement,
@@ -26,6 +27,7 @@ from harness.diagnosis.accept import (
 )
 from harness.diagnosis.descent import Bar
 from harness.diagnosis.forms import Fitted, Form, placed_name, rms
+from harness.diagnosis.per_record import PER_RECORD
 from harness.diagnosis.store import Store
 from harness.effects.effect import Placed
 from harness.rng import stream
@@ -339,6 +341,7 @@ def _judge_one(
         minimum=parameter.minimum - neutral if np.isfinite(parameter.minimum) and parameter.minimum else -np.inf,
         maximum=parameter.maximum - neutral,
         surrogate_p=surrogate_p,
+        gain=OWN_GAIN if placed.effect.name in PER_RECORD else GAIN,
     )
     wrong = [
         f"{other.name} has an unphysical sign"

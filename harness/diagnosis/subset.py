@@ -87,8 +87,6 @@ class Search:
     seed: int = 0
     say: Callable[[str], None] = lambda text: None
     notes: list[str] = field(default_factory=list)
-    reference: Fitted | None = None
-    """The nominal model over the usual horizon, where a shorter one is searched: windows hide lines."""
 
     def run(self, nominal: Fitted, *, first: Round | None = None) -> SearchResult:
         """Return the final model, starting from the fitted nominal one (and its first round, if that is done)."""
@@ -146,8 +144,6 @@ class Search:
             p = min(test.p, other.p)  # either one opens the way to the refits, which have tests of their own
             test = other if other.p < test.p else test
         line = line_of(self, model)
-        if line is None and self.reference is not None and not model.effects:
-            line = line_of(self, self.reference)
         signs = {key: own for key, own in hidden_signs(self.form, rest).items() if own <= LEVEL}
         if p > LEVEL and line is None and not signs:
             self.notes.append(f"the dictionary explains the residual no better than surrogates of it (p = {p:.3f})")
