@@ -165,12 +165,14 @@ def diagnose(
     def size_of(placed: Placed) -> Mapping[str, float]:
         return sizes.get(placed.at, sizes.get("base", {}))
 
+    stores: dict[float | None, Store] = {}  # by horizon: what a second search needs again is there
+
     def search_of(one: Form) -> Search:
         seconds = getattr(one, "horizon", horizon.seconds)
         identity = fingerprint(dataset, model=str(system), parameters=str(system.parameters), horizon=seconds,
                                inverse=inverse, weights=one.weights.tolist())  # fmt: skip
-        keeper = Store(folder, identity)
-        refitter = Refitter(one, keeper, seed, count, lambda name: say(_fraction(), f"refitted {name}"))
+        store = stores.setdefault(seconds, Store(folder, identity))
+        refitter = Refitter(one, store, seed, count, lambda name: say(_fraction(), f"refitted {name}"))
         return Search(one, weak, candidates, sizes, refitter, seed, lambda text: say(_fraction(), text))
 
     def graded(one: Form, found: SearchResult, others: Sequence[tuple[Form, Fitted]]) -> Any:

@@ -3,7 +3,8 @@
 Over a long free run an unmeasured force adds up until it hides everything; over a short window it has moved the plant
 little, while the effect of a law shows at once. Without a disturbance long runs tell more. So where the nominal model
 leaves far more than the sensors' noise, the dictionary is tried over short windows first; if the best candidate comes
-near the noise over the long horizon, that was the reason and the long horizon judges. Otherwise the short one does.
+near the noise over the long horizon, that was the reason and the long horizon judges. Otherwise the short one does,
+unless it finds nothing and the long one does.
 """
 
 from __future__ import annotations
