@@ -14,12 +14,14 @@ import numpy as np
 
 from harness.diagnosis.adequacy import Adequacy
 from harness.diagnosis.columns_check import check_columns
-from harness.diagnosis.confirm import Refitter
+from harness.diagnosis.confirm import Refitter, far_above
 from harness.diagnosis.dictionary import placed
+from harness.diagnosis.disturbed import BALANCE, second_opinion
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, Form
-from harness.diagnosis.horizons import far_above, searched
+from harness.diagnosis.horizons import searched
 from harness.diagnosis.leftover import leftover
+from harness.diagnosis.momentum_form import MomentumForm
 from harness.diagnosis.noise import NoiseFloor, noise_floors
 from harness.diagnosis.nominal import fit_nominal, reweighed
 from harness.diagnosis.output_form import OutputForm
@@ -165,22 +167,39 @@ def diagnose(
     def size_of(placed: Placed) -> Mapping[str, float]:
         return sizes.get(placed.at, sizes.get("base", {}))
 
-    stores: dict[float | None, Store] = {}  # by horizon: what a second search needs again is there
+    stores: dict[tuple[str, float | None], Store] = {}  # what a second search needs again is there
 
     def search_of(one: Form) -> Search:
-        seconds = getattr(one, "horizon", horizon.seconds)
-        identity = fingerprint(dataset, model=str(system), parameters=str(system.parameters), horizon=seconds,
-                               inverse=inverse, weights=one.weights.tolist())  # fmt: skip
-        store = stores.setdefault(seconds, Store(folder, identity))
-        refitter = Refitter(one, store, seed, count, lambda name: say(_fraction(), f"refitted {name}"))
-        return Search(one, weak, candidates, sizes, refitter, seed, lambda text: say(_fraction(), text))
+        balance = isinstance(one, MomentumForm)
+        key = (type(one).__name__, getattr(one, "horizon", horizon.seconds))
+        identity = fingerprint(dataset, model=str(system), parameters=str(system.parameters), horizon=key[1],
+                               inverse="balance" if balance else inverse, weights=one.weights.tolist())  # fmt: skip
+        store = stores.setdefault(key, Store(folder, identity))
+        workers = 1 if balance else count  # its refits take no time
+        refitter = Refitter(one, store, seed, workers, lambda name: say(_fraction(), f"refitted {name}"))
+        judged = [placed for placed in candidates if one.judges(placed)]
+        return Search(
+            one, None if balance else weak, judged, sizes, refitter, seed, lambda text: say(_fraction(), text)
+        )
 
     def graded(one: Form, found: SearchResult, others: Sequence[tuple[Form, Fitted]]) -> Any:
         say(0.82, "what is left, and whether it can be predicted")
-        return leftover(one, found, others, weak, dataset, seed, detected=search_of(one).detected(found.model))
+        detected = search_of(one).detected(found.model)
+        return leftover(one, found, others, weak, dataset, seed, detected=detected, balance=momentum)
 
     usual, usual_nominal = form, nominal
+    momentum: MomentumForm | None = None
     form, nominal, result = searched(form, nominal, search_of, size_of)
+    disturbed = far_above(usual, usual_nominal) and (form is not usual or far_above(usual, result.model))
+    if weak is not None and isinstance(usual, OutputForm) and isinstance(form, OutputForm) and disturbed:
+        say(0.8, "the momentum balance of the measured motion")
+        try:
+            momentum = MomentumForm(system, dataset, sizes=sizes, values=usual_nominal.values)
+        except FitError as error:
+            warnings.append(f"the momentum balance could not be asked: {error}")
+        else:
+            form, nominal, result = second_opinion(usual, form, nominal, result, momentum, search_of)
+            warnings += [note for note in result.notes if note == BALANCE]
     others = [] if form is usual or result.accepted else [(usual, usual_nominal)]
     adequacy, families = graded(form, result, others)
     if form is not usual and adequacy.predictable:

@@ -32,9 +32,11 @@ from harness.diagnosis.store import Store
 from harness.effects.effect import Placed
 from harness.rng import stream
 
-__all__ = ["Candidate", "Refitter", "Task", "assess", "noise_ratio"]
+__all__ = ["Candidate", "Refitter", "Task", "assess", "far_above", "noise_ratio"]
 
 NOTHING = Comparison(-np.inf, 1.0)
+FAR = 2.0
+"""Noise floors beyond which a residual is no detail: the level at which a model counts as incomplete."""
 INSTANT = 0.05
 """Delays and lags below this share of a sample are no effect: half an integrator's step looks like one."""
 
@@ -231,6 +233,12 @@ def noise_ratio(fitted: Fitted, floors: Sequence[float | None]) -> float | None:
     return max((float(value / floor) for value, floor in known), default=None)
 
 
+def far_above(form: Any, fitted: Fitted) -> bool:
+    """Return True if every noise floor is known and a residual is far above its own."""
+    ratio = noise_ratio(fitted, form.floors)
+    return all(form.floors) and ratio is not None and ratio > FAR
+
+
 def assess(
     form: Form,
     before: Fitted,
@@ -239,6 +247,7 @@ def assess(
     surrogate_p: Mapping[str, float] | float | None,
     seed: int,
     failures: Sequence[str] = (),
+    doubts: Callable[[Fitted, Sequence[Placed]], Sequence[str]] = lambda fitted, added: (),
 ) -> list[Candidate]:
     """Judge refitted models against the model before; all with the same count of independent samples.
 
@@ -255,6 +264,8 @@ def assess(
         Keys the bootstrap draws.
     failures : sequence of str
         Of each model why its refit failed; empty where it did not.
+    doubts : callable, optional
+        Returns what else speaks against a model and the effects added to it; asked where nothing else does.
 
     Returns
     -------
@@ -293,6 +304,8 @@ def assess(
                 for reason in verdict.reasons
                 if len(added) == 1 or f"{added[0]}: {reason}" not in reasons
             ]
+        if not reasons:
+            reasons += doubts(fitted, added)
         judgement = Judgement(not reasons, tuple(dict.fromkeys(reasons)))
         found.append(Candidate(added, fitted, float(delta), comparison, mains, judgement, len(fitted.free)))
     return found

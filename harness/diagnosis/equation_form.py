@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.diagnosis.descent import Bar
-from harness.diagnosis.equation import Equations, equations_of, expressible
+from harness.diagnosis.equation import Equations, bump_rows, decimated, equations_of, expressible
 from harness.diagnosis.forms import Fitted
 from harness.diagnosis.motion import Motion, measured_coordinates, smooth_motion, thinned
 from harness.effects.compose import compose
@@ -99,9 +99,15 @@ class EquationForm:
         for start in list(starts)[:2] or ({},):
             known = {**system.values(), **start}
             found = self._solve(equations, {name: known[name] for name in system.parameter_names})
-            if best is None or found[0] < best[0]:
+            if np.isfinite(list(found[1].values())).all() and (best is None or found[0] < best[0]):
                 best = found
-        assert best is not None
+        if best is None:
+            raise FitError(
+                "the fit of the force balance left every bound",
+                expected="finite parameters",
+                got="infinite ones",
+                remedy="the effect does not show in these data",
+            )
         return dict(zip(("cost", "values", "converged", "message"), best, strict=True))
 
     def evaluate(self, effects: Sequence[Placed], record: Mapping[str, Any]) -> Fitted:
@@ -151,6 +157,12 @@ class EquationForm:
     def clean(self, base: Fitted, parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
         """Return the columns unchanged: there are no initial states."""
         return tuple(parts)
+
+    def averaged(self, columns: FloatArray, motion: Motion) -> FloatArray:
+        """Return columns (N, n, k) of forces along a motion as the residual is: decimated, or means over bumps."""
+        count, n, k = columns.shape
+        slim = decimated if self.shape == "strong" else bump_rows
+        return slim(columns.reshape(count, n * k), motion).reshape(-1, n, k)
 
     def force(self, placed: Sequence[Placed], fitted: Fitted, motion: Motion) -> FloatArray:
         """Return the force (rows, n) that effects of a fitted model exert, decimated as the residual is."""

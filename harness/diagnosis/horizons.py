@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.accept import bic
-from harness.diagnosis.confirm import Task, noise_ratio
+from harness.diagnosis.confirm import Task, far_above
 from harness.diagnosis.forms import Fitted, fit_here, stacked
 from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.residual_tests import effective_samples
@@ -23,10 +23,8 @@ from harness.diagnosis.subset import Search, SearchResult
 from harness.diagnosis.surrogates import ENOUGH, orthonormal
 from harness.effects.effect import Placed
 
-__all__ = ["far_above", "searched"]
+__all__ = ["searched"]
 
-FAR = 2.0
-"""Noise floors beyond which a residual is no detail: the level at which a model counts as incomplete."""
 PARTS = (0.3, 0.1)
 """Shorter horizons that are tried, as parts of the usual one: 50 samples at least, and windows enough to shuffle."""
 TYPICAL = (
@@ -80,12 +78,6 @@ def searched(
         if search.winner(slow.candidates) is not None:
             return form, nominal, search.run(nominal, first=slow)
     return short, seen, result
-
-
-def far_above(form: Any, fitted: Fitted) -> bool:
-    """Return True if every noise floor is known and a residual is far above its own."""
-    ratio = noise_ratio(fitted, form.floors)
-    return all(form.floors) and ratio is not None and ratio > FAR
 
 
 def _still_far(search: Search, models: Sequence[Fitted | None]) -> bool:

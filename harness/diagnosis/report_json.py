@@ -29,7 +29,8 @@ Keys of ``sysid-harness/close-loop/1``:
 ``disturbance``
     By output: what is left and cannot be predicted, where it exceeds the noise floor.
 ``candidates``
-    Every refit, with the reason it was rejected; then what the screens alone set aside.
+    Every refit, with the reason it was rejected; then what the screens alone set aside. ``judge``: ``simulation``, or
+    ``momentum`` where a disturbed plant was also judged by the whitened balance of the measured motion.
 ``closed_loop``, ``closed_loop_bias``
     By input, whether the residual is related to later inputs; and the Durbin-Wu-Hausman test of the bias that feedback
     puts on the parameters: ``statistic``, ``p``, ``parameters`` with the shift of each in its standard errors.
@@ -234,7 +235,7 @@ def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
     rows = []
     for number, here in enumerate(found.result.rounds, start=1):
         for one in sorted(here.candidates, key=lambda c: -c.delta_bic):
-            rows.append(_row(one, number, accepted, tied))
+            rows.append(_row(one, number, here.judge, accepted, tied))
         refitted = {one.name for one in here.candidates}
         for probe in here.screen.probes:
             if str(probe.placed) in refitted:
@@ -248,6 +249,7 @@ def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
                     "name": probe.placed.effect.name,
                     "at": probe.placed.at,
                     "round": number,
+                    "judge": here.judge,
                     "refitted": False,
                     "accepted": False,
                     "reason": reason,
@@ -258,14 +260,14 @@ def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
         for name, reason in here.screen.failed.items():
             effect, _, at = name.partition("@")
             rows.append(
-                {"name": effect, "at": at, "round": number, "refitted": False, "accepted": False, "reason": reason,
-                 "screen_r2": None, "delta_bic": None}
+                {"name": effect, "at": at, "round": number, "judge": here.judge, "refitted": False, "accepted": False,
+                 "reason": reason, "screen_r2": None, "delta_bic": None}
             )  # fmt: skip
     return rows
 
 
-def _row(one: Candidate, number: int, accepted: set[str], tied: set[str]) -> dict[str, Any]:
-    """Return the row of one refitted candidate."""
+def _row(one: Candidate, number: int, judge: str, accepted: set[str], tied: set[str]) -> dict[str, Any]:
+    """Return the row of one refitted candidate; a whitened residual of momentum is no size of an output."""
     reason = "; ".join(one.judgement.reasons)
     if one.accepted and one.name not in accepted:
         reason = "tied with the answer, which is simpler" if one.name in tied else "another candidate explains more"
@@ -274,6 +276,7 @@ def _row(one: Candidate, number: int, accepted: set[str], tied: set[str]) -> dic
         "name": " + ".join(p.effect.name for p in one.added),
         "at": ", ".join(p.at for p in one.added),
         "round": number,
+        "judge": judge,
         "refitted": True,
         "converged": bool(fitted.converged) if fitted is not None else False,
         "accepted": one.name in accepted and one.accepted,
@@ -283,7 +286,9 @@ def _row(one: Candidate, number: int, accepted: set[str], tied: set[str]) -> dic
         "validation_gain": known(one.comparison.gain),
         "bootstrap_p": known(one.comparison.p),
         "main": {name: [known(i.value), known(i.low), known(i.high)] for name, i in one.main.items()},
-        "residual": known(float(rms(fitted.validation).max())) if fitted is not None and fitted.finite else None,
+        "residual": known(float(rms(fitted.validation).max()))
+        if judge == "simulation" and fitted is not None and fitted.finite
+        else None,
     }
 
 

@@ -14,17 +14,19 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.adequacy import hat_basis, joint_basis, rough
-from harness.diagnosis.equation import bump_rows, decimated
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, stacked
+from harness.diagnosis.momentum_form import MomentumForm
+from harness.diagnosis.motion import Motion
 from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.surrogates import orthonormal
 from harness.signals import FloatArray
 
-__all__ = ["Axis", "Family", "equation_families", "families_at", "output_families", "responses_of"]
+__all__ = ["Axis", "Family", "along", "equation_families", "families_at", "output_families", "responses_of"]
 
 KNOTS = 9
 JOINT_KNOTS = (9, 6)
+FOLDED = " (folded)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +75,13 @@ class Family:
 
     def basis(self, use: str) -> list[FloatArray]:
         """Return the functions (N_i, K) on every record of a use."""
-        knots = self.knots()
-        result = []
-        for number in range(len(self.axes[0].values[use])):
-            parts = [hat_basis(axis.values[use][number], k) for axis, k in zip(self.axes, knots, strict=True)]
-            result.append(parts[0] if len(parts) == 1 else joint_basis(parts[0], parts[1]))
-        return result
+        count = len(self.axes[0].values[use])
+        return [self.functions([axis.values[use][number] for axis in self.axes]) for number in range(count)]
+
+    def functions(self, values: Sequence[FloatArray]) -> FloatArray:
+        """Return the functions (N, K) at values (N,) of each axis."""
+        parts = [hat_basis(x, knots) for x, knots in zip(values, self.knots(), strict=True)]
+        return parts[0] if len(parts) == 1 else joint_basis(parts[0], parts[1])
 
 
 Responses = dict[str, tuple[list[FloatArray], list[FloatArray]]]
@@ -98,7 +101,7 @@ def responses_of(form: Any, fitted: Fitted) -> tuple[Responses, dict[str, Family
         families, raw = _simulated_families(form, fitted)
         outside = _output_jacobian(form, fitted)
     inside = list(fitted.jacobian)
-    if isinstance(form, EquationForm):
+    if isinstance(form, EquationForm) and not isinstance(form, MomentumForm):
         # all parameters and all inputs scaled together leave no residual at all: that is no prediction
         inside = [np.concatenate(pair, axis=2) for pair in zip(inside, _pushes(form, "estimation"), strict=True)]
         outside = [np.concatenate(pair, axis=2) for pair in zip(outside, _pushes(form, "validation"), strict=True)]
@@ -142,7 +145,11 @@ def _without(left: FloatArray, parts: Sequence[FloatArray]) -> list[FloatArray]:
 
 
 def equation_families(form: EquationForm) -> list[Family]:
-    """Return the families of force functions on measured motion."""
+    """Return the families of force functions on measured motion.
+
+    In the whitened balance there are none of an input: all parameters and all inputs scaled together leave no residual,
+    and a function of an input nearly does that.
+    """
     uses = ("estimation", "validation")
     families = []
     for row, one in enumerate(form.nominal.coordinates):
@@ -153,9 +160,8 @@ def equation_families(form: EquationForm) -> list[Family]:
         q = axis(one.name, one.unit, lambda m, row=row: m.q[:, row])
         v = axis(f"{one.name}'", f"{one.unit}/s", lambda m, row=row: m.v[:, row])
         t = axis("time", "s", lambda m: m.t - m.t[0])
-        inputs = [
-            axis(channel.name, channel.unit, lambda m, k=k: m.u[:, k]) for k, channel in enumerate(form.nominal.inputs)
-        ]
+        channels = [] if isinstance(form, MomentumForm) else list(enumerate(form.nominal.inputs))
+        inputs = [axis(channel.name, channel.unit, lambda m, k=k: m.u[:, k]) for k, channel in channels]
         families += families_at(f"force on {one.name}", q, v, t, inputs)
     return families
 
@@ -168,10 +174,9 @@ def _on_equations(form: EquationForm, families: Sequence[Family], use: str) -> d
         row = names.index(family.place.removeprefix("force on "))
         parts = []
         for motion, phi in zip(form.motions[use], family.basis(use), strict=True):
-            slim = decimated(phi, motion) if form.shape == "strong" else bump_rows(phi, motion)
-            full = np.zeros((slim.shape[0], len(names), slim.shape[1]))
-            full[:, row] = slim / form.weights[row]
-            parts.append(full)
+            full = np.zeros((len(phi), len(names), phi.shape[1]))
+            full[:, row] = phi / form.weights[row]
+            parts.append(form.averaged(full, motion))
         result[family.name] = parts
     return result
 
@@ -182,15 +187,12 @@ def _pushes(form: EquationForm, use: str) -> list[FloatArray]:
     p = equations.system.vector()
     parts = []
     for motion in form.motions[use]:
-        columns = []
+        columns = np.zeros((*motion.q.shape, motion.u.shape[1]))
         for k in range(motion.u.shape[1]):
             alone = np.zeros_like(motion.u)
             alone[:, k] = motion.u[:, k]
-            force = equations.force_of(motion, alone, p)
-            slim = decimated(force, motion) if form.shape == "strong" else bump_rows(force, motion)
-            columns.append(slim / form.weights)
-        rows = (decimated if form.shape == "strong" else bump_rows)(motion.q, motion).shape
-        parts.append(np.stack(columns, axis=2) if columns else np.zeros((*rows, 0)))
+            columns[:, :, k] = equations.force_of(motion, alone, p) / form.weights
+        parts.append(form.averaged(columns, motion))
     return parts
 
 
@@ -245,8 +247,23 @@ def _turning(axis: Axis) -> Axis:
     low, high = axis.hull
     if axis.unit != "rad" or high - low <= 2.2 * np.pi:
         return axis
-    folded = {use: [(x + np.pi) % (2 * np.pi) - np.pi for x in parts] for use, parts in axis.values.items()}
-    return Axis(f"{axis.name} (folded)", axis.unit, folded)
+    folded = {use: [_fold(x) for x in parts] for use, parts in axis.values.items()}
+    return Axis(f"{axis.name}{FOLDED}", axis.unit, folded)
+
+
+def _fold(angle: FloatArray) -> FloatArray:
+    """Return angles [rad] between -pi and pi."""
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def along(family: Family, system: Any, motion: Motion) -> FloatArray:
+    """Return the functions (N, K) of a family along a measured motion."""
+    known = {"time": motion.t - motion.t[0]}
+    for row, one in enumerate(system.coordinates):
+        known |= {one.name: motion.q[:, row], f"{one.name}'": motion.v[:, row]}
+        known[f"{one.name}{FOLDED}"] = _fold(motion.q[:, row])
+    known |= {channel.name: motion.u[:, k] for k, channel in enumerate(system.inputs)}
+    return family.functions([known[axis.name] for axis in family.axes])
 
 
 def families_at(place: str, q: Axis, v: Axis | None, t: Axis, inputs: Sequence[Axis]) -> list[Family]:

@@ -14,11 +14,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from harness.diagnosis.accept import LEVEL
-from harness.diagnosis.confirm import Candidate, Refitter, Task, assess
+from harness.diagnosis.confirm import Candidate, Refitter, Task, assess, far_above
 from harness.diagnosis.descent import Bar
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.exchange import Accepted, swapped, with_ties
 from harness.diagnosis.forms import Fitted, Form
+from harness.diagnosis.momentum_form import MomentumForm
+from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.pairs import best_pair, compatible
 from harness.diagnosis.residual_tests import detect, max_autocorrelation
 from harness.diagnosis.screens import SEEN, Screen, sensitivity_screen, shortlist
@@ -27,6 +29,7 @@ from harness.diagnosis.surrogates import SurrogateTest, surrogate_test
 from harness.diagnosis.ties import leader, simplest, tie_set
 from harness.diagnosis.unfold import hidden_signs
 from harness.diagnosis.weak_screen import WeakScreen, weak_screen
+from harness.diagnosis.witness import contradiction
 from harness.effects.effect import Placed
 from harness.rng import stream
 
@@ -37,7 +40,7 @@ MOST_EFFECTS = 3
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One pass: screens, global null, the refits judged against the model before."""
+    """One pass: screens, global null, the refits judged against the model before, by simulation or by momentum."""
 
     before: Fitted
     screen: Screen
@@ -46,6 +49,7 @@ class Round:
     p: float
     line: float | None
     candidates: tuple[Candidate, ...]
+    judge: str = "simulation"
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +118,10 @@ class Search:
 
         On estimation or on validation; once an effect stands, on estimation only: a model that reaches the noise
         there has nothing left to fit, though a sensitive motion may still magnify its errors on validation.
+        A residual that was whitened shows nothing by its size: there the tests of each effect decide.
         """
+        if isinstance(self.form, MomentumForm):
+            return True
         for parts in (model.estimation,) if later else (model.estimation, model.validation):
             joined = np.concatenate(parts)
             for j in range(joined.shape[1]):
@@ -144,10 +151,11 @@ class Search:
             p = min(test.p, other.p)  # either one opens the way to the refits, which have tests of their own
             test = other if other.p < test.p else test
         line = line_of(self, model)
+        judge = "momentum" if isinstance(self.form, MomentumForm) else "simulation"
         signs = {key: own for key, own in hidden_signs(self.form, rest).items() if own <= LEVEL}
         if p > LEVEL and line is None and not signs:
             self.notes.append(f"the dictionary explains the residual no better than surrogates of it (p = {p:.3f})")
-            return Round(model, screen, weak, test, p, line, ())
+            return Round(model, screen, weak, test, p, line, (), judge)
         # A line and a lost sign have tests of their own; they vouch for nothing else.
         chosen = shortlist(screen, None if weak is None else weak.screen, rest) if p <= LEVEL else []
         if line is None:  # its phase is fitted on validation too, so there any narrow band would seem to gain
@@ -176,7 +184,7 @@ class Search:
                 if "failed" not in record and ("failed" in records[old] or record["cost"] < records[old]["cost"]):
                     tasks = [new if one.key == old else one for one in tasks]
             candidates = self.judge(model, tasks, [(one,) for one in chosen], null)
-        return Round(model, screen, weak, test, p, line, tuple(candidates))
+        return Round(model, screen, weak, test, p, line, tuple(candidates), judge)
 
     def judge(
         self,
@@ -191,7 +199,13 @@ class Search:
             (new, self.refitter.evaluate(task, record)) for new, task, record in zip(added, tasks, records, strict=True)
         ]
         failures = [str(record.get("failed", "")) for record in records]
-        return assess(self.form, before, models, surrogate_p=p, seed=self.seed, failures=failures)
+        return assess(self.form, before, models, surrogate_p=p, seed=self.seed, failures=failures, doubts=self.doubts)
+
+    def doubts(self, fitted: Fitted, added: Sequence[Placed]) -> list[str]:
+        """Return what the measured motion says against effects, where something else disturbs the plant too."""
+        if type(self.form) is not OutputForm or not far_above(self.form, fitted):
+            return []
+        return contradiction(self.weak, fitted, added)
 
     def winner(self, candidates: Sequence[Candidate]) -> Candidate | None:
         """Return the simplest member of the tie set of the best accepted candidate."""

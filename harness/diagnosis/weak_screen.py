@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.equation import bump_rows
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.residual_tests import effective_samples
 from harness.diagnosis.screens import SEEN, Probe, Screen
@@ -123,9 +122,8 @@ def weak_screen(
         for choice in zip(*blocks, strict=False):
             rows = []
             for block, motion in zip(choice, motions, strict=True):
-                count, n, k = block.columns.shape
-                slim = bump_rows(block.columns.reshape(count, n * k), motion).reshape(-1, n, k)
-                rows.append((slim / weights[:, None]).reshape(-1, k))
+                slim = form.averaged(block.columns, motion)
+                rows.append((slim / weights[:, None]).reshape(-1, slim.shape[2]))
             columns = np.concatenate(rows)
             if not np.isfinite(columns).all():
                 continue

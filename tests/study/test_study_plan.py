@@ -9,7 +9,7 @@ import pytest
 
 from harness.errors import InputError
 from harness.study.context import rms
-from harness.study.plan import Task, places, plan
+from harness.study.plan import BASES, Task, places, plan
 from harness.study.records import make_records
 
 
@@ -18,10 +18,10 @@ def task(plant="pendulum", engine="laws", effects=(), level="", noise="low", dis
 
 
 def test_keys_are_unique_and_seeds_keep_to_their_base():
-    tuning, judged = plan("all"), plan("all", base=30_000)
+    tuning, judged = plan("all"), plan("all", base=BASES["judged"])
     assert len({one.key for one in tuning}) == len(tuning)
     assert all(0 <= one.seed < 1000 for one in tuning)
-    assert all(30_000 <= one.seed < 31_000 for one in judged)
+    assert all(BASES["judged"] <= one.seed < BASES["judged"] + 1000 for one in judged)
     assert not {one.key for one in tuning} & {one.key for one in judged}
     assert tuning[0].key == "none|pendulum|laws|none||drawn|0|0|0"
     assert tuning[0].seed == 837

@@ -1,0 +1,150 @@
+"""A plant that something unmeasured disturbs: the momentum balance finds forces, and speaks against made up ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import harness.diagnosis.subset as subset
+from harness.diagnosis import diagnose
+from harness.diagnosis.confirm import Refitter
+from harness.diagnosis.disturbed import BALANCE
+from harness.diagnosis.equation_form import EquationForm
+from harness.diagnosis.forms import fit_here
+from harness.diagnosis.momentum_form import ORDER, MomentumForm, autoregression, filtered
+from harness.diagnosis.prepare import rough_values, sizes_of
+from harness.diagnosis.residual_tests import max_autocorrelation
+from harness.diagnosis.store import Store
+from harness.diagnosis.subset import Search
+from harness.diagnosis.witness import ENOUGH, contradiction, found_force
+from harness.effects import builtin
+from harness.effects.effect import Placed
+from harness.physics import load_model
+from harness.study.plan import Task
+from harness.study.records import make_records
+
+from .conftest import pendulum_dataset
+
+DISTURBED = 0.03  # rms of the unknown torque over that of the command
+COULOMB = Placed(builtin()["coulomb_friction"], "theta")
+COGGING = Placed(builtin()["cogging"], "theta")
+
+
+def _prepared(law=None, seed: int = 1, **options):
+    """Return data of a disturbed pendulum, its model, first parameters and sizes."""
+    dataset = pendulum_dataset(seed, law, coloured=DISTURBED, n=3000, noise=1e-4, **options)
+    system = load_model("pendulum")
+    values = rough_values(system, dataset)
+    return dataset, system, values, sizes_of(system, values, dataset)
+
+
+def _dry(q: float, v: float, u: float, t: float) -> float:
+    return -0.03 * np.tanh(v / 0.02)
+
+
+# ---- whitening -------------------------------------------------------------------------------------------------------
+
+
+@given(pole=st.floats(-0.9, 0.95), seed=st.integers(0, 2**16))
+@settings(max_examples=30, deadline=None)
+def test_what_an_autoregression_leaves_is_white(pole: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x = np.zeros(3000)
+    for k in range(1, x.size):
+        x[k] = pole * x[k - 1] + rng.standard_normal()
+    phi = autoregression([x[:1500], x[1500:]], ORDER)
+    white = filtered(x[:, None], phi)
+    assert white.shape == (3000 - phi.size, 1)
+    assert max_autocorrelation(white[:, 0]) < 0.1
+    assert np.std(white) == pytest.approx(1.0, rel=0.1)
+
+
+def test_the_balance_of_a_disturbed_pendulum_is_white_and_finds_its_parameters() -> None:
+    dataset, system, values, sizes = _prepared()
+    form = MomentumForm(system, dataset, sizes=sizes, values=values)
+    assert form.filters[0].size > 0  # the disturbance is coloured
+    for one in (*form.start.estimation, *form.start.validation):
+        assert max_autocorrelation(one[:, 0]) < 0.25
+        assert np.std(one) == pytest.approx(1.0, rel=0.25)
+    for name, truth in (("J", 0.1), ("mgl", 1.0), ("b", 0.05)):
+        interval = form.start.intervals()[name]
+        assert interval.low - 0.02 * truth < truth < interval.high + 0.02 * truth
+
+
+def test_the_balance_names_dry_friction_and_nothing_else() -> None:
+    dataset, system, values, sizes = _prepared(_dry)
+    form = MomentumForm(system, dataset, sizes=sizes, values=values)
+    candidates = [COULOMB, COGGING, Placed(builtin()["quadratic_drag"], "theta"), Placed(builtin()["dead_zone"], "u")]
+    search = Search(form, None, candidates, sizes, Refitter(form, Store(None, "")), 0)
+    found = search.run(form.start)
+    assert [str(one.placed) for one in found.accepted] == ["coulomb_friction@theta"]
+    assert found.model.values["coulomb_friction@theta.Fc"] == pytest.approx(0.03, rel=0.25)
+    assert all(one.judge == "momentum" for one in found.rounds)
+
+
+# ---- the witness -----------------------------------------------------------------------------------------------------
+
+
+def test_a_force_that_is_there_is_found_and_one_that_is_made_up_is_not() -> None:
+    dataset, system, values, sizes = _prepared(_dry)
+    weak = EquationForm(system, dataset, sizes=sizes, shape="weak")
+    real = fit_here(weak, (COULOMB,), [{**values, "coulomb_friction@theta.Fc": 0.02}])
+    assert found_force(weak, real, COULOMB) > ENOUGH
+    assert contradiction(weak, real, [COULOMB]) == []
+    wrong = {**real.record, "values": {**real.values, "coulomb_friction@theta.Fc": -0.03}}
+    assert found_force(weak, weak.evaluate((COULOMB,), wrong), COULOMB) < 0  # it asks for the other sign
+    usual = COGGING.effect.complete({}, sizes["theta"])
+    shape = {"values": {**real.values, **{COGGING.name(k): v for k, v in usual.items()}}}
+    made_up = weak.evaluate((COULOMB, COGGING), {**shape, "converged": True, "message": ""})
+    assert abs(found_force(weak, made_up, COGGING)) < ENOUGH
+    assert found_force(weak, made_up, COULOMB) > ENOUGH
+    (reason,) = contradiction(weak, made_up, [COGGING])
+    assert "not found in the momentum balance" in reason
+    delay = Placed(builtin()["input_delay"], "u")
+    late = replace(real, effects=(delay,))
+    assert contradiction(weak, late, [delay]) == []  # the balance cannot be asked
+
+
+ALARM = Task("none", "pendulum", "laws", (), "", "drawn", 0.02, 72, 30_000)
+"""Seen when the rule was made, not in a judged study since: its disturbance alone looks like cogging."""
+
+
+def _diagnosed(task: Task, *names: str):
+    records = make_records(task)
+    some = [builtin()[name] for name in names]
+    return diagnose(records.dataset, load_model(task.plant), seed=task.seed, dictionary=some, workers=1)
+
+
+def test_a_disturbance_that_looks_like_cogging_in_simulations_is_no_cogging(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = _diagnosed(ALARM, "cogging", "coulomb_friction", "force_bias")
+    assert found.verdict == "nothing_missing"
+    rejected = [one for here in found.result.rounds for one in here.candidates if one.name == "cogging@theta"]
+    assert any("not found in the momentum balance" in why for one in rejected for why in one.judgement.reasons)
+    monkeypatch.setattr(subset, "contradiction", lambda *_: [])
+    unguarded = _diagnosed(ALARM, "cogging", "coulomb_friction", "force_bias")
+    assert [str(one.placed) for one in unguarded.result.accepted] == ["cogging@theta"]
+
+
+# ---- the second opinion ----------------------------------------------------------------------------------------------
+
+
+def test_under_a_disturbance_the_balance_names_what_simulations_miss() -> None:
+    task = Task("confusion", "pendulum", "laws", ("dead_zone@u",), "nominal", "low", 0.02, 0, 0)
+    found = _diagnosed(task, "dead_zone", "coulomb_friction", "input_delay", "force_bias", "saturation")
+    assert [str(one.placed) for one in found.result.accepted] == ["dead_zone@u"]
+    assert BALANCE in found.warnings
+    assert {one.judge for one in found.result.rounds} == {"simulation", "momentum"}
+    assert found.horizon.seconds is not None  # refitted over short windows
+    assert "disturbs" in found.horizon.reason
+
+
+def test_without_a_disturbance_the_balance_is_not_asked() -> None:
+    task = Task("confusion", "pendulum", "laws", ("coulomb_friction@theta",), "nominal", "low", 0.0, 0, 0)
+    found = _diagnosed(task, "coulomb_friction", "input_delay", "force_bias")
+    assert [str(one.placed) for one in found.result.accepted] == ["coulomb_friction@theta"]
+    assert {one.judge for one in found.result.rounds} == {"simulation"}
+    assert BALANCE not in found.warnings
