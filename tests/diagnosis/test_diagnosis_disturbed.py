@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import harness.diagnosis.horizons as horizons
+import harness.diagnosis.leftover as leftover
 import harness.diagnosis.subset as subset
 from harness.diagnosis import diagnose
 from harness.diagnosis.confirm import Refitter
 from harness.diagnosis.disturbed import BALANCE
 from harness.diagnosis.equation_form import EquationForm
+from harness.diagnosis.exchange import Accepted
 from harness.diagnosis.forms import fit_here
 from harness.diagnosis.momentum_form import ORDER, MomentumForm, autoregression, filtered
+from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.prepare import rough_values, sizes_of
 from harness.diagnosis.residual_tests import max_autocorrelation
 from harness.diagnosis.store import Store
-from harness.diagnosis.subset import Search
+from harness.diagnosis.subset import Search, SearchResult
 from harness.diagnosis.witness import ENOUGH, contradiction, found_force
 from harness.effects import builtin
 from harness.effects.effect import Placed
@@ -148,3 +153,70 @@ def test_without_a_disturbance_the_balance_is_not_asked() -> None:
     assert [str(one.placed) for one in found.result.accepted] == ["coulomb_friction@theta"]
     assert {one.judge for one in found.result.rounds} == {"simulation"}
     assert BALANCE not in found.warnings
+
+
+# ---- what is left ----------------------------------------------------------------------------------------------------
+
+
+def test_a_rest_that_only_long_simulations_predict_needs_a_force_in_the_balance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    alone = Task("none", "pendulum", "laws", (), "", "drawn", 0.02, 6, 0)  # the disturbance is all that is left
+    found = _diagnosed(alone, "coulomb_friction", "force_bias")
+    assert found.verdict == "nothing_missing"
+    monkeypatch.setattr(leftover, "CONFIRMED", -np.inf)
+    assert _diagnosed(alone, "coulomb_friction", "force_bias").verdict == "unexplained"
+
+
+def test_a_law_that_the_dictionary_lacks_stays_visible_under_a_disturbance() -> None:
+    even = Task("outside", "pendulum", "laws", ("even_drag@theta",), "nominal", "high", 0.02, 0, 0)
+    found = _diagnosed(even, "coulomb_friction", "dead_zone")  # a drag that does not change its sign with the speed
+    assert found.verdict == "unexplained"
+    assert found.adequacy.best is not None
+    assert found.adequacy.best.axes.startswith("force on theta of theta'")
+
+
+# ---- horizons --------------------------------------------------------------------------------------------------------
+
+
+class _Search:
+    """A search that knows what it would find, and remembers what it was asked."""
+
+    candidates = (COULOMB,)
+
+    def __init__(self, first: object, result: SearchResult, finds: bool) -> None:
+        self.first, self.result, self.finds, self.asked = first, result, finds, []
+
+    def detected(self, model: object) -> bool:
+        return True
+
+    def round(self, model: object) -> object:
+        self.asked.append("round")
+        return self.first
+
+    def winner(self, candidates: object) -> object:
+        return candidates if self.finds else None
+
+    def run(self, nominal: object, *, first: object = None) -> SearchResult:
+        self.asked.append("run" if first is None else "run on")
+        return self.result
+
+
+@pytest.mark.parametrize("finds", [True, False])
+def test_long_windows_judge_where_short_ones_find_nothing_and_they_do(
+    finds: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dataset, system, values, sizes = _prepared()
+    form = OutputForm(system, dataset, sizes=sizes, horizon=None, weights=np.ones(1), floors=[1e-4])
+    nominal = fit_here(form, (), [values])
+    empty = SearchResult(nominal, (), ())
+    answer = SearchResult(nominal, (Accepted(COULOMB, 50.0, ((COULOMB,),)),), ())
+    round_ = SimpleNamespace(candidates=[SimpleNamespace(fitted=None)])
+    long, short = _Search(round_, answer, finds), _Search(round_, empty, False)
+    monkeypatch.setattr(horizons, "_clearest", lambda *_: 2.0)
+    used, _, result = horizons.searched(
+        form, nominal, lambda one: long if one is form else short, lambda placed: sizes[placed.at]
+    )
+    assert short.asked == ["round", "run on"]
+    assert long.asked == (["round", "run on"] if finds else ["round"])
+    assert (used is form, result is answer) == (finds, finds)
