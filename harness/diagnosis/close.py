@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.algorithm import Diagnosis, Progress, diagnose
+from harness.diagnosis.stretches import cut_alike
 from harness.effects.effect import Effect
 from harness.errors import InputError
 from harness.physics.arm import ArmModel, is_arm, load_arm
@@ -138,7 +139,7 @@ def close_loop(
     )
     if progress is not None:
         progress(0.9, "report")
-    data = report_data(found, references)
+    data = report_data(found, cut_alike(references, dataset, found.dataset))
     if folder is not None:
         write_html(found, data, folder / HTML)
         repaired = _repaired(found, name or system.name, options or {}, dataset.spec.sample_time)

@@ -33,6 +33,8 @@ FINER = 2
 def autoregression(series: Sequence[FloatArray], order: int) -> FloatArray:
     """Return the coefficients (k,) of the autoregression of records (N_i,), k at most ``order``, chosen by the BIC.
 
+    A record shorter than four times the order lowers it.
+
     Examples
     --------
     >>> rng = np.random.default_rng(0)
@@ -42,6 +44,7 @@ def autoregression(series: Sequence[FloatArray], order: int) -> FloatArray:
     >>> np.round(autoregression([x], 3), 1).tolist()
     [0.8]
     """
+    order = min(order, min(len(one) for one in series) // 4)
     past = np.concatenate([_lagged(one, order) for one in series])
     now = np.concatenate([one[order:] for one in series])
     best, chosen = np.inf, np.zeros(0)

@@ -6,6 +6,7 @@ A search simulates thousands of times; what 20 000 samples cannot decide, it doe
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -14,9 +15,9 @@ import numpy as np
 from harness.diagnosis.forms import Fitted, Form
 from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.per_record import PER_RECORD
-from harness.signals import Dataset, Run
+from harness.signals import Dataset, FloatArray, Run
 
-__all__ = ["polished", "stretched"]
+__all__ = ["cut_alike", "polished", "stretched"]
 
 LONG = 40_000
 """Samples of the estimation records together, beyond which the search looks at stretches."""
@@ -71,6 +72,48 @@ def stretched(dataset: Dataset, *, long: int = LONG, length: int = LENGTH, count
         f"stretches of them, {kept} samples spread evenly"
     )
     return replace(dataset, runs=tuple(runs), warnings=(*dataset.warnings, note))
+
+
+def cut_alike(
+    references: Sequence[Mapping[str, FloatArray]], whole: Dataset, short: Dataset
+) -> Sequence[Mapping[str, FloatArray]]:
+    """Return signals of the runs of a data set for the stretches that were cut from it.
+
+    Parameters
+    ----------
+    references : sequence of mapping
+        For each run of ``whole`` signals by name, arrays (N,).
+    whole, short : Dataset
+        Before and after :func:`stretched`.
+
+    Returns
+    -------
+    sequence of mapping
+        For each run of ``short``; the signals unchanged where its runs are no stretches of the others.
+    """
+    if len(references) != len(whole.runs):
+        return references
+    found: list[Mapping[str, FloatArray]] = []
+    sources = zip(whole.runs, references, strict=True)
+    source = next(sources, None)
+    for piece in short.runs:
+        first = None
+        while source is not None and (first := _place(piece, source[0])) is None:
+            source = next(sources, None)
+        if source is None or first is None:
+            return references
+        found.append({name: signal[first : first + len(piece.trajectory)] for name, signal in source[1].items()})
+    return found
+
+
+def _place(piece: Run, run: Run) -> int | None:
+    """Return the sample of a run at which a stretch of it begins; None if it is no stretch of this run."""
+    if piece.use != run.use:
+        return None
+    first = round(float(piece.trajectory.t[0] - run.trajectory.t[0]) / run.trajectory.spec.sample_time)
+    inside = 0 <= first <= len(run.trajectory) - len(piece.trajectory)
+    same = inside and np.array_equal(run.trajectory.y[first : first + len(piece.trajectory)], piece.trajectory.y)
+    return first if same else None
 
 
 def polished(form: Form, fitted: Fitted, whole: Dataset) -> Fitted:

@@ -140,6 +140,6 @@ def _white(records: Sequence[FloatArray]) -> list[FloatArray]:
     rest = r - (x / np.where(scale > 0, scale, 1.0)) @ solution
     cuts = np.cumsum([len(one) for one in records])[:-1]
     errors = np.split(rest, cuts)
-    phi = autoregression(errors, min(ORDER, min(len(one) for one in records) // 4))
+    phi = autoregression(errors, ORDER)
     size = float(np.sqrt(np.mean(np.concatenate([filtered(one, phi) for one in errors]) ** 2)))
     return [filtered(one, phi) / max(size, 1e-300) for one in records]

@@ -6,7 +6,7 @@ import numpy as np
 
 from harness.diagnosis.forms import fit_here
 from harness.diagnosis.output_form import OutputForm
-from harness.diagnosis.stretches import polished, stretched
+from harness.diagnosis.stretches import cut_alike, polished, stretched
 from harness.physics.models import pendulum
 from harness.rng import stream
 from harness.signals import Dataset, Run, Trajectory
@@ -39,6 +39,20 @@ def test_stretches_are_consecutive_rows_of_every_record_and_the_cut_is_said() ->
     assert short.estimation[0].t[0] < 1.5 < short.estimation[2].t[0]
     assert "400 estimation samples" in short.warnings[-1]
     assert "120 samples" in short.warnings[-1]
+
+
+def test_signals_from_outside_a_loop_are_cut_as_their_runs_are() -> None:
+    records = [_record(300, 0), _record(100, 1)]
+    data = Dataset("x", (Run(records[0]), Run(_record(120, 2), "validation"), Run(records[1]), Run(records[1], "test")))
+    short = stretched(data, long=350, length=30, count=4)
+    clock = [{"r [N m]": np.array(run.trajectory.t)} for run in data]  # a signal that says where it comes from
+    cut = cut_alike(clock, data, short)
+    assert len(cut) == len(short.runs) == 6
+    for one, run in zip(cut, short, strict=True):
+        assert np.array_equal(one["r [N m]"], run.trajectory.t)
+    assert cut_alike([], data, short) == []
+    other = Dataset("x", tuple(Run(_record(len(run.trajectory), 9), run.use) for run in data))
+    assert cut_alike(clock, other, short) is clock  # stretches of something else
 
 
 def test_the_answer_is_refitted_on_whole_records_and_seen_on_the_stretches() -> None:
