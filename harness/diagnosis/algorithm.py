@@ -16,7 +16,7 @@ from harness.diagnosis.adequacy import Adequacy
 from harness.diagnosis.columns_check import check_columns
 from harness.diagnosis.confirm import Refitter, far_above
 from harness.diagnosis.dictionary import placed
-from harness.diagnosis.disturbed import BALANCE, second_opinion
+from harness.diagnosis.disturbed import BALANCE, asked, second_opinion
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, Form
 from harness.diagnosis.horizons import searched
@@ -193,11 +193,9 @@ def diagnose(
     disturbed = far_above(usual, usual_nominal) and (form is not usual or far_above(usual, result.model))
     if weak is not None and isinstance(usual, OutputForm) and isinstance(form, OutputForm) and disturbed:
         say(0.8, "the momentum balance of the measured motion")
-        try:
-            momentum = MomentumForm(system, dataset, sizes=sizes, values=usual_nominal.values)
-        except FitError as error:
-            warnings.append(f"the momentum balance could not be asked: {error}")
-        else:
+        momentum, why = asked(system, dataset, sizes, usual_nominal.values, floors, seed)
+        warnings += why
+        if momentum is not None:
             form, nominal, result = second_opinion(usual, form, nominal, result, momentum, search_of)
             warnings += [note for note in result.notes if note == BALANCE]
     others = [] if form is usual or result.accepted else [(usual, usual_nominal)]

@@ -8,31 +8,71 @@ it cannot judge explains the balance as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from harness.diagnosis.accept import GAIN, LEVEL, WRONG_SIGN, compare_blocks
 from harness.diagnosis.confirm import Task, assess, far_above
 from harness.diagnosis.exchange import Accepted
 from harness.diagnosis.forms import Fitted, fit_here, placed_name
 from harness.diagnosis.momentum_form import MomentumForm
+from harness.diagnosis.noise import NoiseFloor
 from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.screens import SEEN
 from harness.diagnosis.subset import Search, SearchResult
 from harness.diagnosis.ties import ALIKE, WITHIN
 from harness.diagnosis.weak_screen import weak_screen
 from harness.effects.effect import Placed
+from harness.errors import FitError
 from harness.rng import stream
+from harness.signals import Dataset
 
-__all__ = ["BALANCE", "second_opinion"]
+__all__ = ["BALANCE", "asked", "second_opinion"]
 
+DROWNED = 0.1
+"""Share of sensor noise in the balance beyond which it names no force: least squares would find what is not there."""
 SHORT = 0.1
 """Horizon over which the answer of the balance is refitted, as a part of the usual one, where none was clearer."""
 BALANCE = (
     "the answer comes from the whitened momentum balance of the measured motion: the plant is disturbed, and the error "
     "of a simulation then rings for too long to tell"
 )
+
+
+def asked(
+    system: Any,
+    dataset: Dataset,
+    sizes: Mapping[str, Mapping[str, float]],
+    values: Mapping[str, float],
+    floors: Sequence[NoiseFloor],
+    seed: int,
+) -> tuple[MomentumForm | None, list[str]]:
+    """Return the momentum balance of a data set; or None, and why it cannot be asked.
+
+    Parameters
+    ----------
+    system, dataset, sizes
+        As :class:`MomentumForm` takes them.
+    values : mapping
+        Parameters of the fitted nominal model.
+    floors : sequence of NoiseFloor
+        Of the outputs.
+    seed : int
+        Keys the noise that is added to find out how much of it there is.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            momentum = MomentumForm(system, dataset, sizes=sizes, values=values)
+            noise = [one.value or 0.0 for one in floors]
+            share = momentum.noise_share(dataset, noise, stream("diagnosis-balance", seed))
+    except (FitError, np.linalg.LinAlgError) as error:
+        return None, [f"the momentum balance of the measured motion could not be asked: {error}"]
+    if not share <= DROWNED:
+        return None, [f"the momentum balance of the measured motion was not asked: sensor noise is {share:.0%} of it"]
+    return momentum, []
 
 
 def second_opinion(

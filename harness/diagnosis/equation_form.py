@@ -23,6 +23,10 @@ from harness.signals import Dataset, FloatArray
 
 __all__ = ["EquationForm"]
 
+FARTHEST = 200.0
+"""Logarithm beyond which a parameter is as good as infinite."""
+LARGEST = 1e100
+
 
 class EquationForm:
     """Compare force residuals; see :class:`harness.diagnosis.forms.Form`.
@@ -186,7 +190,7 @@ class EquationForm:
 
         def inflate(z: FloatArray) -> FloatArray:
             p = p0.copy()
-            p[free] = np.where(logs, np.exp(np.where(logs, z, 0.0)), z)
+            p[free] = np.where(logs, np.exp(np.clip(np.where(logs, z, 0.0), -FARTHEST, FARTHEST)), z)
             return p
 
         cache: dict[bytes, tuple[FloatArray, FloatArray]] = {}
@@ -199,7 +203,8 @@ class EquationForm:
                 rows = [equations.residual(motion, p, self.shape) for motion in self.motions["estimation"]]
                 r = np.concatenate([(one / self.weights).reshape(-1) for one, _ in rows])
                 j = np.concatenate([(one / self.weights[:, None]).reshape(-1, p.size) for _, one in rows])[:, free]
-                cache[key] = (np.nan_to_num(r, nan=1e9), np.nan_to_num(j) * np.where(logs, p[free], 1.0))
+                slopes = j * np.where(logs, p[free], 1.0)
+                cache[key] = (np.nan_to_num(r, nan=1e9), np.nan_to_num(slopes, posinf=LARGEST, neginf=-LARGEST))
             return cache[key]
 
         low = np.array([system.parameters[k].minimum for k in free])

@@ -203,6 +203,8 @@ class Search:
 
     def doubts(self, fitted: Fitted, added: Sequence[Placed]) -> list[str]:
         """Return what the measured motion says against effects, where something else disturbs the plant too."""
+        if isinstance(self.form, MomentumForm):
+            return self.form.details(fitted, added)
         if type(self.form) is not OutputForm or not far_above(self.form, fitted):
             return []
         return contradiction(self.weak, fitted, added)

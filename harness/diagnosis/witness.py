@@ -80,6 +80,8 @@ def found_force(weak: EquationForm, fitted: Fitted, placed: Placed) -> float:
             r, j = less.residual(motion, p, "weak", index)
             after, _ = full.residual(motion, q, "weak", ())
             rows.append((r, np.concatenate([j, (r - after)[:, :, None]], axis=2)))
+    if not all(np.isfinite(r).all() and np.isfinite(x).all() for r, x in rows):
+        return 0.0
     sides: list[FloatArray] = []
     for k in range(rows[0][0].shape[1]):
         sides += _white([np.column_stack([x[:, k], r[:, k]]) for r, x in rows])
