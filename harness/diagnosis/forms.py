@@ -17,7 +17,7 @@ from harness.diagnosis.intervals import Interval, block_interval
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
-__all__ = ["Fitted", "Form", "fit_here", "placed_name", "rms", "stacked", "weighted_rms"]
+__all__ = ["Fitted", "Form", "fit_here", "placed_name", "rms", "stacked", "vanished", "weighted_rms"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,8 @@ class Fitted:
         """
         if not self.free:
             return {}
-        gone = [self._vanished(name) for name in self.free]
+        lost = vanished(self.system, self.values)
+        gone = [name in lost for name in self.free]
         found: dict[str, Interval] = {}
         for chosen in ([not one for one in gone], [True] * len(gone)):
             names = [name for name, use in zip(self.free, chosen, strict=True) if use]
@@ -90,13 +91,6 @@ class Fitted:
                 for name, one in zip(names, intervals, strict=True):
                     found.setdefault(name, one)
         return {name: found[name] for name in self.free}
-
-    def _vanished(self, name: str) -> bool:
-        """Return True if a parameter that cannot be negative has gone to 0."""
-        if "." in name:
-            return False
-        one = self.system.parameter(name)
-        return bool(one.minimum == 0.0 and 0.0 <= self.values[name] < 1e-3 * abs(one.value))
 
 
 class Form(Protocol):
@@ -163,6 +157,16 @@ class Form(Protocol):
     def clean(self, base: Fitted, parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
         """Take out of columns (N_i, ny, k) of the estimation runs what the initial states can do."""
         ...
+
+
+def vanished(system: Any, values: Mapping[str, float]) -> list[str]:
+    """Return the free parameters of a nominal model that cannot be negative and have gone to 0."""
+    return [
+        one.name
+        for one in system.parameters
+        if "." not in one.name and not one.fixed and one.minimum == 0.0
+        and 0.0 <= values[one.name] < 1e-3 * abs(one.value)
+    ]  # fmt: skip
 
 
 def fit_here(form: Form, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], *, seed: int = 0) -> Fitted:

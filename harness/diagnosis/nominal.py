@@ -16,7 +16,7 @@ import numpy as np
 
 from harness.diagnosis.accept import DELTA_BIC, bic, information_samples
 from harness.diagnosis.equation_form import EquationForm
-from harness.diagnosis.forms import Fitted, Form, fit_here, rms
+from harness.diagnosis.forms import Fitted, Form, fit_here, rms, vanished
 from harness.diagnosis.noise import NoiseFloor
 from harness.diagnosis.output_form import OutputForm
 from harness.errors import HarnessError
@@ -62,6 +62,11 @@ def fit_nominal(
     if isinstance(form, OutputForm) and form.many_starts and (unknown or not same):
         ends += form.directly([_moved(form, values, rng, WIDE) for _ in range(MORE)])
         form.direct = True  # what hides minima from this fit hides them from the refits
+    if gone := vanished(form.nominal, min(ends, key=lambda one: one["cost"])["values"]):
+        # near 0 nothing moves them any more, wherever they should be: once more, from what the model declares
+        lowest = min(ends, key=lambda one: one["cost"])["values"]
+        declared = {name: form.nominal.parameter(name).value for name in gone}
+        ends.append(form.solve((), [{**lowest, **declared}], seed=seed))
     minima = _distinct(ends)
     if len(minima) == 1:
         return form.evaluate((), minima[0]), sum(_alike(minima[0], one) for one in ends) > 1
