@@ -15,11 +15,13 @@ import harness.diagnosis.leftover as leftover
 import harness.diagnosis.subset as subset
 from harness.diagnosis import diagnose
 from harness.diagnosis.confirm import Refitter
-from harness.diagnosis.disturbed import BALANCE
+from harness.diagnosis.disturbed import BALANCE, asked
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.exchange import Accepted
-from harness.diagnosis.forms import fit_here
+from harness.diagnosis.forms import fit_here, vanished
 from harness.diagnosis.momentum_form import ORDER, MomentumForm, autoregression, filtered
+from harness.diagnosis.noise import NoiseFloor
+from harness.diagnosis.nominal import fit_nominal
 from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.prepare import rough_values, sizes_of
 from harness.diagnosis.residual_tests import max_autocorrelation
@@ -89,6 +91,34 @@ def test_the_balance_names_dry_friction_and_nothing_else() -> None:
     assert [str(one.placed) for one in found.accepted] == ["coulomb_friction@theta"]
     assert found.model.values["coulomb_friction@theta.Fc"] == pytest.approx(0.03, rel=0.25)
     assert all(one.judge == "momentum" for one in found.rounds)
+
+
+def test_a_trace_of_smoothing_is_no_spring() -> None:
+    task = Task("none", "cart-pole", "laws", (), "", "drawn", 0.02, 8, 0)  # the hinge: undisturbed, noise 1e-4
+    records, system = make_records(task), load_model("cart-pole")
+    values = rough_values(system, records.dataset)
+    sizes = sizes_of(system, values, records.dataset)
+    form = MomentumForm(system, records.dataset, sizes=sizes, values=values)
+    spring = Placed(builtin()["linear_spring"], "theta")
+    found = Search(form, None, [spring], sizes, Refitter(form, Store(None, "")), 0).run(form.start)
+    assert not found.accepted
+    ((only,),) = [here.candidates for here in found.rounds]
+    (reason,) = only.judgement.reasons  # all the rest of the rule would have let it pass
+    assert "a detail of the smoothed motion" in reason
+
+
+def test_a_balance_that_noise_drowns_is_not_asked() -> None:
+    dataset, system, values, sizes = _prepared()
+    floors = [NoiseFloor("theta", "rad", 1e-4, "declared")]
+    momentum, why = asked(system, dataset, sizes, values, floors, 0)
+    assert why == []
+    assert momentum is not None
+    shares = [momentum.noise_share(dataset, [noise], np.random.default_rng(0)) for noise in (1e-4, 1e-3, 1e-2)]
+    assert shares[1] == pytest.approx(10 * shares[0], rel=0.5)
+    assert shares[2] == pytest.approx(10 * shares[1], rel=0.5)
+    momentum, (reason,) = asked(system, dataset, sizes, values, [replace(floors[0], value=2e-2)], 0)
+    assert momentum is None
+    assert "was not asked: sensor noise is" in reason
 
 
 # ---- the witness -----------------------------------------------------------------------------------------------------
@@ -220,3 +250,29 @@ def test_long_windows_judge_where_short_ones_find_nothing_and_they_do(
     assert short.asked == ["round", "run on"]
     assert long.asked == (["round", "run on"] if finds else ["round"])
     assert (used is form, result is answer) == (finds, finds)
+
+
+# ---- the nominal fit -------------------------------------------------------------------------------------------------
+
+
+class _Trap:
+    """A form whose descent never comes back from 0: only a start with friction ends with friction, and lower."""
+
+    nominal = load_model("pendulum")
+
+    def solve(self, effects: object, starts: list[dict[str, float]], *, seed: int) -> dict[str, object]:
+        alive = starts[0]["b"] > 1e-6
+        values = {"J": 0.1, "b": 0.05 if alive else 1e-12, "mgl": 1.0}
+        return {"cost": 1.0 if alive else 2.0, "values": values, "converged": True, "message": ""}
+
+    def evaluate(self, effects: object, record: dict[str, object]) -> SimpleNamespace:
+        residual = np.full((50, 1), np.sqrt(record["cost"]))
+        return SimpleNamespace(finite=True, estimation=(residual,), values=record["values"], record=record)
+
+
+def test_friction_that_a_fit_lost_at_zero_is_tried_again() -> None:
+    form = _Trap()
+    start = {"J": 0.1, "b": 1e-14, "mgl": 1.0}
+    assert vanished(form.nominal, form.solve((), [start], seed=0)["values"]) == ["b"]
+    fitted, _ = fit_nominal(form, start, 0)
+    assert fitted.values["b"] == 0.05
