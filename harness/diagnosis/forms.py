@@ -164,7 +164,8 @@ def vanished(system: Any, values: Mapping[str, float]) -> list[str]:
     return [
         one.name
         for one in system.parameters
-        if "." not in one.name and not one.fixed and one.minimum == 0.0
+        if one.name in values
+        and "." not in one.name and not one.fixed and one.minimum == 0.0
         and 0.0 <= values[one.name] < 1e-3 * abs(one.value)
     ]  # fmt: skip
 

@@ -11,10 +11,10 @@ import numpy as np
 from harness.diagnosis.adequacy import LEVEL, Adequacy, grade, no_small_disturbance, nothing_left, predictable_part
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, Form
-from harness.diagnosis.momentum_form import MomentumForm
+from harness.diagnosis.momentum_form import DETAIL, MomentumForm
 from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.prepare import short_window
-from harness.diagnosis.response import Family, responses_of
+from harness.diagnosis.response import Family, along, responses_of
 from harness.diagnosis.subset import SearchResult
 from harness.diagnosis.surrogates import ENOUGH
 from harness.diagnosis.witness import found_function
@@ -69,7 +69,7 @@ def leftover(
         views.append(form.shortened(model, seconds))
     if balance is not None and all(balance.judges(one) for one in model.effects):
         seen = _in_balance(balance, model)
-        found = [_graded(balance, seen, seed)]
+        found = [_without_details(balance, *_graded(balance, seen, seed))]
         for view in views:
             one = _graded(*view, seed)
             if len(view[0].seams(view[1])) >= ENOUGH or _confirmed(balance, seen, *one):
@@ -94,6 +94,25 @@ def leftover(
 def _in_balance(form: EquationForm, model: Fitted) -> Fitted:
     """Return a model refitted to a balance of forces."""
     return form.evaluate(model.effects, form.solve(model.effects, [model.values], seed=0))
+
+
+def _without_details(
+    balance: MomentumForm, adequacy: Adequacy, families: dict[str, Family]
+) -> tuple[Adequacy, dict[str, Family]]:
+    """Return the grade of the balance; a force that is a detail of the smoothed motion does not count."""
+    best = adequacy.best
+    if best is None or not adequacy.predictable:
+        return adequacy, families
+    family = families[best.axes]
+    row = [one.name for one in balance.nominal.coordinates].index(family.place.removeprefix("force on "))
+    forces = []
+    for motion in balance.motions["estimation"]:
+        force = np.zeros((*motion.q.shape, 1))
+        force[:, row, 0] = along(family, balance.nominal, motion) @ best.coefficients
+        forces.append(EquationForm.averaged(balance, force, motion)[:, :, 0])
+    if balance.share(forces) >= DETAIL:
+        return adequacy, families
+    return replace(adequacy, grade="explained", rest=1.0, predictable=False), families
 
 
 def _confirmed(balance: MomentumForm, seen: Fitted, adequacy: Adequacy, families: Mapping[str, Family]) -> bool:

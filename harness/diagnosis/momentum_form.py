@@ -196,18 +196,27 @@ class MomentumForm(EquationForm):
         """
         names = {str(one) for one in added}
         without = [one for one in fitted.effects if str(one) not in names]
+        less = self.equations(without)
+        q = less.system.vector({k: fitted.values[k] for k in less.system.parameter_names})
         reasons = []
         for one in added:
-            full, less = self.equations([*without, one]), self.equations(without)
-            p, q = (each.system.vector({k: fitted.values[k] for k in each.system.parameter_names})
-                    for each in (full, less))  # fmt: skip
-            parts = [(full.balance(m, p)[0] - less.balance(m, q)[0], less.balance(m, q)[1])
-                     for m in self.motions["estimation"]]  # fmt: skip
-            force, change = (np.sqrt(np.mean(np.concatenate(side) ** 2, axis=0)) for side in zip(*parts, strict=True))
-            share = float(np.max(force / np.maximum(change, 1e-300)))
+            full = self.equations([*without, one])
+            p = full.system.vector({k: fitted.values[k] for k in full.system.parameter_names})
+            motions = self.motions["estimation"]
+            share = self.share([full.balance(m, p)[0] - less.balance(m, q)[0] for m in motions])
             if share < DETAIL:
                 reasons.append(f"its force is {share:.2%} of the change of momentum: a detail of the smoothed motion")
         return reasons
+
+    def share(self, forces: Sequence[FloatArray]) -> float:
+        """Return the rms of averaged forces (rows_i, n) on the estimation motions over that of the change of momentum.
+
+        The largest over the coordinates.
+        """
+        plain, p = self.equations(()), self.nominal.vector(self.start.values)
+        change = np.concatenate([plain.balance(motion, p)[1] for motion in self.motions["estimation"]])
+        size = np.sqrt(np.mean(np.concatenate(list(forces)) ** 2, axis=0))
+        return float(np.max(size / np.maximum(np.sqrt(np.mean(change**2, axis=0)), 1e-300)))
 
     def averaged(self, columns: FloatArray, motion: Motion) -> FloatArray:
         """Return columns (N, n, k) of forces as the residual is: over bumps, filtered."""
