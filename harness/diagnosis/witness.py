@@ -8,14 +8,18 @@ asked for, either is found or it is not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, stacked
 from harness.diagnosis.momentum_form import MomentumForm, autoregression, filtered
+from harness.diagnosis.motion import Motion
 from harness.diagnosis.response import Family, along
+from harness.effects import Signals
+from harness.effects.columns import column_blocks
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
@@ -39,17 +43,20 @@ def contradiction(weak: EquationForm | None, fitted: Fitted, added: Sequence[Pla
         The model with the added effects.
     added : sequence of Placed
     """
-    if weak is None or not all(weak.judges(one) for one in fitted.effects):
-        return []
-    found = {str(one): found_force(weak, fitted, one) for one in added}
-    return [
-        f"its force is not found in the momentum balance of the measured motion (t = {t:.1f}, not {ENOUGH:g})"
-        for t in found.values()
-        if not t >= ENOUGH
-    ]
+    reasons = []
+    for one in added:
+        others = [other for other in fitted.effects if str(other) != str(one)]
+        if weak is None or not all(weak.judges(other) for other in others):
+            continue
+        t = found_force(weak, fitted, one)
+        if t is not None and not t >= ENOUGH:
+            reasons.append(
+                f"its force is not found in the momentum balance of the measured motion (t = {t:.1f}, not {ENOUGH:g})"
+            )
+    return reasons
 
 
-def found_force(weak: EquationForm, fitted: Fitted, placed: Placed) -> float:
+def found_force(weak: EquationForm, fitted: Fitted, placed: Placed) -> float | None:
     """Return the t value with which the force of an effect shows in the momentum balance of all records.
 
     The residual of the balance without the effect is regressed on the effect's force at its fitted values and on what
@@ -59,27 +66,31 @@ def found_force(weak: EquationForm, fitted: Fitted, placed: Placed) -> float:
     Parameters
     ----------
     weak : EquationForm
-        Of shape ``weak``; judges every effect of the model.
+        Of shape ``weak``; judges every other effect of the model.
     fitted : Fitted
         The model with the effect.
     placed : Placed
+        Of the effect. Its hidden states are simulated along the measured motion, from rest.
 
     Returns
     -------
-    float
-        Positive where the balance asks for the effect with the sign that it has; 0 where it exerts no force.
+    float or None
+        Positive where the balance asks for the effect with the sign that it has; 0 where it exerts no force. None where
+        the balance cannot be asked: what rounds or cuts a reading, and masses behind a spring, are no force on the
+        measured motion.
     """
     less = weak.equations([one for one in fitted.effects if str(one) != str(placed)])
-    full = weak.equations(fitted.effects)
     index = [k for k, one in enumerate(less.system.parameters) if not one.fixed]
     rows: list[tuple[FloatArray, FloatArray]] = []
     for use, own in (("estimation", {}), ("validation", fitted.refitted)):
         values = {**fitted.values, **own}
-        p, q = (one.system.vector({k: values[k] for k in one.system.parameter_names}) for one in (less, full))
+        p = less.system.vector({name: values[name] for name in less.system.parameter_names})
         for motion in weak.motions[use]:
+            force = _claimed(weak, less.system, placed, values, motion)
+            if force is None:
+                return None
             r, j = less.residual(motion, p, "weak", index)
-            after, _ = full.residual(motion, q, "weak", ())
-            rows.append((r, np.concatenate([j, (r - after)[:, :, None]], axis=2)))
+            rows.append((r, np.concatenate([j, weak.averaged(force[:, :, None], motion)], axis=2)))
     if not all(np.isfinite(r).all() and np.isfinite(x).all() for r, x in rows):
         return 0.0
     sides: list[FloatArray] = []
@@ -131,6 +142,20 @@ def _t_value(x: FloatArray, r: FloatArray) -> float:
     rest = r - others @ np.linalg.lstsq(others, r, rcond=1e-8)[0] - slope * direction
     spread = float(rest @ rest) / max(r.size - x.shape[1], 1)
     return slope * float(np.sqrt(size / max(spread, 1e-300)))
+
+
+def _claimed(
+    weak: EquationForm, system: Any, placed: Placed, values: Mapping[str, float], motion: Motion
+) -> FloatArray | None:
+    """Return the force (N, n) of an effect with its fitted values along a measured motion; None if it exerts none."""
+    own = {one.name: values[placed.name(one.name)] for one in placed.effect.parameters}
+    known = {name: values[name] for name in system.parameter_names}
+    signals = Signals(motion.t, motion.u, motion.q, motion.v, motion.a)
+    blocks = column_blocks(system, placed.with_values(own), signals, parameters=known, sizes=weak.sizes)
+    if not blocks:
+        return None
+    amounts = np.array([own.get(name, 1.0) for name in blocks[0].names])
+    return np.asarray(blocks[0].columns @ amounts)
 
 
 def _white(records: Sequence[FloatArray]) -> list[FloatArray]:

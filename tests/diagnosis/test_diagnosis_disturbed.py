@@ -139,9 +139,27 @@ def test_a_force_that_is_there_is_found_and_one_that_is_made_up_is_not() -> None
     assert found_force(weak, made_up, COULOMB) > ENOUGH
     (reason,) = contradiction(weak, made_up, [COGGING])
     assert "not found in the momentum balance" in reason
-    delay = Placed(builtin()["input_delay"], "u")
-    late = replace(real, effects=(delay,))
-    assert contradiction(weak, late, [delay]) == []  # the balance cannot be asked
+    rounded = Placed(builtin()["sensor_quantisation"], "theta")
+    step = {**real.values, **{rounded.name(k): v for k, v in rounded.effect.complete({}, sizes["theta"]).items()}}
+    late = replace(real, effects=(COULOMB, rounded), values=step)
+    assert found_force(weak, late, rounded) is None  # no force on the measured motion: the balance cannot be asked
+    assert contradiction(weak, late, [rounded]) == []
+
+
+def test_a_bent_bristle_is_asked_for_too() -> None:
+    dataset, system, values, sizes = _prepared(_dry)
+    weak = EquationForm(system, dataset, sizes=sizes, shape="weak")
+    bristle = Placed(builtin()["hysteresis"], "theta")
+    assert not weak.judges(bristle)  # a state of its own: simulated along the measured motion
+    real = fit_here(weak, (COULOMB,), [{**values, "coulomb_friction@theta.Fc": 0.02}])
+    usual = {bristle.name(k): v for k, v in bristle.effect.complete({}, sizes["theta"]).items()}
+    size = bristle.main()
+    alone = {k: v for k, v in real.values.items() if "@" not in k}
+    for sign in (1.0, -1.0):
+        model = replace(real, effects=(bristle,), values={**alone, **usual, size: sign * abs(usual[size])})
+        t = found_force(weak, model, bristle)
+        assert (t > ENOUGH) == (sign > 0)
+        assert bool(contradiction(weak, model, [bristle])) == (sign < 0)
 
 
 ALARM = Task("none", "pendulum", "laws", (), "", "drawn", 0.02, 72, 30_000)
