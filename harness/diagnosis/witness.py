@@ -17,6 +17,7 @@ from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, stacked
 from harness.diagnosis.momentum_form import MomentumForm, autoregression, filtered
 from harness.diagnosis.motion import Motion
+from harness.diagnosis.per_record import PER_RECORD
 from harness.diagnosis.response import Family, along
 from harness.effects import Signals
 from harness.effects.columns import column_blocks
@@ -28,6 +29,9 @@ __all__ = ["ENOUGH", "contradiction", "found_force", "found_function"]
 ENOUGH = 4.0
 """Standard errors by which a claimed force must be found. Effects that are there reach 6 and more at 2 % of the torque,
 made up ones stay below 3."""
+ENOUGH_OF_ITS_OWN = 8.0
+"""The same for an effect with parameters of each record: a frequency that was searched for, and phases fitted to the
+very records that are asked, reach 4 or 5 on a disturbance alone; a line that is there reaches 70."""
 ORDER = 12
 """Of the autoregression that whitens the balance, at most; the BIC chooses."""
 
@@ -49,9 +53,10 @@ def contradiction(weak: EquationForm | None, fitted: Fitted, added: Sequence[Pla
         if weak is None or not all(weak.judges(other) for other in others):
             continue
         t = found_force(weak, fitted, one)
-        if t is not None and not t >= ENOUGH:
+        asked = ENOUGH_OF_ITS_OWN if one.effect.name in PER_RECORD else ENOUGH
+        if t is not None and not t >= asked:
             reasons.append(
-                f"its force is not found in the momentum balance of the measured motion (t = {t:.1f}, not {ENOUGH:g})"
+                f"its force is not found in the momentum balance of the measured motion (t = {t:.1f}, not {asked:g})"
             )
     return reasons
 

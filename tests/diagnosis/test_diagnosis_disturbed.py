@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import harness.diagnosis.horizons as horizons
 import harness.diagnosis.leftover as leftover
 import harness.diagnosis.subset as subset
+import harness.diagnosis.witness as witness
 from harness.diagnosis import diagnose
 from harness.diagnosis.confirm import Refitter
 from harness.diagnosis.disturbed import BALANCE, asked
@@ -180,6 +181,17 @@ def test_a_disturbance_that_looks_like_cogging_in_simulations_is_no_cogging(monk
     monkeypatch.setattr(subset, "contradiction", lambda *_: [])
     unguarded = _diagnosed(ALARM, "cogging", "coulomb_friction", "force_bias")
     assert [str(one.placed) for one in unguarded.result.accepted] == ["cogging@theta"]
+
+
+def test_a_line_that_was_searched_for_must_stand_out_further(monkeypatch: pytest.MonkeyPatch) -> None:
+    task = replace(
+        ALARM, index=24, base=60_000
+    )  # seen in a judged study; its disturbance alone holds a line of t = 4.5
+    found = _diagnosed(task, "periodic_disturbance", "coulomb_friction")
+    assert found.verdict == "nothing_missing"
+    monkeypatch.setattr(witness, "ENOUGH_OF_ITS_OWN", ENOUGH)
+    unguarded = _diagnosed(task, "periodic_disturbance", "coulomb_friction")
+    assert [str(one.placed) for one in unguarded.result.accepted] == ["periodic_disturbance@theta"]
 
 
 # ---- the second opinion ----------------------------------------------------------------------------------------------
