@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.adequacy import LEVEL, Adequacy, grade, no_small_disturbance, nothing_left, predictable_part
+from harness.diagnosis.equation import bump_rows
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, Form
 from harness.diagnosis.momentum_form import DETAIL, MomentumForm
 from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.prepare import short_window
-from harness.diagnosis.response import Family, along, responses_of
+from harness.diagnosis.response import Family, force_along, responses_of
 from harness.diagnosis.subset import SearchResult
 from harness.diagnosis.surrogates import ENOUGH
 from harness.diagnosis.witness import found_function
@@ -103,14 +104,9 @@ def _without_details(
     best = adequacy.best
     if best is None or not adequacy.predictable:
         return adequacy, families
-    family = families[best.axes]
-    row = [one.name for one in balance.nominal.coordinates].index(family.place.removeprefix("force on "))
-    forces = []
-    for motion in balance.motions["estimation"]:
-        force = np.zeros((*motion.q.shape, 1))
-        force[:, row, 0] = along(family, balance.nominal, motion) @ best.coefficients
-        forces.append(EquationForm.averaged(balance, force, motion)[:, :, 0])
-    if balance.share(forces) >= DETAIL:
+    motions = balance.motions["estimation"]
+    forces = [force_along(families[best.axes], best.coefficients, balance.nominal, motion) for motion in motions]
+    if balance.share([bump_rows(one, motion) for one, motion in zip(forces, motions, strict=True)]) >= DETAIL:
         return adequacy, families
     return replace(adequacy, grade="explained", rest=1.0, predictable=False), families
 

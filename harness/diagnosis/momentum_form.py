@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.equation import Equations, bump_rows, equations_of
+from harness.diagnosis.equation import Equations, bump_rows
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, fit_here
 from harness.diagnosis.motion import Motion
@@ -135,10 +135,9 @@ class MomentumForm(EquationForm):
         self.filters: tuple[FloatArray, ...] = (np.zeros(0),) * count
         self.spread: FloatArray = np.ones(count)
         self.start = fit_here(self, (), [values])
-        plain = equations_of(nominal)
         for _ in range(2):
             p = nominal.vector(self.start.values)
-            rough = [plain.residual(motion, p, "weak", ())[0] for motion in self.motions["estimation"]]
+            rough = [self.equations(()).balance(motion, p)[0] for motion in self.motions["estimation"]]
             self.filters = tuple(autoregression([one[:, k] for one in rough], ORDER) for k in range(count))
             self.spread = np.ones(count)
             left = np.concatenate([self.white(one) for one in rough])
@@ -178,11 +177,13 @@ class MomentumForm(EquationForm):
             replace(run, trajectory=_noisier(run.trajectory, noise, rng)) for run in dataset.runs if run.use != "test"
         )
         other = EquationForm(self.nominal, replace(dataset, runs=runs), sizes=self.sizes, shape="weak")
-        plain, p = equations_of(self.nominal), self.nominal.vector(self.start.values)
+        noisier = [
+            replace(theirs, factor=mine.factor)
+            for theirs, mine in zip(other.motions["estimation"], self.motions["estimation"], strict=True)
+        ]
+        plain, p = self.equations(()), self.nominal.vector(self.start.values)
         power = []
-        for form in (self, other):
-            motions = [replace(one, factor=mine.factor) for one, mine in zip(*(
-                each.motions["estimation"] for each in (form, self)), strict=True)]  # fmt: skip
+        for motions in (self.motions["estimation"], noisier):
             parts = [plain.balance(motion, p) for motion in motions]
             power.append([np.mean(np.concatenate(side) ** 2, axis=0) for side in zip(*parts, strict=True)])
         (left, moved), (more, _) = power

@@ -62,9 +62,9 @@ def fit_nominal(
     if isinstance(form, OutputForm) and form.many_starts and (unknown or not same):
         ends += form.directly([_moved(form, values, rng, WIDE) for _ in range(MORE)])
         form.direct = True  # what hides minima from this fit hides them from the refits
-    if gone := vanished(form.nominal, min(ends, key=lambda one: one["cost"])["values"]):
+    lowest = min(ends, key=lambda one: one["cost"])["values"]
+    if gone := vanished(form.nominal, lowest):
         # near 0 nothing moves them any more, wherever they should be: once more, from what the model declares
-        lowest = min(ends, key=lambda one: one["cost"])["values"]
         declared = {name: form.nominal.parameter(name).value for name in gone}
         ends.append(form.solve((), [{**lowest, **declared}], seed=seed))
     minima = _distinct(ends)

@@ -22,7 +22,7 @@ from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.surrogates import orthonormal
 from harness.signals import FloatArray
 
-__all__ = ["Axis", "Family", "along", "equation_families", "families_at", "output_families", "responses_of"]
+__all__ = ["Axis", "Family", "equation_families", "families_at", "force_along", "output_families", "responses_of"]
 
 KNOTS = 9
 JOINT_KNOTS = (9, 6)
@@ -256,14 +256,17 @@ def _fold(angle: FloatArray) -> FloatArray:
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
-def along(family: Family, system: Any, motion: Motion) -> FloatArray:
-    """Return the functions (N, K) of a family along a measured motion."""
+def force_along(family: Family, coefficients: FloatArray, system: Any, motion: Motion) -> FloatArray:
+    """Return the force (N, n) of a family of functions of a force on a coordinate, along a measured motion."""
     known = {"time": motion.t - motion.t[0]}
     for row, one in enumerate(system.coordinates):
         known |= {one.name: motion.q[:, row], f"{one.name}'": motion.v[:, row]}
         known[f"{one.name}{FOLDED}"] = _fold(motion.q[:, row])
     known |= {channel.name: motion.u[:, k] for k, channel in enumerate(system.inputs)}
-    return family.functions([known[axis.name] for axis in family.axes])
+    force = np.zeros(motion.q.shape)
+    row = [one.name for one in system.coordinates].index(family.place.removeprefix("force on "))
+    force[:, row] = family.functions([known[axis.name] for axis in family.axes]) @ coefficients
+    return force
 
 
 def families_at(place: str, q: Axis, v: Axis | None, t: Axis, inputs: Sequence[Axis]) -> list[Family]:

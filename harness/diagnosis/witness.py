@@ -18,7 +18,7 @@ from harness.diagnosis.forms import Fitted, stacked
 from harness.diagnosis.momentum_form import MomentumForm, autoregression, filtered
 from harness.diagnosis.motion import Motion
 from harness.diagnosis.per_record import PER_RECORD
-from harness.diagnosis.response import Family, along
+from harness.diagnosis.response import Family, force_along
 from harness.effects import Signals
 from harness.effects.columns import column_blocks
 from harness.effects.effect import Placed
@@ -121,13 +121,11 @@ def found_function(balance: MomentumForm, fitted: Fitted, family: Family, coeffi
     equations = balance.equations(fitted.effects)
     index = [equations.system.parameter_names.index(name) for name in fitted.free]
     p = equations.system.vector({**fitted.values, **fitted.refitted})
-    row = [one.name for one in balance.nominal.coordinates].index(family.place.removeprefix("force on "))
     columns, left = [], []
     for motion in balance.motions["validation"]:
         r, j = equations.residual(motion, p, "weak", index)
-        force = np.zeros((*motion.q.shape, 1))
-        force[:, row, 0] = along(family, balance.nominal, motion) @ coefficients
-        columns.append(np.concatenate([j, balance.averaged(force, motion)], axis=2))
+        force = force_along(family, coefficients, balance.nominal, motion)
+        columns.append(np.concatenate([j, balance.averaged(force[:, :, None], motion)], axis=2))
         left.append(r[:, :, None])
     return _t_value(stacked(columns), stacked(left)[:, 0])
 
