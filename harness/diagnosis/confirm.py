@@ -27,6 +27,7 @@ from harness.diagnosis.accept import (
 )
 from harness.diagnosis.descent import Bar
 from harness.diagnosis.forms import Fitted, Form, placed_name, rms
+from harness.diagnosis.momentum_form import MomentumForm
 from harness.diagnosis.per_record import PER_RECORD
 from harness.diagnosis.store import Store
 from harness.effects.effect import Placed
@@ -39,6 +40,8 @@ FAR = 2.0
 """Noise floors beyond which a residual is no detail: the level at which a model counts as incomplete."""
 INSTANT = 0.05
 """Delays and lags below this share of a sample are no effect: half an integrator's step looks like one."""
+PERIODS = 2.0
+"""Of a periodic effect that a record must hold."""
 
 
 @dataclass(frozen=True)
@@ -285,7 +288,8 @@ def assess(
             continue
         delta = reference - bic(fitted.estimation, len(fitted.free), samples)
         draws = stream("diagnosis-bootstrap", placed_name(fitted.effects), seed)
-        comparison = compare_blocks(before.validation, fitted.validation, rng=draws)
+        white = isinstance(form, MomentumForm)
+        comparison = compare_blocks(before.validation, fitted.validation, rng=draws, white=white)
         # twentieths: the other conditions know how few independent samples there are, and this one asks for a sign only
         intervals = fitted.intervals(adapt=False)
         reasons: list[str] = []
@@ -304,11 +308,22 @@ def assess(
                 for reason in verdict.reasons
                 if len(added) == 1 or f"{added[0]}: {reason}" not in reasons
             ]
+            reasons += _too_slow(form, placed, fitted)
         if not reasons:
             reasons += doubts(fitted, added)
         judgement = Judgement(not reasons, tuple(dict.fromkeys(reasons)))
         found.append(Candidate(added, fitted, float(delta), comparison, mains, judgement, len(fitted.free)))
     return found
+
+
+def _too_slow(form: Any, placed: Placed, fitted: Fitted) -> list[str]:
+    """Return a reason if a periodic effect has too few periods in every record: a drift or a constant is none."""
+    if placed.effect.name != "periodic_disturbance":
+        return []
+    records = getattr(form, "records", None) or form.motions
+    seconds = max((len(one.t) for one in records["estimation"]), default=0) * form.sample_time
+    periods = fitted.values[placed.name("omega")] * seconds / (2 * np.pi)
+    return [] if periods >= PERIODS else [f"{periods:.2g} periods in the longest record: nothing that repeats is seen"]
 
 
 def _judge_one(

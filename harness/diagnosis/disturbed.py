@@ -1,14 +1,14 @@
 """Two judges where something that is not measured disturbs the plant: simulations, and the momentum balance.
 
 Simulations can judge every effect, yet under a disturbance they are poor judges of a force; the whitened balance of the
-measured motion is the best there is, but sees only forces without a state of their own. So the balance is asked where
-no model comes near the noise. Its answer counts where simulations found none or only forces too, unless an effect that
-it cannot judge explains the balance as well.
+measured motion is the best there is, but cannot see hidden masses, nor what rounds or cuts a reading. So the balance is
+asked where no model comes near the noise. Its answer counts unless simulations found what it cannot tell from its own,
+or an effect that it cannot judge explains them better.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -21,10 +21,10 @@ from harness.diagnosis.forms import Fitted, fit_here, placed_name
 from harness.diagnosis.momentum_form import MomentumForm
 from harness.diagnosis.noise import NoiseFloor
 from harness.diagnosis.output_form import OutputForm
-from harness.diagnosis.screens import SEEN
+from harness.diagnosis.pairs import compatible
+from harness.diagnosis.starts import starts_of
 from harness.diagnosis.subset import Search, SearchResult
-from harness.diagnosis.ties import ALIKE, WITHIN
-from harness.diagnosis.weak_screen import weak_screen
+from harness.diagnosis.ties import ALIKE
 from harness.effects.effect import Placed
 from harness.errors import FitError
 from harness.rng import stream
@@ -34,8 +34,10 @@ __all__ = ["BALANCE", "asked", "second_opinion"]
 
 DROWNED = 0.1
 """Share of sensor noise in the balance beyond which it names no force: least squares would find what is not there."""
-SHORT = 0.1
-"""Horizon over which the answer of the balance is refitted, as a part of the usual one, where none was clearer."""
+SHORT = (0.1, 0.03, 0.01)
+"""Horizons over which the answer of the balance is refitted, as parts of the usual one, where none was clearer."""
+FEWEST = 50
+"""Samples of a horizon at least."""
 BALANCE = (
     "the answer comes from the whitened momentum balance of the measured motion: the plant is disturbed, and the error "
     "of a simulation then rings for too long to tell"
@@ -97,48 +99,143 @@ def second_opinion(
     """
     search = search_of(momentum)
     found = search.run(momentum.start)
-    effects = tuple(one.placed for one in found.accepted)
+    effects = _effects(found)
     kept = (form, nominal, result)
-    known = {str(one.placed) for one in result.accepted}
-    if {str(one) for one in effects} <= known:
+    known = {str(one) for one in _effects(result)}
+    if not effects:
         return kept
-    ties = [_tie(search, momentum, found, one, search_of(usual).candidates) for one in found.accepted]
-    if not all(ties):
-        return kept
-    accepted = tuple(replace(one, tie=tie) for one, tie in zip(found.accepted, ties, strict=True))
+    if _agree(found, known) and all(_matched(one, found) or not momentum.judges(one) for one in _effects(result)):
+        return form, nominal, replace(result, accepted=tuple(_both_ties(one, found) for one in result.accepted))
     rounds, notes = (*result.rounds, *found.rounds), (*result.notes, BALANCE)
     plain = nominal if form is usual else fit_here(usual, (), [nominal.values])
     over = search_of(usual).refitter.fit(Task(effects, ({**plain.values, **found.model.values},)))
     if over is not None and over.finite and not far_above(usual, over):
-        return usual, plain, SearchResult(over, accepted, rounds, found.extra, notes)
-    near, seen = form, nominal
-    if form is usual:
-        longest = max(len(one) for one in usual.records["estimation"]) * usual.sample_time
-        near, seen = usual.shortened(nominal, max(SHORT * (usual.horizon or longest), 50 * usual.sample_time))
-        seen = fit_here(near, (), [seen.values])
-    here = search_of(near)
-    model = here.refitter.fit(Task(effects, ({**seen.values, **found.model.values},)))
-    while model is not None and model.finite and len(effects) > 1:
+        return usual, plain, SearchResult(over, found.accepted, rounds, found.extra, notes)
+    for near, seen in _shorter(usual, form, nominal):
+        here = search_of(near)
+        model = _simulated(here, seen, effects, found.model)
+        if model is None:
+            continue
+        if _rival_stands(here, momentum, seen, model, result):
+            return kept
+        left = {str(placed) for placed in model.effects}
+        accepted = []
+        for one in found.accepted:
+            if str(one.placed) in left:
+                unseen = _unseen(here, momentum, seen, model, one.placed)
+                if unseen is None:
+                    return kept
+                accepted.append(replace(one, tie=(*one.tie, *((placed,) for placed in unseen))))
+        return near, seen, SearchResult(model, tuple(accepted), rounds, found.extra, notes)
+    return kept
+
+
+def _both_ties(one: Accepted, found: SearchResult) -> Accepted:
+    """Return an effect with all that either judge cannot tell from it."""
+    known = {placed_name(tied) for tied in one.tie}
+    more = [
+        tied
+        for other in found.accepted
+        if any(str(one.placed) == placed_name(tied) for tied in other.tie)
+        for tied in other.tie
+        if placed_name(tied) not in known
+    ]
+    return replace(one, tie=(*one.tie, *more))
+
+
+def _effects(result: SearchResult) -> tuple[Placed, ...]:
+    """Return what a search accepted."""
+    return tuple(one.placed for one in result.accepted)
+
+
+def _shorter(usual: OutputForm, form: OutputForm, nominal: Fitted) -> Iterator[tuple[OutputForm, Fitted]]:
+    """Yield the horizon that was clearer; else shorter and shorter ones, with the nominal model fitted there."""
+    if form is not usual:
+        yield form, nominal
+        return
+    longest = max(len(one) for one in usual.records["estimation"]) * usual.sample_time
+    whole, least = usual.horizon or longest, FEWEST * usual.sample_time
+    for seconds in dict.fromkeys(max(part * whole, least) for part in SHORT):
+        near, seen = usual.shortened(nominal, seconds)
+        yield near, fit_here(near, (), [seen.values])
+
+
+def _simulated(here: Search, nominal: Fitted, effects: tuple[Placed, ...], start: Fitted) -> Fitted | None:
+    """Return the model of the balance refitted to simulations, without what they do not miss; None if they refuse it.
+
+    They need not prove it again; but error must be gone, and no sign wrong.
+    """
+    model = here.refitter.fit(Task(effects, ({**nominal.values, **start.values},)))
+    while model is not None and model.finite and len(model.effects) > 1:
         idle = _idle(here, model)
         if idle is None:
             break
-        effects, model = idle.effects, idle
-    if {str(one) for one in effects} <= known:
-        return kept
-    accepted = tuple(one for one in accepted if str(one.placed) in {str(placed) for placed in effects})
-    judged = assess(near, seen, [(effects, model)], surrogate_p=None, seed=search.seed)[0]
+        model = idle
+    if model is None or not model.finite or not model.converged:
+        return None
+    judged = assess(here.form, nominal, [(model.effects, model)], surrogate_p=None, seed=here.seed)[0]
     wrong = any(reason.endswith(WRONG_SIGN) for reason in judged.judgement.reasons)
-    if model is None or not model.finite or not model.converged or wrong or judged.comparison.gain < GAIN:
-        return kept
-    if any(not momentum.judges(one.placed) for one in result.accepted):
-        other = tuple(one.placed for one in result.accepted)
-        rival = here.refitter.fit(Task(other, ({**seen.values, **result.model.values},)))
-        if rival is not None and rival.finite:
-            rng = stream("diagnosis-opinions", placed_name(effects), search.seed)
-            versus = compare_blocks(rival.validation, model.validation, rng=rng)
-            if versus.gain < ALIKE or not versus.distinguishable:
-                return kept
-    return near, seen, SearchResult(model, accepted, rounds, found.extra, notes)
+    return None if wrong or judged.comparison.gain < GAIN else model
+
+
+def _rival_stands(here: Search, momentum: MomentumForm, nominal: Fitted, model: Fitted, result: SearchResult) -> bool:
+    """Return True if the answer of simulations alone stands against that of the balance, over the same windows.
+
+    With an effect that the balance cannot judge: unless it is clearly worse. With more effects: if clearly better.
+    """
+    other = _effects(result)
+    left, known = {str(one) for one in model.effects}, {str(one) for one in other}
+    hidden, larger = any(not momentum.judges(one) for one in other), left < known
+    if left == known:
+        return True
+    if not (hidden or larger):
+        return False
+    rival = here.refitter.fit(Task(other, ({**nominal.values, **result.model.values},)))
+    if rival is None or not rival.finite:
+        return False
+    rng = stream("diagnosis-opinions", placed_name(model.effects), here.seed)
+    versus = compare_blocks(rival.validation, model.validation, rng=rng)
+    if hidden:
+        return versus.gain < ALIKE or not versus.distinguishable
+    return versus.gain <= -ALIKE and versus.distinguishable
+
+
+def _matched(placed: Placed, found: SearchResult) -> bool:
+    """Return True if an effect is among those found, or tied with one of them."""
+    return any(str(placed) in {str(other) for tied in one.tie for other in tied} for one in found.accepted)
+
+
+def _agree(found: SearchResult, known: set[str]) -> bool:
+    """Return True if simulations named all that the balance found, or something that it cannot tell from it."""
+    return all(
+        str(one.placed) in known or any(known & {str(placed) for placed in tied} for tied in one.tie)
+        for one in found.accepted
+    )
+
+
+def _unseen(
+    here: Search, momentum: MomentumForm, nominal: Fitted, model: Fitted, placed: Placed
+) -> list[Placed] | None:
+    """Return the effects which the balance cannot judge that explain simulations as well in the place of one.
+
+    They must pass the rule of acceptance. None if one of them explains simulations better.
+    """
+    rest = tuple(one for one in model.effects if str(one) != str(placed))
+    known = {k: v for k, v in model.values.items() if not k.startswith(f"{placed}.")}
+    rivals = [one for one in here.candidates if not momentum.judges(one) and compatible((*rest, one))]
+    tasks = [Task((*rest, one), starts_of(here, replace(nominal, values=known), [one], {})) for one in rivals]
+    before = here.refitter.fit(Task(rest, (known,))) if rest else nominal
+    alike: list[Placed] = []
+    for judged in here.judge(before or nominal, tasks, [(one,) for one in rivals], None):
+        if not judged.accepted or judged.fitted is None:
+            continue
+        rng = stream("diagnosis-opinions", f"{placed} against {judged.name}", here.seed)
+        versus = compare_blocks(model.validation, judged.fitted.validation, rng=rng)
+        if versus.gain >= ALIKE and versus.distinguishable:
+            return None
+        if versus.gain > -ALIKE:
+            alike += judged.added
+    return alike
 
 
 def _idle(search: Search, model: Fitted) -> Fitted | None:
@@ -157,23 +254,3 @@ def _idle(search: Search, model: Fitted) -> Fitted | None:
             if versus.gain < GAIN or versus.p > LEVEL:
                 without.append((versus.gain, less))
     return min(without, key=lambda pair: pair[0])[1] if without else None
-
-
-def _tie(
-    search: Search, momentum: MomentumForm, found: SearchResult, one: Accepted, everything: Sequence[Placed]
-) -> tuple[tuple[Placed, ...], ...]:
-    """Return the tie set of an effect with those added that the balance sees only as a linear regression.
-
-    Empty if one of these explains the balance better.
-    """
-    others = [other.placed for other in found.accepted if other is not one]
-    unjudged = [other for other in everything if not momentum.judges(other)]
-    values = {k: v for k, v in found.model.values.items() if not k.startswith(f"{one.placed}.")}
-    screen = weak_screen(momentum, others, values, [one.placed, *unjudged], search.sizes).screen
-    scores = {str(probe.placed): probe for probe in screen.probes if probe.left >= SEEN and probe.rank}
-    own = scores.pop(str(one.placed), None)
-    if own is None:
-        return one.tie
-    if any(probe.score > own.score + WITHIN for probe in scores.values()):
-        return ()
-    return (*one.tie, *((probe.placed,) for probe in scores.values() if probe.score > own.score - WITHIN))

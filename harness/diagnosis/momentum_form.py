@@ -3,8 +3,8 @@
 A disturbance that no sensor sees makes the error of a free run ring at the plant's own resonance. In the balance of
 momentum it is only a coloured force, the same one at any angle and speed; filtered by an autoregression it becomes
 white, and then the statistics of the loop hold as they stand (Ljung, System Identification, section 7.6: a prefilter
-that whitens the residual makes least squares efficient). Only forces that follow from the measured motion and the
-inputs can be judged here, no hidden states and no sensors.
+that whitens the residual makes least squares efficient). Judged here is what follows from the measured motion and the
+inputs: forces, blocks whose states can be simulated along them, small errors of a coordinate's sensor.
 """
 
 from __future__ import annotations
@@ -15,10 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.claiming import Claiming
 from harness.diagnosis.equation import Equations, bump_rows
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, fit_here
 from harness.diagnosis.motion import Motion
+from harness.effects.claimed import ClaimedForce, claimable
+from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.signals import Dataset, FloatArray, Trajectory
 
@@ -26,9 +29,9 @@ __all__ = ["MomentumForm", "autoregression", "filtered"]
 
 ORDER = 3
 """Of the autoregression at most: a longer one would learn the missing effect itself and filter it away."""
-DETAIL = 0.005
-"""Share of the change of momentum below which a force may be a trace of smoothing. A quarter-size effect has 1 % to 2 %
-of it; on cart-poles without any effect the traces had up to 0.4 %."""
+DETAIL = 0.003
+"""Share of the change of momentum below which a force, beyond what the parameters take up, may be a trace of smoothing.
+A quarter-size effect has 0.6 % to 2 % of it; on cart-poles without any effect the traces had up to 0.17 %."""
 FINER = 2
 """Bumps are this much shorter than those of the screen: corners of a law tell it from others."""
 
@@ -144,13 +147,27 @@ class MomentumForm(EquationForm):
             self.spread = np.maximum(np.sqrt(np.mean(left**2, axis=0)), 1e-300)
             self.start = fit_here(self, (), [self.start.values])
 
+    def judges(self, placed: Placed) -> bool:
+        """Return True for what exerts a force that follows from the measured motion and the inputs.
+
+        Not for a common factor of all forces, which no balance can know.
+        """
+        return super().judges(placed) or (placed.effect.name != "input_gain" and claimable(self.nominal, placed))
+
     def equations(self, effects: Sequence[Placed]) -> Equations:
         """Return the whitened equation form with effects, made once."""
         key = tuple(str(one) for one in effects)
         if key not in self._equations:
-            plain = super().equations(effects)
-            parts = {one.name: getattr(plain, one.name) for one in fields(Equations)}
-            self._equations[key] = _Whitened(**parts, white=self.white)
+            claimed = [one for one in effects if not super(MomentumForm, self).judges(one)]
+            if claimed:
+                inner = self.equations([one for one in effects if one not in claimed])
+                system = compose(self.nominal, effects, sizes=self.sizes)
+                claims = tuple(ClaimedForce(inner.system, one, self.sizes.get(one.at, {})) for one in claimed)
+                self._equations[key] = Claiming(system, None, None, None, inner, claims, self.averaged)
+            else:
+                plain = super().equations(effects)
+                parts = {one.name: getattr(plain, one.name) for one in fields(Equations)}
+                self._equations[key] = _Whitened(**parts, white=self.white)
         return self._equations[key]
 
     def white(self, rows: FloatArray) -> FloatArray:
@@ -195,19 +212,36 @@ class MomentumForm(EquationForm):
         Smoothing and averaging leave some thousandths of the change of momentum; where no sensor's noise and no
         disturbance hides them, they look like a law.
         """
-        names = {str(one) for one in added}
-        without = [one for one in fitted.effects if str(one) not in names]
-        less = self.equations(without)
-        q = less.system.vector({k: fitted.values[k] for k in less.system.parameter_names})
         reasons = []
         for one in added:
-            full = self.equations([*without, one])
-            p = full.system.vector({k: fitted.values[k] for k in full.system.parameter_names})
-            motions = self.motions["estimation"]
-            share = self.share([full.balance(m, p)[0] - less.balance(m, q)[0] for m in motions])
+            without = [other for other in fitted.effects if str(other) != str(one)]
+            share = self.apart(fitted, fit_here(self, without, [fitted.values]))
             if share < DETAIL:
-                reasons.append(f"its force is {share:.2%} of the change of momentum: a detail of the smoothed motion")
+                reasons.append(
+                    f"beyond what the parameters take up, its force is {share:.2%} of the change of momentum: a detail "
+                    "of the smoothed motion"
+                )
         return reasons
+
+    def apart(self, one: Fitted, other: Fitted) -> float:
+        """Return how far two fitted models are apart on the estimation motions, as a share of the change of momentum.
+
+        The rms of the difference of their forces, unfiltered; the largest over the coordinates.
+        """
+        sides = []
+        for model in (one, other):
+            equations = self.equations(model.effects)
+            p = equations.system.vector(model.values)
+            sides.append([equations.balance(motion, p)[0] for motion in self.motions["estimation"]])
+        return self.share([a - b for a, b in zip(*sides, strict=True)])
+
+    def alike(self, one: Fitted, other: Fitted, added: Sequence[Placed]) -> bool:
+        """Return True if another model differs by a detail, and by less than half of what ``added`` does in the one."""
+        apart = self.apart(one, other)
+        if apart >= DETAIL:
+            return False
+        without = [effect for effect in one.effects if str(effect) not in {str(gone) for gone in added}]
+        return apart < 0.5 * self.apart(one, fit_here(self, without, [one.values]))
 
     def share(self, forces: Sequence[FloatArray]) -> float:
         """Return the rms of averaged forces (rows_i, n) on the estimation motions over that of the change of momentum.

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.effects import Signals
 from harness.signals import FloatArray, Trajectory
 
 __all__ = ["Motion", "measured_coordinates", "motion_band", "smooth_motion", "thinned"]
@@ -44,6 +45,10 @@ class Motion:
     inside: slice
     factor: int
     sample_time: float
+
+    def signals(self, u: FloatArray | None = None) -> Signals:
+        """Return the motion as effects take it, with other inputs (N, nu) if given."""
+        return Signals(self.t, self.u if u is None else u, self.q, self.v, self.a, ramps=True)
 
 
 def measured_coordinates(system: Any) -> dict[str, tuple[int | None, int | None]] | None:

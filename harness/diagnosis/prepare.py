@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.equation_form import EquationForm
+from harness.diagnosis.forms import vanished
 from harness.diagnosis.motion import measured_coordinates, motion_band, smooth_motion
 from harness.diagnosis.noise import NoiseFloor
 from harness.diagnosis.output_form import OutputForm
-from harness.effects import Signals
 from harness.effects.columns import motion_sizes
 from harness.errors import InputError
 from harness.signals import Dataset, FloatArray
@@ -135,6 +135,11 @@ def choose_horizon(system: Any, values: Mapping[str, float], dataset: Dataset) -
     if typical * longest > np.log(GROWTH) and typical > 1e-3 * size:
         seconds = _round(float(np.clip(np.log(GROWTH) / typical, shortest, longest / 4)))
         return Horizon(seconds, f"the nominal model is unstable where it was operated (a pole at +{typical:.3g} 1/s)")
+    lost = vanished(system, values) if integrating else []
+    if lost:  # a rough fit to readings that no model explains may lose gravity: then the model itself says what it is
+        other = choose_horizon(system, {**values, **{name: system.values()[name] for name in lost}}, dataset)
+        if other.seconds is None:
+            return other
     if integrating:
         decaying = -centre.real[np.abs(centre) >= 1e-6 * size]
         slow = 1 / decaying[decaying > 1e-6 * size].min() if (decaying > 1e-6 * size).any() else longest
@@ -172,7 +177,7 @@ def sizes_of(system: Any, values: Mapping[str, float], dataset: Dataset) -> dict
     columns = measured_coordinates(system)
     if columns is not None:
         motion = smooth_motion(runs[0], columns, dataset.intersample)
-        known = motion_sizes(system, Signals(motion.t, motion.u, motion.q, motion.v, motion.a), values)
+        known = motion_sizes(system, motion.signals(), values)
         return {port: {**sizes, **common} for port, sizes in known.items()}
     result: dict[str, dict[str, float]] = {"base": dict(common)}
     u = np.concatenate([run.u for run in runs])

@@ -36,6 +36,8 @@ from harness.rng import stream
 __all__ = ["Accepted", "Round", "Search", "SearchResult"]
 
 MOST_EFFECTS = 3
+BALANCE_LEVEL = 0.05
+"""Level of the global null in the whitened balance: there the test on validation holds its own level as it stands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,11 +155,12 @@ class Search:
         line = line_of(self, model)
         judge = "momentum" if isinstance(self.form, MomentumForm) else "simulation"
         signs = {key: own for key, own in hidden_signs(self.form, rest).items() if own <= LEVEL}
-        if p > LEVEL and line is None and not signs:
+        level = BALANCE_LEVEL if isinstance(self.form, MomentumForm) else LEVEL
+        if p > level and line is None and not signs:
             self.notes.append(f"the dictionary explains the residual no better than surrogates of it (p = {p:.3f})")
             return Round(model, screen, weak, test, p, line, (), judge)
         # A line and a lost sign have tests of their own; they vouch for nothing else.
-        chosen = shortlist(screen, None if weak is None else weak.screen, rest) if p <= LEVEL else []
+        chosen = shortlist(screen, None if weak is None else weak.screen, rest) if p <= level else []
         if line is None:  # its phase is fitted on validation too, so there any narrow band would seem to gain
             chosen = [one for one in chosen if one.effect.name != "periodic_disturbance"]
         chosen += [one for one in rest if str(one) in signs and str(one) not in map(str, chosen)]
@@ -171,7 +174,7 @@ class Search:
         self.say(f"refitting {len(tasks)} candidates")
         null = {
             str(one): 0.0
-            if line is not None and one.effect.name == "periodic_disturbance"
+            if isinstance(self.form, MomentumForm) or (line is not None and one.effect.name == "periodic_disturbance")
             else min(p, signs.get(str(one), 1.0))
             for one in chosen
         }
@@ -184,6 +187,13 @@ class Search:
                 if "failed" not in record and ("failed" in records[old] or record["cost"] < records[old]["cost"]):
                     tasks = [new if one.key == old else one for one in tasks]
             candidates = self.judge(model, tasks, [(one,) for one in chosen], null)
+        if isinstance(self.form, MomentumForm):
+            relatives = self._relatives(candidates, rest)
+            chosen, null = [*chosen, *relatives], {**null, **{str(one): 0.0 for one in relatives}}
+            tasks += [
+                Task((*model.effects, one), starts_of(self, model, [one], probes, line, weak)) for one in relatives
+            ]
+            candidates = self.judge(model, tasks, [(one,) for one in chosen], null) if relatives else candidates
         return Round(model, screen, weak, test, p, line, tuple(candidates), judge)
 
     def judge(
@@ -216,6 +226,17 @@ class Search:
             return None
         best = leader(accepted, seed=self.seed)
         return simplest(tie_set(self.form, best, candidates, seed=self.seed))
+
+    def _relatives(self, candidates: Sequence[Candidate], rest: Sequence[Placed]) -> list[Placed]:
+        """Return what is easily mistaken for an accepted candidate and was not refitted: details may head a screen."""
+        tried = {str(one.added[0]) for one in candidates}
+        names = {
+            (name, one.added[0].at)
+            for one in candidates
+            if one.accepted
+            for name in (*one.added[0].effect.family, *one.added[0].effect.nests)
+        }
+        return [one for one in rest if (one.effect.name, one.at) in names and str(one) not in tried]
 
     def _weak_screen(self, model: Fitted, rest: Sequence[Placed]) -> WeakScreen | None:
         """Return the screen on the momentum equation, where there is one for this model."""

@@ -9,6 +9,7 @@ import numpy as np
 from harness.diagnosis.accept import compare_blocks, information_samples
 from harness.diagnosis.confirm import Candidate, noise_ratio
 from harness.diagnosis.forms import Fitted, Form, placed_name
+from harness.diagnosis.momentum_form import MomentumForm
 from harness.rng import stream
 from harness.signals import FloatArray
 
@@ -33,6 +34,7 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
     A special case of the best within 10 in BIC ties whatever the bootstrap says: the evidence for the more general
     effect is then no more than the evidence that an effect needs to be accepted at all. A special case that gains
     within 1 % as much ties if its validation error is within 2 %.
+    In the balance of momentum two forces that differ by no more than a detail of the smoothed motion tie.
     A more complex one whose additional parameters are not determined by the data (Stribeck friction seen only at high
     speed) also ties: only the penalty separates it, not the data.
     """
@@ -41,6 +43,9 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
     tied = [best]
     for one in candidates:
         if one is best or one.fitted is None or not one.fitted.finite:
+            continue
+        if isinstance(form, MomentumForm) and form.alike(best.fitted, one.fitted, best.added):
+            tied.append(one)
             continue
         nested = _special_case(one, best)
         close = best.delta_bic - one.delta_bic <= max(WITHIN, (SPECIAL if nested else SHARE) * best.delta_bic)

@@ -18,7 +18,6 @@ from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.residual_tests import effective_samples
 from harness.diagnosis.screens import SEEN, Probe, Screen
 from harness.diagnosis.surrogates import orthonormal
-from harness.effects import Signals
 from harness.effects.columns import column_blocks
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
@@ -109,7 +108,7 @@ def weak_screen(
     probes: list[Probe] = []
     parameters: dict[str, dict[str, float]] = {}
     failed: dict[str, str] = {}
-    signals = [Signals(m.t, m.u, m.q, m.v, m.a) for m in motions]
+    signals = [one.signals() for one in motions]
     for placed in candidates:
         if placed.effect.name == "input_gain":  # a common factor of all forces: the equation alone cannot know it
             continue

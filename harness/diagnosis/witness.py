@@ -19,7 +19,6 @@ from harness.diagnosis.momentum_form import MomentumForm, autoregression, filter
 from harness.diagnosis.motion import Motion
 from harness.diagnosis.per_record import PER_RECORD
 from harness.diagnosis.response import Family, force_along
-from harness.effects import Signals
 from harness.effects.columns import column_blocks
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
@@ -153,7 +152,7 @@ def _claimed(
     """Return the force (N, n) of an effect with its fitted values along a measured motion; None if it exerts none."""
     own = {one.name: values[placed.name(one.name)] for one in placed.effect.parameters}
     known = {name: values[name] for name in system.parameter_names}
-    signals = Signals(motion.t, motion.u, motion.q, motion.v, motion.a)
+    signals = motion.signals()
     blocks = column_blocks(system, placed.with_values(own), signals, parameters=known, sizes=weak.sizes)
     if not blocks:
         return None

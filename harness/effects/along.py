@@ -33,6 +33,8 @@ class Signals:
         Inputs of the system, in its order.
     q, v, a : array (N, n)
         Coordinates, rates and accelerations, in the order of ``system.coordinates`` (smoothed, from the sensor).
+    ramps : bool
+        Inputs run straight from instant to instant, as means of both sides of a jump do; else each is held.
 
     Raises
     ------
@@ -45,6 +47,7 @@ class Signals:
     q: FloatArray
     v: FloatArray
     a: FloatArray
+    ramps: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.t)
@@ -134,7 +137,9 @@ def hidden_states(system: System, signals: Signals, p: FloatArray) -> FloatArray
     key = (signals.dt, substeps)
     if key not in known:
         known[key] = _hidden_step(system, signals.dt, substeps)
+    last = np.vstack([signals.u[1:], signals.u[-1:]]) if signals.ramps else signals.u
     step_function, initial = known[key]
+    chunks: dict[tuple[float, int, int], Any] = system.__dict__.setdefault("_hidden_chunks", {})
     motion = np.hstack([signals.q, signals.v]).T
     x0 = np.concatenate([motion[:, 0], np.zeros(count)])
     current = np.array(initial(x0, signals.u[0], p, signals.t[0])).ravel()
@@ -142,12 +147,15 @@ def hidden_states(system: System, signals: Signals, p: FloatArray) -> FloatArray
     result[0] = current
     for start in range(0, len(signals.t) - 1, _CHUNK):
         stop = min(start + _CHUNK, len(signals.t) - 1)
-        many = step_function.mapaccum(stop - start)
+        if (*key, stop - start) not in chunks:
+            chunks[*key, stop - start] = step_function.mapaccum(stop - start)
+        many = chunks[*key, stop - start]
         values = many(
             current,
             motion[:, start:stop],
             motion[:, start + 1 : stop + 1],
             signals.u[start:stop].T,
+            last[start:stop].T,
             np.tile(p[:, None], (1, stop - start)),
             signals.t[None, start:stop],
         )
@@ -164,13 +172,14 @@ def _hidden_step(system: System, dt: float, substeps: int) -> tuple[Any, Any]:
     count = system.nx - 2 * n
     rates = ca.Function("g", arguments(system), [down(system, system.rates)])
     z, u, t = ca.SX.sym("z", count), ca.SX.sym("u", system.nu), ca.SX.sym("t")
+    end = ca.SX.sym("end", system.nu)
     here, there = ca.SX.sym("here", 2 * n), ca.SX.sym("there", 2 * n)
     parameters = ca.SX.sym("p", system.np)
     h = dt / substeps
 
     def slope(state: Any, share: float) -> Any:
         x = (1.0 - share) * here + share * there
-        return rates(ca.vertcat(x, state), u, parameters, t + share * dt)
+        return rates(ca.vertcat(x, state), (1.0 - share) * u + share * end, parameters, t + share * dt)
 
     state = z
     for step in range(substeps):
@@ -180,7 +189,7 @@ def _hidden_step(system: System, dt: float, substeps: int) -> tuple[Any, Any]:
         k3 = slope(state + 0.5 * h * k2, middle)
         k4 = slope(state + h * k3, last)
         state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    step_function = ca.Function("step", [z, here, there, u, parameters, t], [state])
+    step_function = ca.Function("step", [z, here, there, u, end, parameters, t], [state])
     return step_function, ca.Function("z0", arguments(system), [system.initial])
 
 

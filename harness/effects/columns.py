@@ -9,16 +9,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from harness.effects.along import Signals, along, arguments, down, hidden_states, residual_function, rms
-from harness.effects.compose import compose
+from harness.effects.along import Signals, along, arguments, down, rms
+from harness.effects.claimed import SENSORS, ClaimedForce, claimable
 from harness.effects.effect import Placed
-from harness.effects.places import port_of
-from harness.effects.sampled import delay
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -125,45 +123,30 @@ def column_blocks(
     InputError
         If the effect does not fit its port.
     """
+    if not claimable(system, placed):
+        return []
     effect = placed.effect
-    port = port_of(system, placed)
-    if not effect.linearises or not system.coordinates or port.kind == "process" or effect.sampled == "quantise":
-        return []
-    if port.kind == "output" and effect.name not in _SENSORS:
-        return []
     known = sizes if sizes is not None else motion_sizes(system, signals, parameters)
     at = known.get(placed.at, {})
-    if port.kind == "output":
-        return _sensor_block(system, placed, signals, parameters, at)
-    start = effect.complete(placed.values, at)
+    claimed = ClaimedForce(system, placed, at)
+    if effect.name in SENSORS:  # of a small error: how the residual changes if it is undone
+        name = effect.parameters[0].name
+        unit = {"sensor_offset": 1e-3 * (at.get("y", 1.0) or 1.0), "sensor_gain": 1e-3, "sensor_delay": signals.dt}
+        small = unit[effect.name]
+        return [ColumnBlock(placed, {}, (name,), (claimed(signals, {name: small}, parameters) / small)[..., None])]
     linear = [one.name for one in effect.parameters if one.linear and not one.fixed]
     nonlinear = [one for one in effect.parameters if one.name not in linear and not one.fixed]
-    grids = [one.starts(at) if one.name not in placed.values else (start[one.name],) for one in nonlinear]
+    grids = [one.starts(at) if one.name not in placed.values else (claimed.start[one.name],) for one in nonlinear]
     combinations = list(itertools.islice(itertools.product(*grids), _LARGEST_GRID))
-    whole = compose(system, [placed.with_values(start)], sizes={"": at})
-    residual = residual_function(whole)
-    base = along(residual_function(system), system, signals, system.vector(parameters), None, signals.a)
     blocks = []
     for choice in combinations:
         given = dict(zip((one.name for one in nonlinear), choice, strict=True))
-        values = {**start, **given}
-
-        def added(values: Mapping[str, float]) -> FloatArray:
-            p = whole.vector({**(parameters or {}), **{placed.name(key): value for key, value in values.items()}})
-            moved = signals
-            if effect.sampled == "input_delay":
-                column = [channel.name for channel in system.inputs].index(placed.at)
-                u = signals.u.copy()
-                u[:, column] = delay(u[:, column], values[effect.parameters[0].name], signals.dt)
-                moved = replace(signals, u=u)
-            return np.asarray(base - along(residual, whole, moved, p, hidden_states(whole, moved, p), moved.a))
-
         if linear:
-            nothing = {**values, **dict.fromkeys(linear, 0.0)}
-            zero = added(nothing)
-            columns = [added({**nothing, name: 1.0}) - zero for name in linear]
+            nothing = {**given, **dict.fromkeys(linear, 0.0)}
+            zero = claimed(signals, nothing, parameters)
+            columns = [claimed(signals, {**nothing, name: 1.0}, parameters) - zero for name in linear]
         else:
-            columns = [added(values)]
+            columns = [claimed(signals, given, parameters)]
         stack = np.stack(columns, axis=-1)
         if np.isfinite(stack).all():
             blocks.append(ColumnBlock(placed, given, tuple(linear) or ("effect",), stack))
@@ -213,51 +196,3 @@ def regression_columns(
             columns.append(block.columns)
     empty = np.zeros((len(signals.t), len(system.coordinates), 0))
     return tuple(names), np.concatenate(columns, axis=2) if columns else empty
-
-
-# ---- sensors: the true motion behind the reading -------------------------------------------------------------------
-
-
-def _undo_offset(signals: Signals, row: int, value: float) -> Signals:
-    q = signals.q.copy()
-    q[:, row] -= value
-    return replace(signals, q=q)
-
-
-def _undo_gain(signals: Signals, row: int, value: float) -> Signals:
-    moved = {}
-    for name in ("q", "v", "a"):
-        array = getattr(signals, name).copy()
-        array[:, row] /= 1.0 + value
-        moved[name] = array
-    return replace(signals, **moved)
-
-
-def _undo_delay(signals: Signals, row: int, value: float) -> Signals:
-    moved = {}
-    for name in ("q", "v", "a"):
-        array = getattr(signals, name).copy()
-        array[:, row] = delay(array[::-1, row], value, signals.dt)[::-1]
-        moved[name] = array
-    return replace(signals, **moved)
-
-
-_SENSORS = {"sensor_offset": _undo_offset, "sensor_gain": _undo_gain, "sensor_delay": _undo_delay}
-_SENSOR_STEPS = {"sensor_offset": 1e-3, "sensor_gain": 1e-3, "sensor_delay": 1.0}
-
-
-def _sensor_block(
-    system: System, placed: Placed, signals: Signals, parameters: Mapping[str, float] | None, at: Mapping[str, float]
-) -> list[ColumnBlock]:
-    """Return the column of a small error of a coordinate's sensor: how the residual changes if it is undone."""
-    rows = [row for row, one in enumerate(system.coordinates) if one.name == placed.at]
-    if not rows:
-        return []
-    name = placed.effect.parameters[0].name
-    unit = {"sensor_offset": at.get("y", 1.0) or 1.0, "sensor_gain": 1.0, "sensor_delay": signals.dt}
-    small = _SENSOR_STEPS[placed.effect.name] * unit[placed.effect.name]
-    p, residual = system.vector(parameters), residual_function(system)
-    base = along(residual, system, signals, p, None, signals.a)
-    moved = _SENSORS[placed.effect.name](signals, rows[0], small)
-    undone = along(residual, system, moved, p, None, moved.a)
-    return [ColumnBlock(placed, {}, (name,), np.asarray((base - undone) / small)[..., None])]

@@ -97,7 +97,10 @@ def recommended_substeps(
     """
     import casadi as ca
 
-    jacobian = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
+    jacobian = system.__dict__.get("_jacobian_function")
+    if jacobian is None:
+        jacobian = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
+        system.__dict__["_jacobian_function"] = jacobian
     p = system.vector(parameters)
     points = [np.zeros(system.nx)]
     hidden = system.nx - system.hidden_count
