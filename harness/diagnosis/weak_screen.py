@@ -171,7 +171,7 @@ def _probe(
     for name, amount in zip(block.names, both[jacobian.shape[1] :], strict=True):
         if name != "effect":
             limits = placed.effect.parameter(name)
-            values[name] = float(np.clip(amount, limits.minimum, limits.maximum))
+            values[name] = float(np.clip(amount + (limits.neutral or 0.0), limits.minimum, limits.maximum))
     change = columns[:, 0]
     direction = change - nominal @ (nominal.T @ change)
     length = float(np.linalg.norm(direction))

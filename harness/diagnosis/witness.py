@@ -19,7 +19,7 @@ from harness.diagnosis.momentum_form import MomentumForm, autoregression, filter
 from harness.diagnosis.motion import Motion
 from harness.diagnosis.per_record import PER_RECORD
 from harness.diagnosis.response import Family, force_along
-from harness.effects.columns import column_blocks
+from harness.effects.claimed import ClaimedForce, claimable
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
@@ -150,14 +150,12 @@ def _claimed(
     weak: EquationForm, system: Any, placed: Placed, values: Mapping[str, float], motion: Motion
 ) -> FloatArray | None:
     """Return the force (N, n) of an effect with its fitted values along a measured motion; None if it exerts none."""
+    if not claimable(system, placed):
+        return None
     own = {one.name: values[placed.name(one.name)] for one in placed.effect.parameters}
     known = {name: values[name] for name in system.parameter_names}
-    signals = motion.signals()
-    blocks = column_blocks(system, placed.with_values(own), signals, parameters=known, sizes=weak.sizes)
-    if not blocks:
-        return None
-    amounts = np.array([own.get(name, 1.0) for name in blocks[0].names])
-    return np.asarray(blocks[0].columns @ amounts)
+    force = ClaimedForce(system, placed, weak.sizes.get(placed.at, {}))(motion.signals(), own, known)
+    return force if np.isfinite(force).all() else np.zeros_like(force)
 
 
 def _white(records: Sequence[FloatArray]) -> list[FloatArray]:

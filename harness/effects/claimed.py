@@ -133,7 +133,8 @@ class ClaimedForce:
         base = along(residual_function(self.system), self.system, signals, nominal, None, signals.a)
         if self.undo is not None:
             assert self.sensor is not None
-            moved = self.undo(signals, self.sensor, own[self.placed.effect.parameters[0].name])
+            parameter = self.placed.effect.parameters[0]
+            moved = self.undo(signals, self.sensor, own[parameter.name] - (parameter.neutral or 0.0))
             return np.asarray(base - along(residual_function(self.system), self.system, moved, nominal, None, moved.a))
         p = self.whole.vector({**known, **{self.placed.name(key): value for key, value in own.items()}})
         moved = signals

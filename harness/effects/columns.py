@@ -39,7 +39,7 @@ class ColumnBlock:
     names : tuple of str
         Short names of the linear parameters, one for each column; ``("effect",)`` if there are none (coefficient 1).
     columns : array (N, n, k)
-        Force on each coordinate, for a coefficient of 1.
+        Force on each coordinate, for a coefficient of 1; coefficients count from where the effect does nothing.
     """
 
     placed: Placed
@@ -130,10 +130,11 @@ def column_blocks(
     at = known.get(placed.at, {})
     claimed = ClaimedForce(system, placed, at)
     if effect.name in SENSORS:  # of a small error: how the residual changes if it is undone
-        name = effect.parameters[0].name
+        name, neutral = effect.parameters[0].name, effect.parameters[0].neutral or 0.0
         unit = {"sensor_offset": 1e-3 * (at.get("y", 1.0) or 1.0), "sensor_gain": 1e-3, "sensor_delay": signals.dt}
         small = unit[effect.name]
-        return [ColumnBlock(placed, {}, (name,), (claimed(signals, {name: small}, parameters) / small)[..., None])]
+        column = claimed(signals, {name: neutral + small}, parameters) / small
+        return [ColumnBlock(placed, {}, (name,), column[..., None])]
     linear = [one.name for one in effect.parameters if one.linear and not one.fixed]
     nonlinear = [one for one in effect.parameters if one.name not in linear and not one.fixed]
     grids = [one.starts(at) if one.name not in placed.values else (claimed.start[one.name],) for one in nonlinear]

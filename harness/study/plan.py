@@ -16,7 +16,7 @@ __all__ = ["BASES", "NOISE", "PLANTS", "STUDIES", "Task", "plan"]
 STUDIES = ("confusion", "false-alarms", "coverage", "cost")
 PLANTS = ("pendulum", "cart-pole")
 BASES = {"tuning": 0, "judged": 80_000}
-"""Records from 10 000, 20 000, ..., 70 000 on taught what to repair in earlier versions: they judge no more."""
+"""Records from 10 000, 20 000, ..., 70 000 on judged earlier versions: they judge no more."""
 NOISE = {"low": 1e-4, "high": 1e-3}
 """Standard deviation of the sensors [rad, m]."""
 
