@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,8 @@ from harness.effects import (
     place_all,
     regression_columns,
 )
+from harness.effects.along import along, residual_function
+from harness.effects.claimed import ClaimedForce, claimable
 from harness.errors import InputError
 from harness.physics.models import cart_pole, pendulum, two_tanks
 
@@ -147,3 +151,76 @@ def test_every_effect_gives_finite_columns_or_none():
 def test_signals_of_another_length_are_refused():
     with pytest.raises(InputError, match="signal v of a motion"):
         Signals(np.arange(3.0), np.zeros((3, 1)), np.zeros((3, 1)), np.zeros((2, 1)), np.zeros((3, 1)))
+
+
+# ---- claimed forces: any size, not only small ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("hidden", "error"),
+    [
+        (put("coulomb_friction", "theta", Fc=0.1, w=0.05), 1e-9),
+        (put("input_gain", "u", gain=1.1), 1e-9),
+        (put("actuator_lag", "u", tau=0.05), 1e-4),
+        (put("rate_limit", "u", R=5.0), 1e-3),
+        (put("hysteresis", "theta", Fh=0.1, xs=0.05), 2e-3),
+    ],
+    ids=lambda value: str(value),
+)
+def test_a_claimed_force_is_the_force_that_was_hidden(hidden, error):
+    signals, force = motion(PENDULUM, [hidden])
+    claimed = ClaimedForce(PENDULUM, hidden, {})(signals, hidden.values)
+    settled = slice(200, None)  # hidden states start from rest
+    assert np.abs((claimed - force)[settled]).max() < error * np.abs(force[settled]).max()
+
+
+def test_a_claimed_delay_holds_the_command_back():
+    signals, _ = motion(PENDULUM, [])
+    late = ClaimedForce(PENDULUM, put("input_delay", "u"), {})(signals, {"tau": 4 * DT})
+    held = np.concatenate([np.repeat(signals.u[:1], 4, axis=0), signals.u[:-4]])
+    assert np.abs(late[:, 0] - (held - signals.u)[:, 0]).max() < 1e-9
+
+
+@pytest.mark.parametrize(("name", "value"), [("sensor_gain", 0.8), ("sensor_gain", 1.3), ("sensor_offset", 0.2)])
+def test_a_wrong_reading_is_undone_whatever_its_size(name, value):
+    signals, _ = motion(PENDULUM, [])
+    if name == "sensor_gain":
+        read = replace(signals, q=value * signals.q, v=value * signals.v, a=value * signals.a)
+    else:
+        read = replace(signals, q=signals.q + value)
+    parameter = builtin()[name].parameters[0].name
+    claimed = ClaimedForce(PENDULUM, put(name, "theta"), {})(read, {parameter: value})
+    left = along(residual_function(PENDULUM), PENDULUM, read, PENDULUM.vector(), None, read.a)
+    assert np.abs(left).max() > 0.05
+    assert np.abs(left - claimed).max() < 1e-9 * np.abs(left).max()
+
+
+def test_a_reading_that_is_right_claims_nothing():
+    signals, _ = motion(PENDULUM, [])
+    for name, value in (("sensor_gain", 1.0), ("sensor_offset", 0.0), ("sensor_delay", 0.0)):
+        parameter = builtin()[name].parameters[0].name
+        claimed = ClaimedForce(PENDULUM, put(name, "theta"), {})(signals, {parameter: value})
+        assert np.abs(claimed).max() == 0.0
+
+
+def test_inputs_that_run_straight_are_followed_without_delay():
+    lag = put("actuator_lag", "u")
+    t = np.arange(400) * DT
+    u = np.sin(2 * t)[:, None]
+    still = np.zeros((400, 1))
+    quick = {"tau": 1e-6}
+    held = ClaimedForce(PENDULUM, lag, {})(Signals(t, u, still, still, still), quick)
+    straight = ClaimedForce(PENDULUM, lag, {})(Signals(t, u, still, still, still, ramps=True), quick)
+    assert np.abs(held[1:, 0]).max() == pytest.approx(2 * DT, rel=0.1)  # a sample late
+    assert np.abs(straight).max() < 0.1 * np.abs(held).max()  # a twentieth of a sample
+
+
+def test_what_leaves_no_force_on_the_measured_motion_is_not_claimable():
+    names = [one for one in place_all(PENDULUM, builtin().values()) if not claimable(PENDULUM, one)]
+    assert {one.effect.name for one in names} == {
+        "elasticity",
+        "backlash",
+        "sensor_quantisation",
+        "sensor_rectification",
+        "sensor_saturation",
+    }
