@@ -16,7 +16,7 @@ from harness.diagnosis.adequacy import Adequacy
 from harness.diagnosis.columns_check import check_columns
 from harness.diagnosis.confirm import Refitter, far_above
 from harness.diagnosis.dictionary import placed
-from harness.diagnosis.disturbed import BALANCE, asked, second_opinion
+from harness.diagnosis.disturbed import BALANCE, asked, second_opinion, unbalanced
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, Form
 from harness.diagnosis.horizons import searched
@@ -185,10 +185,12 @@ def diagnose(
     def graded(one: Form, found: SearchResult, others: Sequence[tuple[Form, Fitted]]) -> Any:
         say(0.82, "what is left, and whether it can be predicted")
         detected = search_of(one).detected(found.model)
-        return leftover(one, found, others, weak, dataset, seed, detected=detected, balance=momentum)
+        return leftover(one, found, others, weak, dataset, seed, detected=detected, balance=momentum,
+                        unbalanced=bool(large))  # fmt: skip
 
     usual, usual_nominal = form, nominal
     momentum: MomentumForm | None = None
+    large = ""
     form, nominal, result = searched(form, nominal, search_of, size_of)
     disturbed = far_above(usual, usual_nominal) and (form is not usual or far_above(usual, result.model))
     if weak is not None and isinstance(usual, OutputForm) and isinstance(form, OutputForm) and disturbed:
@@ -198,6 +200,10 @@ def diagnose(
         if momentum is not None:
             form, nominal, result = second_opinion(usual, form, nominal, result, momentum, search_of)
             warnings += [note for note in result.notes if note == BALANCE]
+    doubtful = far_above(usual, usual_nominal) or not all(usual.floors)
+    if weak is not None and isinstance(usual, OutputForm) and doubtful and not result.accepted:
+        large = unbalanced(system, dataset, sizes, usual_nominal.values, floors, seed)
+        warnings += [large] if large else []
     others = [] if form is usual or result.accepted else [(usual, usual_nominal)]
     adequacy, families = graded(form, result, others)
     if form is not usual and adequacy.predictable:

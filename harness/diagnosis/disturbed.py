@@ -19,7 +19,7 @@ from harness.diagnosis.confirm import Task, assess, far_above
 from harness.diagnosis.exchange import Accepted
 from harness.diagnosis.forms import Fitted, fit_here, placed_name
 from harness.diagnosis.momentum_form import MomentumForm
-from harness.diagnosis.noise import NoiseFloor
+from harness.diagnosis.noise import NoiseFloor, fourth_difference
 from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.pairs import compatible
 from harness.diagnosis.starts import starts_of
@@ -30,10 +30,14 @@ from harness.errors import FitError
 from harness.rng import stream
 from harness.signals import Dataset
 
-__all__ = ["BALANCE", "asked", "second_opinion"]
+__all__ = ["BALANCE", "asked", "second_opinion", "unbalanced"]
 
 DROWNED = 0.1
 """Share of sensor noise in the balance beyond which it names no force: least squares would find what is not there."""
+UNBALANCED, CLEAR = 0.5, 0.2
+"""Share of the change of momentum that no small disturbance leaves, and how much of it noise may be. Records with a
+disturbance of 2 % leave up to 5 %; sensors that lose a sign more than all. Noise alone leaves nearly all where the
+motion drowns in it (a balanced cart-pole), but is a third of it then at least."""
 SHORT = (0.1, 0.03, 0.01)
 """Horizons over which the answer of the balance is refitted, as parts of the usual one, where none was clearer."""
 FEWEST = 50
@@ -77,6 +81,36 @@ def asked(
     return momentum, []
 
 
+def unbalanced(
+    system: Any,
+    dataset: Dataset,
+    sizes: Mapping[str, Mapping[str, float]],
+    values: Mapping[str, float],
+    floors: Sequence[NoiseFloor],
+    seed: int,
+) -> str:
+    """Return what to say if a model misses so much of the change of momentum that no small disturbance explains it.
+
+    Empty if it does not, or if the noise of a sensor may be the reason; parameters as for :func:`asked`. Where a noise
+    floor is unknown, the fourth difference of the readings counts, which is no less than their white noise.
+    """
+    runs = dataset.estimation
+    noise = [
+        float(np.median([fourth_difference(run.y[:, k]) for run in runs])) if one.value is None else one.value
+        for k, one in enumerate(floors)
+    ]
+    try:
+        with np.errstate(all="ignore"):
+            momentum = MomentumForm(system, dataset, sizes=sizes, values=values)
+            rest = momentum.rest(values)
+            hidden = momentum.noise_share(dataset, noise, stream("diagnosis-balance", seed), values)
+    except (FitError, np.linalg.LinAlgError):  # asked for the same, `asked` tells why
+        return ""
+    if not (rest >= UNBALANCED and hidden < CLEAR):
+        return ""
+    return f"{rest:.0%} of the change of momentum is not the model's: no small disturbance explains that"
+
+
 def second_opinion(
     usual: OutputForm,
     form: OutputForm,
@@ -101,10 +135,11 @@ def second_opinion(
     found = search.run(momentum.start)
     effects = _effects(found)
     kept = (form, nominal, result)
-    known = {str(one) for one in _effects(result)}
     if not effects:
         return kept
-    if _agree(found, known) and all(_matched(one, found) or not momentum.judges(one) for one in _effects(result)):
+    named, known = {str(one) for one in _effects(result)}, set().union(*(_tied(one) for one in found.accepted))
+    more = [one for one in _effects(result) if str(one) not in known and momentum.judges(one)]
+    if all(named & _tied(one) for one in found.accepted) and not more:
         return form, nominal, replace(result, accepted=tuple(_both_ties(one, found) for one in result.accepted))
     rounds, notes = (*result.rounds, *found.rounds), (*result.notes, BALANCE)
     plain = nominal if form is usual else fit_here(usual, (), [nominal.values])
@@ -132,13 +167,12 @@ def second_opinion(
 
 def _both_ties(one: Accepted, found: SearchResult) -> Accepted:
     """Return an effect with all that either judge cannot tell from it."""
-    known = {placed_name(tied) for tied in one.tie}
     more = [
         tied
         for other in found.accepted
-        if any(str(one.placed) == placed_name(tied) for tied in other.tie)
+        if str(one.placed) in _tied(other)
         for tied in other.tie
-        if placed_name(tied) not in known
+        if placed_name(tied) not in _tied(one)
     ]
     return replace(one, tie=(*one.tie, *more))
 
@@ -200,17 +234,9 @@ def _rival_stands(here: Search, momentum: MomentumForm, nominal: Fitted, model: 
     return versus.gain <= -ALIKE and versus.distinguishable
 
 
-def _matched(placed: Placed, found: SearchResult) -> bool:
-    """Return True if an effect is among those found, or tied with one of them."""
-    return any(str(placed) in {str(other) for tied in one.tie for other in tied} for one in found.accepted)
-
-
-def _agree(found: SearchResult, known: set[str]) -> bool:
-    """Return True if simulations named all that the balance found, or something that it cannot tell from it."""
-    return all(
-        str(one.placed) in known or any(known & {str(placed) for placed in tied} for tied in one.tie)
-        for one in found.accepted
-    )
+def _tied(one: Accepted) -> set[str]:
+    """Return the names of an effect and of what cannot be told from it."""
+    return {str(placed) for tied in one.tie for placed in tied}
 
 
 def _unseen(

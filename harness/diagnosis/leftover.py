@@ -41,6 +41,7 @@ def leftover(
     *,
     detected: bool,
     balance: MomentumForm | None = None,
+    unbalanced: bool = False,
 ) -> tuple[Adequacy, dict[str, Family]]:
     """Return how much of what is left can be predicted on validation data, and by which curves.
 
@@ -61,6 +62,8 @@ def leftover(
     balance : MomentumForm, optional
         Where something disturbs the plant: the whitened balance is one view more. Simulations over few windows, whose
         errors ring for so long that their surrogates say little, then count only with a force that it confirms.
+    unbalanced : bool
+        The forces of the nominal model are far from the change of momentum: that is no disturbance.
     """
     model = result.model
     if not (detected or not all(form.floors)):
@@ -90,7 +93,7 @@ def leftover(
         best = other if other[0].predictable else best
     if not result.accepted and not best[0].predictable:
         checked = [(form, model), *others, form.shortened(model, seconds)]
-        if any(_too_large(*view) for view in checked):
+        if unbalanced or any(_too_large(*view) for view in checked):
             best = (replace(best[0], grade="proxy_or_incomplete", too_large=True), best[1])
     return best
 

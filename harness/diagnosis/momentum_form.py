@@ -176,7 +176,23 @@ class MomentumForm(EquationForm):
         parts = [filtered(rows[:, k], phi, lost) / self.spread[k] for k, phi in enumerate(self.filters)]
         return np.stack(parts, axis=1)
 
-    def noise_share(self, dataset: Dataset, noise: Sequence[float], rng: np.random.Generator) -> float:
+    def rest(self, values: Mapping[str, float]) -> float:
+        """Return the rms of the residual of the nominal model over that of the change of momentum, unfiltered.
+
+        The largest over the coordinates; ``values`` are the parameters.
+        """
+        plain, p = self.equations(()), self.nominal.vector(values)
+        sides = zip(*(plain.balance(motion, p) for motion in self.motions["estimation"]), strict=True)
+        left, moved = (np.mean(np.concatenate(side) ** 2, axis=0) for side in sides)
+        return float(np.sqrt(np.max(left / np.maximum(moved, 1e-300))))
+
+    def noise_share(
+        self,
+        dataset: Dataset,
+        noise: Sequence[float],
+        rng: np.random.Generator,
+        values: Mapping[str, float] | None = None,
+    ) -> float:
         """Return the rms of the sensors' noise in the balance over that of the change of momentum, unfiltered.
 
         It is measured: as much noise again is added to the readings. The largest over the coordinates; where it is not
@@ -189,6 +205,8 @@ class MomentumForm(EquationForm):
             Standard deviation of each output.
         rng : Generator
             Source of the added noise.
+        values : mapping, optional
+            Parameters of the nominal model; those of :attr:`start` if not given.
         """
         runs = tuple(
             replace(run, trajectory=_noisier(run.trajectory, noise, rng)) for run in dataset.runs if run.use != "test"
@@ -198,7 +216,7 @@ class MomentumForm(EquationForm):
             replace(theirs, factor=mine.factor)
             for theirs, mine in zip(other.motions["estimation"], self.motions["estimation"], strict=True)
         ]
-        plain, p = self.equations(()), self.nominal.vector(self.start.values)
+        plain, p = self.equations(()), self.nominal.vector(self.start.values if values is None else values)
         power = []
         for motions in (self.motions["estimation"], noisier):
             parts = [plain.balance(motion, p) for motion in motions]

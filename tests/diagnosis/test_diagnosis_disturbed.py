@@ -16,7 +16,7 @@ import harness.diagnosis.subset as subset
 import harness.diagnosis.witness as witness
 from harness.diagnosis import diagnose
 from harness.diagnosis.confirm import Refitter
-from harness.diagnosis.disturbed import BALANCE, asked
+from harness.diagnosis.disturbed import BALANCE, asked, unbalanced
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.exchange import Accepted
 from harness.diagnosis.forms import fit_here, vanished
@@ -113,6 +113,7 @@ def test_a_balance_that_noise_drowns_is_not_asked() -> None:
     floors = [NoiseFloor("theta", "rad", 1e-4, "declared")]
     momentum, why = asked(system, dataset, sizes, values, floors, 0)
     assert why == []
+    assert not unbalanced(system, dataset, sizes, momentum.start.values, floors, 0)
     assert momentum is not None
     shares = [momentum.noise_share(dataset, [noise], np.random.default_rng(0)) for noise in (1e-4, 1e-3, 1e-2)]
     assert shares[1] == pytest.approx(10 * shares[0], rel=0.5)
@@ -120,6 +121,14 @@ def test_a_balance_that_noise_drowns_is_not_asked() -> None:
     momentum, (reason,) = asked(system, dataset, sizes, values, [replace(floors[0], value=2e-2)], 0)
     assert momentum is None
     assert "was not asked: sensor noise is" in reason
+
+
+def test_forces_that_miss_half_of_the_motion_are_no_disturbance() -> None:
+    task = Task("confusion", "cart-pole", "laws", ("sensor_rectification@theta",), "nominal", "low", 0.0, 0, 0)
+    found = _diagnosed(task, "coulomb_friction", "force_bias")  # at 200 noise floors; the balance misses all
+    assert found.verdict == "unexplained"
+    assert found.adequacy.too_large
+    assert any("of the change of momentum is not the model's" in one for one in found.warnings)
 
 
 # ---- the witness -----------------------------------------------------------------------------------------------------
