@@ -34,10 +34,10 @@ __all__ = ["BALANCE", "asked", "second_opinion", "unbalanced"]
 
 DROWNED = 0.1
 """Share of sensor noise in the balance beyond which it names no force: least squares would find what is not there."""
-UNBALANCED, CLEAR = 0.5, 0.2
-"""Share of the change of momentum that no small disturbance leaves, and how much of it noise may be. Records with a
-disturbance of 2 % leave up to 5 %; sensors that lose a sign more than all. Noise alone leaves nearly all where the
-motion drowns in it (a balanced cart-pole), but is a third of it then at least."""
+UNBALANCED, CLEAR = 0.9, 0.1
+"""Share of the change of momentum that no small disturbance leaves, and how much of that noise may be. Records with a
+disturbance of 2 % leave up to 5 %; sensors that lose a sign all or more, of which noise is 7 % at most. A cart-pole
+balanced upright, where the motion drowns in noise, leaves up to 99 %, of which noise is a fifth at least."""
 SHORT = (0.1, 0.03, 0.01)
 """Horizons over which the answer of the balance is refitted, as parts of the usual one, where none was clearer."""
 FEWEST = 50
@@ -106,7 +106,7 @@ def unbalanced(
             hidden = momentum.noise_share(dataset, noise, stream("diagnosis-balance", seed), values)
     except (FitError, np.linalg.LinAlgError):  # asked for the same, `asked` tells why
         return ""
-    if not (rest >= UNBALANCED and hidden < CLEAR):
+    if not (rest >= UNBALANCED and hidden < CLEAR * rest):
         return ""
     return f"{rest:.0%} of the change of momentum is not the model's: no small disturbance explains that"
 

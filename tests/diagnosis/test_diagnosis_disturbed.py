@@ -32,7 +32,7 @@ from harness.diagnosis.witness import ENOUGH, contradiction, found_force
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.physics import load_model
-from harness.study.plan import Task
+from harness.study.plan import NOISE, Task
 from harness.study.records import make_records
 
 from .conftest import pendulum_dataset
@@ -123,12 +123,23 @@ def test_a_balance_that_noise_drowns_is_not_asked() -> None:
     assert "was not asked: sensor noise is" in reason
 
 
-def test_forces_that_miss_half_of_the_motion_are_no_disturbance() -> None:
+def test_forces_that_miss_all_of_the_motion_are_no_disturbance() -> None:
     task = Task("confusion", "cart-pole", "laws", ("sensor_rectification@theta",), "nominal", "low", 0.0, 0, 0)
     found = _diagnosed(task, "coulomb_friction", "force_bias")  # at 200 noise floors; the balance misses all
     assert found.verdict == "unexplained"
     assert found.adequacy.too_large
     assert any("of the change of momentum is not the model's" in one for one in found.warnings)
+
+
+def test_a_motion_that_drowns_in_noise_is_not_missing_forces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(NOISE, "low", 3e-5)  # a balanced cart-pole: smoothing leaves three quarters of the momentum
+    task = Task("none", "cart-pole", "balanced", (), "", "low", 0.0, 1, 0)
+    dataset, system = make_records(task).dataset, load_model("cart-pole")
+    values = rough_values(system, dataset)
+    floors = [NoiseFloor(one.name, one.unit, 3e-5, "declared") for one in dataset.spec.outputs]
+    sizes = sizes_of(system, values, dataset)
+    assert MomentumForm(system, dataset, sizes=sizes, values=values).rest(values) > 0.5
+    assert unbalanced(system, dataset, sizes, values, floors, 0) == ""
 
 
 # ---- the witness -----------------------------------------------------------------------------------------------------
