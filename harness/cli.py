@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -29,9 +29,6 @@ from harness.terminal import (
     seed_range,
     wide_console,
 )
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["app", "main"]
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import multiprocessing
 import os
-import signal
-import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,12 +16,12 @@ import msgspec
 
 from harness.benchmark.row import blank, write_row
 from harness.benchmark.suite import Task
-from harness.benchmark.work import AT_DATA, do_task, position_file, quiet_worker, watch_file
+from harness.benchmark.work import AT_DATA, do_task, position_file, watch_file
 from harness.errors import InputError
+from harness.workers import death, worker_pool
 
 __all__ = ["DaskEngine", "Engine", "LocalEngine", "make_engine"]
 
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 POLL = 0.1  # s between looks at the shards
 
 
@@ -80,22 +77,8 @@ class LocalEngine:
 
     def run(self, tasks: Sequence[Task], shards: Path, moved: Callable[[str], None]) -> None:
         """Run all tasks; see :class:`Engine`."""
-        from pebble import ProcessPool
-
-        with _worker_environment():
-            pool: Any = ProcessPool(
-                max_workers=max(1, min(self.workers, len(tasks))),
-                initializer=quiet_worker,
-                context=multiprocessing.get_context("spawn"),
-            )
-            try:
-                self._drain(pool, list(tasks), shards, moved)
-                pool.close()
-            except BaseException:
-                pool.stop()
-                raise
-            finally:
-                pool.join()
+        with worker_pool(min(self.workers, len(tasks))) as pool:
+            self._drain(pool, list(tasks), shards, moved)
 
     @staticmethod
     def _drain(pool: Any, tasks: list[Task], shards: Path, moved: Callable[[str], None]) -> None:
@@ -128,7 +111,7 @@ def _after_loss(task: Task, shards: Path, error: BaseException) -> Task | None:
     place = at.read_text(encoding="utf-8") if at.exists() else AT_DATA
     late = isinstance(error, TimeoutError) or (watch.exists() and watch.stat().st_size > 0)
     status = "timeout" if late else "crashed"
-    reason = f"over its time limit of {task.time_limit:g} s" if late else _death(error)
+    reason = f"over its time limit of {task.time_limit:g} s" if late else death(error)
     left = [cell for cell in task.cells if not (shards / f"{cell.job}.json").exists()]
     lost = [cell for cell in left if place in (AT_DATA, cell.job)] or left[:1]
     for cell in lost:
@@ -139,42 +122,6 @@ def _after_loss(task: Task, shards: Path, error: BaseException) -> Task | None:
     watch.unlink(missing_ok=True)
     rest = tuple(cell for cell in left if cell not in lost)
     return msgspec.structs.replace(task, cells=rest) if rest else None
-
-
-def _death(error: BaseException) -> str:
-    """Return how a worker ended."""
-    code = getattr(error, "exitcode", None)
-    if isinstance(code, int) and code < 0:
-        with contextlib.suppress(ValueError):
-            return f"the worker died: {signal.Signals(-code).name}"
-    if isinstance(code, int):
-        return f"the worker ended itself with exit status {code}"
-    return f"the worker was lost: {type(error).__name__}: {error}"
-
-
-@contextlib.contextmanager
-def _worker_environment() -> Iterator[None]:
-    """Give workers one thread for linear algebra each, and keep them from importing the caller's main script.
-
-    The jobs hold only names and numbers, so workers need nothing of ``__main__``; without this, a script that calls
-    ``bench`` outside ``if __name__ == "__main__"`` would be run again in each of them.
-    """
-    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
-    main = sys.modules["__main__"]
-    hidden = {name: getattr(main, name) for name in ("__file__", "__spec__") if hasattr(main, name)}
-    for name in THREAD_VARIABLES:
-        os.environ.setdefault(name, "1")
-    main.__spec__ = None
-    if "__file__" in hidden:
-        del main.__file__
-    try:
-        yield
-    finally:
-        for name, value in hidden.items():
-            setattr(main, name, value)
-        for name, old in before.items():
-            if old is None:
-                os.environ.pop(name, None)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from harness import registry
 from harness.benchmark.row import one_line
 from harness.benchmark.suite import Task
 from harness.errors import HarnessError
+from harness.workers import worker_pool
 
 __all__ = ["probe_plants"]
 
@@ -38,11 +39,7 @@ def probe_plants(tasks: Sequence[Task], file: Path) -> None:
     }
     if not new:
         return
-    from pebble import ProcessPool
-
-    from harness.benchmark.work import quiet_worker
-
-    with ProcessPool(max_workers=1, initializer=quiet_worker) as pool:
+    with worker_pool(1) as pool:
         waiting = {name: pool.schedule(_probe, args=[p.id, p.options], timeout=LIMIT) for name, p in new.items()}
         for name, future in waiting.items():
             entry: dict[str, Any] = {"plant": new[name].id, "options": _plain(new[name].options), "result": None}

@@ -8,7 +8,6 @@ thread of the standard library that ends the process on time even if foreign cod
 from __future__ import annotations
 
 import faulthandler
-import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -28,7 +27,7 @@ from harness.signals import Trajectory
 if TYPE_CHECKING:
     from harness.scoring import Score
 
-__all__ = ["AT_DATA", "do_task", "position_file", "quiet_worker", "watch_file"]
+__all__ = ["AT_DATA", "do_task", "position_file", "watch_file"]
 
 AT_DATA = "data"
 
@@ -41,16 +40,6 @@ def position_file(shards: Path, task: Task) -> Path:
 def watch_file(shards: Path, task: Task) -> Path:
     """Return the file that is not empty once the watchdog ended the worker."""
     return shards / f"{task.cells[0].job}.watch"
-
-
-def quiet_worker() -> None:
-    """Prepare a worker process: Ctrl-C is the parent's business, and the chatter of engines goes nowhere."""
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
-    os.dup2(nowhere, 2)
 
 
 def do_task(task: Task, shards: str | Path) -> None:

@@ -14,9 +14,9 @@ import numpy as np
 
 from harness.diagnosis.adequacy import Adequacy
 from harness.diagnosis.columns_check import check_columns
-from harness.diagnosis.confirm import Refitter, far_above
+from harness.diagnosis.confirm import far_above
 from harness.diagnosis.dictionary import placed
-from harness.diagnosis.disturbed import BALANCE, asked, second_opinion, unbalanced
+from harness.diagnosis.disturbed import BALANCE, Balance, second_opinion
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, Form
 from harness.diagnosis.horizons import searched
@@ -26,6 +26,8 @@ from harness.diagnosis.noise import NoiseFloor, noise_floors
 from harness.diagnosis.nominal import fit_nominal, reweighed
 from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.prepare import Horizon
+from harness.diagnosis.refit_workers import RefitWorkers
+from harness.diagnosis.refitter import Refitter
 from harness.diagnosis.response import Family
 from harness.diagnosis.screens import Screen, sensitivity_screen
 from harness.diagnosis.store import Store, fingerprint
@@ -35,6 +37,7 @@ from harness.diagnosis.thinning import thinned_dataset
 from harness.effects.effect import Effect, Placed
 from harness.errors import FitError
 from harness.signals import Dataset
+from harness.workers import one_thread
 
 __all__ = ["Diagnosis", "diagnose"]
 
@@ -118,6 +121,22 @@ def diagnose(
     InputError
         If the data do not fit the model.
     """
+    count = min(os.cpu_count() or 1, 4) if workers is None else workers
+    with one_thread(), RefitWorkers(count) as helpers:
+        return _diagnosed(dataset, system, seed, progress, folder, dictionary, inverse_dynamics, helpers)
+
+
+def _diagnosed(
+    dataset: Dataset,
+    system: Any,
+    seed: int,
+    progress: Progress | None,
+    folder: Path | None,
+    dictionary: Sequence[Effect] | None,
+    inverse_dynamics: bool | None,
+    helpers: RefitWorkers,
+) -> Diagnosis:
+    """Do what :func:`diagnose` says."""
     began = time.monotonic()
 
     def say(part: float, what: str) -> None:
@@ -154,7 +173,6 @@ def diagnose(
         warnings.append("the nominal fit did not end in the same minimum from two starts")
     form, nominal, floors = reweighed(form, output, nominal, floors, warnings)
     sizes = output.sizes
-    count = min(os.cpu_count() or 1, 4) if workers is None else workers
     steps = iter(np.linspace(0.25, 0.8, 60))
 
     def _fraction() -> float:
@@ -170,16 +188,16 @@ def diagnose(
     stores: dict[tuple[str, float | None], Store] = {}  # what a second search needs again is there
 
     def search_of(one: Form) -> Search:
-        balance = isinstance(one, MomentumForm)
+        by_momentum = isinstance(one, MomentumForm)
         key = (type(one).__name__, getattr(one, "horizon", horizon.seconds))
         identity = fingerprint(dataset, model=str(system), parameters=str(system.parameters), horizon=key[1],
-                               inverse="balance" if balance else inverse, weights=one.weights.tolist())  # fmt: skip
+                               inverse="balance" if by_momentum else inverse, weights=one.weights.tolist())  # fmt: skip
         store = stores.setdefault(key, Store(folder, identity))
-        workers = 1 if balance else count  # its refits take no time
+        workers = None if by_momentum else helpers  # its refits take no time
         refitter = Refitter(one, store, seed, workers, lambda name: say(_fraction(), f"refitted {name}"))
         judged = [placed for placed in candidates if one.judges(placed)]
         return Search(
-            one, None if balance else weak, judged, sizes, refitter, seed, lambda text: say(_fraction(), text)
+            one, None if by_momentum else weak, judged, sizes, refitter, seed, lambda text: say(_fraction(), text)
         )
 
     def graded(one: Form, found: SearchResult, others: Sequence[tuple[Form, Fitted]]) -> Any:
@@ -190,19 +208,20 @@ def diagnose(
 
     usual, usual_nominal = form, nominal
     momentum: MomentumForm | None = None
+    balance = Balance(system, dataset, sizes, usual_nominal.values, floors, seed)
     large = ""
     form, nominal, result = searched(form, nominal, search_of, size_of)
     disturbed = far_above(usual, usual_nominal) and (form is not usual or far_above(usual, result.model))
     if weak is not None and isinstance(usual, OutputForm) and isinstance(form, OutputForm) and disturbed:
         say(0.8, "the momentum balance of the measured motion")
-        momentum, why = asked(system, dataset, sizes, usual_nominal.values, floors, seed)
+        momentum, why = balance.asked()
         warnings += why
         if momentum is not None:
             form, nominal, result = second_opinion(usual, form, nominal, result, momentum, search_of)
             warnings += [note for note in result.notes if note == BALANCE]
     doubtful = far_above(usual, usual_nominal) or not all(usual.floors)
     if weak is not None and isinstance(usual, OutputForm) and doubtful and not result.accepted:
-        large = unbalanced(system, dataset, sizes, usual_nominal.values, floors, seed)
+        large = balance.unexplained()
         warnings += [large] if large else []
     others = [] if form is usual or result.accepted else [(usual, usual_nominal)]
     adequacy, families = graded(form, result, others)

@@ -15,10 +15,10 @@ from harness.diagnosis.arm_checks import check_torques
 from harness.diagnosis.arm_form import JointForm, joint_dictionary
 from harness.diagnosis.arm_motion import ArmRun, arm_runs, moving_rows, standstill
 from harness.diagnosis.arm_wide import DETAIL, WideResult, wide_search
-from harness.diagnosis.confirm import Refitter
 from harness.diagnosis.equation import decimated
 from harness.diagnosis.forms import Fitted, rms, stacked
 from harness.diagnosis.prepare import checked
+from harness.diagnosis.refitter import Refitter
 from harness.diagnosis.response import equation_families
 from harness.diagnosis.store import Store, fingerprint
 from harness.diagnosis.subset import Search, SearchResult
@@ -244,7 +244,7 @@ def _joint(
         dataset, model=str(arm), joint=k, wide=[(str(one.effect), one.values.tolist()) for one in wide.accepted],
         weights=form.weights.tolist(), parameters=arm.arm.parameters.tolist(), damping=arm.damping.tolist(),
     )  # fmt: skip
-    search = Search(form, None, candidates, form.sizes, Refitter(form, Store(folder, identity), seed, 1), seed)
+    search = Search(form, None, candidates, form.sizes, Refitter(form, Store(folder, identity), seed), seed)
     result = _without_details(form, search.run(nominal), seed)
     return JointDiagnosis(k, form, nominal, result, _adequacy(form, result.model, seed), tuple(drowned))
 

@@ -1,14 +1,8 @@
-"""Confirmation: refit the model with each candidate, all nominal parameters free, and judge it against the old one.
-
-Refits run in worker processes where that pays; every one depends on its own name and seed only, so the number of
-workers and the order change nothing. Finished ones are kept in a store.
-"""
+"""Confirmation: a model refitted with each candidate, all nominal parameters free, is judged against the old one."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,15 +19,13 @@ from harness.diagnosis.accept import (
     information_samples,
     judge,
 )
-from harness.diagnosis.descent import Bar
 from harness.diagnosis.forms import Fitted, Form, placed_name, rms
 from harness.diagnosis.momentum_form import MomentumForm
 from harness.diagnosis.per_record import PER_RECORD
-from harness.diagnosis.store import Store
 from harness.effects.effect import Placed
 from harness.rng import stream
 
-__all__ = ["Candidate", "Refitter", "Task", "assess", "far_above", "noise_ratio"]
+__all__ = ["Candidate", "assess", "far_above", "noise_ratio"]
 
 NOTHING = Comparison(-np.inf, 1.0)
 FAR = 2.0
@@ -42,22 +34,6 @@ INSTANT = 0.05
 """Delays and lags below this share of a sample are no effect: half an integrator's step looks like one."""
 PERIODS = 2.0
 """Of a periodic effect that a record must hold."""
-
-
-@dataclass(frozen=True)
-class Task:
-    """One refit: the effects, full parameter values to start from, and what it must promise to be carried on."""
-
-    effects: tuple[Placed, ...]
-    starts: tuple[Mapping[str, float], ...]
-    bar: Bar | None = None
-
-    @property
-    def key(self) -> str:
-        """Name in the store."""
-        places = ";".join(",".join(f"{k}={v:.12g}" for k, v in sorted(one.items())) for one in self.starts)
-        bar = "" if self.bar is None else f"|{placed_name(self.bar.effects)}+{self.bar.gain:g}"
-        return f"{placed_name(self.effects)}|{places}{bar}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,138 +72,6 @@ class Candidate:
     def accepted(self) -> bool:
         """True if the rule accepts it."""
         return self.judgement.accepted
-
-
-_form: Form | None = None
-
-
-def _install(form: Form) -> None:
-    """Keep the form in a worker process (it is inherited or sent once, not with every task).
-
-    Ctrl-C reaches every process of a terminal: the main one decides, and ends its workers.
-    """
-    import signal
-
-    global _form
-    _form = form
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _work(task: Task, seed: int) -> dict[str, Any]:
-    """Solve one task in a worker."""
-    assert _form is not None
-    return _solve(_form, task, seed)
-
-
-def _solve(form: Form, task: Task, seed: int) -> dict[str, Any]:
-    """Solve one task; a refit that cannot be made is a record with its reason, not an exception."""
-    from harness.errors import HarnessError
-
-    try:
-        with np.errstate(all="ignore"):
-            return form.solve(task.effects, task.starts, seed=seed, bar=task.bar)
-    except (HarnessError, ArithmeticError, np.linalg.LinAlgError, MemoryError) as error:
-        return {"failed": " ".join(str(error).split())[:300]}
-
-
-@dataclass
-class Refitter:
-    """Solves tasks: from the store, in this process, or in workers.
-
-    Parameters
-    ----------
-    form : Form
-    store : Store
-    seed : int
-        Together with a task's effects it keys the random numbers of the refit.
-    workers : int
-        Processes at most; 1 stays in this process.
-    progress : callable, optional
-        Called with the name of each finished refit.
-    """
-
-    form: Form
-    store: Store
-    seed: int = 0
-    workers: int = 1
-    progress: Callable[[str], None] | None = None
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    def solve(self, tasks: Sequence[Task]) -> list[dict[str, Any]]:
-        """Return the record of every task, in order; each is stored as soon as it is there."""
-        records: dict[str, dict[str, Any]] = {}
-        missing: list[Task] = []
-        for task in tasks:
-            known = self.store.get(task.key)
-            if known is not None:
-                records[task.key] = known
-            elif task.key not in {other.key for other in missing}:
-                missing.append(task)
-        workers = min(self.workers, len(missing), os.cpu_count() or 1)
-        with closing(self._parallel(missing, workers) if workers > 1 else self._serial(missing)) as finished:
-            for task, record in finished:
-                records[task.key] = record
-                self.store.put(task.key, record)
-                if self.progress is not None:
-                    self.progress(placed_name(task.effects))
-        return [records[task.key] for task in tasks]
-
-    def fit(self, task: Task) -> Fitted | None:
-        """Solve and evaluate one task; None if the refit failed."""
-        return self.evaluate(task, self.solve([task])[0])
-
-    def evaluate(self, task: Task, record: Mapping[str, Any]) -> Fitted | None:
-        """Return the residuals of a record; None if the refit failed or its simulation breaks down."""
-        if "failed" in record:
-            return None
-        try:
-            with np.errstate(all="ignore"):
-                return self.form.evaluate(task.effects, record)
-        except np.linalg.LinAlgError:
-            return None
-
-    def _key(self, task: Task) -> int:
-        """Return the seed of a task: its own, whatever the order."""
-        return int(stream("diagnosis", placed_name(task.effects), self.seed).integers(2**31))
-
-    def _serial(self, tasks: Sequence[Task]) -> Any:
-        """Yield (task, record) one after the other."""
-        for task in tasks:
-            yield task, _solve(self.form, task, self._key(task))
-
-    def _parallel(self, tasks: Sequence[Task], workers: int) -> Any:
-        """Yield (task, record) as workers finish them; falls back to this process if a worker dies."""
-        import multiprocessing
-        from concurrent.futures import ProcessPoolExecutor, as_completed
-        from concurrent.futures.process import BrokenProcessPool
-
-        method = "fork" if "fork" in multiprocessing.get_all_start_methods() else "spawn"
-        context = multiprocessing.get_context(method)
-        done: set[str] = set()
-        others = set(multiprocessing.active_children())
-        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_install, initargs=(self.form,))
-        futures: dict[Any, Task] = {}
-        try:
-            futures = {pool.submit(_work, task, self._key(task)): task for task in tasks}
-            for future in as_completed(futures):
-                task = futures[future]
-                try:
-                    record = future.result()
-                except BrokenProcessPool:
-                    break
-                done.add(task.key)
-                yield task, record
-        except BaseException:
-            # interrupted: keep what is finished, and wait for nothing else
-            for future, task in futures.items():
-                if task.key not in done and future.done() and not future.cancelled() and future.exception() is None:
-                    self.store.put(task.key, future.result())
-            for process in set(multiprocessing.active_children()) - others:
-                process.terminate()
-            raise
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-        yield from self._serial([task for task in tasks if task.key not in done])
 
 
 def noise_ratio(fitted: Fitted, floors: Sequence[float | None]) -> float | None:

@@ -8,20 +8,22 @@ or an effect that it cannot judge explains them better.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from harness.diagnosis.accept import GAIN, LEVEL, WRONG_SIGN, compare_blocks
-from harness.diagnosis.confirm import Task, assess, far_above
+from harness.diagnosis.confirm import assess, far_above
 from harness.diagnosis.exchange import Accepted
 from harness.diagnosis.forms import Fitted, fit_here, placed_name
 from harness.diagnosis.momentum_form import MomentumForm
 from harness.diagnosis.noise import NoiseFloor, fourth_difference
 from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.pairs import compatible
+from harness.diagnosis.refit import Task
 from harness.diagnosis.starts import starts_of
 from harness.diagnosis.subset import Search, SearchResult
 from harness.diagnosis.ties import ALIKE
@@ -30,7 +32,7 @@ from harness.errors import FitError
 from harness.rng import stream
 from harness.signals import Dataset
 
-__all__ = ["BALANCE", "asked", "second_opinion", "unbalanced"]
+__all__ = ["BALANCE", "Balance", "second_opinion"]
 
 DROWNED = 0.1
 """Share of sensor noise in the balance beyond which it names no force: least squares would find what is not there."""
@@ -48,15 +50,9 @@ BALANCE = (
 )
 
 
-def asked(
-    system: Any,
-    dataset: Dataset,
-    sizes: Mapping[str, Mapping[str, float]],
-    values: Mapping[str, float],
-    floors: Sequence[NoiseFloor],
-    seed: int,
-) -> tuple[MomentumForm | None, list[str]]:
-    """Return the momentum balance of a data set; or None, and why it cannot be asked.
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """The momentum balance of a data set, fitted when it is first needed, and whether it may be asked.
 
     Parameters
     ----------
@@ -69,46 +65,57 @@ def asked(
     seed : int
         Keys the noise that is added to find out how much of it there is.
     """
-    try:
+
+    system: Any
+    dataset: Dataset
+    sizes: Mapping[str, Mapping[str, float]]
+    values: Mapping[str, float]
+    floors: Sequence[NoiseFloor]
+    seed: int
+
+    @functools.cached_property
+    def form(self) -> MomentumForm:
+        """The balance; raises FitError or LinAlgError if it cannot be fitted."""
         with np.errstate(all="ignore"):
-            momentum = MomentumForm(system, dataset, sizes=sizes, values=values)
-            noise = [one.value or 0.0 for one in floors]
-            share = momentum.noise_share(dataset, noise, stream("diagnosis-balance", seed))
-    except (FitError, np.linalg.LinAlgError) as error:
-        return None, [f"the momentum balance of the measured motion could not be asked: {error}"]
-    if not share <= DROWNED:
-        return None, [f"the momentum balance of the measured motion was not asked: sensor noise is {share:.0%} of it"]
-    return momentum, []
+            return MomentumForm(self.system, self.dataset, sizes=self.sizes, values=self.values)
 
+    def asked(self) -> tuple[MomentumForm | None, list[str]]:
+        """Return the balance; or None, and why it cannot be asked."""
+        try:
+            share = self._noise([one.value or 0.0 for one in self.floors], None)
+        except (FitError, np.linalg.LinAlgError) as error:
+            return None, [f"the momentum balance of the measured motion could not be asked: {error}"]
+        if not share <= DROWNED:
+            return None, [
+                f"the momentum balance of the measured motion was not asked: sensor noise is {share:.0%} of it"
+            ]
+        return self.form, []
 
-def unbalanced(
-    system: Any,
-    dataset: Dataset,
-    sizes: Mapping[str, Mapping[str, float]],
-    values: Mapping[str, float],
-    floors: Sequence[NoiseFloor],
-    seed: int,
-) -> str:
-    """Return what to say if a model misses so much of the change of momentum that no small disturbance explains it.
+    def unexplained(self) -> str:
+        """Return what to say if a model misses so much of the change of momentum that no small disturbance explains it.
 
-    Empty if it does not, or if the noise of a sensor may be the reason; parameters as for :func:`asked`. Where a noise
-    floor is unknown, the fourth difference of the readings counts, which is no less than their white noise.
-    """
-    runs = dataset.estimation
-    noise = [
-        float(np.median([fourth_difference(run.y[:, k]) for run in runs])) if one.value is None else one.value
-        for k, one in enumerate(floors)
-    ]
-    try:
+        Empty if it does not, or if the noise of a sensor may be the reason. Where a noise floor is unknown, the fourth
+        difference of the readings counts, which is no less than their white noise.
+        """
+        runs = self.dataset.estimation
+        noise = [
+            float(np.median([fourth_difference(run.y[:, k]) for run in runs])) if one.value is None else one.value
+            for k, one in enumerate(self.floors)
+        ]
+        try:
+            with np.errstate(all="ignore"):
+                rest, hidden = self.form.rest(self.values), self._noise(noise, self.values)
+        except (FitError, np.linalg.LinAlgError):  # `asked` tells why
+            return ""
+        if not (rest >= UNBALANCED and hidden < CLEAR * rest):
+            return ""
+        return f"{rest:.0%} of the change of momentum is not the model's: no small disturbance explains that"
+
+    def _noise(self, noise: Sequence[float], values: Mapping[str, float] | None) -> float:
+        """Return the share of noise of these standard deviations in the balance."""
+        rng = stream("diagnosis-balance", self.seed)
         with np.errstate(all="ignore"):
-            momentum = MomentumForm(system, dataset, sizes=sizes, values=values)
-            rest = momentum.rest(values)
-            hidden = momentum.noise_share(dataset, noise, stream("diagnosis-balance", seed), values)
-    except (FitError, np.linalg.LinAlgError):  # asked for the same, `asked` tells why
-        return ""
-    if not (rest >= UNBALANCED and hidden < CLEAR * rest):
-        return ""
-    return f"{rest:.0%} of the change of momentum is not the model's: no small disturbance explains that"
+            return self.form.noise_share(self.dataset, noise, rng, values)
 
 
 def second_opinion(

@@ -78,6 +78,9 @@ class EquationForm:
         self.floors: tuple[float | None, ...] = (None,) * len(self.columns)
         self._equations: dict[tuple[str, ...], Equations] = {}
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_equations": {}}
+
     def judges(self, placed: Placed) -> bool:
         """Return True for forces without a state of their own; see :func:`expressible`."""
         return expressible(placed) and placed.at not in {channel.name for channel in self.nominal.outputs} - {

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from harness.diagnosis.accept import compare_blocks
-from harness.diagnosis.confirm import Candidate, Task, assess
+from harness.diagnosis.confirm import Candidate, assess
 from harness.diagnosis.descent import Bar
 from harness.diagnosis.forms import Fitted, placed_name
 from harness.diagnosis.pairs import SHORT, short_of
+from harness.diagnosis.refit import Task
 from harness.diagnosis.screens import SEEN, Probe
 from harness.diagnosis.starts import starts_of
 from harness.diagnosis.ties import ALIKE, leader, tie_set

@@ -83,7 +83,7 @@ class FmuForm(OutputForm):
         self._simulators: dict[int, tuple[Any, FmuSimulator]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_systems": {}, "_simulators": {}}
+        return {**super().__getstate__(), "_simulators": {}}
 
     def judges(self, placed: Placed) -> bool:
         """Return True for an effect that can be put around an FMU."""

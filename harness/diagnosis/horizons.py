@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.accept import bic
-from harness.diagnosis.confirm import Task, far_above
+from harness.diagnosis.confirm import far_above
 from harness.diagnosis.forms import Fitted, fit_here, stacked
 from harness.diagnosis.output_form import OutputForm
+from harness.diagnosis.refit import Task
 from harness.diagnosis.residual_tests import effective_samples
 from harness.diagnosis.subset import Search, SearchResult
 from harness.diagnosis.surrogates import ENOUGH, orthonormal

@@ -82,6 +82,9 @@ class OutputForm:
         self._systems: dict[tuple[str, ...], Any] = {}
         self._before: dict[Any, Solution | None] = {}
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_systems": {}, "_before": {}}
+
     def judges(self, placed: Placed) -> bool:
         """Return True: everything can be simulated."""
         return True

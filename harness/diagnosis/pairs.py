@@ -12,9 +12,10 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 from harness.diagnosis.accept import DELTA_BIC, LEVEL, WRONG_SIGN
-from harness.diagnosis.confirm import Candidate, Task, assess
+from harness.diagnosis.confirm import Candidate, assess
 from harness.diagnosis.descent import Bar
 from harness.diagnosis.forms import Fitted
+from harness.diagnosis.refit import Task
 from harness.diagnosis.screens import SEEN
 from harness.diagnosis.starts import starts_of
 from harness.diagnosis.ties import simplest, tie_set

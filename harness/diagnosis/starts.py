@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from harness.diagnosis.accept import LEVEL
-from harness.diagnosis.confirm import Candidate, Task
+from harness.diagnosis.confirm import Candidate
 from harness.diagnosis.forms import Fitted
+from harness.diagnosis.refit import Task
 from harness.diagnosis.residual_tests import fisher_g
 from harness.diagnosis.screens import Probe
 from harness.diagnosis.weak_screen import WeakScreen

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from harness.diagnosis.accept import LEVEL
-from harness.diagnosis.confirm import Candidate, Refitter, Task, assess, far_above
+from harness.diagnosis.confirm import Candidate, assess, far_above
 from harness.diagnosis.descent import Bar
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.exchange import Accepted, swapped, with_ties
@@ -22,6 +22,8 @@ from harness.diagnosis.forms import Fitted, Form
 from harness.diagnosis.momentum_form import MomentumForm
 from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.pairs import best_pair, compatible
+from harness.diagnosis.refit import Task
+from harness.diagnosis.refitter import Refitter
 from harness.diagnosis.residual_tests import detect, max_autocorrelation
 from harness.diagnosis.screens import SEEN, Screen, sensitivity_screen, shortlist
 from harness.diagnosis.starts import line_of, polished, starts_of
@@ -139,6 +141,7 @@ class Search:
         taken = {str(one) for one in model.effects}
         rest = [one for one in self.candidates if str(one) not in taken and compatible((*model.effects, one))]
         self.say("screening the dictionary")
+        self.refitter.prepare()
         screen = sensitivity_screen(self.form, model, rest, self._size)
         weak = self._weak_screen(model, rest)
         bases = {str(one.placed): one.basis for one in screen.probes if one.left >= SEEN and one.rank}

@@ -140,10 +140,10 @@ def _oracle(found: Any, task: Task, records: Records) -> float | None:
 
     It starts from the true values, so it does not lose by a local minimum.
     """
-    from harness.diagnosis.confirm import Refitter
-    from harness.diagnosis.confirm import Task as Refit
     from harness.diagnosis.forms import weighted_rms
     from harness.diagnosis.prepare import sizes_of
+    from harness.diagnosis.refit import Task as Refit
+    from harness.diagnosis.refitter import Refitter
     from harness.diagnosis.store import Store
     from harness.effects import builtin
     from harness.effects.effect import Placed
@@ -158,7 +158,7 @@ def _oracle(found: Any, task: Task, records: Records) -> float | None:
         values = here.effect.complete(one.named, sizes.get(one.at, sizes.get("base", {})))
         start.update({here.name(name): value for name, value in values.items()})
     refit = Refit(tuple(placed), (start,))
-    fitted = Refitter(found.form, Store(None, ""), task.seed, 1).fit(refit)
+    fitted = Refitter(found.form, Store(None, ""), task.seed).fit(refit)
     return None if fitted is None or not fitted.finite else weighted_rms(fitted.validation)
 
 

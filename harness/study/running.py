@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
-import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,7 @@ from harness.study.plan import BASES, PLANTS, Task, plan
 from harness.study.records import SAMPLES
 from harness.study.row import do_row
 from harness.study.store import RowStore
+from harness.workers import death, worker_pool
 
 __all__ = ["PICTURE", "SUMMARY", "StudyResult", "study"]
 
@@ -23,7 +22,6 @@ SUMMARY, PICTURE = "study.md", "confusion.png"
 LIMIT = 900.0
 """Seconds after which a row is given up."""
 Progress = Callable[[int, int, str], None]
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,8 +142,7 @@ def study(
         for task in (one for one in left if one.study == "cost"):
             if end is not None and time.monotonic() > end:
                 break
-            with _one_thread():
-                store.add(do_row(task, samples=samples, workers=2))
+            store.add(do_row(task, samples=samples, workers=2))
             told(task)
     finally:
         text = save()
@@ -167,38 +164,22 @@ def _pooled(
     """Run tasks in a pool of processes; store each row as it comes."""
     if not tasks:
         return
-    from concurrent.futures import FIRST_COMPLETED, wait
-
-    from pebble import ProcessPool
-
     waiting: dict[Any, Task] = {}
     queue = iter(tasks)
-    with _one_thread():
-        pool: Any = ProcessPool(
-            max_workers=min(workers, len(tasks)),
-            initializer=_quiet,
-            context=multiprocessing.get_context("spawn"),
-        )
-        try:
-            more = True
-            while more or waiting:
-                # No more than one waits: what is begun is finished, so the budget ends within a row's time.
-                while more and len(waiting) < workers:
-                    task = next(queue, None)
-                    more = task is not None and (end is None or time.monotonic() < end)
-                    if task is not None and more:
-                        waiting[pool.schedule(do_row, args=[task], kwargs={"samples": samples}, timeout=LIMIT)] = task
-                finished, _ = wait(list(waiting), timeout=1.0, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    task = waiting.pop(future)
-                    store.add(_result(future, task))
-                    told(task)
-            pool.close()
-        except BaseException:
-            pool.stop()
-            raise
-        finally:
-            pool.join()
+    with worker_pool(min(workers, len(tasks))) as pool:
+        more = True
+        while more or waiting:
+            # No more than one waits: what is begun is finished, so the budget ends within a row's time.
+            while more and len(waiting) < workers:
+                task = next(queue, None)
+                more = task is not None and (end is None or time.monotonic() < end)
+                if task is not None and more:
+                    waiting[pool.schedule(do_row, args=[task], kwargs={"samples": samples}, timeout=LIMIT)] = task
+            finished, _ = wait(list(waiting), timeout=1.0, return_when=FIRST_COMPLETED)
+            for future in finished:
+                task = waiting.pop(future)
+                store.add(_result(future, task))
+                told(task)
 
 
 def _result(future: Any, task: Task) -> dict[str, Any]:
@@ -211,30 +192,5 @@ def _result(future: Any, task: Task) -> dict[str, Any]:
     return {
         **task.columns(),
         "status": "timeout" if late else "crashed",
-        "reason": f"took longer than {LIMIT:g} s" if late else f"the worker was lost: {type(error).__name__}",
+        "reason": f"took longer than {LIMIT:g} s" if late else death(error),
     }
-
-
-def _quiet() -> None:
-    """Prepare a worker: Ctrl-C is the parent's business, and the chatter of engines goes nowhere."""
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
-    os.dup2(nowhere, 2)
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Let workers use one thread each, and put the environment back."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

@@ -15,8 +15,7 @@ import harness.diagnosis.leftover as leftover
 import harness.diagnosis.subset as subset
 import harness.diagnosis.witness as witness
 from harness.diagnosis import diagnose
-from harness.diagnosis.confirm import Refitter
-from harness.diagnosis.disturbed import BALANCE, asked, unbalanced
+from harness.diagnosis.disturbed import BALANCE, Balance
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.exchange import Accepted
 from harness.diagnosis.forms import fit_here, vanished
@@ -25,6 +24,7 @@ from harness.diagnosis.noise import NoiseFloor
 from harness.diagnosis.nominal import fit_nominal
 from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.prepare import rough_values, sizes_of
+from harness.diagnosis.refitter import Refitter
 from harness.diagnosis.residual_tests import max_autocorrelation
 from harness.diagnosis.store import Store
 from harness.diagnosis.subset import Search, SearchResult
@@ -111,14 +111,14 @@ def test_a_trace_of_smoothing_is_no_spring() -> None:
 def test_a_balance_that_noise_drowns_is_not_asked() -> None:
     dataset, system, values, sizes = _prepared()
     floors = [NoiseFloor("theta", "rad", 1e-4, "declared")]
-    momentum, why = asked(system, dataset, sizes, values, floors, 0)
+    momentum, why = Balance(system, dataset, sizes, values, floors, 0).asked()
     assert why == []
-    assert not unbalanced(system, dataset, sizes, momentum.start.values, floors, 0)
+    assert not Balance(system, dataset, sizes, momentum.start.values, floors, 0).unexplained()
     assert momentum is not None
     shares = [momentum.noise_share(dataset, [noise], np.random.default_rng(0)) for noise in (1e-4, 1e-3, 1e-2)]
     assert shares[1] == pytest.approx(10 * shares[0], rel=0.5)
     assert shares[2] == pytest.approx(10 * shares[1], rel=0.5)
-    momentum, (reason,) = asked(system, dataset, sizes, values, [replace(floors[0], value=2e-2)], 0)
+    momentum, (reason,) = Balance(system, dataset, sizes, values, [replace(floors[0], value=2e-2)], 0).asked()
     assert momentum is None
     assert "was not asked: sensor noise is" in reason
 
@@ -139,7 +139,7 @@ def test_a_motion_that_drowns_in_noise_is_not_missing_forces(monkeypatch: pytest
     floors = [NoiseFloor(one.name, one.unit, 3e-5, "declared") for one in dataset.spec.outputs]
     sizes = sizes_of(system, values, dataset)
     assert MomentumForm(system, dataset, sizes=sizes, values=values).rest(values) > 0.5
-    assert unbalanced(system, dataset, sizes, values, floors, 0) == ""
+    assert Balance(system, dataset, sizes, values, floors, 0).unexplained() == ""
 
 
 # ---- the witness -----------------------------------------------------------------------------------------------------

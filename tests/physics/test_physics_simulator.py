@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import multiprocessing
+import os
 import pickle
+import subprocess
+import sys
 
 import casadi as ca
 import numpy as np
@@ -191,16 +193,23 @@ def test_without_a_compiler_everything_works_but_c(monkeypatch):
         system.simulator(0.01, backend="c")
 
 
-def _roll(_):
-    system = models.cart_pole().system()
-    return system.simulator(0.013, backend="c").rollout(system.vector(), [0, 0.3, 0, 0], np.zeros((50, 1)))[-1].tolist()
+_ROLL = """
+import numpy as np
+from harness.physics import models
+system = models.cart_pole().system()
+print(system.simulator(0.013, backend="c").rollout(system.vector(), [0, 0.3, 0, 0], np.zeros((50, 1)))[-1].tolist())
+"""
 
 
 @needs_compiler
-def test_processes_share_the_cache_of_compiled_code(tmp_path, monkeypatch):
-    monkeypatch.setenv("SYSID_HARNESS_CACHE", str(tmp_path))
-    with multiprocessing.get_context("fork").Pool(4) as pool:
-        found = pool.map(_roll, range(8))
+def test_processes_share_the_cache_of_compiled_code(tmp_path):
+    environment = {**os.environ, "SYSID_HARNESS_CACHE": str(tmp_path)}
+    started = [
+        subprocess.Popen([sys.executable, "-c", _ROLL], env=environment, stdout=subprocess.PIPE, text=True)
+        for _ in range(4)
+    ]
+    found = [process.communicate(timeout=120)[0] for process in started]
+    assert found[0].startswith("[")
     assert all(one == found[0] for one in found)
     assert [file.suffix for file in tmp_path.iterdir()] == [".so"]
 
@@ -217,7 +226,6 @@ def test_c_source_is_static_and_needs_only_math(tmp_path):
 @needs_compiler
 def test_the_exported_step_is_the_simulators_step(tmp_path):
     import ctypes
-    import subprocess
 
     system = models.cart_pole().system()
     source = ccode.system_source(system) + (

@@ -1,0 +1,127 @@
+"""Pools of worker processes: each begins afresh, with one thread, quiet, and without the caller's main script.
+
+No worker is ever forked: the copy of a process with threads may wait for ever for a lock whose holder was not copied,
+and libraries of data frames, of logs and of progress bars start threads that nobody sees.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+__all__ = ["death", "one_thread", "worker_pool"]
+
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@contextlib.contextmanager
+def worker_pool(workers: int) -> Iterator[Any]:
+    """Give a pool of processes, and wait for its end; an exception ends it at once.
+
+    Parameters
+    ----------
+    workers : int
+        Processes at most; they start when there is something to do.
+
+    Yields
+    ------
+    pebble.ProcessPool
+        A task that is lost with its worker has a future with an exception; see :func:`death`.
+
+    Examples
+    --------
+    >>> import math
+    >>> with worker_pool(1) as pool:
+    ...     pool.schedule(math.sqrt, args=[9.0]).result()
+    3.0
+    """
+    from pebble import ProcessPool
+
+    with _environment():
+        pool: Any = ProcessPool(
+            max_workers=max(1, workers), initializer=_quiet, context=multiprocessing.get_context("spawn")
+        )
+        try:
+            yield pool
+            pool.close()
+        except BaseException:
+            pool.stop()
+            raise
+        finally:
+            pool.join()
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep linear algebra of this process to one thread.
+
+    On small matrices more of them wait for each other, for long where the other cores are busy.
+
+    Examples
+    --------
+    >>> import numpy
+    >>> from threadpoolctl import threadpool_info
+    >>> with one_thread():
+    ...     {library["num_threads"] for library in threadpool_info()}
+    {1}
+    """
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1):
+        yield
+
+
+def death(error: BaseException) -> str:
+    """Return how a worker ended, from the exception of the future that it left behind.
+
+    Examples
+    --------
+    >>> from pebble import ProcessExpired
+    >>> death(ProcessExpired("lost", code=-11))
+    'the worker died: SIGSEGV'
+    """
+    code = getattr(error, "exitcode", None)
+    if isinstance(code, int) and code < 0:
+        with contextlib.suppress(ValueError):
+            return f"the worker died: {signal.Signals(-code).name}"
+    if isinstance(code, int):
+        return f"the worker ended itself with exit status {code}"
+    return f"the worker was lost: {type(error).__name__}: {error}"
+
+
+def _quiet() -> None:
+    """Prepare a worker: Ctrl-C is the parent's business, and the chatter of engines goes nowhere."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.dup2(nowhere, 2)
+
+
+@contextlib.contextmanager
+def _environment() -> Iterator[None]:
+    """Give workers one thread for linear algebra each, and keep them from importing the caller's main script.
+
+    Without this, a script that asks for workers outside ``if __name__ == "__main__"`` would be run again in each of
+    them. What workers need of it must travel by value.
+    """
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    main = sys.modules["__main__"]
+    hidden = {name: getattr(main, name) for name in ("__file__", "__spec__") if hasattr(main, name)}
+    for name in THREAD_VARIABLES:
+        os.environ.setdefault(name, "1")
+    main.__spec__ = None
+    if "__file__" in hidden:
+        del main.__file__
+    try:
+        yield
+    finally:
+        for name, value in hidden.items():
+            setattr(main, name, value)
+        for name, old in before.items():
+            if old is None:
+                os.environ.pop(name, None)
