@@ -207,8 +207,8 @@ def describe(path: str | Path) -> dict[str, Any]:
     -------
     dict
         ``file``, ``model``, ``description``, ``fmi``, ``tool``, ``platforms``, ``kinds`` (abilities by kind),
-        ``experiment``, ``problems``, and ``variables``: rows with name, type, causality, variability, unit, si_unit,
-        start, minimum, maximum, shape, derivative_of, description.
+        ``experiment``, ``problems``, and ``variables``: rows with name, type, causality, variability, initial, unit,
+        si_unit, start, minimum, maximum, shape, derivative_of, description.
 
     Raises
     ------
@@ -247,6 +247,7 @@ def describe(path: str | Path) -> dict[str, Any]:
                 "type": variable.type,
                 "causality": variable.causality,
                 "variability": variable.variability,
+                "initial": variable.initial,
                 "unit": variable.unit or (declared.unit if declared is not None else None),
                 "si_unit": si,
                 "display_unit": variable.displayUnit or (declared.displayUnit if declared is not None else None),

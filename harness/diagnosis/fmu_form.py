@@ -216,6 +216,7 @@ def _states_from(system: FmuSystem, simulator: Any, record: Trajectory, p: Float
     states = [one.name for one in system.inner_states]
     x, known = np.zeros((len(record), system.nx)), [False] * system.nx
     rates = {one.position: one.rate for one in system.coordinates}
+    names = [system.shown.get(name, name) for name in names]
     for row, name in enumerate(names):
         if name not in states and rates.get(name) not in states:
             continue

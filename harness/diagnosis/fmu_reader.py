@@ -13,12 +13,14 @@ import numpy as np
 from harness.diagnosis.fmu_system import FmuCoordinate, FmuSystem
 from harness.errors import HarnessError, InputError
 from harness.physics.parameters import Parameter
-from harness.signals import Channel, PlantSpec
+from harness.signals import Channel, FloatArray, PlantSpec
 
 __all__ = ["fmu_system"]
 
 FORCES: dict[str, tuple[set[str], ...]] = {"rad": ({"N", "m"}, {"Nm"}), "m": ({"N"},)}
 """Units (as sets of their symbols) of the force on a coordinate of a unit."""
+LOOK, NUDGE = 20, 0.01
+"""Samples after which the start of a state has moved an output, and by how much it is moved [SI unit]."""
 
 
 def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] | None = None) -> FmuSystem:
@@ -56,8 +58,8 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
     if not file.is_file():
         raise InputError("no such FMU", expected="an FMU file", got="no file", remedy="check the path", file=path)
     names = [one.name for one in spec.inputs], [one.name for one in spec.outputs]
-    made = registry.create("plants", "fmu", path=file, sample_time=spec.sample_time, inputs=names[0], outputs=names[1])
-    with made as plant:
+    options = {"path": file, "sample_time": spec.sample_time, "inputs": names[0], "outputs": names[1]}
+    with registry.create("plants", "fmu", **options) as plant:
         if plant.spec.feedthrough:
             raise InputError(
                 "an FMU as nominal model",
@@ -68,12 +70,17 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
             )
         described = plant.describe(file)
         found = _tunable(described, dict(parameters or {}), file)
+        shown: dict[str, str] = {}
         states = _settable(plant, described)
+        guessed = [] if plant.spec.states else _exact(described)
         inputs = tuple(plant.spec.inputs)
         outputs = tuple(
             replace(theirs, period=ours.period) if theirs.period is None else theirs
             for ours, theirs in zip(spec.outputs, plant.spec.outputs, strict=True)
         )
+    if guessed:
+        with registry.create("plants", "fmu", **options, states=guessed) as plant:
+            states, shown = _moving(plant, _settable(plant, described))
     digest = hashlib.sha256(file.read_bytes()).hexdigest()[:12]
     return FmuSystem(
         path=file,
@@ -83,7 +90,11 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
         outputs=outputs,
         inner_states=states,
         parameters=found,
-        coordinates=_coordinates(described, inputs, outputs),
+        coordinates=tuple(
+            replace(one, position=shown.get(one.position, one.position))
+            for one in _coordinates(described, inputs, outputs)
+        ),
+        shown=shown,
     )
 
 
@@ -161,6 +172,46 @@ def _settable(plant: Any, described: Mapping[str, Any]) -> tuple[Channel, ...]:
         kept.append(channel)
     plant.reset(rng=rng)
     return tuple(kept)
+
+
+def _exact(described: Mapping[str, Any]) -> list[str]:
+    """Return what may be a state where the description names none: continuous variables that begin where they say."""
+    return [
+        one["name"]
+        for one in described["variables"]
+        if one["causality"] in ("local", "output")
+        and one["variability"] == "continuous"
+        and one["initial"] == "exact"
+        and not one["shape"]
+        and one["type"] in ("Real", "Float64", "Float32")
+    ]
+
+
+def _moving(plant: Any, states: Sequence[Channel]) -> tuple[tuple[Channel, ...], dict[str, str]]:
+    """Return the states whose start moves an output, and by output the state that it shows as it is."""
+    rng = np.random.default_rng(0)
+    quiet = np.zeros((LOOK, plant.spec.nu))
+
+    def run(x0: Mapping[str, float]) -> FloatArray:
+        first = plant.reset(rng=rng, x0=x0)
+        return np.vstack([first, plant.rollout(quiet)])
+
+    plant.reset(rng=rng)
+    begun = dict(zip([one.name for one in plant.spec.states], plant.truth().tolist(), strict=True))
+    kept: list[Channel] = []
+    shown: dict[str, str] = {}
+    for one in states:
+        try:
+            moved = run({one.name: begun[one.name] + NUDGE}) - run({})
+        except HarnessError:
+            continue
+        if not np.abs(moved).max(initial=0.0) > 1e-6 * NUDGE:
+            continue
+        kept.append(one)
+        for output, change in zip(plant.spec.outputs, moved[0], strict=True):
+            if abs(change - NUDGE) < 1e-6 * NUDGE and output.unit == one.unit:
+                shown[output.name] = one.name
+    return tuple(kept), shown
 
 
 def _coordinates(

@@ -59,6 +59,8 @@ class FmuSystem:
     parameters : tuple of Parameter
         Tunable parameters of the FMU, then those of effects, called ``effect@port.name``.
     coordinates : tuple of FmuCoordinate
+    shown : dict
+        Outputs that show a state of another name, and that name.
     hidden : tuple of Channel
         Hidden states of effects.
     sampled : tuple of SampledBlock
@@ -78,6 +80,7 @@ class FmuSystem:
     inner_states: tuple[Channel, ...]
     parameters: tuple[Parameter, ...]
     coordinates: tuple[FmuCoordinate, ...]
+    shown: Mapping[str, str] = field(default_factory=dict)
     hidden: tuple[Channel, ...] = ()
     sampled: tuple[SampledBlock, ...] = ()
     effects: tuple[Placed, ...] = ()

@@ -113,7 +113,7 @@ def carried_states(form: Any, system: Any, p: FloatArray, windows: Windows, x0: 
             result[row, first:] = simulator.hidden_start(result[row], record.u[0], p) + away
             rest = alone.evaluate(p, result[row : row + 1], keep=True).residuals[0]
             _, _, slope = simulator.sensitivities(p, result[row], record.u, t0=float(record.t[0]))
-            known = (slope[..., :first] / form.weights[:, None]).reshape(-1, first)
+            known = (slope[..., :first] / form.weights[:, None]).reshape(slope.shape[0] * slope.shape[1], first)
             wanted = (rest / form.weights).reshape(-1)
             if not (np.isfinite(known).all() and np.isfinite(wanted).all()):
                 break
@@ -138,7 +138,7 @@ def state_bases(form: Any, base: Fitted, use: str) -> tuple[list[FloatArray], li
         for row, (number, first, last) in enumerate(windows.places):
             record = form.records[use][number]
             _, _, slope = windows.simulator.sensitivities(p, x0[row], record.u[first:last], t0=record.t[first])
-            flat = (slope / form.weights[:, None]).reshape(-1, system.nx)
+            flat = (slope / form.weights[:, None]).reshape(slope.shape[0] * slope.shape[1], system.nx)
             left, sizes, _ = np.linalg.svd(flat, full_matrices=False)
             lefts.append(left[:, sizes > 1e-10 * max(sizes.max(initial=0.0), 1e-300)])
         cache[use] = (lefts, windows.places)
