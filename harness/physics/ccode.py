@@ -27,12 +27,17 @@ FLAGS = ("-O1", "-fPIC", "-shared", "-ffp-contract=off", "-fno-math-errno", "-st
 
 @functools.cache
 def _machine_flags() -> tuple[str, ...]:
-    """Return the flag for four doubles in a register, where the processor has them; the same bits, sooner."""
+    """Return the flags for four doubles in a register, where the processor has them; the same bits, sooner.
+
+    The second one has gcc clear the upper halves of the registers before calls: with them in use, the tanh and log1p of
+    the mathematical library, written for registers of two, run up to eight times as long.
+    """
     try:
         known = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return ()
-    return ("-mavx2",) if re.search(r"^flags\s*:.*\bavx2\b", known, re.MULTILINE) else ()
+    wide = re.search(r"^flags\s*:.*\bavx2\b", known, re.MULTILINE)
+    return ("-mavx2", "-fexpensive-optimizations") if wide else ()
 
 
 _BINARY = {
