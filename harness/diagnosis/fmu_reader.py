@@ -200,9 +200,13 @@ def _moving(plant: Any, states: Sequence[Channel]) -> tuple[tuple[Channel, ...],
     begun = dict(zip([one.name for one in plant.spec.states], plant.truth().tolist(), strict=True))
     kept: list[Channel] = []
     shown: dict[str, str] = {}
+    try:
+        unmoved = run({})
+    except HarnessError:  # it cannot be looked at without input
+        return (), {}
     for one in states:
         try:
-            moved = run({one.name: begun[one.name] + NUDGE}) - run({})
+            moved = run({one.name: begun[one.name] + NUDGE}) - unmoved
         except HarnessError:
             continue
         if not np.abs(moved).max(initial=0.0) > 1e-6 * NUDGE:

@@ -115,7 +115,8 @@ class RefitWorkers:
                     elif not isinstance(error, OSError):
                         raise error
                     elif task.key in tried:
-                        yield task, {"failed": f"{placed_name(task.effects)}: {death(error)}, twice"}
+                        why = f"{placed_name(task.effects)}: {death(error)}, twice"
+                        yield task, {"failed": why, "lost": True}
                     else:
                         tried.add(task.key)
                         waiting[self._pool.schedule(_work, args=[file, one])] = (task, seed, one)

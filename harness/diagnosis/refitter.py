@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -43,10 +43,12 @@ class Refitter:
     seed: int = 0
     workers: RefitWorkers | None = None
     progress: Callable[[str], None] | None = None
-    seconds: dict[str, float] = field(default_factory=dict)
 
     def solve(self, tasks: Sequence[Task]) -> list[dict[str, Any]]:
-        """Return the record of every task, in order; each is stored as soon as it is there."""
+        """Return the record of every task, in order; each is stored as soon as it is there.
+
+        One whose worker was lost is not: it is tried again when the diagnosis is resumed.
+        """
         records: dict[str, dict[str, Any]] = {}
         missing: dict[str, Task] = {}
         for task in tasks:
@@ -58,7 +60,7 @@ class Refitter:
         with closing(self._solved(list(missing.values()))) as finished:
             for task, record in finished:
                 records[task.key] = record
-                self.store.put(task.key, record)
+                self.store.put(task.key, record, lasting="lost" not in record)
                 if self.progress is not None:
                     self.progress(placed_name(task.effects))
         return [records[task.key] for task in tasks]

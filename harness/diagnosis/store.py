@@ -71,11 +71,11 @@ class Store:
         self.reused += 1
         return self._memory[key]
 
-    def put(self, key: str, record: Mapping[str, Any]) -> None:
-        """Keep the record of a key."""
+    def put(self, key: str, record: Mapping[str, Any], *, lasting: bool = True) -> None:
+        """Keep the record of a key; in memory only unless it is ``lasting``."""
         self._memory[key] = dict(record)
         path = self._path(key)
-        if path is not None:
+        if path is not None and lasting:
             write_atomic(path, json.dumps({"key": key, "record": self._memory[key]}))
 
     def _path(self, key: str) -> Path | None:

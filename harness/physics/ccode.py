@@ -29,8 +29,8 @@ FLAGS = ("-O1", "-fPIC", "-shared", "-ffp-contract=off", "-fno-math-errno", "-st
 def _machine_flags() -> tuple[str, ...]:
     """Return the flags for four doubles in a register, where the processor has them; the same bits, sooner.
 
-    The second one has gcc clear the upper halves of the registers before calls: with them in use, the tanh and log1p of
-    the mathematical library, written for registers of two, run up to eight times as long.
+    The second one has gcc clear the upper halves of the registers before calls: with them in use, some processors run
+    the tanh and log1p of the mathematical library up to eight times as long (``benchmarks/bench_rollouts.py``).
     """
     try:
         known = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")

@@ -178,6 +178,26 @@ def test_a_lost_worker_costs_its_own_task_only(tmp_path: Path) -> None:
     assert str(tasks(2)[1].effects[0]) in found[1]["failed"]
 
 
+def test_a_lost_refit_is_tried_again_when_resumed(tmp_path: Path) -> None:
+    """A machine that ran out of memory once says nothing of the effect; a refit that cannot be made is not repeated."""
+    here, wanted = os.getpid(), tasks(3)
+
+    def answer(k: int, first: bool) -> int:
+        if k == 1 and first and os.getpid() != here:
+            os._exit(9)
+        if k == 2 and first:
+            raise ArithmeticError("no such number")
+        return k
+
+    with RefitWorkers(2) as helpers:
+        found = Refitter(toy(lambda k: answer(k, True)), Store(tmp_path, "x"), 5, helpers).solve(wanted)
+    assert ["failed" in one for one in found] == [False, True, True]
+    store = Store(tmp_path, "x")
+    again = Refitter(toy(lambda k: answer(k, False)), store, 5).solve(wanted)
+    assert [one.get("answer") for one in again] == [0, 1, None]
+    assert store.reused == 2
+
+
 def test_an_interruption_keeps_what_was_finished() -> None:
     store, before = Store(None, ""), set(multiprocessing.active_children())
 
