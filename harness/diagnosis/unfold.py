@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.tracked_signs import LONGEST, Path, noise_of, tracked
 from harness.effects.effect import Placed
 from harness.errors import FitError
 from harness.physics.windows import Windows, data_states
@@ -42,19 +43,20 @@ class Unfolding:
     signs : tuple of array (N_i,)
         Of every record.
     error : float
-        What a linear model of order 3 leaves of the folded output, over its rms.
+        What is left of the folded output, over its rms: of one-step predictions where the motion could be followed
+        through its zeros, of a free run of a linear model of order 3 elsewhere.
+    chance : float
+        How likely an output that keeps its sign looks so: one half for each turn at zero, or, where the motion could be
+        followed, how much less likely it is that it only turns there.
     """
 
     signs: tuple[FloatArray, ...]
     error: float
-
-    @property
-    def turns(self) -> int:
-        """How often the sign changes."""
-        return sum(int(np.count_nonzero(np.diff(one))) for one in self.signs)
+    chance: float
 
 
 _known: dict[tuple[int, int], list[Unfolding]] = {}
+_paths: dict[int, Path | None] = {}
 """Of the records seen last: every refit of one diagnosis asks for the same."""
 
 
@@ -75,10 +77,12 @@ def unfoldings(runs: Sequence[Trajectory], column: int, *, most: int = 3) -> lis
 
     Notes
     -----
-    Over a grid of poles (a real one and a complex pair) the free run of a linear model is linear in everything else,
-    so the signs follow by turns with a least-squares fit, from several starts: error reduction by alternating
-    projections (Fienup 1982, *Phase retrieval algorithms*, section II), here with a sign as the phase.
-    It needs an input: a free swing of little damping is not unfolded.
+    Where the sampling is fine enough the motion is followed through its zeros, see
+    :func:`harness.diagnosis.tracked_signs.tracked`; there are two answers then, because nobody knows the first sign.
+    Elsewhere, over a grid of poles (a real one and a complex pair) the free run of a linear model is linear in
+    everything else, so the signs follow by turns with a least-squares fit, from several starts: error reduction by
+    alternating projections (Fienup 1982, *Phase retrieval algorithms*, section II), here with a sign as the phase.
+    This needs an input: a free swing of little damping is not unfolded by it.
 
     Examples
     --------
@@ -104,12 +108,16 @@ def unfoldings(runs: Sequence[Trajectory], column: int, *, most: int = 3) -> lis
 
 
 def _unfolded(runs: Sequence[Trajectory], column: int) -> list[Unfolding]:
-    """Return the three likeliest signs."""
-    records = tuple(run[: min(len(run), _LONGEST)] for run in runs)
-    folded = [np.asarray(run.y[:, column], dtype=float) for run in records]
-    size = float(np.sqrt(np.mean(np.concatenate(folded) ** 2)))
-    if size == 0 or min(one.min() for one in folded) < -1e-3 * size:
+    """Return the likeliest signs, three at most."""
+    whole = [np.asarray(run.y[:, column], dtype=float) for run in runs]
+    size = float(np.sqrt(np.mean(np.concatenate(whole) ** 2)))
+    if size == 0 or any(one.min() < -max(1e-3 * size, 5 * noise_of(one)) for one in whole):
         return []
+    paths = [one for one in map(_path, whole) if one is not None]
+    if len(paths) == len(whole):
+        return _both_ways(runs, column, paths)
+    records = tuple(run[: min(len(run), _LONGEST)] for run in runs)
+    folded = [one[:_LONGEST] for one in whole]
     if not any(_low_turns(one, NEAR * size) for one in folded):
         return []
     # records of different amplitude count alike
@@ -135,21 +143,59 @@ def _unfolded(runs: Sequence[Trajectory], column: int) -> list[Unfolding]:
                 found.append((float(errors[best]), signs[:, best]))
     found.sort(key=lambda one: one[0])
     cuts = np.cumsum([len(one) for one in folded])[:-1]
-    return [Unfolding(tuple(np.split(signs, cuts)), error) for error, signs in found[:3]]
+    likeliest = [(error, tuple(np.split(signs, cuts))) for error, signs in found[:3]]
+    return [Unfolding(signs, error, 2.0 ** -min(_turns(signs), 1000)) for error, signs in likeliest]
+
+
+def _turns(signs: Sequence[FloatArray]) -> int:
+    """Return how often signs change."""
+    return sum(int(np.count_nonzero(np.diff(one))) for one in signs)
+
+
+def _path(y: FloatArray) -> Path | None:
+    """Return the path of an output that was followed, made once."""
+    key = hash(y.tobytes())
+    if key not in _paths:
+        if len(_paths) > 32:
+            _paths.clear()
+        _paths[key] = tracked(y)
+    return _paths[key]
+
+
+def _both_ways(runs: Sequence[Trajectory], column: int, paths: Sequence[Path]) -> list[Unfolding]:
+    """Return the signs of followed records and their opposite; records are turned to answer the input alike."""
+    signs = [path.signs for path in paths]
+    first = _regression(runs[0], column, signs[0])
+    coefficients = np.linalg.lstsq(*first, rcond=None)[0]
+    for number in range(1, len(signs)):
+        errors = []
+        for sense in (1.0, -1.0):
+            columns, after = _regression(runs[number], column, sense * signs[number])
+            errors.append(float(np.sum((after - columns @ coefficients) ** 2)))
+        if errors[1] < errors[0]:
+            signs[number] = -signs[number]
+    error = max(path.error for path in paths)
+    chance = float(np.exp(-min(sum(path.gain for path in paths), 700.0)))
+    return [Unfolding(tuple(sense * one for one in signs), error, chance) for sense in (1.0, -1.0)]
+
+
+def _regression(run: Trajectory, column: int, signs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return regressors (4 outputs and 4 of each input before) and outputs of an ARX model of an unfolded record."""
+    y, n = np.asarray(run.y[: len(signs), column]) * signs, len(signs)
+    past = [y[4 - lag : n - lag] for lag in range(1, 5)]
+    past += [run.u[4 - lag : n - lag, port] for lag in range(1, 5) for port in range(run.u.shape[1])]
+    return np.column_stack(past), y[4:]
 
 
 def hidden_signs(form: Any, candidates: Sequence[Placed]) -> dict[str, float]:
-    """Return the candidates whose sensor may hide a sign, each with how likely the output looks so by chance.
-
-    An output that is free to cross zero turns there instead with probability one half each time.
-    """
+    """Return the candidates whose sensor may hide a sign, each with how likely the output looks so by chance."""
     found: dict[str, float] = {}
     names = [column[0] for column in form.columns]
     for one in candidates:
         if one.effect.name in HIDING and one.at in names and hasattr(form, "records"):
             signs = unfoldings(form.records["estimation"], names.index(one.at), most=1)
             if signs:
-                found[str(one)] = float(2.0 ** -min(signs[0].turns, 1000))
+                found[str(one)] = signs[0].chance
     return found
 
 
@@ -193,7 +239,7 @@ def _plain_end(form: Any, column: int, found: Unfolding, start: Mapping[str, flo
     unfolded = tuple(_signed(run[: len(s)], column, s) for run, s in zip(runs, found.signs, strict=True))
     plain = copy.copy(form)
     plain.records = {"estimation": unfolded, "validation": (), "test": ()}
-    tries = [dict(start)]
+    tries = [dict(start), dict(form.nominal.values())]  # a fit to folded readings may have lost the plant
     if getattr(form.nominal, "starts", None) is not None:
         tries.insert(0, {**start, **form.nominal.starts(unfolded)})
     try:
@@ -206,8 +252,9 @@ def _plain_end(form: Any, column: int, found: Unfolding, start: Mapping[str, flo
 def signs_by_model(form: Any, simulator: Any, record: Trajectory, p: FloatArray) -> FloatArray | None:
     """Return states (N, nx) of a record whose sensor hides the sign; None if the system has no such sensor.
 
-    The model without the sensor is run with the input from several states; its signs unfold the output, its initial
-    state follows from the unfolded output, and so on until the signs stay.
+    Where the output could be followed through its zeros its signs are known but for the first, and the model without
+    the sensor decides about that. Elsewhere this model is run with the input from several states; its signs unfold the
+    output, its initial state follows from the unfolded output, and so on until the signs stay.
     """
     system = simulator.system
     effects = tuple(system.effects)
@@ -220,6 +267,9 @@ def signs_by_model(form: Any, simulator: Any, record: Trajectory, p: FloatArray)
     q = plain.vector({name: values[name] for name in plain.parameter_names})
     column = [channel.name for channel in plain.outputs].index(hiding[0].at)
     runner = form.simulator(plain, q)
+    path = _path(np.asarray(record.y[:, column], dtype=float)) if len(record) <= LONGEST else None
+    if path is not None:
+        return _states_of_path(form, runner, record, column, path, q)
     guess = data_states(runner, record, q)[0]
     tries = [guess, np.zeros_like(guess)]
     if not np.any(record.u):  # nothing but the initial state decides about the sign
@@ -241,6 +291,22 @@ def signs_by_model(form: Any, simulator: Any, record: Trajectory, p: FloatArray)
             windows = Windows(runner, [_signed(record, column, signs, fold=True)], None, form.weights)
             x0 = form._fit_states(windows, q, x0, 25)
         result = windows.evaluate(q, x0, keep=True)
+        if np.isfinite(result.cost) and (best is None or result.cost < best[0]):
+            best = (float(result.cost), windows.together(result.states)[0])
+    return None if best is None else best[1]
+
+
+def _states_of_path(
+    form: Any, runner: Any, record: Trajectory, column: int, path: Path, q: FloatArray
+) -> FloatArray | None:
+    """Return the states (N, nx) by a model without the sensor, of the first sign that it explains better."""
+    best: tuple[float, FloatArray] | None = None
+    for sense in (1.0, -1.0):
+        unfolded = _signed(record, column, sense * path.signs)
+        windows = Windows(runner, [unfolded], form.horizon, form.weights)
+        with np.errstate(all="ignore"):  # the wrong sign may diverge
+            x0 = form._fit_states(windows, q, windows.starts_from([data_states(runner, unfolded, q)[0]]), 25)
+            result = windows.evaluate(q, x0, keep=True)
         if np.isfinite(result.cost) and (best is None or result.cost < best[0]):
             best = (float(result.cost), windows.together(result.states)[0])
     return None if best is None else best[1]
