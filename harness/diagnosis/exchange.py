@@ -116,9 +116,12 @@ def with_ties(
         judged = list(rounds[0].candidates)
         own = next((one for one in judged if one.added == (picked[0],)), None)
         if own is not None and own.fitted is not None and _same(own.fitted, model):
-            best = leader([one for one in judged if one.accepted], seed=search.seed)
-            tied = [one for one in tie_set(search.form, best, judged, seed=search.seed) if one is not own]
-            return [Accepted(picked[0], own.delta_bic, ((picked[0],), *(one.added for one in tied)))], []
+            accepted = [one for one in judged if one.accepted]
+            tied = tie_set(search.form, leader(accepted, seed=search.seed), judged, seed=search.seed)
+            # the simplest of them is the answer: what ties with that one ties too
+            tied += [one for one in tie_set(search.form, own, accepted, seed=search.seed) if one not in tied]
+            rest = tuple(one.added for one in tied if one is not own)
+            return [Accepted(picked[0], own.delta_bic, ((picked[0],), *rest))], []
     probes = {str(one.placed): one for here in rounds for one in here.screen.probes}
     result, extra = [], []
     for placed in picked:

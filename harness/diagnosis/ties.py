@@ -20,6 +20,8 @@ SHARE = 0.002
 """Candidates also tie within this share of what the best gains: at N = 5000 a numerical detail is worth 10 in BIC."""
 SPECIAL = 0.01
 """The same for a special case of the best: the rounding of a law is worth hundreds in BIC, a law is worth more."""
+PREDICTS = 0.05
+"""The same for a special case of the best that predicts validation at least as well."""
 ALIKE = 0.02
 """Validation errors that differ by less than this count as equal, whatever the bootstrap says."""
 VAGUE = 0.5
@@ -33,7 +35,8 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
     bootstrap on validation cannot tell the two (or they differ by less than 2 %).
     A special case of the best within 10 in BIC ties whatever the bootstrap says: the evidence for the more general
     effect is then no more than the evidence that an effect needs to be accepted at all. A special case that gains
-    within 1 % as much ties if its validation error is within 2 %.
+    within 1 % as much ties if its validation error is within 2 %, and one that gains within 5 % as much if it predicts
+    validation at least as well: under a disturbance the criterion counts details of one record as evidence.
     In the balance of momentum two forces that differ by no more than a detail of the smoothed motion tie.
     A more complex one whose additional parameters are not determined by the data (Stribeck friction seen only at high
     speed) also ties: only the penalty separates it, not the data.
@@ -47,17 +50,18 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
         if isinstance(form, MomentumForm) and form.alike(best.fitted, one.fitted, best.added):
             tied.append(one)
             continue
-        nested = _special_case(one, best)
-        close = best.delta_bic - one.delta_bic <= max(WITHIN, (SPECIAL if nested else SHARE) * best.delta_bic)
+        nested, lost = _special_case(one, best), best.delta_bic - one.delta_bic
+        close = lost <= max(WITHIN, (SPECIAL if nested else SHARE) * best.delta_bic)
         if not close:
             gap = _deviance(one.fitted, samples) - _deviance(best.fitted, samples)
             close = gap <= WITHIN and one.parameters > best.parameters and _vague(one)
-        if not close:
+        maybe = nested and one.accepted and lost <= PREDICTS * best.delta_bic
+        if not (close or maybe):
             continue
         key = f"{placed_name(best.added)} against {placed_name(one.added)}"
         versus = compare_blocks(best.fitted.validation, one.fitted.validation, rng=stream("diagnosis-tie", key, seed))
-        within = best.delta_bic - one.delta_bic <= WITHIN
-        if not versus.distinguishable or abs(versus.gain) < ALIKE or (nested and within):
+        alike = not versus.distinguishable or abs(versus.gain) < ALIKE or (nested and lost <= WITHIN)
+        if (close and alike) or (maybe and versus.gain >= 0):
             tied.append(one)
     return tied
 
