@@ -10,6 +10,7 @@ import pytest
 
 from harness.diagnosis.accept import Comparison, Judgement
 from harness.diagnosis.confirm import Candidate
+from harness.diagnosis.exchange import with_ties
 from harness.diagnosis.forms import Fitted
 from harness.diagnosis.ties import leader, simplest, tie_set
 from harness.effects import builtin
@@ -18,11 +19,14 @@ from harness.effects.effect import Placed
 FORM: Any = SimpleNamespace(floors=(None,))
 
 
-def candidate(name: str, delta_bic: float, parameters: int, size: float, *, accepted: bool = True) -> Candidate:
-    """Return a refit with one effect whose residual is one fixed noise times ``size``."""
-    rest = size * np.random.default_rng(0).standard_normal((2000, 1))
+def candidate(
+    name: str, delta_bic: float, parameters: int, size: float, *, outside: float | None = None, accepted: bool = True
+) -> Candidate:
+    """Return a refit with one effect whose residual is one fixed noise times ``size``, ``outside`` on validation."""
+    noise = np.random.default_rng(0).standard_normal((2000, 1))
+    rest, other = size * noise, (size if outside is None else outside) * noise
     placed = Placed(builtin()[name], "q")
-    fitted = Fitted((placed,), None, {}, (), True, "", (rest,), (rest,), (np.zeros((2000, 1, 0)),))
+    fitted = Fitted((placed,), None, {}, (), True, "", (rest,), (other,), (np.zeros((2000, 1, 0)),))
     verdict = Judgement(accepted, () if accepted else ("not sure",))
     return Candidate((placed,), fitted, delta_bic, Comparison(0.99, 1e-3), {}, verdict, parameters)
 
@@ -52,3 +56,46 @@ def test_what_nests_in_most_rivals_stands_among_equals() -> None:
     assert len(tied) == 3
     assert simplest(tied) is cubic
     assert simplest([candidate("cubic_spring", 100.0, 4, 1.0, accepted=False), cogging]) is cogging
+
+
+@pytest.mark.parametrize(
+    ("outside", "lost", "accepted", "ties"),
+    [
+        (0.97, 300.0, True, True),  # predicts better
+        (1.0, 300.0, True, True),  # as well
+        (1.03, 300.0, True, False),  # worse: the further parameter is needed
+        (0.97, 500.0, True, False),  # much of what the best gains is lost
+        (0.97, 300.0, False, False),  # no answer by itself
+    ],
+)
+def test_a_special_case_that_predicts_as_well_stands(outside: float, lost: float, accepted: bool, ties: bool) -> None:
+    """Under a disturbance the criterion finds asymmetry in one record of a symmetric friction."""
+    general = candidate("asymmetric_friction", 8000.0, 6, 1.0)
+    plain = candidate("coulomb_friction", 8000.0 - lost, 5, 1.02, outside=outside, accepted=accepted)
+    tied = tie_set(FORM, general, [general, plain], seed=0)
+    assert (plain in tied) is ties
+    assert simplest(tied) is (plain if ties else general)
+
+
+def test_another_law_that_predicts_as_well_is_no_special_case() -> None:
+    best = candidate("hysteresis", 8000.0, 6, 1.0)
+    assert tie_set(FORM, best, [best, candidate("coulomb_friction", 7700.0, 5, 1.02, outside=0.97)], seed=0) == [best]
+
+
+def test_what_ties_with_the_answer_is_said_though_the_best_is_far_ahead() -> None:
+    """The best, of free shape, gives way to a special case: a third law is told from the best, not from the answer."""
+    best = candidate("asymmetric_friction", 8000.0, 6, 1.0)
+    plain = candidate("coulomb_friction", 7940.0, 5, 1.005)
+    third = candidate("load_dependent_friction", 7941.0, 5, 1.004, outside=1.003)
+    poor = candidate("quadratic_drag", 7940.0, 5, 1.005, accepted=False)
+    judged = (best, plain, third, poor)
+    for one in judged:
+        assert one.fitted is not None
+        one.fitted.record["cost"] = 1.0
+    search: Any = SimpleNamespace(form=FORM, seed=0)
+    rounds: Any = [SimpleNamespace(candidates=judged)]
+    assert plain.fitted is not None
+    found, more = with_ties(search, plain.fitted, plain.fitted, [plain.added[0]], rounds)
+    assert more == []
+    names = [str(placed) for members in found[0].tie for placed in members]
+    assert names == ["coulomb_friction@q", "asymmetric_friction@q", "load_dependent_friction@q"]
