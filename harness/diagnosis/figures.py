@@ -68,12 +68,13 @@ class Pictures:
 
 
 def draw(pictures: Pictures) -> dict[str, str]:
-    """Return the figures by name: overlay, residual, tests, isolability, surrogates, coverage."""
+    """Return the figures by name: overlay, residual (and its caption), tests, isolability, surrogates, coverage."""
     made: dict[str, str] = {}
     if pictures.overlays:
         made["overlay"] = _overlay(pictures.overlays)
     if pictures.views:
         made["residual"] = _residual(pictures.views)
+        made["residual_caption"] = _caption(pictures.views)
     if pictures.before is not None:
         made["tests"] = _tests(pictures)
     if pictures.isolability is not None and len(pictures.isolability[0]) > 1:
@@ -163,6 +164,16 @@ def _residual(views: Sequence[ResidualView]) -> str:
         }
         axes.flat[0].legend(lines.values(), lines.keys(), loc="best", fontsize=7.5)
     return svg[0]
+
+
+def _caption(views: Sequence[ResidualView]) -> str:
+    """Say what the panels of the residual show."""
+    text = "What the nominal part leaves over against each axis: samples, binned mean with the 10–90 % band"  # noqa: RUF001
+    if any(view.fitted is not None for view in views):
+        return f"{text}, the fitted effect on top, and what is left after it."
+    if any(view.after is not None for view in views):
+        return f"{text}, and what is left with the effect."
+    return f"{text}."
 
 
 def _one_view(axis: Axes, view: ResidualView) -> None:

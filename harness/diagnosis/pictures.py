@@ -45,6 +45,8 @@ def pictures_of(found: Diagnosis) -> Pictures:
         test = found.result.rounds[0].surrogates
         pictures.null, pictures.observed = test.null, test.by_effect
     if found.strong is not None:
+        _coverage(found, pictures)
+    if found.strong is not None and all(map(found.strong.judges, found.final.effects)):
         _force_views(found, pictures, bool(accepted))
     else:
         _output_views(found, pictures, bool(accepted))
@@ -87,7 +89,7 @@ def _force_views(found: Diagnosis, pictures: Pictures, changed: bool) -> None:
     before, _ = nominal.residual(motion, p, "strong", ())
     after: FloatArray | None = None
     fitted: FloatArray | None = None
-    if changed and all(strong.judges(one) for one in final.effects):
+    if changed:
         full = strong.equations(final.effects)
         after, _ = full.residual(motion, full.system.vector(final.values), "strong", ())
         fitted = before - after
@@ -113,6 +115,13 @@ def _force_views(found: Diagnosis, pictures: Pictures, changed: bool) -> None:
                     one.name,
                 )
             )
+
+
+def _coverage(found: Diagnosis, pictures: Pictures) -> None:
+    """Add where estimation and validation have been, coordinate by coordinate."""
+    strong = found.strong
+    assert strong is not None
+    motion = strong.motions["estimation"][0]
     from harness.diagnosis.motion import measured_coordinates
 
     columns = measured_coordinates(strong.nominal)
@@ -125,7 +134,7 @@ def _force_views(found: Diagnosis, pictures: Pictures, changed: bool) -> None:
 
 
 def _output_views(found: Diagnosis, pictures: Pictures, changed: bool) -> None:
-    """Add the output residual against simulated output, input and time, where forces cannot be formed."""
+    """Add the output residual against output, input and time, where forces cannot be formed or do not tell."""
     record = found.dataset.estimation[0]
 
     def raw(model: Fitted, j: int) -> FloatArray:

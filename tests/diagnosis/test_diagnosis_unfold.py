@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -125,7 +126,7 @@ def test_followed_records_are_turned_to_answer_the_input_alike() -> None:
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-3])
-def test_a_pendulum_whose_sensor_loses_the_sign_is_named(noise: float) -> None:
+def test_a_pendulum_whose_sensor_loses_the_sign_is_named(noise: float, tmp_path: Path) -> None:
     """Large swings, simulated by hand-written laws: no linear model follows them."""
     data = pendulum_dataset(11, noise=0.0, amplitude=0.3)
     rng = np.random.default_rng(0)
@@ -136,8 +137,11 @@ def test_a_pendulum_whose_sensor_loses_the_sign_is_named(noise: float) -> None:
     dataset = Dataset("folded", tuple(folded))
     assert np.abs(data.runs[0].trajectory.y).max() > 0.8
     rivals = ("sensor_rectification", "sensor_offset", "sensor_saturation", "coulomb_friction", "eccentric_load")
-    report = close_loop(dataset, "pendulum", dictionary=[builtin()[name] for name in rivals]).data
+    report = close_loop(dataset, "pendulum", dictionary=[builtin()[name] for name in rivals], out=tmp_path / "r").data
     assert [one["name"] for one in report["effects"]] == ["sensor_rectification"]
     assert report["verdict"] == "effects_found"
     after = report["errors"]["after"]["simulation_error"]["validation"]["theta"]["rms"]
     assert after < 1.2 * noise
+    page = (tmp_path / "r" / "report.html").read_text()
+    assert "and what is left with the effect." in page  # a force along a folded motion says nothing
+    assert "<th>meaning</th>" not in page  # it has no parameters
