@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from harness.diagnosis.noise import fourth_difference
 from harness.signals import FloatArray
 
-__all__ = ["LONGEST", "Path", "noise_of", "tracked"]
+__all__ = ["LONGEST", "Path", "tracked"]
 
 BEAM = 16
 """Paths that are followed side by side."""
@@ -46,20 +47,6 @@ class Path:
     signs: FloatArray
     error: float
     gain: float
-
-
-def noise_of(y: FloatArray) -> float:
-    """Return the standard deviation of white noise on a smooth record (N,), by its fourth differences.
-
-    Examples
-    --------
-    >>> y = np.sin(0.02 * np.arange(4000)) + 0.01 * np.random.default_rng(0).normal(size=4000)
-    >>> bool(abs(noise_of(y) - 0.01) < 1e-3)
-    True
-    """
-    if len(y) < 10:
-        return 0.0
-    return float(1.4826 * np.median(np.abs(np.diff(y, 4))) / np.sqrt(70.0))
 
 
 def tracked(y: FloatArray) -> Path | None:
@@ -95,7 +82,7 @@ def tracked(y: FloatArray) -> Path | None:
     size = float(np.sqrt(np.mean(record**2))) if len(record) else 0.0
     if len(record) < 50 or size == 0.0:
         return None
-    noise = max(noise_of(record), 1e-6 * size)
+    noise = max(fourth_difference(record), 1e-6 * size)
     scaled = record / noise
     # the intensity of the likeliest walk, by decades
     best, walk = _followed(scaled, 1e-2), 1e-2

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.tracked_signs import LONGEST, Path, noise_of, tracked
+from harness.diagnosis.noise import fourth_difference
+from harness.diagnosis.tracked_signs import LONGEST, Path, tracked
 from harness.effects.effect import Placed
 from harness.errors import FitError
 from harness.physics.windows import Windows, data_states
@@ -111,15 +112,15 @@ def _unfolded(runs: Sequence[Trajectory], column: int) -> list[Unfolding]:
     """Return the likeliest signs, three at most."""
     whole = [np.asarray(run.y[:, column], dtype=float) for run in runs]
     size = float(np.sqrt(np.mean(np.concatenate(whole) ** 2)))
-    if size == 0 or any(one.min() < -max(1e-3 * size, 5 * noise_of(one)) for one in whole):
+    if size == 0 or any(one.min() < -max(1e-3 * size, 5 * fourth_difference(one)) for one in whole):
+        return []
+    if not any(_low_turns(one, NEAR * size) for one in whole):
         return []
     paths = [one for one in map(_path, whole) if one is not None]
     if len(paths) == len(whole):
         return _both_ways(runs, column, paths)
     records = tuple(run[: min(len(run), _LONGEST)] for run in runs)
     folded = [one[:_LONGEST] for one in whole]
-    if not any(_low_turns(one, NEAR * size) for one in folded):
-        return []
     # records of different amplitude count alike
     weight = np.concatenate([np.full(len(one), 1.0 / max(np.sqrt(np.mean(one**2)), 1e-12 * size)) for one in folded])
     z = np.concatenate(folded) * weight

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from harness.diagnosis import close_loop
-from harness.diagnosis.tracked_signs import noise_of, tracked
+from harness.diagnosis.tracked_signs import tracked
 from harness.diagnosis.unfold import unfoldings
 from harness.effects import builtin
 from harness.signals import Channel, Dataset, PlantSpec, Trajectory
@@ -104,7 +104,6 @@ def test_a_motion_that_only_touches_zero_is_not_unfolded(seed: int, noise: float
 def test_a_short_or_silent_record_decides_nothing() -> None:
     assert tracked(np.abs(swing(0, 2, 100.0))[:40]) is None
     assert tracked(np.zeros(500)) is None
-    assert noise_of(np.arange(5.0)) == 0.0
 
 
 def test_followed_records_are_turned_to_answer_the_input_alike() -> None:
