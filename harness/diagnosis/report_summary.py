@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from harness.diagnosis.confirm import FAR
+
 __all__ = ["summary"]
 
 
@@ -36,11 +38,25 @@ def summary(data: dict[str, Any]) -> str:
                 f"{names}{more} {verb} in for what {data['model']} lacks, which the dictionary does not have "
                 f"({data['stand_in']['reasons'][0]}); validation simulation error {change}; {_word(data['adequacy'])}"
             )
-        return f"{data['model']} lacks {names}{more}; validation simulation error {change}; {_word(data['adequacy'])}"
+        rest = (_left(data) if data["adequacy"] == "explained" else "") or _word(data["adequacy"])
+        return f"{data['model']} lacks {names}{more}; validation simulation error {change}; {rest}"
     if data["verdict"] == "nothing_missing":
         rest = "; what is left is an unpredictable disturbance" if data["disturbance"] else ""
+        if _left(data):
+            rest = f"; {_left(data)}"
         return f"nothing is missing in {data['model']}: validation simulation error {change.split(' -> ')[0]}{rest}"
     return f"something is missing in {data['model']}, and no effect of the dictionary explains it ({change})"
+
+
+def _left(data: dict[str, Any]) -> str:
+    """Say what is far above the noise although nothing predicts it; empty if nothing is."""
+    ratios = [one["ratio_to_noise"] for one in data["disturbance"].values() if not one["predictable"]]
+    known = [ratio for ratio in ratios if ratio is not None and ratio > FAR]
+    if not known:
+        return ""
+    return (
+        f"what is left, {max(known):.3g} times the noise, cannot be predicted: a disturbance, or what no test here sees"
+    )
 
 
 def _word(adequacy: str) -> str:

@@ -84,8 +84,34 @@ def test_the_verdict_line_says_stand_in() -> None:
         "effects": [{"name": "coulomb_friction", "at": "x"}],
         "tie_sets": [[{}]],
         "stand_in": {"flagged": False, "reasons": []},
+        "disturbance": {},
     }
     assert summary(data).startswith("cart lacks coulomb friction at x")
     said = summary({**data, "stand_in": {"flagged": True, "reasons": ["two laws imitate it"]}})
     assert said.startswith("coulomb friction at x stands in for what cart lacks")
     assert "two laws imitate it" in said
+
+
+@pytest.mark.parametrize(
+    ("ratio", "predictable", "said"),
+    [(29.0, False, True), (1.6, False, False), (None, False, False), (29.0, True, False)],
+)
+@pytest.mark.parametrize("verdict", ["effects_found", "nothing_missing"])
+def test_the_verdict_line_does_not_call_much_more_than_noise_explained(
+    ratio: float | None, predictable: bool, said: bool, verdict: str
+) -> None:
+    error = {"simulation_error": {"validation": {"x": {"rms": 0.2, "unit": "m"}}}}
+    text = summary(
+        {
+            "model": "cart",
+            "verdict": verdict,
+            "adequacy": "explained",
+            "errors": {"before": error, "after": error},
+            "effects": [{"name": "backlash", "at": "x"}],
+            "tie_sets": [[{}]],
+            "stand_in": {"flagged": False, "reasons": []},
+            "disturbance": {"x": {"ratio_to_noise": ratio, "predictable": predictable}},
+        }
+    )
+    assert ("29 times the noise, cannot be predicted" in text) is said
+    assert ("the residual is explained" in text) is (not said and verdict == "effects_found")
