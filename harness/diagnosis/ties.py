@@ -10,6 +10,7 @@ from harness.diagnosis.accept import compare_blocks, information_samples
 from harness.diagnosis.confirm import Candidate, noise_ratio
 from harness.diagnosis.forms import Fitted, Form, placed_name
 from harness.diagnosis.momentum_form import MomentumForm
+from harness.diagnosis.residual_tests import RATIO
 from harness.rng import stream
 from harness.signals import FloatArray
 
@@ -37,12 +38,16 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
     effect is then no more than the evidence that an effect needs to be accepted at all. A special case that gains
     within 1 % as much ties if its validation error is within 2 %, and one that gains within 5 % as much if it predicts
     validation at least as well: under a disturbance the criterion counts details of one record as evidence.
+    Where the best leaves more than the noise, an accepted candidate also ties if the paired bootstrap cannot tell the
+    two on estimation either: blocks stay right where the residual is coloured, the criterion does not.
     In the balance of momentum two forces that differ by no more than a detail of the smoothed motion tie.
     A more complex one whose additional parameters are not determined by the data (Stribeck friction seen only at high
     speed) also ties: only the penalty separates it, not the data.
     """
     assert best.fitted is not None
-    samples = information_samples(best.fitted.estimation, noise_ratio(best.fitted, form.floors))
+    ratio = noise_ratio(best.fitted, form.floors)
+    samples = information_samples(best.fitted.estimation, ratio)
+    coloured = ratio is not None and ratio >= RATIO
     tied = [best]
     for one in candidates:
         if one is best or one.fitted is None or not one.fitted.finite:
@@ -55,10 +60,13 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
         if not close:
             gap = _deviance(one.fitted, samples) - _deviance(best.fitted, samples)
             close = gap <= WITHIN and one.parameters > best.parameters and _vague(one)
+        key = f"{placed_name(best.added)} against {placed_name(one.added)}"
+        if not close and coloured and one.accepted:
+            rng = stream("diagnosis-tie-estimation", key, seed)
+            close = not compare_blocks(best.fitted.estimation, one.fitted.estimation, rng=rng).distinguishable
         maybe = nested and one.accepted and lost <= PREDICTS * best.delta_bic
         if not (close or maybe):
             continue
-        key = f"{placed_name(best.added)} against {placed_name(one.added)}"
         versus = compare_blocks(best.fitted.validation, one.fitted.validation, rng=stream("diagnosis-tie", key, seed))
         alike = not versus.distinguishable or abs(versus.gain) < ALIKE or (nested and lost <= WITHIN)
         if (close and alike) or (maybe and versus.gain >= 0):

@@ -15,7 +15,7 @@ __all__ = ["BASES", "NOISE", "PLANTS", "STUDIES", "Task", "plan"]
 
 STUDIES = ("confusion", "false-alarms", "coverage", "cost")
 PLANTS = ("pendulum", "cart-pole")
-BASES = {"tuning": 0, "judged": 90_000}
+BASES = {"tuning": 0, "judged": 100_000}
 """Records from 10 000, 20 000, ..., 70 000 on judged earlier versions: they judge no more."""
 NOISE = {"low": 1e-4, "high": 1e-3}
 """Standard deviation of the sensors [rad, m]."""
@@ -130,7 +130,7 @@ class Task:
     index : int
         Repetition.
     base : int
-        0 for tuning, 90000 for judging: no record is drawn from both.
+        0 for tuning, 100000 for judging: no record is drawn from both.
     model : str
         The nominal model: ``equations``, or ``fmu`` (the same as a black box).
     """
@@ -181,7 +181,7 @@ def plan(
     study : str
         One of :data:`STUDIES`, or ``all``.
     base : int
-        0 (tuning) or 90000 (judged).
+        0 (tuning) or 100000 (judged).
     plants : sequence of str
     records : int, optional
         Only the first so many tasks.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -75,6 +76,27 @@ def test_a_special_case_that_predicts_as_well_stands(outside: float, lost: float
     tied = tie_set(FORM, general, [general, plain], seed=0)
     assert (plain in tied) is ties
     assert simplest(tied) is (plain if ties else general)
+
+
+@pytest.mark.parametrize(
+    ("floor", "worse", "accepted", "ties"),
+    [
+        (1.0, 0.0, True, True),  # 1.3 noise floors: something else is in the residual
+        (1.3, 0.0, True, False),  # only noise is left, and the criterion is right
+        (1.0, 0.2, True, False),  # every second of the record tells them apart
+        (1.0, 0.0, False, False),
+    ],
+)
+def test_under_a_disturbance_rivals_tie_unless_blocks_tell_them_apart(
+    floor: float, worse: float, accepted: bool, ties: bool
+) -> None:
+    best = candidate("load_dependent_friction", 8000.0, 5, 1.3)
+    rival = candidate("coulomb_friction", 7700.0, 5, 1.3 + worse, outside=1.3, accepted=accepted)
+    assert rival.fitted is not None
+    rest = rival.fitted.estimation[0] + 0.02 * np.random.default_rng(1).standard_normal((2000, 1))
+    rival = replace(rival, fitted=replace(rival.fitted, estimation=(rest,)))
+    form: Any = SimpleNamespace(floors=(floor,))
+    assert (rival in tie_set(form, best, [best, rival], seed=0)) is ties
 
 
 def test_another_law_that_predicts_as_well_is_no_special_case() -> None:
