@@ -26,6 +26,7 @@ __all__ = [
     "compare_blocks",
     "information_samples",
     "judge",
+    "on_bound",
 ]
 
 BLOCKS = 20
@@ -202,10 +203,28 @@ def judge(
         reasons.append("the interval of its main parameter includes 0")
     if sign and main.value * sign < 0:
         reasons.append(WRONG_SIGN)
-    span = maximum - minimum
-    edge = 1e-3 * span if np.isfinite(span) else 1e-6 * max(abs(main.value), 1e-12)
-    if (np.isfinite(maximum) and main.value > maximum - edge) or (
-        np.isfinite(minimum) and minimum != 0 and main.value < minimum + edge
-    ):
+    if on_bound(main.value, minimum, maximum):
         reasons.append("its main parameter lies on a bound")
     return Judgement(not reasons, tuple(reasons))
+
+
+def on_bound(value: float, minimum: float, maximum: float) -> bool:
+    """Return True if a value lies on a finite bound other than a minimum of 0.
+
+    Within a thousandth of the range, or, where the range is far wider than a bound is from 0, of twice that distance.
+
+    Examples
+    --------
+    >>> on_bound(2.502, 2.5, 1000.0), on_bound(3.0, 2.5, 1000.0), on_bound(999.5, 2.5, 1000.0)
+    (True, False, True)
+    >>> on_bound(1e-9, 0.0, 1.0), on_bound(1.6, -1.6, 1.6), on_bound(5.0, -np.inf, np.inf)
+    (False, True, False)
+    """
+    span = maximum - minimum
+
+    def edge(bound: float) -> float:
+        return 1e-3 * min(span, 2 * abs(bound)) if np.isfinite(span) else 1e-6 * max(abs(value), 1e-12)
+
+    above = np.isfinite(maximum) and value > maximum - edge(maximum)
+    below = np.isfinite(minimum) and minimum != 0 and value < minimum + edge(minimum)
+    return bool(above or below)

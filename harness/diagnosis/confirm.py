@@ -18,6 +18,7 @@ from harness.diagnosis.accept import (
     compare_blocks,
     information_samples,
     judge,
+    on_bound,
 )
 from harness.diagnosis.forms import Fitted, Form, placed_name, rms
 from harness.diagnosis.momentum_form import MomentumForm
@@ -226,7 +227,7 @@ def _judge_one(
         f"{other.name} lies on a bound"
         for other in placed.effect.parameters
         if not (other.nuisance or other.fixed or other is parameter)
-        and _on_bound(other, fitted.values[placed.name(other.name)])
+        and on_bound(fitted.values[placed.name(other.name)], other.minimum, other.maximum)
     ]
     shape = {other.name: abs(fitted.values[placed.name(other.name)]) for other in placed.effect.parameters}
     if "vs" in shape and "w" in shape and shape["vs"] < 2 * shape["w"]:
@@ -243,10 +244,3 @@ def _judge_one(
 def _against(parameter: Any, value: float) -> bool:
     """Return True if a value has the sign that physics forbids."""
     return (parameter.sign == "+" and value < 0) or (parameter.sign == "-" and value > 0)
-
-
-def _on_bound(parameter: Any, value: float) -> bool:
-    """Return True if a value lies on a bound other than 0."""
-    low, high = parameter.minimum, parameter.maximum
-    edge = 1e-3 * (high - low) if np.isfinite(high - low) else 1e-6 * max(abs(value), 1e-12)
-    return bool((np.isfinite(high) and value > high - edge) or (np.isfinite(low) and low != 0 and value < low + edge))

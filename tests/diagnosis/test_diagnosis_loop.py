@@ -108,6 +108,15 @@ def test_a_dead_zone_of_the_actuator_is_named_at_the_input(foreign_pendulum) -> 
 
 
 @pytest.mark.slow
+def test_cogging_of_three_periods_a_turn_is_named(foreign_pendulum) -> None:
+    """Near the bound of 2.5 below which it is none, and far from that of 1000."""
+    data = foreign_pendulum(8, lambda q, v, u, t: 0.08 * math.sin(3.0 * q + 0.4))
+    rivals = ("cogging", "cubic_spring", "quadratic_spring", "eccentric_load", "coulomb_friction")
+    report = close_loop(data, "pendulum", dictionary=[builtin()[name] for name in rivals])
+    assert [one["name"] for one in report.data["effects"]] == ["cogging"]
+    assert report.data["effects"][0]["parameters"]["k"]["value"] == pytest.approx(3.0, abs=0.05)
+
+
 def test_tilt_offset_and_eccentric_load_are_tied(foreign_pendulum) -> None:
     report = close_loop(foreign_pendulum(6, lambda q, v, u, t: -0.05 * math.cos(q)), "pendulum", workers=1)
     tied = {member["name"] for member in report.data["tie_sets"][0]}
