@@ -43,7 +43,7 @@ def simulator(name: str, flags: tuple[str, ...]) -> Simulator:
 
 
 def run(made: Simulator, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return outputs and sensitivities of one window from rest under noise."""
+    """Return outputs and sensitivities of one window under noise."""
     system = made.system
     p = system.vector()[None]
     u = 2.0 * np.random.default_rng(0).normal(size=(1, samples, 1))

@@ -223,7 +223,7 @@ def on_bound(value: float, minimum: float, maximum: float) -> bool:
     span = maximum - minimum
 
     def edge(bound: float) -> float:
-        return 1e-3 * min(span, 2 * abs(bound)) if np.isfinite(span) else 1e-6 * max(abs(value), 1e-12)
+        return 1e-3 * min(span, 2 * abs(bound) or span) if np.isfinite(span) else 1e-6 * max(abs(value), 1e-12)
 
     above = np.isfinite(maximum) and value > maximum - edge(maximum)
     below = np.isfinite(minimum) and minimum != 0 and value < minimum + edge(minimum)

@@ -41,9 +41,8 @@ def summary(data: dict[str, Any]) -> str:
         rest = (_left(data) if data["adequacy"] == "explained" else "") or _word(data["adequacy"])
         return f"{data['model']} lacks {names}{more}; validation simulation error {change}; {rest}"
     if data["verdict"] == "nothing_missing":
-        rest = "; what is left is an unpredictable disturbance" if data["disturbance"] else ""
-        if _left(data):
-            rest = f"; {_left(data)}"
+        left = _left(data) or ("what is left is an unpredictable disturbance" if data["disturbance"] else "")
+        rest = f"; {left}" if left else ""
         return f"nothing is missing in {data['model']}: validation simulation error {change.split(' -> ')[0]}{rest}"
     return f"something is missing in {data['model']}, and no effect of the dictionary explains it ({change})"
 

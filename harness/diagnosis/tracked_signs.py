@@ -38,14 +38,11 @@ class Path:
     ----------
     signs : array (N,)
         1 at the first sample.
-    error : float
-        One-step prediction error over the rms of the record.
     gain : float
         By how much it is likelier than a path that never changes its sign (natural logarithm).
     """
 
     signs: FloatArray
-    error: float
     gain: float
 
 
@@ -100,8 +97,7 @@ def tracked(y: FloatArray) -> Path | None:
     for rival, others in best[1:]:
         if likely - rival < RIVAL and np.mean(others != signs) > 0.01:
             return None
-    spread = np.sqrt(next(reversed(list(_gains(walk, len(scaled)))))[0])
-    return Path(signs, float(spread * noise / size), float(likely - straight))
+    return Path(signs, float(likely - straight))
 
 
 def _gains(walk: float, count: int) -> Iterator[tuple[float, FloatArray, FloatArray]]:

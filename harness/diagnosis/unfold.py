@@ -7,6 +7,7 @@ the data. So the output is unfolded first, and the refit also starts from a fit 
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -43,21 +44,16 @@ class Unfolding:
     ----------
     signs : tuple of array (N_i,)
         Of every record.
-    error : float
-        What is left of the folded output, over its rms: of one-step predictions where the motion could be followed
-        through its zeros, of a free run of a linear model of order 3 elsewhere.
     chance : float
         How likely an output that keeps its sign looks so: one half for each turn at zero, or, where the motion could be
         followed, how much less likely it is that it only turns there.
     """
 
     signs: tuple[FloatArray, ...]
-    error: float
     chance: float
 
 
 _known: dict[tuple[int, int], list[Unfolding]] = {}
-_paths: dict[int, Path | None] = {}
 """Of the records seen last: every refit of one diagnosis asks for the same."""
 
 
@@ -116,7 +112,7 @@ def _unfolded(runs: Sequence[Trajectory], column: int) -> list[Unfolding]:
         return []
     if not any(_low_turns(one, NEAR * size) for one in whole):
         return []
-    paths = [one for one in map(_path, whole) if one is not None]
+    paths = [one for one in (_path(y.tobytes()) for y in whole) if one is not None]
     if len(paths) == len(whole):
         return _both_ways(runs, column, paths)
     records = tuple(run[: min(len(run), _LONGEST)] for run in runs)
@@ -144,8 +140,8 @@ def _unfolded(runs: Sequence[Trajectory], column: int) -> list[Unfolding]:
                 found.append((float(errors[best]), signs[:, best]))
     found.sort(key=lambda one: one[0])
     cuts = np.cumsum([len(one) for one in folded])[:-1]
-    likeliest = [(error, tuple(np.split(signs, cuts))) for error, signs in found[:3]]
-    return [Unfolding(signs, error, 2.0 ** -min(_turns(signs), 1000)) for error, signs in likeliest]
+    likeliest = [tuple(np.split(signs, cuts)) for _, signs in found[:3]]
+    return [Unfolding(signs, 2.0 ** -min(_turns(signs), 1000)) for signs in likeliest]
 
 
 def _turns(signs: Sequence[FloatArray]) -> int:
@@ -153,14 +149,10 @@ def _turns(signs: Sequence[FloatArray]) -> int:
     return sum(int(np.count_nonzero(np.diff(one))) for one in signs)
 
 
-def _path(y: FloatArray) -> Path | None:
-    """Return the path of an output that was followed, made once."""
-    key = hash(y.tobytes())
-    if key not in _paths:
-        if len(_paths) > 32:
-            _paths.clear()
-        _paths[key] = tracked(y)
-    return _paths[key]
+@functools.lru_cache(maxsize=32)
+def _path(y: bytes) -> Path | None:
+    """Return the path of an output (its numbers as bytes) that was followed, made once."""
+    return tracked(np.frombuffer(y))
 
 
 def _both_ways(runs: Sequence[Trajectory], column: int, paths: Sequence[Path]) -> list[Unfolding]:
@@ -175,9 +167,8 @@ def _both_ways(runs: Sequence[Trajectory], column: int, paths: Sequence[Path]) -
             errors.append(float(np.sum((after - columns @ coefficients) ** 2)))
         if errors[1] < errors[0]:
             signs[number] = -signs[number]
-    error = max(path.error for path in paths)
     chance = float(np.exp(-min(sum(path.gain for path in paths), 700.0)))
-    return [Unfolding(tuple(sense * one for one in signs), error, chance) for sense in (1.0, -1.0)]
+    return [Unfolding(tuple(sense * one for one in signs), chance) for sense in (1.0, -1.0)]
 
 
 def _regression(run: Trajectory, column: int, signs: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -268,7 +259,7 @@ def signs_by_model(form: Any, simulator: Any, record: Trajectory, p: FloatArray)
     q = plain.vector({name: values[name] for name in plain.parameter_names})
     column = [channel.name for channel in plain.outputs].index(hiding[0].at)
     runner = form.simulator(plain, q)
-    path = _path(np.asarray(record.y[:, column], dtype=float)) if len(record) <= LONGEST else None
+    path = _path(np.asarray(record.y[:, column], dtype=float).tobytes()) if len(record) <= LONGEST else None
     if path is not None:
         return _states_of_path(form, runner, record, column, path, q)
     guess = data_states(runner, record, q)[0]
