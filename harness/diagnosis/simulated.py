@@ -1,4 +1,4 @@
-"""The diagnosis, step by step: fit, find the residual, trace it to effects, grade what is left."""
+"""The older diagnosis by free runs and screens, for models that show no equations (FMUs)."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ from harness.errors import FitError
 from harness.signals import Dataset
 from harness.workers import one_thread
 
-__all__ = ["Diagnosis", "diagnose"]
+__all__ = ["SimulatedDiagnosis", "diagnose_by_simulation"]
 
 Progress = Callable[[float, str], None]
 DISTURBED = "something that is not measured disturbs the plant: over short windows the effects stand out most from it"
 
 
 @dataclass(eq=False)
-class Diagnosis:
+class SimulatedDiagnosis:
     """Everything that one diagnosis found out, for the reports."""
 
     dataset: Dataset
@@ -84,7 +84,7 @@ class Diagnosis:
         return "unexplained" if self.adequacy.unexplained else "nothing_missing"
 
 
-def diagnose(
+def diagnose_by_simulation(
     dataset: Dataset,
     system: Any,
     *,
@@ -94,7 +94,7 @@ def diagnose(
     dictionary: Sequence[Effect] | None = None,
     inverse_dynamics: bool | None = None,
     workers: int | None = None,
-) -> Diagnosis:
+) -> SimulatedDiagnosis:
     """Run the algorithm and return all that it found, without writing a report.
 
     Parameters
@@ -135,8 +135,8 @@ def _diagnosed(
     dictionary: Sequence[Effect] | None,
     inverse_dynamics: bool | None,
     helpers: RefitWorkers,
-) -> Diagnosis:
-    """Do what :func:`diagnose` says."""
+) -> SimulatedDiagnosis:
+    """Do what :func:`diagnose_by_simulation` says."""
     began = time.monotonic()
 
     def say(part: float, what: str) -> None:
@@ -241,7 +241,7 @@ def _diagnosed(
         nominal = first
         adequacy, families = graded(form, result, [])
     warnings += undetermined(result.model)
-    return Diagnosis(
+    return SimulatedDiagnosis(
         dataset=dataset,
         system=system,
         horizon=horizon,

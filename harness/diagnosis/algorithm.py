@@ -1,0 +1,168 @@
+"""The closed loop, step by step: fit, ask whether the model fits at all, search, grade what is left."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from harness.diagnosis.columns_check import check_columns
+from harness.diagnosis.dictionary import placed
+from harness.diagnosis.free_runs import FreeRuns, free_runs
+from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.prepare import checked, sizes_of
+from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.leftover import Leftover, left_over
+from harness.diagnosis.search.likelihood_form import LikelihoodForm
+from harness.diagnosis.search.misfit import misfit_reasons
+from harness.diagnosis.search.remembered import Remembered
+from harness.diagnosis.search.rounding import add_rounding
+from harness.diagnosis.search.rounds import Outcome, search
+from harness.diagnosis.search.score_test import ScoreTest
+from harness.diagnosis.thinning import thinned_dataset
+from harness.effects.effect import Effect
+from harness.errors import FitError
+from harness.signals import Dataset
+from harness.workers import one_thread
+
+__all__ = ["Diagnosis", "Progress", "diagnose"]
+
+Progress = Callable[[float, str], None]
+DRY = frozenset({"coulomb_friction", "stribeck_friction", "asymmetric_friction", "hysteresis",
+                 "position_dependent_friction", "sublinear_friction"})  # fmt: skip
+"""Laws of the whole dry friction of a joint: a sum of two is neither."""
+
+
+@dataclass(eq=False)
+class Diagnosis:
+    """Everything that one diagnosis found out, for the reports."""
+
+    dataset: Dataset
+    system: Any
+    form: LikelihoodForm
+    outcome: Outcome
+    leftover: Leftover
+    runs: FreeRuns
+    misfit: tuple[str, ...]
+    policy: Policy
+    warnings: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+    @property
+    def nominal(self) -> Fit:
+        """The nominal model at its maximum."""
+        return self.outcome.nominal
+
+    @property
+    def final(self) -> Fit:
+        """The model with the accepted effects (the nominal one if none was accepted)."""
+        return self.outcome.model
+
+    @property
+    def test(self) -> ScoreTest:
+        """The dictionary against the nominal model: what this experiment can show, and tell apart."""
+        return self.outcome.rounds[0].test
+
+    @property
+    def verdict(self) -> str:
+        """See diagnosis: model_does_not_fit, effects_found, unexplained, nothing_missing."""
+        if self.misfit:
+            return "model_does_not_fit"
+        if self.outcome.accepted:
+            return "effects_found"
+        return "unexplained" if self.leftover.best is not None else "nothing_missing"
+
+    @property
+    def grade(self) -> str:
+        """How much of the motion the final model explains over the horizon, and whether more could be predicted."""
+        if self.misfit:
+            return "does_not_fit"
+        if self.leftover.best is not None:
+            return "proxy_or_incomplete"
+        return "explained" if self.runs.left <= self.policy.explained else "mostly_explained"
+
+    @functools.cached_property
+    def stand_in(self) -> tuple[str, ...]:
+        """Why accepted effects imitate something that is not in the dictionary; empty if nothing says so."""
+        accepted = [one.placed for one in self.outcome.accepted]
+        reasons = []
+        for place in dict.fromkeys(one.at for one in accepted):
+            dry = [one.effect.name.replace("_", " ") for one in accepted if one.at == place and one.effect.name in DRY]
+            if len(dry) > 1:
+                reasons.append(f"the friction at {place} is none of the dictionary's laws: {' and '.join(dry)} "
+                               "together imitate it")  # fmt: skip
+        best = self.leftover.best
+        if accepted and best is not None:
+            reasons.append(f"what is left can still be predicted, as a force at {best.name}")
+        return tuple(reasons)
+
+
+def diagnose(
+    dataset: Dataset,
+    system: Any,
+    *,
+    progress: Progress | None = None,
+    folder: Path | None = None,
+    dictionary: Sequence[Effect] | None = None,
+    policy: Policy = POLICY,
+) -> Diagnosis:
+    """Run the closed loop and return all that it found, without writing a report.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        With estimation and validation runs; test runs are scored at the end and influence nothing.
+    system : System
+        The nominal model, measured as the data are.
+    progress : callable, optional
+        Called as ``progress(fraction_done, what)``.
+    folder : Path, optional
+        Where finished refits are kept, for ``resume``.
+    dictionary : sequence of Effect, optional
+        By default the built-in effects and those of installed plug-ins.
+    policy : Policy
+        The deciding numbers.
+
+    Raises
+    ------
+    InputError
+        If the data do not fit the model.
+    FitError
+        If the nominal model cannot be simulated along the data.
+    """
+    began = time.monotonic()
+    parts = iter(0.75 * (1.0 - 0.9**k) for k in range(1, 10_000))
+
+    def say(what: str, part: float | None = None) -> None:
+        if progress is not None:
+            progress(next(parts) if part is None else part, what)
+
+    with one_thread():
+        dataset = thinned_dataset(checked(dataset, system), system)
+        warnings = [*dataset.warnings, *(check_columns(system, dataset) if hasattr(system, "f") else [])]
+        sizes = sizes_of(system, system.values(), dataset)
+        form = LikelihoodForm(system, dataset, sizes)
+        remembered = Remembered(form, folder)
+        say("first fit of the nominal model", 0.02)
+        nominal = remembered.fit((), form.first_starts(), None)
+        if nominal is None:
+            raise FitError(
+                f"the nominal model {system.name}",
+                expected="start values from which it can be simulated along the data",
+                got="a state that diverges",
+                remedy="check signs and units of the columns, or give start values nearer to the plant",
+            )
+        form.resize(nominal)
+        candidates, faults = placed(system, dictionary)
+        outcome = search(remembered, nominal, candidates, policy=policy, say=say)
+        add_rounding(remembered, outcome, dataset, candidates, policy)
+        say("what is left", 0.8)
+        leftover = left_over(form, outcome.model, policy)
+        runs = free_runs(form, outcome.nominal, outcome.model)
+        misfit = misfit_reasons(form, outcome.model, runs, policy)
+    return Diagnosis(
+        dataset, system, form, outcome, leftover, runs, misfit, policy, warnings + faults, time.monotonic() - began
+    )
