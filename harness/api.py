@@ -200,6 +200,7 @@ def identify(
     options: Mapping[str, Any] | None = None,
     model: str | None = None,
     validation: str | Path | None = None,
+    undriven: Sequence[str] = (),
     out: str | Path | None = None,
     seed: int = 0,
     force: bool = False,
@@ -218,6 +219,8 @@ def identify(
         Nominal model that names the ports (needed for a bare CSV or Parquet file).
     validation : path, optional
         Validation file beside a bare CSV or Parquet file.
+    undriven : sequence of str
+        Inputs of the model that nothing drove; any other must be recorded.
     out : path, optional
         JSON file for the model.
     seed : int
@@ -235,7 +238,7 @@ def identify(
     from harness.data import load_dataset
     from harness.scoring import equation_error, simulation_error
 
-    loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation)
+    loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
     data = loaded.dataset
     made = registry.create("identifiers", identifier, **dict(options or {}))
     if not isinstance(made, Identifier):
@@ -269,6 +272,7 @@ def close_loop(
     out: str | Path,
     model: str | None = None,
     validation: str | Path | None = None,
+    undriven: Sequence[str] = (),
     resume: bool = False,
     force: bool = False,
     seed: int = 0,
@@ -287,6 +291,8 @@ def close_loop(
         Nominal model: a built-in name, ``FILE.py:NAME``; overrides the one that the data set names.
     validation : path, optional
         Validation file beside a bare CSV or Parquet file.
+    undriven : sequence of str
+        Inputs of the model that nothing drove; any other must be recorded.
     resume : bool
         Continue what an interrupted call left in ``out``.
     force : bool
@@ -304,11 +310,11 @@ def close_loop(
         Its ``data`` is the content of ``report.json``.
     """
     from harness import diagnosis
+    from harness.data import load_dataset
 
+    loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
     return diagnosis.close_loop_file(
-        dataset,
-        model=model,
-        validation=validation,
+        cast(Any, loaded),  # data that are read already pass through
         out=out,
         resume=resume,
         force=force,

@@ -50,6 +50,9 @@ Force = Annotated[bool, typer.Option("--force", help="overwrite")]
 Seed = Annotated[int, typer.Option(help="keys every random number")]
 ModelName = Annotated[str | None, typer.Option(help="nominal model: NAME, FILE.fmu, FILE.urdf or FILE.py:NAME")]
 Validation = Annotated[Path | None, typer.Option(help="validation file beside a bare CSV or Parquet file")]
+Undriven = Annotated[
+    list[str] | None, typer.Option("--undriven", metavar="INPUT", help="input of the model that nothing drove")
+]
 
 
 @app.command(name="list")
@@ -166,6 +169,7 @@ def identify(
     option: OptionPairs = None,
     model: ModelName = None,
     validation: Validation = None,
+    undriven: Undriven = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="model.json")] = None,
     seed: Seed = 0,
     force: Force = False,
@@ -177,6 +181,7 @@ def identify(
         options=option_pairs(option, "--option"),
         model=model,
         validation=validation,
+        undriven=undriven or (),
         out=out,
         seed=seed,
         force=force,
@@ -192,6 +197,7 @@ def close_loop(
     out: Annotated[Path, typer.Option(help="folder for report.html and report.json")],
     model: ModelName = None,
     validation: Validation = None,
+    undriven: Undriven = None,
     as_json: Annotated[bool, typer.Option("--json", help="print report.json")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="continue what was interrupted")] = False,
     force: Force = False,
@@ -210,6 +216,7 @@ def close_loop(
             out=out,
             model=model,
             validation=validation,
+            undriven=undriven or (),
             resume=resume,
             force=force,
             seed=seed,

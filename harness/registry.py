@@ -147,8 +147,8 @@ def load(kind: str, id: str) -> Any:
         ) from error
 
 
-def dataset_path(dataset: str | Path) -> Path:
-    """Return the file of a data set: a path as it is, or the recipe of a recording by its name.
+def dataset_path(dataset: Any) -> Any:
+    """Return the file of a data set: a path as it is, or the recipe of a recording by its name; data pass through.
 
     Raises
     ------
@@ -160,6 +160,8 @@ def dataset_path(dataset: str | Path) -> Path:
     >>> dataset_path("emps").name
     'emps.toml'
     """
+    if not isinstance(dataset, str | Path):
+        return dataset
     path = Path(dataset)
     if path.suffix or len(path.parts) != 1 or path.is_file():
         return path

@@ -125,7 +125,11 @@ class SourceSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The whole of a dataset.toml."""
+    """The whole of a dataset.toml.
+
+    ``undriven`` names the inputs of the nominal model that nothing drove while the data were recorded: they count as 0
+    (an FMU keeps their start values). An input that is neither recorded nor named there is refused.
+    """
 
     name: str
     signals: dict[str, SignalSection]
@@ -136,6 +140,7 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     intersample: Literal["zoh", "foh", "smooth"] = "zoh"
     gaps: Gaps = "refuse"
     resample: ResampleSection | None = None
+    undriven: tuple[str, ...] = ()
     source: SourceSection | None = None
     description: str = ""
 
@@ -178,7 +183,7 @@ def parse_description(text: str, *, file: str | Path | None = None) -> Descripti
     ... except InputError as error:
     ...     print(error)
     sampel_time: unknown key: expected one of name, signals, runs, nominal, sample_time, time, intersample, gaps,
-    resample, source, description, got 'sampel_time'; remedy: did you mean sample_time?
+    resample, undriven, source, description, got 'sampel_time'; remedy: did you mean sample_time?
     """
     try:
         content = tomllib.loads(text)

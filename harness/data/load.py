@@ -7,6 +7,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from harness.data.bare import describe_bare
@@ -14,7 +15,7 @@ from harness.data.description import Description, RunSection, read_description
 from harness.data.loaded import LoadedDataset
 from harness.data.plan import Plan
 from harness.data.sanity import check_run, check_runs
-from harness.data.tables import BARE, FORMATS, Table, open_table
+from harness.data.tables import BARE, FORMATS, Table, nearest, open_table
 from harness.data.timebase import Piece, TimeRules, pieces_of
 from harness.errors import InputError
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
@@ -27,11 +28,12 @@ DATA_FOLDER = "SYSID_HARNESS_DATA"
 
 
 def load_dataset(
-    path: str | Path,
+    path: str | Path | LoadedDataset,
     *,
     model: str | None = None,
     validation: str | Path | None = None,
     ports: tuple[Sequence[Channel], Sequence[Channel]] | None = None,
+    undriven: Sequence[str] = (),
 ) -> LoadedDataset:
     """Read a data set, check it, and convert it to SI units.
 
@@ -45,6 +47,8 @@ def load_dataset(
         Validation file beside a bare file; without it the last third validates.
     ports : (inputs, outputs), optional
         Channels of the model, for a caller that knows it already.
+    undriven : sequence of str, optional
+        Inputs of the model that nothing drove (0 in all records), beside those that the file declares.
 
     Returns
     -------
@@ -56,6 +60,8 @@ def load_dataset(
     InputError
         If a file, column, unit, time axis or value cannot be used. The message names file, place and remedy.
     """
+    if isinstance(path, LoadedDataset):
+        return path
     path = Path(path)
     suffix = path.suffix.lower()
     notes: list[str] = []
@@ -80,6 +86,7 @@ def load_dataset(
                 file=path,
             )
         description = read_description(path)
+    description = msgspec.structs.replace(description, undriven=tuple({*description.undriven, *undriven}))
     try:
         return _Reader(path, description, model, ports, notes).load()
     except InputError as error:
@@ -108,6 +115,7 @@ class _Reader:
         plan, spec = self.plan, None
         runs: list[Run] = []
         references: list[dict[str, FloatArray]] = []
+        self._refuse_unrecorded()
         measured = tuple((plan.port(name), plan.signal(name).derivative) for name in plan.outputs)
         self._check_files()
         for number, section in enumerate(self.description.runs):
@@ -134,6 +142,26 @@ class _Reader:
             self.description.name, tuple(runs), self.description.intersample, plan.noise(), tuple(self.notes)
         )
         return LoadedDataset(dataset, plan.nominal, measured, tuple(references), self.path, self.description.source)
+
+    def _refuse_unrecorded(self) -> None:
+        """Refuse inputs of the model that no column gives: taken as 0 they would pass for something that is missing."""
+        if not self.plan.unrecorded:
+            return
+        channel, ports = self.plan.unrecorded[0], self.plan.ports
+        section = self.description.runs[0]
+        table = open_table(self._file(0, section), self.tables)
+        signals = self.description.signals
+        used = {table.find(self._column(name, section)) for name in signals if signals[name].role != "reference"}
+        time = "time" if self.description.time is None else self.description.time.column
+        free = [title for title in table.titles if title not in used and title != table.find(time)]
+        raise InputError(
+            f"no column gives the input {channel} of {ports.model if ports is not None else 'the model'}",
+            expected=f"a column {str(channel)!r}, or undriven = [{channel.name!r}] where nothing drove it",
+            got=f"columns that serve nothing: {', '.join(nearest(channel, free)) or 'none'}",
+            remedy=f"name the column after the input, or give a signal role = 'input' and port = {channel.name!r}; "
+            f"only if the input was 0 all along, declare undriven (sysid: --undriven {channel.name})",
+            place="undriven",
+        )
 
     # ---- files ----------------------------------------------------------------------------------------------------
 

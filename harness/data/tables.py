@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Protocol
 
 from harness.errors import InputError
-from harness.signals import FloatArray
+from harness.signals import Channel, FloatArray
+from harness.units import fits
 
-__all__ = ["BARE", "FORMATS", "REFERENCE", "TRUTH", "Source", "Table", "open_table", "split_header"]
+__all__ = ["BARE", "FORMATS", "REFERENCE", "TRUTH", "Source", "Table", "nearest", "open_table", "split_header"]
 
 BARE = (".csv", ".parquet")
 """Suffixes of files that can stand for a whole data set, with a model that names the ports."""
@@ -238,6 +239,28 @@ def open_table(path: Path, cache: dict[Path, Table]) -> Table:
     if path not in cache:
         cache[path] = Table(path)
     return cache[path]
+
+
+def nearest(channel: Channel, titles: Sequence[str]) -> list[str]:
+    """Return the titles that may be meant by a channel: of like name first, then of like unit, at most six.
+
+    Examples
+    --------
+    >>> nearest(Channel("u", "N m"), ["temperature [K]", "u_motor [V]", "torque [N mm]"])
+    ['u_motor [V]', 'torque [N mm]', 'temperature [K]']
+    """
+
+    def distance(title: str) -> tuple[float, bool]:
+        name, unit = split_header(title)
+        alike = difflib.SequenceMatcher(None, name.lower(), channel.name.lower()).ratio()
+        starts = name.lower().startswith(channel.name.lower())
+        try:
+            other = unit is None or not fits(unit, channel.unit)
+        except InputError:
+            other = True
+        return -alike - 0.5 * starts - 0.3 * (not other), other
+
+    return sorted(titles, key=distance)[:6]
 
 
 def _nearby(path: Path) -> str:

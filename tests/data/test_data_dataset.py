@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from harness import api
 from harness.data import load_dataset, parse_description
 from harness.errors import InputError
+from plants.mockups import mockup
 
 RNG = np.random.default_rng(0)
 TIME = np.arange(90) * 0.01
@@ -155,14 +157,46 @@ def test_a_run_may_override_columns(folder: Path) -> None:
 
 
 def test_a_free_swing_has_no_input_and_fits_its_model(folder: Path) -> None:
-    path = rewritten(folder, ('[signals.u]\nrole = "input"\nunit = "N m"\n', ""))
-    loaded = load_dataset(path)
+    changes = (('[signals.u]\nrole = "input"\nunit = "N m"\n', ""), ("sample_time", 'undriven = ["u"]\nsample_time'))
+    loaded = load_dataset(rewritten(folder, *changes))
     assert loaded.dataset.spec.nu == 0
-    assert any("input u of pendulum is not recorded" in note for note in loaded.dataset.warnings)
+    assert any("input u is declared as undriven: 0" in note for note in loaded.dataset.warnings)
     full = loaded.for_system(loaded.system())
     assert [c.name for c in full.spec.inputs] == ["u"]
     assert not full.estimation[0].u.any()
     assert np.array_equal(full.estimation[0].y, loaded.dataset.estimation[0].y)
+
+
+def test_an_input_that_no_column_gives_is_refused(folder: Path) -> None:
+    path = rewritten(folder, ('[signals.u]\nrole = "input"\nunit = "N m"\n', ""))
+    table(folder / "a.csv", torque__N_m=FORCE, theta=ANGLE, heat__K=ANGLE)
+    with pytest.raises(
+        InputError, match=r"no column gives the input u \[N m\] of pendulum.*torque.*undriven"
+    ) as caught:
+        load_dataset(path)
+    assert "serve nothing: torque [N m], heat [K]" in str(caught.value)
+    assert load_dataset(path, undriven=["u"]).dataset.spec.nu == 0
+    with pytest.raises(InputError, match=r"undriven input: expected .*\(u\), got 'v'"):
+        load_dataset(path, undriven=["v"])
+
+
+def test_a_recorded_input_is_not_undriven(folder: Path) -> None:
+    with pytest.raises(InputError, match="got 'u', which a signal gives"):
+        load_dataset(folder / "dataset.toml", undriven=["u"])
+
+
+def test_a_bare_file_without_the_input_is_refused_by_every_command(folder: Path, tmp_path: Path) -> None:
+    table(folder / "bare.csv", time__s=TIME, torqe__N_m=FORCE, theta__rad=ANGLE)
+    bare = folder / "bare.csv"
+    for call in (
+        lambda: api.close_loop(bare, model="pendulum", out=tmp_path / "out"),
+        lambda: api.identify(bare, model="pendulum", identifier="hold"),
+        lambda: api.close_loop(bare, model=str(mockup("pendulum")), out=tmp_path / "out"),
+    ):
+        with pytest.raises(InputError, match=r"no column gives the input u \[N m\].*serve nothing: torqe"):
+            call()
+    fitted = api.identify(bare, model="pendulum", identifier="hold", undriven=["u"])
+    assert fitted.model.spec.nu == 0
 
 
 def test_a_linear_model_takes_any_ports_and_units(folder: Path) -> None:
