@@ -409,10 +409,17 @@ def isolability(
     return isolability_of(chosen, made, parameters=parameters, sample_time=sample_time, seed=seed)
 
 
-def export(source: str | Path, *, out: str | Path, fmi: str = "both", force: bool = False) -> list[Path]:
-    """Write a model as co-simulation FMUs, a repaired FMU as an SSP package; see :func:`harness.export.export`."""
+def export(
+    source: str | Path, *, out: str | Path, fmi: str = "both", force: bool = False, trust: bool = False
+) -> list[Path]:
+    """Write a model as co-simulation FMUs, a repaired FMU as an SSP package; see :func:`harness.export.export`.
+
+    ``trust`` allows a ``model.json`` to run the Python file that it names (a model that was given as FILE.py:NAME).
+    """
     from harness import export as room
 
+    if not trust:
+        _refuse_python(Path(source))
     if fmi not in ("2", "3", "both"):
         raise InputError("FMI version", expected="2, 3 or both", got=repr(fmi), remedy="choose one", place="--fmi")
     target = Path(out)
@@ -466,6 +473,28 @@ def _refuse_overwrite(path: Path, *, force: bool) -> None:
             got="none",
             remedy=f"make {path.parent} first",
             file=path,
+        )
+
+
+def _refuse_python(source: Path) -> None:
+    """Raise if a stored model names a Python file, which reading it would run."""
+    import json
+
+    from harness.data.ports import runs_python
+
+    path = source / "model.json" if source.is_dir() else source
+    try:
+        model = json.loads(path.read_text(encoding="utf-8")).get("model") if path.suffix == ".json" else None
+    except (OSError, ValueError, AttributeError):
+        return  # what reads it words the refusal
+    if isinstance(model, str) and runs_python(model):
+        raise InputError(
+            "a stored model that runs Python code",
+            expected="a model that runs no file, or --trust",
+            got=repr(model),
+            remedy="if you trust that file, give --trust (in Python trust=True)",
+            file=path,
+            place="model",
         )
 
 

@@ -306,9 +306,10 @@ def export(
     out: Annotated[Path, typer.Option("--out", "-o", help="model.fmu; model.ssp for a repaired FMU")],
     fmi: Annotated[str, typer.Option(help="2, 3 or both (then model.fmu is FMI 2.0, model-fmi3.fmu FMI 3.0)")] = "both",
     force: Force = False,
+    trust: Annotated[bool, typer.Option("--trust", help="run the Python file that model.json names")] = False,
 ) -> None:
     """Write a model as a co-simulation FMU, with its C source."""
-    for path in api.export(source, out=out, fmi=fmi, force=force):
+    for path in api.export(source, out=out, fmi=fmi, force=force, trust=trust):
         say(f"wrote {path}")
 
 

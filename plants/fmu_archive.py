@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from harness.errors import InputError
-from harness.fmi.archive import check_entries
+from harness.fmi.archive import check_entries, has_document_type
 from plants.temporary import release, temporary_folder
 
 __all__ = ["MAX_ENTRIES", "MAX_RATIO", "MAX_TOTAL", "FmuFile", "read_fmu"]
@@ -155,7 +155,7 @@ def _check_entries(path: Path, archive: zipfile.ZipFile) -> None:
     if described[0].file_size > MAX_DESCRIPTION:
         size = f"{described[0].file_size >> 20} MiB"
         raise _refuse(path, "modelDescription.xml", f"at most {MAX_DESCRIPTION >> 20} MiB", size, "shrink it")
-    if b"<!DOCTYPE" in archive.read(described[0]):
+    if has_document_type(archive.read(described[0])):
         raise _refuse(path, "modelDescription.xml", "no document type", "a DOCTYPE", "do not trust it")
 
 

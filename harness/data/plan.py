@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.data.description import Description, NominalParameter, SignalSection
 from harness.data.loaded import Nominal
-from harness.data.ports import Ports, located_model, ports_of, rate_unit
+from harness.data.ports import Ports, located_model, ports_of, rate_unit, runs_python
 from harness.data.si import si_unit
 from harness.errors import InputError
 from harness.signals import Channel
@@ -87,6 +87,14 @@ class Plan:
             return Nominal(located_model(model, Path.cwd()))
         if section is None:
             return None
+        if model is None and runs_python(section.model):
+            raise InputError(
+                "a data set that runs Python code",
+                expected="a model that runs no file, or the command line naming the file as well",
+                got=repr(section.model),
+                remedy=f"if you trust that file, give --model {section.model} (in Python model={section.model!r})",
+                place="nominal.model",
+            )
         parameters = {
             name: given if isinstance(given, NominalParameter) else NominalParameter(value=float(given))
             for name, given in section.parameters.items()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import stat
 import zipfile
 from pathlib import Path
 
 from harness.errors import InputError
 
-__all__ = ["check_entries"]
+__all__ = ["check_entries", "has_document_type"]
 
 LARGE = 32 << 20  # bytes; smaller entries may be packed as tightly as they like
 
@@ -69,6 +70,41 @@ def check_entries(
                 path, "too large", f"at most {total >> 20} MiB unpacked", f"more, at {name!r}", "shrink it", name
             )
     return found
+
+
+def has_document_type(text: bytes) -> bool:
+    """Return True if an XML document declares a document type, in whatever encoding: entities hide bombs and files.
+
+    Examples
+    --------
+    >>> bomb = '<?xml version="1.0" encoding="UTF-16"?><!DOCTYPE a []><a/>'
+    >>> has_document_type(bomb.encode("utf-16")), has_document_type(b"<a>DOCTYPE</a>")
+    (True, False)
+    """
+    from xml.parsers import expat
+
+    found: list[str] = []
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = lambda name, *_: found.append(name)
+    parser.StartElementHandler = lambda *_: _leave()
+    with contextlib.suppress(_Element):
+        try:
+            parser.Parse(text, True)
+        except expat.ExpatError as error:
+            # an encoding that only other parsers know is not looked through: only what is plain ASCII can be
+            unknown = error.code == expat.errors.codes[expat.errors.XML_ERROR_UNKNOWN_ENCODING]
+            return bool(found) or unknown or b"<!DOCTYPE" in text.replace(b"\0", b"")
+        except (ValueError, LookupError):
+            return True
+    return bool(found)
+
+
+class _Element(Exception):
+    """The first element: no document type can follow."""
+
+
+def _leave() -> None:
+    raise _Element
 
 
 def _refuse(path: Path, what: str, expected: str, got: str, remedy: str, place: str | None = None) -> InputError:

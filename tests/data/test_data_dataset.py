@@ -222,11 +222,19 @@ def test_an_analogy_keeps_the_units_of_the_data(folder: Path) -> None:
     assert [str(c) for c in loaded.system().outputs] == ["q [V]"]
 
 
-def test_a_users_model_is_found_beside_the_data_set(folder: Path) -> None:
-    (folder / "mine.py").write_text(
-        "from harness.physics.models import pendulum\ndef swing():\n    return pendulum()\n"
+def test_a_users_model_runs_only_where_the_caller_names_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = (
+        "from harness.physics.models import pendulum\nopen('ran', 'w').close()\ndef swing():\n    return pendulum()\n"
     )
-    loaded = load_dataset(rewritten(folder, ('"pendulum"', '"mine.py:swing"')))
+    (folder / "mine.py").write_text(source)
+    monkeypatch.chdir(folder)
+    known = ("[signals.u]", "[nominal.parameters]\nJ = 0.3\n[signals.u]")
+    path = rewritten(folder, ('"pendulum"', '"mine.py:swing"'), known)
+    with pytest.raises(InputError, match=r"nominal.model: a data set that runs Python code.*--model mine.py:swing"):
+        load_dataset(path)
+    assert not (folder / "ran").exists()
+    loaded = load_dataset(path, model="mine.py:swing")
+    assert loaded.system().parameter("J").value == 0.3
     assert loaded.system().parameter_names == ("J", "b", "mgl")
 
 
