@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from harness.benchmark import BenchResult
     from harness.conformance import CheckResult
     from harness.diagnosis import Report
+    from harness.data import Nominal
     from harness.diagnosis.planned import Planned
     from harness.scoring import Score
     from harness.study import StudyResult
@@ -216,7 +217,8 @@ def identify(
     options : mapping, optional
         Its options.
     model : str, optional
-        Nominal model that names the ports (needed for a bare CSV or Parquet file).
+        Nominal model that names the ports (needed for a bare CSV or Parquet file). An identifier that fits a physical
+        model fits this one, or the one that the data set names, unless ``options`` say otherwise.
     validation : path, optional
         Validation file beside a bare CSV or Parquet file.
     undriven : sequence of str
@@ -240,7 +242,7 @@ def identify(
 
     loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
     data = loaded.dataset
-    made = registry.create("identifiers", identifier, **dict(options or {}))
+    made = registry.create("identifiers", identifier, **_with_model(identifier, dict(options or {}), loaded.nominal))
     if not isinstance(made, Identifier):
         raise InputError(
             f"identifier {identifier!r} cannot be fitted to a record",
@@ -446,6 +448,23 @@ def _from_outside(experiment: Experiment, spec: PlantSpec) -> dict[str, FloatArr
         if experiment.excitation[:, k].any()
     }
     return {**added, **getattr(experiment.controller, "references", {})}
+
+
+def _with_model(identifier: str, options: dict[str, Any], nominal: Nominal | None) -> dict[str, Any]:
+    """Return the options of an identifier, with the nominal model of the data where it fits a model and names none."""
+    if nominal is None or nominal.model.endswith((".fmu", ".urdf")):
+        return options
+    known = registry.named_options("identifiers", identifier)
+    if "model" not in known or options.get("model") is not None:
+        return options
+    from harness.physics.arm import is_arm
+
+    if is_arm(nominal.model):
+        return options
+    options["model"] = nominal.model
+    if "options" in known and nominal.options:
+        options.setdefault("options", dict(nominal.options))
+    return options
 
 
 def _make_plant(plant: str, options: dict[str, Any], hide: Sequence[tuple[str, str, Mapping[str, float]]]) -> Plant:
