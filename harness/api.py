@@ -20,8 +20,8 @@ from harness.signals import FloatArray, PlantSpec, Trajectory, Use
 if TYPE_CHECKING:
     from harness.benchmark import BenchResult
     from harness.conformance import CheckResult
-    from harness.diagnosis import Report
     from harness.data import Nominal
+    from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
     from harness.scoring import Score
     from harness.study import StudyResult
