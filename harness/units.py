@@ -75,7 +75,7 @@ AMBIGUOUS = {
 CYCLES = ("Hz", "kHz", "1/min", "min^-1", "cps")
 """What counts turns or events in a time: as a rate of an angle it may mean turns or radians."""
 
-_EXPONENT = re.compile(r"(?<=[A-Za-z°µμΩ])([-−]?[1-4])(?![\w.])")
+_EXPONENT = re.compile(r"(?<=[A-Za-z°µμΩ])([-\u2212]?[1-4])(?![\w.])")
 _INERTIA = re.compile(r"\b(k?g)([cm]?m)(?:\^?2|²)")
 _HYPHEN = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")
 
@@ -107,9 +107,9 @@ def _parsed(text: str) -> Any:
         return _registry().dimensionless
     import pint
 
-    for sign in "·⋅•×∙":
+    for sign in "·⋅•\u00d7∙":
         text = text.replace(sign, "*")
-    plain = _INERTIA.sub(r"\1*\2^2", text.replace("º", "°").replace("−", "-"))
+    plain = _INERTIA.sub(r"\1*\2^2", text.replace("º", "°").replace("\u2212", "-"))
     plain = _HYPHEN.sub("*", _EXPONENT.sub(r"^\1", plain))
     # a word of three letters or more is the same with capitals (RPM, Sec, Volt); a short sign never is
     words = plain.lower() if all(len(word) > 2 for word in re.findall("[A-Za-z]+", plain)) else plain
@@ -132,7 +132,9 @@ def _parse(unit: str, target: Any = None) -> Any:
     readings = _readings(unit)
     if len(readings) == 1:
         return _parsed(readings[0])
-    fitting = [text for text in readings if target is not None and _parsed(text).dimensionality == target.dimensionality]
+    fitting = [
+        text for text in readings if target is not None and _parsed(text).dimensionality == target.dimensionality
+    ]
     if len(fitting) == 1:
         return _parsed(fitting[0])
     raise InputError(

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.tables import REFERENCE, TRUTH, Table, split_header
+from harness.data.headers import split_header
+from harness.data.tables import REFERENCE, TRUTH, Table
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
