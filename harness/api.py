@@ -5,6 +5,7 @@ The heavy rooms are imported inside the calls, so that asking for help stays fas
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,11 +72,17 @@ def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
         )
     return {
         name: [
-            {"id": entry.id, "summary": entry.summary, "distribution": entry.distribution}
+            {"id": entry.id, "summary": _plain(entry.summary), "distribution": entry.distribution}
             for entry in registry.entries(name)
         ]
         for name in ((kind,) if kind is not None else LISTED)
     }
+
+
+def _plain(text: str) -> str:
+    """Return a docstring's line without its markup."""
+    text = re.sub(r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"\1", text)
+    return re.sub(r"``(.+?)``", r"\1", text)
 
 
 def describe_fmu(path: str | Path) -> dict[str, Any]:
@@ -521,7 +528,8 @@ def _write_json(path: Path, content: dict[str, Any]) -> None:
     """Write JSON so that a half-written file is never left behind."""
     import json
 
+    from harness.data.whole_files import whole_file
+
     text = json.dumps(content, indent=1, allow_nan=False)
-    scratch = path.with_name(path.name + ".part")
-    scratch.write_text(text + "\n", encoding="utf-8")
-    scratch.replace(path)
+    with whole_file(path) as scratch:
+        scratch.write_text(text + "\n", encoding="utf-8")

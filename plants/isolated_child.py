@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 
 from harness.errors import HarnessError, InputError, PlantError
+from harness.options import check_options, instead
 from harness.protocols import Batch, BatchTruth, Feedthrough, Plant, Snapshots, Truth
 from harness.signals import FloatArray
 from plants import frames
@@ -110,12 +111,16 @@ def _made(factory: str | Callable[..., Plant], options: dict[str, Any]) -> Plant
     try:
         inspect.signature(maker).bind(**options)
     except TypeError as error:
+        known = inspect.signature(maker).parameters
+        unknown = [name for name in options if name not in known]
+        lacking = [name for name, one in known.items() if one.default is one.empty and name not in options]
         raise InputError(
             f"options of the plant {factory if isinstance(factory, str) else maker.__name__!r}",
-            expected=f"options among ({', '.join(inspect.signature(maker).parameters)})",
+            expected=f"options among ({', '.join(known)})",
             got=", ".join(f"{name}={value!r}" for name, value in options.items()) or "none",
-            remedy=f"correct them: {error}",
+            remedy=instead(unknown, known) if unknown else f"give {', '.join(lacking)}",
         ) from error
+    check_options(f"the plant {factory if isinstance(factory, str) else maker.__name__!r}", maker, options)
     return maker(**options)
 
 

@@ -159,7 +159,9 @@ def test_bad_orders_are_refused() -> None:
         IsolatedPlant(lambda: pendulum_fmu())
     with pytest.raises(InputError, match="timeout"):
         isolated("pendulum-fmu", timeout=0.0)
-    with pytest.raises(InputError, match=r"options of the plant 'pendulum-fmu'.*sample_time.*unexpected.*'colour'"):
+    with pytest.raises(
+        InputError, match=r"options of the plant 'pendulum-fmu'.*sample_time.*got colour='red'; remedy: remove colour"
+    ):
         isolated("pendulum-fmu", colour="red")
 
 
