@@ -5,6 +5,7 @@ The heavy rooms are imported inside the calls, so that asking for help stays fas
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -100,24 +101,30 @@ def describe_fmu(path: str | Path) -> dict[str, Any]:
 def simulate(
     plant: str,
     *,
-    scenario: str,
+    scenario: str | None = None,
     seed: int = 0,
     out: str | Path | None = None,
     options: Mapping[str, Any] | None = None,
     scenario_options: Mapping[str, Any] | None = None,
     hide: Sequence[tuple[str, str, Mapping[str, float]]] = (),
     role: str = "estimation/0",
+    start: float | None = None,
+    stop: float | None = None,
+    step: float | None = None,
+    tolerance: float | None = None,
     force: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    note: Callable[[str], None] | None = None,
 ) -> Trajectory:
-    """Run a scenario on a plant and record it.
+    """Run a scenario on a plant and record it; without a scenario, run an FMU as it is.
 
     Parameters
     ----------
     plant : str
         Id of a registered plant, or a path that ends in ``.fmu``, ``.toml`` or ``.ssp`` (a coupling).
-    scenario : str
-        Id of a registered scenario.
+    scenario : str, optional
+        Id of a registered scenario. An FMU runs without one too: with its default experiment, its start values, and
+        all its outputs.
     seed : int
         Together with the two ids and the role it keys every random number.
     out : path, optional
@@ -129,10 +136,14 @@ def simulate(
         Effects to hide in the plant, e.g. ``("dead_zone", "u", {"width": 0.1})``.
     role : str
         ``estimation/0``, ``validation/0``, ...: other roles give other excitation and noise.
+    start, stop, step, tolerance : float, optional
+        Of an FMU without a scenario: begin, end and sample time [s], relative tolerance of the solver.
     force : bool
         Overwrite ``out`` if it exists.
     progress : callable, optional
         Called as ``progress(samples_done, samples)``.
+    note : callable, optional
+        Called with what an FMU without a scenario has to say, such as why its run ended early.
 
     Returns
     -------
@@ -152,6 +163,21 @@ def simulate(
             raise InputError(
                 "output file", expected="a name that ends in .csv or .parquet", got=str(out), remedy="rename it"
             )
+    if scenario is None:
+        asked = {"start": start, "stop": stop, "step": step, "tolerance": tolerance}
+        trajectory = _as_is(plant, asked, options or {}, bool(hide or scenario_options), progress, note)
+        if out is not None:
+            from harness.data import write_trajectory
+
+            write_trajectory(trajectory, out)
+        return trajectory
+    if any(value is not None for value in (start, stop, step, tolerance)):
+        raise InputError(
+            "start, stop, step and tolerance",
+            expected="none of them with a scenario, which says how long the run is",
+            got=f"the scenario {scenario}",
+            remedy="give --scenario-option duration=... and --option sample_time=..., tolerance=..., start_time=...",
+        )
     made_scenario = cast(Scenario, registry.create("scenarios", scenario, **dict(scenario_options or {})))
     with _make_plant(plant, dict(options or {}), hide) as made:
         from harness.rollout import perform
@@ -455,6 +481,31 @@ def _from_outside(experiment: Experiment, spec: PlantSpec) -> dict[str, FloatArr
         if experiment.excitation[:, k].any()
     }
     return {**added, **getattr(experiment.controller, "references", {})}
+
+
+def _as_is(
+    plant: str,
+    asked: Mapping[str, float | None],
+    options: Mapping[str, Any],
+    more: bool,
+    progress: Callable[[int, int], None] | None,
+    note: Callable[[str], None] | None,
+) -> Trajectory:
+    """Return the record of an FMU that runs with its own experiment."""
+    if not plant.endswith(".fmu") or more:
+        raise InputError(
+            "no scenario",
+            expected="--scenario ID (sysid list scenarios); only an FMU runs without one, with nothing hidden in it",
+            got=f"the plant {plant}",
+            remedy="add --scenario, for example --scenario multisine",
+        )
+    found = registry.load("plants", "fmu").as_is(
+        plant, **{**asked, "progress": progress, "isolated": os.name == "posix", **options}
+    )
+    for text in found.notes if note is not None else ():
+        cast(Any, note)(text)
+    recorded: Trajectory = found.trajectory
+    return recorded
 
 
 def _with_model(identifier: str, options: dict[str, Any], nominal: Nominal | None) -> dict[str, Any]:

@@ -87,8 +87,11 @@ def simulate(
         ),
     ],
     scenario: Annotated[
-        str, typer.Option("--scenario", help="id of a scenario", autocompletion=completed("scenarios"))
-    ],
+        str | None,
+        typer.Option(
+            "--scenario", help="id of a scenario; an FMU also runs as it is", autocompletion=completed("scenarios")
+        ),
+    ] = None,
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="run.csv or run.parquet")] = None,
     option: OptionPairs = None,
@@ -102,9 +105,14 @@ def simulate(
     role: Annotated[
         str, typer.Option(help="estimation/0, validation/0, ...: another role, other noise")
     ] = "estimation/0",
+    start: Annotated[float | None, typer.Option(help="of an FMU without a scenario: first instant [s]")] = None,
+    stop: Annotated[float | None, typer.Option(help="of an FMU without a scenario: last instant [s]")] = None,
+    step: Annotated[float | None, typer.Option(help="of an FMU without a scenario: sample time [s]")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="of an FMU without a scenario: of its solver")] = None,
     force: Force = False,
 ) -> None:
-    """Run a scenario on a plant and record it."""
+    """Run a scenario on a plant and record it; an FMU runs as it is where no scenario is given."""
+    notes: list[str] = []
     with progress_bar("simulating") as bar:
         task = bar.add_task(plant, total=None)
         trajectory = api.simulate(
@@ -116,9 +124,16 @@ def simulate(
             scenario_options=option_pairs(scenario_option, "--scenario-option"),
             hide=[hidden_effect(text) for text in hide or ()],
             role=role,
+            start=start,
+            stop=stop,
+            step=step,
+            tolerance=tolerance,
             force=force,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
+            note=notes.append,
         )
+    for text in notes:
+        print(f"sysid: note: {text}", file=sys.stderr)
     say(str(trajectory))
     if out is not None:
         say(f"wrote {out}")

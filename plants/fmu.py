@@ -25,6 +25,7 @@ from plants.fmu_variables import Port, channels, choose, describe, feeds_through
 from plants.mockups import mockup
 
 if TYPE_CHECKING:
+    from plants.fmu_as_is import AsIs
     from plants.fmu_probe import ProbeResult
 
 __all__ = ["FmuPlant", "describe"]
@@ -92,6 +93,14 @@ class FmuPlant(Beyond):
     """
 
     describe = staticmethod(describe)
+
+    @staticmethod
+    def as_is(path: str | Path, **options: Any) -> AsIs:
+        """Run an FMU with its default experiment; see :func:`plants.fmu_as_is.run_as_is`."""
+        from plants.fmu_as_is import run_as_is
+
+        return run_as_is(path, **options)
+
     mockup = staticmethod(mockup)
 
     @staticmethod
@@ -128,7 +137,11 @@ class FmuPlant(Beyond):
         dt = default(self.file, "stepSize") if sample_time is None else sample_time
         if dt is None:
             raise refused(
-                self.file, "no sample time", "a number of seconds", "none, and the FMU suggests none", "sample_time"
+                self.file,
+                "no sample time",
+                "a number of seconds",
+                "none, and the FMU suggests none",
+                "give sample_time=0.01 or the like (sysid: --option sample_time=0.01)",
             )
         self._tolerance = tolerance
         self._inputs = choose(self.file, inputs, "input")

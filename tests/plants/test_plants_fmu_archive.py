@@ -89,7 +89,11 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "parent folder": (lambda p: repacked(p, extra=[("resources/../../x", b"")]), "leaves its folder"),
     "absolute": (lambda p: repacked(p, extra=[("/absolute/x", b"")]), "leaves its folder"),
     "drive": (lambda p: repacked(p, extra=[("C:/x", b"")]), "leaves its folder"),
-    "backslash": (lambda p: repacked(p, extra=[("resources\\x", b"")]), "leaves its folder"),
+    "backslash": (lambda p: repacked(p, extra=[("resources\\..\\..\\x", b"")]), "leaves its folder"),
+    "same name, other slash": (
+        lambda p: repacked(p, extra=[("resources\\x", b"a"), ("resources/x", b"b")]),
+        "share a name",
+    ),
     "link": (lambda p: repacked(p, extra=[(link(), b"/etc/passwd")]), "is a link"),
     "bomb": (lambda p: repacked(p, extra=[("resources/bomb", bytes(64 << 20))]), "unpacks like a bomb"),
     "same name, other case": (lambda p: repacked(p, extra=[("MODELDESCRIPTION.xml", b"")]), "share a name"),
