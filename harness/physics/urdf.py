@@ -123,15 +123,12 @@ class Arm:
             Joint positions, rates and accelerations.
         gravity : (x, y, z)
             m/s^2 in the frame of the base.
+
+        Notes
+        -----
+        Generated C, compiled at the first call: :class:`harness.physics.arm_regressor.ArmRegressor`.
         """
-        samples = np.asarray(q).shape[0]
-        stacked = self._linear.map(samples)(np.asarray(q).T, np.asarray(v).T, np.asarray(a).T, np.asarray(gravity))
-        return (
-            np.asarray(stacked, dtype=float)
-            .reshape(self.n, samples, -1)
-            .transpose(1, 0, 2)
-            .reshape(samples * self.n, -1)
-        )
+        return np.asarray(self._regressor(q, v, a, gravity))
 
     @property
     def parameters(self) -> FloatArray:
@@ -153,13 +150,11 @@ class Arm:
         return ca.Function("inverse_dynamics", arguments, [torques])
 
     @cached_property
-    def _linear(self) -> Any:
-        """Return the regressor (n, 10 * bodies) as a CasADi function of (q, v, a, gravity)."""
-        import casadi as ca
+    def _regressor(self) -> Any:
+        """Return the compiled regressor."""
+        from harness.physics.arm_regressor import ArmRegressor
 
-        parameters = ca.SX.sym("p", 10 * len(self.joints))
-        arguments, torques = self.symbolic_torques(parameters)
-        return ca.Function("regressor", arguments, [ca.densify(ca.jacobian(torques, parameters))])
+        return ArmRegressor(self)
 
     def symbolic_torques(self, parameters: Any) -> tuple[list[Any], Any]:
         """Return the symbols (q, v, a, gravity) and the torques, linear in the inertial parameters.
