@@ -20,6 +20,9 @@ __all__ = ["Estimate", "RankDecision", "estimate_of", "null_words"]
 SHARE = 0.05
 """A parameter whose share in a null direction (columns at unit length) is below this is left out of its words."""
 
+SHOWN = 3
+"""Null directions that are printed; all are kept."""
+
 
 @dataclass(frozen=True)
 class RankDecision:
@@ -55,7 +58,11 @@ class RankDecision:
 
     def __str__(self) -> str:
         text = f"rank {self.rank} of {self.columns}" + (f" ({self.rule})" if self.rule else "")
-        return text + (f"; not determined: {'; '.join(self.null_directions)}" if self.null_directions else "")
+        if not self.null_directions:
+            return text
+        more = len(self.null_directions) - SHOWN
+        said = "; ".join(self.null_directions[:SHOWN]) + (f"; and {more} more" if more > 0 else "")
+        return f"{text}; not determined: {said}"
 
 
 @dataclass(frozen=True, eq=False)

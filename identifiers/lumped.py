@@ -310,7 +310,7 @@ class Lumped:
 
         spread = spread_of(records, runs, start, refit, self.intervals, rng)
         if spread is None:
-            return values, None, "no intervals: simulated records could not be fitted"
+            return values, None, "no intervals: fits of simulated records fail or are too biased"
         better = {name: values[name] - spread.bias[row] for row, name in enumerate(regression.names)}
         return better, spread, f"scatter of {spread.count} simulated records, bias taken off"
 

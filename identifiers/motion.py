@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from harness.errors import FitError
 from harness.signals import FloatArray, Trajectory
-
-if TYPE_CHECKING:
-    from harness.physics import System
 
 __all__ = ["Motion", "Smoothing", "between", "motion", "noise_level", "noisier"]
 
@@ -48,7 +45,7 @@ class Motion:
 
 
 def motion(
-    system: System,
+    system: Any,
     record: Trajectory,
     smoothing: Smoothing = "auto",
     *,
@@ -60,7 +57,7 @@ def motion(
     Parameters
     ----------
     system : harness.physics.System
-        Its coordinates are wanted.
+        Anything whose ``coordinates`` have names.
     record : Trajectory
         Outputs named after the coordinates, rates ``NAME_rate`` or ``NAME_dot``.
     smoothing : {"auto", "local", "spline", "kalman", "forward", "causal"}

@@ -14,10 +14,14 @@ from identifiers.motion import noise_level
 
 __all__ = ["Spread", "simulated", "spread_of"]
 
-FAITHFUL = 1.3
-"""The rms of the free run over the noise of the record, above which simulated records are not believed to be like the
-measured ones: then the model lacks something or is biased, and its spread says nothing about the truth. Over 40
-samples both scatter by a ninth: 1.3 is two standard deviations of their ratio."""
+FAITHFUL = 6.0
+"""Simulated records are believed to be like the measured ones while the rms of the free run stays below the noise of
+the record times 1 + 6 / sqrt(N): both are known to about 2 / sqrt(N) of themselves (the noise from an eighth of the
+spectrum), so this is three standard deviations. Above it the model lacks something or is biased, and its spread says
+nothing about the truth."""
+REMAINDER = 0.3
+"""The bias is taken off to first order; what is left is about bias^2 / value. Above this part of the standard deviation
+no interval is claimed: at 0.3 a 95 % interval still holds 94 %."""
 WINDOW, LEAST = 1.0, 40
 """Windows of the free run [s], and their least number of samples."""
 
@@ -72,7 +76,7 @@ def simulated(model: GreyBoxModel, records: Sequence[Trajectory]) -> list[tuple[
         channels = list(zip(record.spec.outputs, record.y.T, strict=True))
         own = np.array([noise_level(s if c.period is None else np.unwrap(s, period=c.period)) for c, s in channels])
         # 1e-6 of the travel: integration, not noise
-        if np.any(size > FAITHFUL * own + 1e-6 * travel):
+        if np.any(size > (1 + FAITHFUL / np.sqrt(len(record))) * own + 1e-6 * travel):
             return None
         found.append((y, own))
     return found
@@ -107,7 +111,7 @@ def spread_of(
     Returns
     -------
     Spread or None
-        None if a fifth of the refits fail.
+        None if a fifth of the refits fail, or the bias is too large to be taken off.
     """
     found = []
     for _ in range(count):
@@ -122,4 +126,9 @@ def spread_of(
         return None
     table = np.array(found)
     covariance = np.atleast_2d(np.cov(table, rowvar=False))
-    return Spread(table.mean(axis=0) - values, covariance, len(found))
+    bias = table.mean(axis=0) - values
+    # the mean of so many is uncertain itself
+    certain = np.maximum(np.abs(bias) - 2 * np.sqrt(np.diag(covariance) / len(found)), 0.0)
+    if np.any(certain**2 > REMAINDER * np.sqrt(np.diag(covariance)) * np.abs(values)):
+        return None
+    return Spread(bias, covariance, len(found))

@@ -156,7 +156,7 @@ def symbolic_regressor(arm: Arm) -> tuple[list[Any], Any]:
     sine, cosine, v, a = (ca.SX.sym(name, n) for name in ("s", "c", "v", "a"))
     gravity = ca.SX.sym("g", 3)
     zero = ca.SX.zeros(3)
-    base = (zero, zero, -gravity, {})
+    base: tuple[Any, Any, Any, dict[int, tuple[Any, Any]]] = (zero, zero, -gravity, {})
     bodies: list[tuple[Any, Any, Any, dict[int, tuple[Any, Any]]]] = []
     matrix = ca.SX(n, 10 * len(arm.joints))
     index = 0
