@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.errors import FitError
 from harness.estimate import estimate_of
-from harness.physics import Mechanism
+from harness.physics import load_model
 from harness.physics.identifiability import determined
 from harness.physics.models import pendulum
 from harness.signals import PlantSpec, Trajectory
@@ -53,14 +52,9 @@ def test_the_noise_of_a_record_is_measured():
 
 
 def quadrotor_record(noise):
-    from harness.physics.models import BUILT_IN
+    from harness.physics.models import planar_quadrotor
 
-    m = Mechanism("craft", q="x y theta", u="u1 u2", p="m I r")
-    (x, y, theta), (mass, inertia, r), (u1, u2) = m.q, m.p, m.u
-    m.body(mass, (x, y), inertia, theta)
-    m.Q = [-(u1 + u2) * sp.sin(theta), (u1 + u2) * sp.cos(theta), r * (u1 - u2)]
-    BUILT_IN["craft"] = lambda: m
-    system = m.system()
+    system = planar_quadrotor().system()
     rng = np.random.default_rng(0)
     n, dt = 1000, 0.01
     u = 2.4 + 0.3 * np.repeat(rng.uniform(-1, 1, size=(n // 20, 2)), 20, axis=0)
@@ -69,21 +63,47 @@ def quadrotor_record(noise):
     return Trajectory(np.arange(n) * dt, u, y, PlantSpec(system.inputs, system.outputs, dt))
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-8, 1e-4])
-def test_a_quadrotor_shows_only_inertia_over_arm_and_says_so(noise):
-    """They came out as 0 without a word."""
-    from harness.physics.models import BUILT_IN
+CRAFT = """
+from dataclasses import replace
+from harness.physics.models import planar_quadrotor
 
+def craft():
+    m = planar_quadrotor()
+    m.parameters(r=("m", 0.25))
+    return m
+"""
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-8, 1e-4])
+def test_a_quadrotor_shows_only_inertia_over_arm_and_says_so(noise, tmp_path):
+    """They came out as 0 without a word."""
     data = quadrotor_record(noise)
-    try:
-        for make in (lumped_torque, lumped_momentum):
-            with pytest.raises(FitError, match=r"(I and r|r and I) only in proportion"):
-                make("craft").fit([data], rng=np.random.default_rng(0))
-        found = lumped_momentum("craft", known={"r": 0.25}).fit([data], rng=np.random.default_rng(0)).parameters
-        assert found["m"] == pytest.approx(0.486, rel=1e-2)
-        assert found["I"] == pytest.approx(0.00383, rel=2e-2)
-    finally:
-        del BUILT_IN["craft"]
+    file = tmp_path / "craft.py"
+    file.write_text(CRAFT)
+    for make in (lumped_torque, lumped_momentum):
+        with pytest.raises(FitError, match=r"(I and r|r and I) only in proportion"):
+            make(f"{file}:craft").fit([data], rng=np.random.default_rng(0))
+    # the registered one declares r fixed
+    found = lumped_momentum("planar-quadrotor").fit([data], rng=np.random.default_rng(0)).parameters
+    assert found["m"] == pytest.approx(0.486, rel=1e-2)
+    assert found["I"] == pytest.approx(0.00383, rel=2e-2)
+    assert found["r"] == 0.25
+
+
+def test_areas_and_inertia_of_the_glider_come_back():
+    system = load_model("perching-glider")
+    rng = np.random.default_rng(0)
+    runs = []
+    for k in range(3):
+        u = 2.0 * np.repeat(rng.uniform(-1, 1, size=(10, 1)), 8, axis=0)
+        x0 = [-3.5, 0.1, 0.1 * (k - 1), 0.0, 7.0, 0.0, 0.0]
+        y = system.simulator(0.01).rollout(system.vector(), x0, u)
+        y = y + 1e-3 * rng.normal(size=y.shape)
+        runs.append(Trajectory(np.arange(80) * 0.01, u, y, PlantSpec(system.inputs, system.outputs, 0.01)))
+    start = {"I": 0.003, "S_w": 0.05, "S_e": 0.03}
+    model = OutputError(model="perching-glider", start=start).fit(runs, rng=rng)
+    for name in start:
+        assert model.parameters[name] == pytest.approx(system.values()[name], rel=0.03), name
 
 
 OFFSET = """
@@ -103,8 +123,6 @@ def arm():
 @pytest.mark.parametrize("identifier", [lumped_momentum, OutputError])
 @pytest.mark.parametrize("offset", [0.08, -0.08])
 def test_an_offset_declared_zero_is_fitted_either_way(identifier, offset, tmp_path):
-    from harness.physics import load_model
-
     file = tmp_path / "arm.py"
     file.write_text(OFFSET)
     system = load_model(f"{file}:arm")
