@@ -31,6 +31,9 @@ BATCH: list[tuple[str, dict[str, Any], tuple[str, ...]]] = [
     ("mdp-counting", {"prior": 0.5}, ("finite",)),
 ]
 TESTED_ELSEWHERE = {
+    "ekf": "needs its own model: tested beside the filters",
+    "ukf": "needs its own model: tested beside the filters",
+    "inertial": "needs an arm: tested beside the inertial parameters",
     "true-model": "needs a plant: tested beside the baselines",
     "output-error": "seconds for each fit: tested beside the grey boxes",
     "lumped-torque": "needs its own mechanism: tested beside the lumped forms",
