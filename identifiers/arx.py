@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from harness.errors import FitError
+from harness.lqr import spectral_radius
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.excitation import Columns, refuse_feedback
 from identifiers.linear_model import LinearModel
 from identifiers.records import lagged, lagged_blocks, moving, real_signals, usable
 from identifiers.regression import Solution, solve
 from identifiers.scaling import sizes
-from identifiers.stability import nearest_stable, spectral_radius, stable_lags
+from identifiers.stability import nearest_stable, stable_lags
 
 __all__ = ["Arx", "design", "lag_model", "one_step", "solution_notes"]
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.errors import FitError
+from harness.lqr import spectral_radius
 from harness.scoring import predict
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.arx import lag_model, one_step, solution_notes
@@ -17,7 +18,7 @@ from identifiers.linear_model import LinearModel
 from identifiers.records import moving, real_signals, usable
 from identifiers.regression import Solution, solve
 from identifiers.scaling import Scaling, scaled, sizes
-from identifiers.stability import clip_eigenvalues, nearest_stable, spectral_radius, stable_lags
+from identifiers.stability import clip_eigenvalues, nearest_stable, stable_lags
 
 __all__ = ["Dmdc"]
 

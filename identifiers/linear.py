@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from harness.errors import FitError
+from harness.lqr import spectral_radius
 from harness.signals import FloatArray, Trajectory
 from identifiers.arx import Arx, design, one_step, solution_notes
 from identifiers.excitation import Columns, refuse_collinear, refuse_feedback
@@ -17,7 +18,7 @@ from identifiers.norms import largest_components
 from identifiers.records import moving, real_signals, usable
 from identifiers.regression import Solution
 from identifiers.scaling import sizes
-from identifiers.stability import clip_eigenvalues, nearest_stable, spectral_radius
+from identifiers.stability import clip_eigenvalues, nearest_stable
 
 __all__ = ["Arx", "LinearModel", "StateLeastSquares"]
 

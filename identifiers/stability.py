@@ -6,19 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 
+from harness.lqr import spectral_radius
 from harness.signals import FloatArray
 
-__all__ = ["RADIUS", "clip_eigenvalues", "nearest_stable", "spectral_radius", "stable_lags"]
+__all__ = ["RADIUS", "clip_eigenvalues", "nearest_stable", "stable_lags"]
 
 # Eigenvalues of a model that is asked to be stable stay within this: at 1 itself a free run never forgets its start.
 RADIUS = 0.999
 # Rounds of the search: each halves the rest at most, and costs one small eigenvalue problem.
 _ROUNDS = 40
-
-
-def spectral_radius(a: FloatArray) -> float:
-    """Return the largest modulus of an eigenvalue; 0 of an empty matrix."""
-    return float(np.abs(np.linalg.eigvals(a)).max()) if a.size else 0.0
 
 
 def clip_eigenvalues(a: FloatArray, radius: float = RADIUS) -> FloatArray:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.errors import FitError
+from harness.lqr import spectral_radius
 from harness.signals import FloatArray, Trajectory
 from identifiers.excitation import feedback_of
 from identifiers.filters import stationary_gain
@@ -18,7 +19,7 @@ from identifiers.markov import markov_parameters
 from identifiers.records import lagged_blocks, moving, real_signals, usable
 from identifiers.regression import solve
 from identifiers.scaling import Scaling, sizes
-from identifiers.stability import clip_eigenvalues, spectral_radius
+from identifiers.stability import clip_eigenvalues
 
 __all__ = ["HoKalman", "markov_parameters", "observer_markov", "realize"]
 

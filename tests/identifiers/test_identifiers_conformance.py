@@ -37,7 +37,13 @@ TESTED_ELSEWHERE = {
     "lumped-energy": "needs its own mechanism: tested beside the lumped forms",
     "lumped-momentum": "needs its own mechanism: tested beside the lumped forms",
 }
-ONLINE = [("rls", {}), ("rls", {"order": 1, "offset": False, "forgetting": 0.99}), ("mdp-online", {})]
+ONLINE: list[tuple[str, dict[str, Any]]] = [
+    ("rls", {}),
+    ("rls", {"order": 1, "offset": False, "forgetting": 0.99}),
+    ("mdp-online", {}),
+    ("follow-the-leader", {}),
+    ("follow-the-leader", {"identifier": "ho-kalman", "options": {"markov": 12, "order": 2}, "burn_in": 60}),
+]
 
 
 def _name(case: tuple[Any, ...]) -> str:
