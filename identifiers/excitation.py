@@ -14,7 +14,7 @@ from identifiers.regression import Solution, dependence_text, solve
 
 __all__ = ["Columns", "Feedback", "feedback_of", "refuse_collinear", "refuse_feedback", "refuse_feedback_of_records"]
 
-# Columns have rms 1: a combination of outputs ten times smaller is a near-dependence, one of size 1 is an output.
+# Columns have rms 1: a combination ten times smaller is a near-dependence, one of size 1 is a signal by itself.
 _WEAK = 0.1
 # A departure below this fraction of the inputs is rounding of the normal equations (the root of 1e-16, and room).
 _EXACT = 1e-7
@@ -60,7 +60,8 @@ def refuse_feedback(solution: Solution, columns: Columns, least: float, what: st
     Soderstrom & Stoica 1989, sec. 10.3). So the part of the inputs that the other regressors do not explain is
     compared, in its weakest combination, with the noise that the law would pass on. The noise is taken to be the
     equation's own residual, which is no less. An input that follows no law (open loop) is never refused, whatever the
-    noise.
+    noise, nor one that departs from it by a tenth of its size: a controller that acts on the noisy outputs themselves
+    gives consistent fits with any departure, and the two cases look alike.
 
     Parameters
     ----------
@@ -94,10 +95,13 @@ def refuse_feedback(solution: Solution, columns: Columns, least: float, what: st
     half = np.linalg.inv(root)
     values, vectors = np.linalg.eigh(half @ carried @ half.T)
     chance = len(others) / solution.rows  # what a law fitted to chance passes on
-    weak = values - chance > 1.0 / least**2
+    turns = half.T @ vectors
+    shares = np.sqrt(np.clip(np.einsum("ij,ik,kj->j", turns, departure, turns), 0.0, None))
+    shares = shares / np.linalg.norm(turns, axis=0)
+    weak = (values - chance > 1.0 / least**2) & (shares < _WEAK)
     if not weak.any():
         return
-    turn = half.T @ vectors[:, -1]
+    turn = turns[:, int(np.flatnonzero(weak)[-1])]
     null = np.zeros(r.shape[1])
     null[columns.now], null[others] = turn, -law @ turn
     share = float(np.sqrt(max(turn @ departure @ turn, 0.0)) / max(np.linalg.norm(null), 1e-300))
@@ -176,7 +180,7 @@ class Feedback:
 
 
 def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
-    """Test whether past outputs foretell the input: feedback (Granger 1969; Ljung 1999, sec. 13.4).
+    """Test whether outputs foretell the input beyond its own past: feedback (Granger 1969; Ljung 1999, sec. 13.4).
 
     Parameters
     ----------
@@ -204,9 +208,10 @@ def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
     spec = records[0].spec
     long = [one for one in records if len(one) > lags + 1]
     past_u = [[one.u[lags - j : len(one) - j] for j in range(1, lags + 1)] for one in long]
-    past_y = [[one.y[lags - j : len(one) - j] for j in range(1, lags + 1)] for one in long]
+    # a controller acts on the output of the same sample, unless that depends on the input itself
+    past_y = [[one.y[lags - j : len(one) - j] for j in range(int(spec.feedthrough), lags + 1)] for one in long]
     rows = sum(len(one) - lags for one in long)
-    width = 1 + lags * (spec.nu + spec.ny)
+    width = 1 + lags * spec.nu + (lags + 1) * spec.ny
     if spec.nu == 0 or rows <= 2 * width:
         return Feedback(0.0, 1.0)
     own = np.concatenate([np.hstack([np.ones((len(p[0]), 1)), *p]) for p in past_u])
