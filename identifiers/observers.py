@@ -186,7 +186,7 @@ def innovation_form(
     [[0.4]]
     """
     nx, ny, nu = a.shape[0], c.shape[0], b.shape[1]
-    gain = np.linalg.lstsq(a, k, rcond=1e-9)[0] if nx else np.zeros((0, ny))
+    gain: FloatArray = np.asarray(np.linalg.lstsq(a, k, rcond=1e-9)[0], dtype=np.float64)
     size = max(float(np.abs(k).max(initial=0.0)), 1e-300)
     if np.abs(a @ gain - k).max(initial=0.0) <= 1e-9 * size:
         return LinearModel(spec, a, b, c, d, gain, state_offset, output_offset, **more)

@@ -23,6 +23,8 @@ __all__ = ["PredictionError"]
 LADDER = (1, 2, 3, 4, 6)
 # Another order must lower the validated error by this much.
 _GAIN = 0.98
+# Errors below this fraction of the outputs are rounding: no reason for another order.
+_ROUNDING = 1e-7
 # Relative gain of the loss below which the search has arrived, and rounds after which it gives up.
 _ARRIVED, _ROUNDS = 1e-9, 60
 # Refinements of a starting model by filtering with its own denominator.
@@ -94,7 +96,7 @@ class PredictionError:
         feedback = feedback_of(records)
         notes["feedback_share"] = feedback.share
         if feedback.found and self.structure == "oe":
-            notes["warning"] = "past outputs foretell the input (feedback): output error is biased unless noise is white"
+            notes["warning"] = "outputs foretell the input (feedback): output error is biased unless noise is white"
         rms = (np.array(model.notes["residual_rms"]) * scaling.outputs).tolist()
         notes = {**notes, **model.notes, "order": order, "residual_rms": rms}
         return replace(model.in_units(scaling), notes=notes)
@@ -114,7 +116,7 @@ class PredictionError:
             wrong = [score(model, one, burn_in=2 * order).rms for one in judge]
             error = float(np.sqrt(np.mean(np.square(wrong))))
             errors[str(order)] = error if np.isfinite(error) else 1e300
-            if error < _GAIN * best[0] and best[0] > 1e-9:
+            if error < _GAIN * best[0] and best[0] > _ROUNDING:
                 best = (error, order)
         return best[1], errors
 
@@ -149,9 +151,7 @@ class PredictionError:
             return Orders(na=n, nb=n, nc=n, delay=self.delay)
         return Orders(nb=n, nc=n, nd=n, nf=n, delay=self.delay)
 
-    def _one_output(
-        self, parts: Sequence[Part], order: int, what: str
-    ) -> tuple[Polynomials, list[float], float, bool]:
+    def _one_output(self, parts: Sequence[Part], order: int, what: str) -> tuple[Polynomials, list[float], float, bool]:
         """Return polynomials, their standard errors, the residual rms, and whether the search arrived."""
         orders, nu = self._orders(order), parts[0].u.shape[1]
         count = orders.na + nu * orders.nb + orders.nc + orders.nd + orders.nf + 1
@@ -220,11 +220,11 @@ def _steiglitz(parts: Sequence[Part], orders: Orders, level: float, refine: bool
 
 
 def _hannan(parts: Sequence[Part], orders: Orders, level: float) -> Polynomials:
-    """Return A, B, C by two regressions: a long one for the innovations, then one with them (Hannan & Rissanen 1982)."""
+    """Return A, B, C by two regressions, a long one for the innovations first (Hannan & Rissanen 1982)."""
     nu = parts[0].u.shape[1]
     shortest = min(part.y.size for part in parts)
     long = max(orders.na, orders.nc, min(6 * max(orders.na, orders.nc, 1), shortest // 4, 40))
-    innovations = []
+    innovations: list[FloatArray] = []
     for lags, with_noise in ((long, False), (orders.na, True)):
         rows, targets, places = [], [], []
         first = max(long + orders.nc if with_noise else lags, orders.nb + orders.delay - 1, 1)
@@ -263,9 +263,7 @@ def _inside(coefficients: FloatArray, radius: float = 0.98) -> FloatArray:
     return np.pad(np.real(np.poly(roots))[1:], (0, coefficients.size - roots.size))
 
 
-def _search(
-    first: Polynomials, parts: Sequence[Part], offset: bool
-) -> tuple[float, Polynomials, FloatArray, bool]:
+def _search(first: Polynomials, parts: Sequence[Part], offset: bool) -> tuple[float, Polynomials, FloatArray, bool]:
     """Return the least sum of squares that is reached, where, the slopes there, and whether it has arrived."""
     orders, nu = first.orders, parts[0].u.shape[1]
     count, nx, nz = first.vector.size, orders.start_x, orders.start_z

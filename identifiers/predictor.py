@@ -13,6 +13,7 @@ from harness.lqr import spectral_radius
 from harness.scoring import equation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.excitation import feedback_of
+from identifiers.filters import stationary_gain
 from identifiers.linear_model import LinearModel
 from identifiers.observers import innovation_form
 from identifiers.records import moving, real_signals, usable
@@ -25,8 +26,12 @@ _BLOCK = 8192
 # Without an order the candidates are those up to here; a larger one is taken only for this gain in validated error.
 _MOST = 12
 _GAIN = 0.99
+# Errors below this fraction of the outputs are rounding: no reason for another order.
+_ROUNDING = 1e-7
 # The regression of the future on past and inputs is refused below this ratio of singular values.
 _RANK = 1e-10
+# Share of the mean power that breaks ties between directions of equal canonical correlation.
+_TIE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -125,7 +130,7 @@ class Subspace:
             misses = [equation_error(model, one, burn_in=window).rms for one in held]
             error = float(np.sqrt(np.mean(np.square(misses))))
             errors[str(order)] = error if np.isfinite(error) else 1e300
-            if error < _GAIN * best[0] and best[0] > 1e-9:
+            if error < _GAIN * best[0] and best[0] > _ROUNDING:
                 best = (error, order)
         return best[1], errors
 
@@ -153,7 +158,7 @@ class Subspace:
 
 @dataclass(frozen=True, eq=False)
 class _Stacked:
-    """Triangle of rows ``[u, y of the samples k - p .. k + f - 1]``, centred, and the means it is centred at.
+    """Triangle of rows ``[u, y of the samples k - p .. k + f - 1]``, centred, and the means of its columns.
 
     Sample s of the window (0 .. p + f - 1) has its inputs and outputs in columns ``u(s)`` and ``y(s)``.
     """
@@ -162,8 +167,7 @@ class _Stacked:
     window: int
     nu: int
     ny: int
-    u_mean: FloatArray
-    y_mean: FloatArray
+    means: FloatArray
     rows: int
 
     @classmethod
@@ -184,9 +188,8 @@ class _Stacked:
             stacked = block if triangle is None else np.vstack([triangle, block])
             triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
         assert triangle is not None
-        level = triangle[0, 1:] / triangle[0, 0]  # the constant's column is the first: its row holds the means
-        each = level.reshape(2 * window, nu + ny).mean(axis=0)
-        return cls(triangle[1:, 1:], window, nu, ny, each[:nu], each[nu:], rows)
+        # the constant's column is the first: its row holds the means of the others, and the rest is centred
+        return cls(triangle[1:, 1:], window, nu, ny, triangle[0, 1:] / triangle[0, 0], rows)
 
     def u(self, first: int, last: int) -> FloatArray:
         """Return the inputs of samples first .. last - 1."""
@@ -267,8 +270,9 @@ def _weighted(data: _Stacked, predicted: FloatArray, method: str) -> tuple[Float
     if method in ("cva", "parsim"):
         rest = outputs - inputs @ _solve(inputs, outputs)
         values, vectors = np.linalg.eigh(rest.T @ rest)
-        floor = 1e-12 * max(float(values[-1]), 1e-300)
-        weight = (vectors * np.maximum(values, floor) ** 0.25) @ vectors.T
+        # Without noise all canonical correlations are 1: a little of the mean power lets the stronger directions lead.
+        values = np.maximum(values, 0.0) + _TIE * max(float(values.mean()), 1e-300)
+        weight = (vectors * values**0.25) @ vectors.T
         back, forth = weight @ weight, np.linalg.inv(weight @ weight)
     else:
         back = forth = weight
@@ -296,11 +300,17 @@ def _completed(
     theta = _solve(seen, outputs)
     c, d = theta[:order].T, theta[order:].T if direct else np.zeros((ny, nu))
     innovation = outputs - seen @ theta
+    if np.linalg.norm(innovation) <= _ROUNDING * np.linalg.norm(outputs):
+        innovation = np.zeros_like(innovation)  # exact data tell no filter
     moved = _solve(np.hstack([state, inputs, innovation]), following)
     a, b, k = moved[:order].T, moved[order : order + nu].T, moved[order + nu :].T
     if spectral_radius(a - k @ c) >= 1.0:
         k = np.zeros_like(k) if spectral_radius(a) < 1.0 else k
-    state_offset = -b @ data.u_mean
-    output_offset = data.y_mean - d @ data.u_mean
-    # deviations from the means: x+ = A x + B (u - um), y = C x + D (u - um) + ym
-    return innovation_form(records[0].spec, a, b, c, d, k, state_offset, output_offset)
+    # The state of data that are not centred is the same sum of their past; its means give the constants.
+    both, means = nu + ny, data.means
+    now, then = to_state @ means[: p * both], to_state @ means[both : (p + 1) * both]
+    u_mean, y_mean = means[p * both : p * both + nu], means[p * both + nu : (p + 1) * both]
+    state_offset = then - a @ now - b @ u_mean
+    output_offset = y_mean - c @ now - d @ u_mean
+    model = innovation_form(records[0].spec, a, b, c, d, k, state_offset, output_offset)
+    return model if np.any(k) else replace(model, filter_gain=stationary_gain(a, c))

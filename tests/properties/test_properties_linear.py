@@ -32,6 +32,7 @@ OUTPUTS: list[tuple[str, dict[str, Any]]] = [
     ("arx", {"order": 4, "ridge": 1e-14}),
     ("dmdc", {"delays": 4, "ridge": 1e-14}),
     ("ho-kalman", {"markov": 40, "observer": 5}),
+    ("n4sid", {"past": 5, "method": "parsim"}),
 ]
 
 

@@ -32,6 +32,9 @@ OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("edmdc", {"delays": 2, "fourier": 1}),
     ("ho-kalman", {"markov": 30}),
     ("ho-kalman", {"markov": 30, "observer": 4}),
+    ("n4sid", {"past": 5, "order": 2}),
+    ("n4sid", {"past": 5, "method": "parsim"}),
+    ("prediction-error", {"order": 1}),
     ("stlsq", {"time": "discrete"}),
     ("stlsq", {"order": 1}),
 ]
