@@ -29,6 +29,7 @@ BATCH: list[tuple[str, dict[str, Any], tuple[str, ...]]] = [
     ("stlsq", {"order": 2, "half": 12}, ("pendulum",)),
     ("mdp-counting", {}, ("finite",)),
     ("mdp-counting", {"prior": 0.5}, ("finite",)),
+    ("factored-counting", {}, ("finite", "plant:machines-mdp")),
 ]
 TESTED_ELSEWHERE = {
     "true-model": "needs a plant: tested beside the baselines",
