@@ -234,7 +234,7 @@ class _Couplings:
                 row += here.size + there.size
                 variables += a.size
         index = (np.concatenate(rows), np.concatenate(columns))
-        self._equal = coo_array((np.ones(index[0].size), index), shape=(row, variables)).tocsr()
+        self._equal: Any = coo_array((np.ones(index[0].size), index), shape=(row, variables)).tocsr()
         self._amount = np.concatenate(amounts)
         self._source = np.concatenate(sources)
         self._which = np.concatenate(self._problem)
@@ -245,7 +245,8 @@ class _Couplings:
         from scipy.optimize import linprog
         from scipy.sparse import coo_array
 
-        found = linprog(d.ravel()[self._source], A_eq=self._equal, b_eq=self._amount, method="highs")
+        solver: Any = linprog
+        found = solver(d.ravel()[self._source], A_eq=self._equal, b_eq=self._amount, method="highs")
         if found.x is None:
             raise InputError(
                 "transport between distributions",

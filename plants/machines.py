@@ -134,4 +134,4 @@ class MachinesMdp:
 
     def _move(self, action: int) -> None:
         """Draw the next states, one number for each machine."""
-        self._state = (self._rng.random(self.machines) < self.chances(self._state, action)).astype(np.intp)
+        self._state = (self._rng.random(self.machines) < self.chances(self.truth(), action)).astype(np.intp)

@@ -29,6 +29,8 @@ BATCH: list[tuple[str, dict[str, Any], tuple[str, ...]]] = [
     ("stlsq", {"order": 2, "half": 12}, ("pendulum",)),
     ("mdp-counting", {}, ("finite",)),
     ("mdp-counting", {"prior": 0.5}, ("finite",)),
+    ("hidden-markov", {"states": 2, "starts": 2, "prior": 0.1}, ("finite",)),
+    ("hidden-markov", {"states": 2, "method": "spectral"}, ("finite",)),
     ("factored-counting", {}, ("finite", "plant:machines-mdp")),
 ]
 TESTED_ELSEWHERE = {
