@@ -139,7 +139,8 @@ class NeuralNetwork:
 
     An affine fit comes first, the network learns what it leaves; so a network that learns nothing is an ARX model. The
     last fifth of every record is held out: each member ends at its best state there, and its variance is its mean
-    square error there. Needs torch for the fit (extra ``learned``); the model runs with numpy.
+    square error there. Far outside the data members may agree and be wrong: the affine part is theirs in common; where
+    that matters use a Gaussian process. Needs torch for the fit (extra ``learned``); the model runs with numpy.
 
     Parameters
     ----------
