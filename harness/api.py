@@ -8,14 +8,14 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from harness import registry
 from harness.errors import HarnessError, InputError, PluginError
 from harness.plant_files import is_plant_file, make_plant
-from harness.protocols import Experiment, Identifier, Model, Plant, Scenario
+from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
 from harness.rng import Streams, stream
 from harness.signals import FloatArray, PlantSpec, Trajectory, Use
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from harness.data import Nominal
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
+    from harness.predictive import ProbabilityScore
     from harness.scoring import Score
     from harness.study import StudyResult
 
@@ -225,6 +226,8 @@ class Identified:
     equation_error: dict[Use, list[Score]]
     simulation_error: dict[Use, list[Score]]
     warnings: tuple[str, ...]
+    probability: dict[Use, list[ProbabilityScore]] = field(default_factory=dict)
+    """One step ahead, of a model that predicts distributions; empty for others."""
 
 
 def identify(
@@ -271,6 +274,7 @@ def identify(
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
     from harness.data import load_dataset
+    from harness.predictive import probability_score
     from harness.scoring import equation_error, simulation_error
 
     loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
@@ -293,11 +297,15 @@ def identify(
     if out is not None:
         _write_json(Path(out), fitted.to_dict())
     uses: tuple[Use, ...] = ("estimation", "validation", "test")
+    probability = {}
+    if isinstance(fitted, Predictive):
+        probability = {use: [probability_score(fitted, one) for one in data.using(use)] for use in uses}
     return Identified(
         fitted,
         {use: [equation_error(fitted, one) for one in data.using(use)] for use in uses},
         {use: [simulation_error(fitted, one) for one in data.using(use)] for use in uses},
         data.warnings,
+        probability,
     )
 
 

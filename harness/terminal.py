@@ -244,6 +244,9 @@ def print_identified(fitted: Identified, identifier: str) -> None:
                 scores = [f"{s.nrmse[column]:.4g} ({s.rms[column]:.3g} {channel.unit})" for s in (one, free)]
                 shown.add_row(use, str(run), channel.name, *scores, free.initial_state)
     wide_console().print(shown)
+    for use, scores_of_use in fitted.probability.items():
+        for run, score in enumerate(scores_of_use):
+            say(f"{use} {run}, one step ahead: {score}")
     for name, value in getattr(fitted.model, "parameters", {}).items():
         deviation = getattr(fitted.model, "deviations", {}).get(name)
         say(f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else ""))
