@@ -1,7 +1,7 @@
 """Sound parts in the manner of third parties: the checks must blame none of them.
 
 ``SOUND`` lists ten identifiers as other people would write them: fits to random subsets, stochastic training,
-ensembles, finite impulse responses, wrappers of scikit-learn and SIPPY. :class:`Sound` and the few parts below it are what
+ensembles, finite impulse responses, wrappers of scikit-learn and SIPPY. :class:`Sound` and the parts below it are what
 ``faults.py`` spoils.
 """
 
