@@ -20,7 +20,8 @@ from harness.rng import Streams, stream
 from harness.signals import FloatArray, PlantSpec, Trajectory, Use
 
 if TYPE_CHECKING:
-    from harness.benchmark import BenchResult
+    from harness.benchmark import Answer, BenchResult
+    from harness.benchmark.planning import Plan
     from harness.conformance import CheckResult
     from harness.data import Nominal
     from harness.diagnosis import Report
@@ -39,6 +40,8 @@ __all__ = [
     "identify",
     "isolability",
     "list_parts",
+    "plan_bench",
+    "query",
     "simulate",
     "study",
     "table",
@@ -201,14 +204,36 @@ def bench(
     seeds: tuple[int, int] | None = None,
     engine: str = "local",
     resume: bool = False,
+    shard: str | None = None,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> BenchResult:
     """Run a benchmark suite; see :func:`harness.benchmark.bench`."""
     from harness import benchmark
 
     return benchmark.bench(
-        suite, out=out, workers=workers, seeds=seeds, engine=engine, resume=resume, progress=progress
+        suite, out=out, workers=workers, seeds=seeds, engine=engine, resume=resume, shard=shard, progress=progress
     )
+
+
+def plan_bench(
+    suite: str | Path,
+    *,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    seeds: tuple[int, int] | None = None,
+    shard: str | None = None,
+) -> Plan:
+    """Return what :func:`bench` would run, and how long it would take; see :func:`harness.benchmark.plan`."""
+    from harness import benchmark
+
+    return benchmark.plan(suite, out=out, workers=workers, seeds=seeds, shard=shard)
+
+
+def query(directory: str | Path, sql: str) -> Answer:
+    """Return the answer to a query over the tables of a benchmark's folder; see :func:`harness.benchmark.query`."""
+    from harness import benchmark
+
+    return benchmark.query(directory, sql)
 
 
 def table(directory: str | Path) -> BenchResult:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
     from harness.api import Identified
-    from harness.benchmark import BenchResult
+    from harness.benchmark import Answer, BenchResult
     from harness.diagnosis.planned import Planned
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "hidden_effect",
     "option_pairs",
     "option_value",
+    "print_answer",
     "print_bench",
     "print_fmu",
     "print_identified",
@@ -216,6 +217,21 @@ def print_bench(result: BenchResult, *, as_json: bool) -> None:
     if result.folder is not None:
         say(f"report: {result.report}")
         say(f"results: {result.folder / 'results.parquet'}")
+
+
+def print_answer(answer: Answer) -> None:
+    """Print the answer to a query as a table."""
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = Table(box=None, padding=(0, 2, 0, 0))
+    for name in answer.columns:
+        shown.add_column(Text(name), overflow="fold")
+    for record in answer.records():
+        shown.add_row(
+            *(Text("" if v is None else f"{v:.6g}" if isinstance(v, float) else str(v)) for v in record.values())
+        )
+    wide_console().print(shown)
 
 
 def print_planned(found: Planned) -> None:
