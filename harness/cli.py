@@ -27,6 +27,7 @@ from harness.terminal import (
     print_json,
     print_parts,
     print_planned,
+    print_rows,
     progress_bar,
     say,
     seed_range,
@@ -208,6 +209,61 @@ def identify(
         force=force,
     )
     print_identified(fitted, identifier)
+    if out is not None:
+        say(f"wrote {out}")
+
+
+@app.command()
+def compare(
+    files: Annotated[list[str], typer.Argument(metavar="MODEL... DATASET", help="model.json files, then the data set")],
+    model: ModelName = None,
+    validation: Validation = None,
+    undriven: Undriven = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="page.html")] = None,
+    trust: Annotated[bool, typer.Option("--trust", help="run the Python file that a model.json names")] = False,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Put stored models side by side on one data set: fit, residuals, frequency responses."""
+    if len(files) < 2:
+        raise InputError(
+            "what to compare", expected="MODEL... DATASET", got=" ".join(files), remedy="give a model and a data set"
+        )
+    found = api.compare(
+        files[:-1],
+        files[-1],
+        model=model,
+        validation=validation,
+        undriven=undriven or (),
+        out=out,
+        trust=trust,
+        force=force,
+    )
+    if as_json:
+        print_json(found.rows())
+    else:
+        print_rows(found.rows())
+    if out is not None:
+        say(f"wrote {out}")
+
+
+@app.command()
+def spectrum(
+    dataset: Annotated[str, typer.Argument(metavar="DATASET", help="dataset.toml, CSV, Parquet, or a recording")],
+    model: ModelName = None,
+    undriven: Undriven = None,
+    segment: Annotated[int | None, typer.Option(min=16, help="samples of a segment of Welch's method")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Show the frequency response in the data, with bands and coherence."""
+    found = api.spectrum(dataset, model=model, undriven=undriven or (), segment=segment, out=out, force=force)
+    if as_json:
+        print_json(found.rows(64))
+    else:
+        say(f"{found.averages:.0f} averages; deviation is one standard deviation of the magnitude")
+        print_rows(found.rows())
     if out is not None:
         say(f"wrote {out}")
 
