@@ -5,6 +5,7 @@ The heavy rooms are imported inside the calls, so that asking for help stays fas
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -36,6 +37,7 @@ __all__ = [
     "close_loop",
     "compare",
     "describe_fmu",
+    "describe_part",
     "export",
     "identify",
     "isolability",
@@ -81,6 +83,55 @@ def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
         ]
         for name in ((kind,) if kind is not None else LISTED)
     }
+
+
+def describe_part(id: str) -> dict[str, Any] | None:
+    """Return what a registered part is and which options it takes; None if there is none of this id.
+
+    Returns
+    -------
+    dict or None
+        ``kind``, ``id``, ``distribution``, ``text`` (its docstring) and ``options``: rows with name, default, meaning.
+
+    Examples
+    --------
+    >>> [row["name"] for row in describe_part("hold")["options"]], describe_part("prbs")["kind"]
+    ([], 'scenarios')
+    """
+    for kind in ("plants", "identifiers", "scenarios", "effects", "models"):
+        for entry in registry.entries(kind):
+            if entry.id == id:
+                made = registry.load(kind, id)
+                text = inspect.getdoc(made) or entry.summary
+                options = [] if kind == "effects" else registry.named_options(kind, id).values()
+                rows = [
+                    {
+                        "name": one.name,
+                        "default": "needed" if one.default is one.empty else _default(one.default),
+                        "meaning": _meaning(text, one.name),
+                    }
+                    for one in options
+                ]
+                about = text.partition("\nExamples\n")[0].partition("\nParameters\n")[0].strip()
+                return {
+                    "kind": kind,
+                    "id": id,
+                    "distribution": entry.distribution,
+                    "text": _plain(about if kind != "effects" else entry.summary),
+                    "options": rows,
+                }
+    return None
+
+
+def _default(value: Any) -> str:
+    """Return a default as one writes it."""
+    return "(its own)" if "factory" in repr(value) else repr(value)
+
+
+def _meaning(text: str, name: str) -> str:
+    """Return what a docstring says of a parameter."""
+    found = re.search(rf"^(?:\w+, )*{re.escape(name)}(?:, \w+)* : [^\n]*\n((?:[ ]+[^\n]*\n?)+)", text, re.MULTILINE)
+    return _plain(" ".join(found[1].split())) if found else ""
 
 
 def _plain(text: str) -> str:

@@ -61,7 +61,7 @@ Undriven = Annotated[
 
 @app.command(name="list")
 def list_command(
-    what: Annotated[str | None, typer.Argument(help=f"{' | '.join(api.LISTED)} | FILE.fmu")] = None,
+    what: Annotated[str | None, typer.Argument(help=f"{' | '.join(api.LISTED)} | ID | FILE.fmu")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Show what is registered, or what is in an FMU."""
@@ -71,6 +71,13 @@ def list_command(
             print_json(description)
         else:
             print_fmu(description)
+        return
+    if what is not None and what not in api.LISTED and (part := api.describe_part(what)) is not None:
+        if as_json:
+            print_json(part)
+            return
+        say(f"{part['id']} ({part['kind'][:-1]} of {part['distribution']}): {part['text']}")
+        print_rows(part["options"])
         return
     parts = api.list_parts(what)
     if as_json:
@@ -412,6 +419,20 @@ def check(
             got=f"{len(failed)} failed ({', '.join(failed)})",
             remedy="see the reasons above",
         )
+
+
+@app.command()
+def new(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="identifier | plant | scenario | effect | model")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="its id, such as soft-friction")],
+    folder: Annotated[Path, typer.Option(help="where sysid-NAME/ is made")] = Path("."),
+) -> None:
+    """Begin a plug-in: a distribution of its own that works and passes its checks."""
+    from harness.scaffold import new as begin
+
+    for path in begin(kind, name, folder=folder):
+        say(f"wrote {path}")
+    say(f"now: cd {folder / f'sysid-{name}'} && pip install -e . && sysid check {name}")
 
 
 @app.callback(invoke_without_command=True)
