@@ -46,7 +46,7 @@ class ArmDesigned(ArmComputedTorque):
     margin: float = 0.95
     lowest: float | None = None
     starts: int = 20
-    steps: int = 600
+    steps: int = 2000
 
     def design(self, spec: PlantSpec, *, rng: np.random.Generator) -> Design:
         """Return the designed reference and its condition number."""
@@ -83,7 +83,7 @@ class ArmDesigned(ArmComputedTorque):
             rng=rng,
         )
 
-    def _reference(
+    def _planned(
         self, n: int, spec: PlantSpec, positions: list[int], *, rng: np.random.Generator
     ) -> tuple[FloatArray, FloatArray | None]:
         """Return position, rate and acceleration about the first posture, (3, n, joints), and that posture."""
