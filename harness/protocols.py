@@ -316,6 +316,8 @@ class Hindsight:
     ----------
     losses : array (M,)
         Loss of the minimiser at each predicted sample of the stream, records in order, ``sum(N_i - 1)`` of them.
+    per_output : array (M, ny), optional
+        The same, output by output, where the loss is a sum over outputs; regret can then scale each by its size.
     exact : bool
         True where the minimiser is global (convex loss); False reads "best found".
     details : dict
@@ -325,3 +327,4 @@ class Hindsight:
     losses: FloatArray
     exact: bool
     details: dict[str, Any] = field(default_factory=dict)
+    per_output: FloatArray | None = None
