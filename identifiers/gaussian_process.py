@@ -33,7 +33,7 @@ _BLOCK = 2048
 class Kernel:
     """Squared exponential with a length for each regressor, and a line: ``sf^2 exp(-r^2/2) + sl^2 (1 + x x')``.
 
-    """Squared exponential, a length for each regressor, and a line: ``sf^2 exp(-r^2/2) + sl^2 (1 + x x')``.
+    Rasmussen and Williams 2006, *Gaussian Processes for Machine Learning*, eq. 5.1 and, for the line, sec. 4.2.2.
 
     Parameters
     ----------
