@@ -14,8 +14,10 @@ from typing import Annotated
 import typer
 
 from harness import __version__, api
+from harness.command import INTERRUPTED, Interrupts, main
 from harness.errors import HarnessError, InputError
 from harness.terminal import (
+    completed,
     fail,
     hidden_effect,
     option_pairs,
@@ -24,6 +26,7 @@ from harness.terminal import (
     print_fmu,
     print_identified,
     print_json,
+    print_parts,
     print_planned,
     progress_bar,
     say,
@@ -31,26 +34,29 @@ from harness.terminal import (
     wide_console,
 )
 
-__all__ = ["app", "main"]
+__all__ = ["app", "main", "run"]
 
 app = typer.Typer(
     name="sysid",
     help="Co-simulation test harness for system identification that closes the loop with measured data.",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-INTERRUPTED = 130
-
 OptionPairs = Annotated[list[str] | None, typer.Option("--option", "-O", metavar="k=v", help="option, repeatable")]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
 Force = Annotated[bool, typer.Option("--force", help="overwrite")]
 Seed = Annotated[int, typer.Option(help="keys every random number")]
-ModelName = Annotated[str | None, typer.Option(help="nominal model: NAME, FILE.fmu, FILE.urdf or FILE.py:NAME")]
+ModelName = Annotated[
+    str | None,
+    typer.Option(help="nominal model: NAME, FILE.fmu, FILE.urdf or FILE.py:NAME", autocompletion=completed("models")),
+]
 Validation = Annotated[Path | None, typer.Option(help="validation file beside a bare CSV or Parquet file")]
+Undriven = Annotated[
+    list[str] | None, typer.Option("--undriven", metavar="INPUT", help="input of the model that nothing drove")
+]
 
 
 @app.command(name="list")
@@ -70,22 +76,23 @@ def list_command(
     if as_json:
         print_json(parts)
         return
-    from rich.table import Table
-
-    for kind, rows in parts.items():
-        shown = Table(title=kind, title_justify="left", box=None, padding=(0, 2, 0, 0), show_header=False)
-        shown.add_column(no_wrap=True)
-        shown.add_column(overflow="fold")
-        for row in rows:
-            foreign = "" if row["distribution"] == "sysid-harness" else f" (from {row['distribution']})"
-            shown.add_row(f"  {row['id']}", row["summary"] + foreign)
-        wide_console().print(shown)
+    print_parts(parts)
 
 
 @app.command()
 def simulate(
-    plant: Annotated[str, typer.Argument(metavar="PLANT", help="id of a plant, or FILE.fmu, .toml or .ssp")],
-    scenario: Annotated[str, typer.Option("--scenario", help="id of a scenario")],
+    plant: Annotated[
+        str,
+        typer.Argument(
+            metavar="PLANT", help="id of a plant, or FILE.fmu, .toml or .ssp", autocompletion=completed("plants")
+        ),
+    ],
+    scenario: Annotated[
+        str | None,
+        typer.Option(
+            "--scenario", help="id of a scenario; an FMU also runs as it is", autocompletion=completed("scenarios")
+        ),
+    ] = None,
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="run.csv or run.parquet")] = None,
     option: OptionPairs = None,
@@ -99,9 +106,14 @@ def simulate(
     role: Annotated[
         str, typer.Option(help="estimation/0, validation/0, ...: another role, other noise")
     ] = "estimation/0",
+    start: Annotated[float | None, typer.Option(help="of an FMU without a scenario: first instant [s]")] = None,
+    stop: Annotated[float | None, typer.Option(help="of an FMU without a scenario: last instant [s]")] = None,
+    step: Annotated[float | None, typer.Option(help="of an FMU without a scenario: sample time [s]")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="of an FMU without a scenario: of its solver")] = None,
     force: Force = False,
 ) -> None:
-    """Run a scenario on a plant and record it."""
+    """Run a scenario on a plant and record it; an FMU runs as it is where no scenario is given."""
+    notes: list[str] = []
     with progress_bar("simulating") as bar:
         task = bar.add_task(plant, total=None)
         trajectory = api.simulate(
@@ -113,9 +125,16 @@ def simulate(
             scenario_options=option_pairs(scenario_option, "--scenario-option"),
             hide=[hidden_effect(text) for text in hide or ()],
             role=role,
+            start=start,
+            stop=stop,
+            step=step,
+            tolerance=tolerance,
             force=force,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
+            note=notes.append,
         )
+    for text in notes:
+        print(f"sysid: note: {text}", file=sys.stderr)
     say(str(trajectory))
     if out is not None:
         say(f"wrote {out}")
@@ -123,7 +142,12 @@ def simulate(
 
 @app.command()
 def bench(
-    suite: Annotated[str, typer.Argument(metavar="SUITE", help="name of a suite (sysid list suites) or FILE.toml")],
+    suite: Annotated[
+        str,
+        typer.Argument(
+            metavar="SUITE", help="name of a suite (sysid list suites) or FILE.toml", autocompletion=completed("suites")
+        ),
+    ],
     out: Annotated[Path | None, typer.Option(help="folder for results; default results/SUITE")] = None,
     workers: Annotated[int | None, typer.Option(help="processes; default all cores")] = None,
     seeds: Annotated[str | None, typer.Option(metavar="A..B", help="seeds A to B, both included")] = None,
@@ -196,10 +220,11 @@ def query(
 @app.command()
 def identify(
     dataset: Annotated[str, typer.Argument(metavar="DATASET", help="dataset.toml, CSV, Parquet, or a recording")],
-    identifier: Annotated[str, typer.Option(help="id of an identifier")],
+    identifier: Annotated[str, typer.Option(help="id of an identifier", autocompletion=completed("identifiers"))],
     option: OptionPairs = None,
     model: ModelName = None,
     validation: Validation = None,
+    undriven: Undriven = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="model.json")] = None,
     seed: Seed = 0,
     force: Force = False,
@@ -211,6 +236,7 @@ def identify(
         options=option_pairs(option, "--option"),
         model=model,
         validation=validation,
+        undriven=undriven or (),
         out=out,
         seed=seed,
         force=force,
@@ -226,6 +252,7 @@ def close_loop(
     out: Annotated[Path, typer.Option(help="folder for report.html and report.json")],
     model: ModelName = None,
     validation: Validation = None,
+    undriven: Undriven = None,
     as_json: Annotated[bool, typer.Option("--json", help="print report.json")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="continue what was interrupted")] = False,
     force: Force = False,
@@ -244,6 +271,7 @@ def close_loop(
             out=out,
             model=model,
             validation=validation,
+            undriven=undriven or (),
             resume=resume,
             force=force,
             seed=seed,
@@ -301,7 +329,9 @@ def study(
 @app.command()
 def isolability(
     model: Annotated[str, typer.Argument(metavar="PLANT_OR_MODEL", help="nominal model, or a plant made of equations")],
-    scenario: Annotated[str, typer.Option("--scenario", help="id of a scenario")],
+    scenario: Annotated[
+        str, typer.Option("--scenario", help="id of a scenario", autocompletion=completed("scenarios"))
+    ],
     scenario_option: Annotated[
         list[str] | None, typer.Option("--scenario-option", "-S", metavar="k=v", help="scenario option, repeatable")
     ] = None,
@@ -333,9 +363,10 @@ def export(
     out: Annotated[Path, typer.Option("--out", "-o", help="model.fmu; model.ssp for a repaired FMU")],
     fmi: Annotated[str, typer.Option(help="2, 3 or both (then model.fmu is FMI 2.0, model-fmi3.fmu FMI 3.0)")] = "both",
     force: Force = False,
+    trust: Annotated[bool, typer.Option("--trust", help="run the Python file that model.json names")] = False,
 ) -> None:
     """Write a model as a co-simulation FMU, with its C source."""
-    for path in api.export(source, out=out, fmi=fmi, force=force):
+    for path in api.export(source, out=out, fmi=fmi, force=force, trust=trust):
         say(f"wrote {path}")
 
 
@@ -369,29 +400,49 @@ def _root(version: Annotated[bool, typer.Option("--version", help="print the ver
         raise typer.Exit()
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; every failure is one line on standard error and an exit status."""
+def run(arguments: Sequence[str] | None, interrupts: Interrupts) -> int:
+    """Run the command line and return the exit status; every failure is one line on standard error."""
     from typer.main import get_command
 
     try:
-        code = get_command(app).main(args=None if arguments is None else list(arguments), standalone_mode=False)
+        code = get_command(app).main(
+            args=None if arguments is None else list(arguments), prog_name="sysid", standalone_mode=False
+        )
         if code == INTERRUPTED:  # the library turns Ctrl-C into a status
             raise KeyboardInterrupt
-    except HarnessError as error:
-        fail(" ".join(str(error).split()), 2)
-    except (KeyboardInterrupt, typer.Abort):
-        fail("interrupted; what was finished is kept, --resume continues", INTERRUPTED)
+        sys.stdout.flush()
+        return code if isinstance(code, int) else 0
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
+        return 0
+    except (KeyboardInterrupt, typer.Abort):
+        return _interrupted()
     except Exception as error:
-        if hasattr(error, "format_message") and hasattr(error, "exit_code"):
-            fail(f"{error.format_message()}; remedy: sysid --help", 2)
-        if os.environ.get("SYSID_HARNESS_DEBUG"):
-            raise
-        fail(
-            f"a fault in sysid-harness: {type(error).__name__}: {' '.join(str(error).split())}; "
-            "remedy: set SYSID_HARNESS_DEBUG=1 for the traceback and report it",
-            1,
-        )
-    sys.exit(code if isinstance(code, int) else 0)
+        return _interrupted() if interrupts.seen else _failed(error)
+
+
+def _interrupted() -> int:
+    """Say that Ctrl-C was heard."""
+    return fail("interrupted; what was finished is kept, --resume continues", INTERRUPTED)
+
+
+def _failed(error: Exception) -> int:
+    """Say what went wrong, and whose it is."""
+    if isinstance(error, OSError):
+        from harness.data.whole_files import refused_by_system
+
+        error = refused_by_system(error) or error
+    debug = bool(os.environ.get("SYSID_HARNESS_DEBUG"))
+    if debug and isinstance(error.__cause__, TypeError | ValueError | AttributeError | LookupError):
+        raise error
+    if isinstance(error, HarnessError):
+        return fail(" ".join(str(error).split()), 2)
+    if hasattr(error, "format_message") and hasattr(error, "exit_code"):
+        return fail(f"{error.format_message()}; remedy: sysid --help", 2)
+    if debug:
+        raise error
+    return fail(
+        f"a fault in sysid-harness: {type(error).__name__}: {' '.join(str(error).split())}; "
+        "remedy: set SYSID_HARNESS_DEBUG=1 for the traceback and report it",
+        1,
+    )

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Lines",
+    "completed",
     "fail",
     "hidden_effect",
     "option_pairs",
@@ -32,6 +33,7 @@ __all__ = [
     "print_fmu",
     "print_identified",
     "print_json",
+    "print_parts",
     "print_planned",
     "progress_bar",
     "say",
@@ -40,10 +42,25 @@ __all__ = [
 ]
 
 
-def fail(message: str, status: int) -> None:
-    """Print one line on standard error and leave."""
+def fail(message: str, status: int) -> int:
+    """Print one line on standard error and return the exit status."""
     print(f"sysid: {message}", file=sys.stderr)
-    sys.exit(status)
+    return status
+
+
+def completed(kind: str) -> Callable[[str], list[str]]:
+    """Return what completes the id of a part in a shell (``sysid --install-completion``)."""
+
+    def begun(incomplete: str) -> list[str]:
+        from harness import registry
+
+        return [entry.id for entry in registry.entries(kind) if entry.id.startswith(incomplete)]
+
+    return begun
+
+
+OWN = "sysid-harness"
+"""The distribution whose parts go without a remark."""
 
 
 def say(text: str) -> None:
@@ -60,7 +77,37 @@ def wide_console() -> Console:
     """Return a console that folds nothing when its output is a file or a pipe."""
     from rich.console import Console
 
-    return Console(width=None if sys.stdout.isatty() else max(120, int(os.environ.get("COLUMNS", "0") or 0)))
+    width = None if sys.stdout.isatty() else max(120, int(os.environ.get("COLUMNS", "0") or 0))
+    return Console(width=width, markup=False, highlight=False, emoji=False)  # "u [N m]" is text, no style
+
+
+NARROW = 70
+"""Columns below which a list puts what a part is under its name."""
+
+
+def print_parts(parts: Mapping[str, Sequence[Mapping[str, str]]]) -> None:
+    """Print ids and what is behind them, kind by kind."""
+    from rich.padding import Padding
+    from rich.table import Table
+
+    console = wide_console()
+    for kind, rows in parts.items():
+        lines = [
+            (row["id"], row["summary"] + ("" if (own := row["distribution"]) == OWN else f" (from {own})"))
+            for row in rows
+        ]
+        console.print(kind)
+        if console.width < NARROW:
+            for name, text in lines:
+                console.print(f"  {name}", overflow="fold")
+                console.print(Padding(text, (0, 0, 0, 4)))
+            continue
+        shown = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
+        shown.add_column(no_wrap=True)
+        shown.add_column(overflow="fold")
+        for name, text in lines:
+            shown.add_row(f"  {name}", text)
+        console.print(shown)
 
 
 class Lines:
@@ -213,6 +260,9 @@ def print_identified(fitted: Identified, identifier: str) -> None:
                 scores = [f"{s.nrmse[column]:.4g} ({s.rms[column]:.3g} {channel.unit})" for s in (one, free)]
                 shown.add_row(use, str(run), channel.name, *scores, free.initial_state)
     wide_console().print(shown)
+    for use, scores_of_use in fitted.probability.items():
+        for run, score in enumerate(scores_of_use):
+            say(f"{use} {run}, one step ahead: {score}")
     for name, value in getattr(fitted.model, "parameters", {}).items():
         deviation = getattr(fitted.model, "deviations", {}).get(name)
         say(f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else ""))

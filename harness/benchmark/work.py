@@ -257,6 +257,7 @@ def _fit_and_score(
     model = identifier.fit(shown, rng=rng)
     fitted = time.perf_counter()
     row.fit_seconds = fitted - started
+    row.reason = _doubts(model)
     try:
         one_step = [equation_error(model, record.measured()) for record in held_out]
         row.equation_error, row.equation_rms = _pooled(one_step)
@@ -269,6 +270,21 @@ def _fit_and_score(
         raise PlantError("the one-step predictions of the model are not finite", status="diverged")
     if row.simulation_error is None:
         raise PlantError("the free run of the model diverges on held-out data", status="diverged")
+
+
+def _doubts(model: Any) -> str:
+    """Return why the estimate of a model that is scored all the same is in doubt; empty where it is not."""
+    from harness.estimate import estimate_of
+
+    found = estimate_of(model)
+    if found is None:
+        return ""
+    doubts = [] if found.converged else [f"not converged: {found.message}" if found.message else "not converged"]
+    if found.on_bound and "on a bound" not in found.message:
+        doubts.append(f"on a bound: {', '.join(found.on_bound)}")
+    if found.rank is not None and not found.rank.full:
+        doubts.append(str(found.rank))
+    return one_line("; ".join(doubts))
 
 
 def _score_regret(identifier: Any, shown: Sequence[Trajectory], row: Row, rng: np.random.Generator) -> None:

@@ -113,9 +113,9 @@ class LoadedDataset:
         return system.with_parameters(self._parameters(system))
 
     def for_system(self, system: System) -> Dataset:
-        """Return the data set with every input of a model, in its order; 0 where nothing was recorded.
+        """Return the data set with every input of a model, in its order; 0 where it is declared as undriven.
 
-        A free swing has no recorded input; a model that has one was not driven through it.
+        A free swing has no recorded input: ``undriven = ["u"]`` says so.
         """
         spec = self.dataset.spec
         names = [channel.name for channel in spec.inputs]
