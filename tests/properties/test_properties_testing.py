@@ -1,4 +1,4 @@
-"""The public strategies: what they draw is what they say; and an example of a user who tests an estimator of her own."""
+"""The public strategies: what they draw is what they say; and a user tests an estimator of her own with them."""
 
 from __future__ import annotations
 
@@ -81,7 +81,9 @@ def test_a_placed_effect_composes_with_a_drawn_mechanism(data: st.DataObject) ->
     system = data.draw(mechanisms(("pendulum", "oscillator")))
     placed = data.draw(placed_effects(system, lambda one: one.effect.name.endswith("friction")))
     whole = compose(system, [placed])
-    outputs = whole.simulator(0.01, backend="casadi").rollout(whole.vector(), np.zeros(whole.nx), np.ones((30, whole.nu)))
+    outputs = whole.simulator(0.01, backend="casadi").rollout(
+        whole.vector(), np.zeros(whole.nx), np.ones((30, whole.nu))
+    )
     assert np.isfinite(outputs).all()
 
 
