@@ -9,24 +9,26 @@ import inspect
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from harness import registry
 from harness.errors import HarnessError, InputError, PluginError
 from harness.plant_files import is_plant_file, make_plant
-from harness.protocols import Experiment, Identifier, Model, Plant, Scenario
+from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
 from harness.rng import Streams, stream
 from harness.signals import FloatArray, PlantSpec, Trajectory, Use
 
 if TYPE_CHECKING:
-    from harness.benchmark import BenchResult
+    from harness.benchmark import Answer, BenchResult
+    from harness.benchmark.planning import Plan
     from harness.comparison import Comparison, Spectrum
     from harness.conformance import CheckResult
     from harness.data import Nominal
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
+    from harness.predictive import ProbabilityScore
     from harness.scoring import Score
     from harness.study import StudyResult
 
@@ -42,6 +44,8 @@ __all__ = [
     "identify",
     "isolability",
     "list_parts",
+    "plan_bench",
+    "query",
     "simulate",
     "spectrum",
     "study",
@@ -254,14 +258,36 @@ def bench(
     seeds: tuple[int, int] | None = None,
     engine: str = "local",
     resume: bool = False,
+    shard: str | None = None,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> BenchResult:
     """Run a benchmark suite; see :func:`harness.benchmark.bench`."""
     from harness import benchmark
 
     return benchmark.bench(
-        suite, out=out, workers=workers, seeds=seeds, engine=engine, resume=resume, progress=progress
+        suite, out=out, workers=workers, seeds=seeds, engine=engine, resume=resume, shard=shard, progress=progress
     )
+
+
+def plan_bench(
+    suite: str | Path,
+    *,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    seeds: tuple[int, int] | None = None,
+    shard: str | None = None,
+) -> Plan:
+    """Return what :func:`bench` would run, and how long it would take; see :func:`harness.benchmark.plan`."""
+    from harness import benchmark
+
+    return benchmark.plan(suite, out=out, workers=workers, seeds=seeds, shard=shard)
+
+
+def query(directory: str | Path, sql: str) -> Answer:
+    """Return the answer to a query over the tables of a benchmark's folder; see :func:`harness.benchmark.query`."""
+    from harness import benchmark
+
+    return benchmark.query(directory, sql)
 
 
 def table(directory: str | Path) -> BenchResult:
@@ -279,6 +305,8 @@ class Identified:
     equation_error: dict[Use, list[Score]]
     simulation_error: dict[Use, list[Score]]
     warnings: tuple[str, ...]
+    probability: dict[Use, list[ProbabilityScore]] = field(default_factory=dict)
+    """One step ahead, of a model that predicts distributions; empty for others."""
 
     def _rows(self) -> list[tuple[str, ...]]:
         """Return use, run, output, NRMSE one step ahead and in free run, rms in free run."""
@@ -349,6 +377,7 @@ def identify(
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
     from harness.data import load_dataset
+    from harness.predictive import probability_score
     from harness.scoring import equation_error, simulation_error
 
     loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
@@ -371,11 +400,15 @@ def identify(
     if out is not None:
         _write_json(Path(out), fitted.to_dict())
     uses: tuple[Use, ...] = ("estimation", "validation", "test")
+    probability = {}
+    if isinstance(fitted, Predictive):
+        probability = {use: [probability_score(fitted, one) for one in data.using(use)] for use in uses}
     return Identified(
         fitted,
         {use: [equation_error(fitted, one) for one in data.using(use)] for use in uses},
         {use: [simulation_error(fitted, one) for one in data.using(use)] for use in uses},
         data.warnings,
+        probability,
     )
 
 

@@ -21,6 +21,7 @@ from harness.terminal import (
     fail,
     hidden_effect,
     option_pairs,
+    print_answer,
     print_bench,
     print_fmu,
     print_identified,
@@ -160,10 +161,18 @@ def bench(
     seeds: Annotated[str | None, typer.Option(metavar="A..B", help="seeds A to B, both included")] = None,
     engine: Annotated[str, typer.Option(help="local, or dask://HOST:PORT")] = "local",
     resume: Annotated[bool, typer.Option("--resume", help="continue in a folder that has results")] = False,
+    shard: Annotated[str | None, typer.Option(metavar="i/n", help="the i-th of n shares, for job arrays")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="say what would run, and how long it would take")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Run a suite of plants x scenarios x identifiers x seeds and print its table."""
     folder = out if out is not None else Path("results") / Path(suite).stem
+    if dry_run:
+        planned = api.plan_bench(suite, out=folder, workers=workers, seeds=seed_range(seeds), shard=shard)
+        for names, count in planned.cells.items():
+            say(f"{count:6d}  {' x '.join(names)}")
+        say(str(planned))
+        return
     with progress_bar(f"benchmark {suite}") as bar:
         task = bar.add_task(suite, total=None)
 
@@ -177,6 +186,7 @@ def bench(
             seeds=seed_range(seeds),
             engine=engine,
             resume=resume,
+            shard=shard,
             progress=show,
         )
     print_bench(result, as_json=as_json)
@@ -184,11 +194,35 @@ def bench(
 
 @app.command()
 def table(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark")],
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark, or of its shares")],
+    form: Annotated[str | None, typer.Option("--format", help="markdown | latex | csv")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Print a stored benchmark again, and render its report anew."""
-    print_bench(api.table(directory), as_json=as_json)
+    """Print a stored benchmark again, and render its report anew; puts the shares of a job array together."""
+    result = api.table(directory)
+    if form is not None:
+        print(result.render(form), end="")
+        return
+    print_bench(result, as_json=as_json)
+
+
+@app.command()
+def query(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark, finished or not")],
+    sql: Annotated[str, typer.Argument(metavar="SQL", help="over the tables results, timings and regret")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="answer.csv or answer.parquet")] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Ask the stored rows of a benchmark a question in SQL (DuckDB)."""
+    answer = api.query(directory, sql)
+    if out is not None:
+        answer.write(out, force=force)
+        say(f"wrote {out}")
+    elif as_json:
+        print_json(answer.records())
+    else:
+        print_answer(answer)
 
 
 @app.command()

@@ -9,7 +9,16 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["CostRatio", "lqr_cost_ratio", "reachable", "state_observable"]
+__all__ = [
+    "CostRatio",
+    "kalman_gain",
+    "lqr_cost_ratio",
+    "lqr_gain",
+    "reachable",
+    "spectral_radius",
+    "stabilisable",
+    "state_observable",
+]
 
 
 @dataclass(frozen=True)
@@ -79,18 +88,18 @@ def lqr_cost_ratio(
     q = np.eye(nx) if q is None else q
     r = np.eye(nu) if r is None else r
     x0 = np.eye(nx) if x0 is None else x0
-    best = _gain(a, b, q, r)
-    if best is None or _radius(a - b @ best) >= 1.0:
+    best = lqr_gain(a, b, q, r)
+    if best is None or spectral_radius(a - b @ best) >= 1.0:
         raise InputError(
             "the plant has no LQR",
             expected="a stabilisable plant",
             got="no solution of its Riccati equation",
             remedy="choose weights that see every unstable state, or another plant",
         )
-    gain = _gain(a_model, b_model, q, r)
+    gain = lqr_gain(a_model, b_model, q, r)
     if gain is None:
         return CostRatio(float("inf"), "no design", float("nan"))
-    radius = _radius(a - b @ gain)
+    radius = spectral_radius(a - b @ gain)
     if radius >= 1.0:
         return CostRatio(float("inf"), "unstable", radius)
     return CostRatio(_cost(a, b, gain, q, r, x0) / _cost(a, b, best, q, r, x0), "ok", radius)
@@ -130,20 +139,66 @@ def state_observable(a: FloatArray, c: FloatArray, tolerance: float = 1e-9) -> i
     return reachable(a.T, c.T, tolerance)
 
 
-def _gain(a: FloatArray, b: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray | None:
-    """Return the LQR gain; None where the Riccati equation has no stabilising solution."""
+def stabilisable(a: FloatArray, b: FloatArray, tolerance: float = 1e-9) -> bool:
+    """Return True if inputs reach every mode on or outside the unit circle (Popov, Belevitch & Hautus).
+
+    Detectability is the same question of ``A'`` and ``C'``.
+
+    Examples
+    --------
+    >>> stabilisable(np.diag([1.2, 0.5]), np.array([[1.0], [0.0]])), stabilisable(np.diag([1.2, 0.5]), np.eye(2)[:, 1:])
+    (True, False)
+    """
+    size = np.linalg.norm(b, axis=0)
+    scaled = b / np.where(size > 0, size, 1.0)
+    for value in np.linalg.eigvals(a):
+        if abs(value) >= 1.0 - 1e-12:
+            pencil = np.hstack([a - value * np.eye(len(a)), scaled])
+            if np.linalg.svd(pencil, compute_uv=False)[-1] <= tolerance * max(1.0, float(np.linalg.norm(a, 2))):
+                return False
+    return True
+
+
+def lqr_gain(
+    a: FloatArray, b: FloatArray, q: FloatArray, r: FloatArray, *, cross: FloatArray | None = None
+) -> FloatArray | None:
+    """Return K of ``u = -K x`` (nu, nx) that minimises ``sum x' q x + u' r u + 2 x' cross u``.
+
+    None where the Riccati equation has no stabilising solution.
+
+    Examples
+    --------
+    >>> one = np.ones((1, 1))
+    >>> lqr_gain(one, one, one, one).round(4)
+    array([[0.618]])
+    """
     from scipy.linalg import LinAlgError, solve_discrete_are
 
+    s = np.zeros(np.shape(b)) if cross is None else cross
     try:
-        p = solve_discrete_are(a, b, q, r)
+        p = solve_discrete_are(a, b, q, r, s=s if np.any(s) else None)
     except (LinAlgError, ValueError):
         return None
-    gain = np.asarray(np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a), dtype=np.float64)
+    gain = np.asarray(np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a + s.T), dtype=np.float64)
     return gain if np.isfinite(gain).all() else None
 
 
-def _radius(a: FloatArray) -> float:
-    return float(np.abs(np.linalg.eigvals(a)).max())
+def kalman_gain(a: FloatArray, c: FloatArray, process: FloatArray, sensor: FloatArray) -> FloatArray | None:
+    """Return the stationary predictor gain K (nx, ny) of ``x+ = A x + K (y - C x)``; None where there is none.
+
+    Parameters
+    ----------
+    a, c : array (nx, nx), (ny, nx)
+    process, sensor : array (nx, nx), (ny, ny)
+        Covariances of the disturbance of the state and of the sensor noise.
+    """
+    gain = lqr_gain(a.T, c.T, process, sensor)
+    return None if gain is None else gain.T
+
+
+def spectral_radius(a: FloatArray) -> float:
+    """Return the largest modulus of an eigenvalue; 0 of an empty matrix."""
+    return float(np.abs(np.linalg.eigvals(a)).max()) if np.size(a) else 0.0
 
 
 def _cost(a: FloatArray, b: FloatArray, gain: FloatArray, q: FloatArray, r: FloatArray, x0: FloatArray) -> float:

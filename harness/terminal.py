@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
     from harness.api import Identified
-    from harness.benchmark import BenchResult
+    from harness.benchmark import Answer, BenchResult
     from harness.diagnosis.planned import Planned
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "hidden_effect",
     "option_pairs",
     "option_value",
+    "print_answer",
     "print_bench",
     "print_fmu",
     "print_identified",
@@ -219,6 +220,21 @@ def print_bench(result: BenchResult, *, as_json: bool) -> None:
         say(f"results: {result.folder / 'results.parquet'}")
 
 
+def print_answer(answer: Answer) -> None:
+    """Print the answer to a query as a table."""
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = Table(box=None, padding=(0, 2, 0, 0))
+    for name in answer.columns:
+        shown.add_column(Text(name), overflow="fold")
+    for record in answer.records():
+        shown.add_row(
+            *(Text("" if v is None else f"{v:.6g}" if isinstance(v, float) else str(v)) for v in record.values())
+        )
+    wide_console().print(shown)
+
+
 def print_planned(found: Planned) -> None:
     """Print the isolability matrix (hundredths), the pairs that look alike, and what stays invisible."""
     width = max(map(len, found.effects), default=0)
@@ -261,6 +277,9 @@ def print_identified(fitted: Identified, identifier: str) -> None:
                 scores = [f"{s.nrmse[column]:.4g} ({s.rms[column]:.3g} {channel.unit})" for s in (one, free)]
                 shown.add_row(use, str(run), channel.name, *scores, free.initial_state)
     wide_console().print(shown)
+    for use, scores_of_use in fitted.probability.items():
+        for run, score in enumerate(scores_of_use):
+            say(f"{use} {run}, one step ahead: {score}")
     for name, value in getattr(fitted.model, "parameters", {}).items():
         deviation = getattr(fitted.model, "deviations", {}).get(name)
         say(f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else ""))

@@ -20,6 +20,7 @@ __all__ = [
     "plant_specs",
     "simulate_finite",
     "simulate_linear",
+    "tempered_systems",
     "trajectories",
 ]
 
@@ -167,6 +168,60 @@ def simulate_linear(
     y = x @ system.C.T
     y = y + noise * y.std(axis=0) * rng.normal(size=y.shape)
     return Trajectory(np.arange(samples, dtype=np.float64) * system.spec.sample_time, u, y, system.spec, x)
+
+
+TEMPERS = ("stable", "unstable", "stiff", "slow", "lightly damped", "non-minimal", "delayed")
+
+
+@st.composite
+def tempered_systems(
+    draw: Any, *, measured_state: bool = False, tempers: tuple[str, ...] = TEMPERS, max_inputs: int = 2
+) -> LinearSystem:
+    """Draw a linear system with a temper: stable, unstable, stiff, slow, lightly damped, non-minimal or delayed.
+
+    Two or three states, all excited and seen but for the hidden state of a non-minimal one. Simulate unstable ones over
+    some hundred samples at most.
+
+    Parameters
+    ----------
+    measured_state : bool
+        Make the outputs the states (C = I).
+    tempers : tuple of str
+        Draw among these.
+    max_inputs : int
+    """
+    temper = draw(st.sampled_from(tempers))
+    nu = draw(st.integers(1, max_inputs))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    radius = {"unstable": 1.05, "slow": 0.998, "lightly damped": 0.995}.get(temper, 0.85)
+    if temper in ("slow", "stiff"):
+        poles = [radius, {"slow": 0.99, "stiff": 0.01}[temper]]
+        a = np.diag(poles)
+    else:
+        angle = 0.5 + rng.random()
+        a = radius * np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    if temper == "delayed":
+        a = np.block([[a, rng.normal(size=(2, 1))], [np.zeros((1, 3))]])
+    turn = np.linalg.qr(rng.normal(size=a.shape))[0] @ np.diag(rng.uniform(0.7, 1.4, len(a)))
+    a = turn @ a @ np.linalg.inv(turn)
+    nx = len(a)
+    b = rng.normal(size=(nx, nu)) + np.sign(rng.normal(size=(nx, nu)))
+    if measured_state:
+        c = np.eye(nx)
+    else:
+        ny = draw(st.integers(1, 2))
+        c = rng.normal(size=(ny, nx)) + np.sign(rng.normal(size=(ny, nx)))
+    if temper == "non-minimal":  # a state that no output sees
+        hidden = 0.5 * rng.normal(size=(1, nx))
+        a = np.block([[a, np.zeros((nx, 1))], [hidden, np.array([[0.6]])]])
+        b = np.vstack([b, rng.normal(size=(1, nu))])
+        c = np.hstack([c, np.zeros((c.shape[0], 1))]) if not measured_state else np.eye(nx + 1)
+    spec = PlantSpec(
+        tuple(Channel(f"u{i}", "V") for i in range(nu)),
+        tuple(Channel(f"y{i}", "m") for i in range(c.shape[0])),
+        0.1,
+    )
+    return LinearSystem(a, b, c, spec)
 
 
 @dataclass(frozen=True, eq=False)

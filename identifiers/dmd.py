@@ -1,25 +1,35 @@
-"""Dynamic mode decomposition with control, and extended DMD (Koopman) with control."""
+"""Dynamic mode decomposition with control: a linear map between snapshots of many outputs, on few directions."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from itertools import combinations_with_replacement
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
 from harness.errors import FitError
-from harness.scoring import same_language
+from harness.lqr import spectral_radius
+from harness.scoring import predict
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict, spec_to_dict
-from identifiers.linear import LinearModel, lag_model
-from identifiers.records import lagged_blocks, moving, real_signals, usable
+from identifiers.arx import lag_model, one_step, solution_notes
+from identifiers.excitation import Columns, refuse_feedback
+from identifiers.linear_model import LinearModel
+from identifiers.records import moving, real_signals, usable
 from identifiers.regression import Solution, solve
+from identifiers.scaling import Scaling, scaled, sizes
+from identifiers.stability import clip_eigenvalues, nearest_stable, stable_lags
 
-__all__ = ["Dictionary", "Dmdc", "Edmdc", "KoopmanModel"]
+__all__ = ["Dmdc"]
 
-_BLOCK = 50_000
+# Rows of a block when many snapshots are reduced to a triangle.
+_BLOCK = 16_384
+# The automatic rank looks no further than this many directions.
+_MOST = 60
+# A smaller rank is taken if its validated error is within this factor of the least.
+_NEAR = 1.02
+# Errors below this fraction of the outputs are rounding, not information about the rank.
+_EXACT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -27,21 +37,32 @@ class Dmdc:
     """Dynamic mode decomposition with control: a linear map between snapshots.
 
     ``y[k+1] = A y[k] + B u[k]`` on the leading principal directions of the outputs (Proctor, Brunton & Kutz 2016, SIAM
-    J. Appl. Dyn. Syst. 15:142, sec. 3.3). Several records are used without a pair that crosses a seam.
+    J. Appl. Dyn. Syst. 15:142, sec. 3.3). Several records are used without a pair that crosses a seam; many snapshots
+    are reduced to a triangle block by block, so that memory stays bounded. The directions are those of outputs scaled
+    to their own size, so that no unit decides.
 
     Parameters
     ----------
-    rank : int, optional
-        Number of principal directions; all outputs without it.
+    rank : int or "auto", optional
+        Number of principal directions; all outputs without it. ``"auto"`` takes the smallest whose one-step error on
+        the last third of the records is within 2 % of the least.
     delays : int
         Number of snapshots stacked (1: none); positions alone need 2 or more.
-    total : bool
+    total : bool or "auto"
         Total DMD: snapshot pairs are first projected on their common leading subspace, which removes the bias of noise
-        on the outputs (Hemati et al. 2017, Theor. Comput. Fluid Dyn. 31:349). Needs ``rank`` and ``delays = 1``.
+        on the outputs (Hemati et al. 2017, Theor. Comput. Fluid Dyn. 31:349); what the inputs explain, which are exact,
+        is kept. Needs ``rank`` and ``delays = 1``. ``"auto"`` takes whichever predicts ten steps ahead better on the
+        last third of the records.
     offset : bool
         Fit a constant too, for motion around an operating point.
+    scale : bool
+        With False the directions are those of the outputs as they are: for fields of one quantity.
+    stable : bool
+        Nearest stable model where the fit is unstable.
     ridge : float
         Tikhonov weight.
+    least_excitation : float
+        As of ``least-squares``; not asked with a ridge.
 
     Examples
     --------
@@ -55,270 +76,231 @@ class Dmdc:
     array([0.5])
     """
 
-    rank: int | None = None
+    rank: int | Literal["auto"] | None = None
     delays: int = 1
-    total: bool = False
+    total: bool | Literal["auto"] = False
     offset: bool = False
+    scale: bool = True
+    stable: bool = False
     ridge: float = 0.0
+    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return a linear model in the coordinates of the principal directions."""
         what = "dmdc"
-        if self.delays < 1 or (self.total and (self.rank is None or self.delays != 1)):
+        self._check(what)
+        records, spec = usable(trajectories, samples=self.delays + 2, what=what)
+        real_signals(spec, what)
+        moving(records, what)
+        if self.rank is None:
+            return self._full(records, spec, what)
+        if self.scale:
+            records, scaling = scaled(records)
+        else:
+            scaling = Scaling(np.ones(spec.nu), np.ones(spec.ny))
+        rank, notes = self.rank, {}
+        if rank == "auto":
+            rank, notes["rank_error"] = _best_rank(records, self.offset, what)
+        if not 1 <= rank <= spec.ny:
+            raise FitError(f"{what}: rank", expected=f"1 to {spec.ny}", got=str(rank), remedy="correct it")
+        total = self.total
+        if total == "auto":
+            total, notes["total_error"] = self._total_is_better(records, spec, rank, what)
+        model = self._reduced(records, spec, rank, bool(total), what)
+        return replace(model.in_units(scaling), notes={**notes, **model.notes, "rank": rank, "total": bool(total)})
+
+    def _check(self, what: str) -> None:
+        """Refuse options that make no sense."""
+        wrong = self.delays < 1 or (self.total is not False and (self.rank is None or self.delays != 1))
+        wrong = wrong or (isinstance(self.rank, str) and self.rank != "auto")
+        if wrong or (isinstance(self.total, str) and self.total != "auto"):
             raise FitError(
                 f"{what}: options",
-                expected="delays >= 1; with total=True a rank and delays = 1",
+                expected='delays >= 1, rank a number or "auto"; with total a rank and delays = 1',
                 got=f"delays={self.delays}, rank={self.rank}, total={self.total}",
                 remedy="correct the options",
             )
-        records, spec = usable(trajectories, samples=self.delays + 2, what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=False)
-        if self.rank is None:
-            solution = solve(lambda: lagged_blocks(records, self.delays, offset=self.offset), what, ridge=self.ridge)
-            return lag_model(spec, solution, self.delays, self.offset)
-        if self.delays > 1:
+        if self.rank is not None and self.delays > 1:
             raise FitError(
                 f"{what}: rank and delays together",
                 expected="one of them",
                 got=f"rank={self.rank}, delays={self.delays}",
                 remedy="use rank with many outputs, delays with few",
             )
-        return self._reduced(records, spec, what)
 
-    def _reduced(self, records: Sequence[Trajectory], spec: PlantSpec, what: str) -> LinearModel:
+    def _full(self, records: Sequence[Trajectory], spec: PlantSpec, what: str) -> LinearModel:
+        """Fit all outputs."""
+        solution = one_step(records, self.delays, self.offset, self.ridge, what)
+        if self.ridge == 0.0:
+            refuse_feedback(solution, Columns(spec, self.delays), self.least_excitation, what)
+        coefficients, notes = solution.coefficients, solution_notes(solution)
+        model = lag_model(spec, coefficients, self.delays, self.offset, notes)
+        if self.stable and spectral_radius(model.a_matrix) >= 1.0:
+            weights = 1.0 / sizes([one.y for one in records])
+            factor = solution.factor * solution.scale
+            project = clip_eigenvalues if self.delays == 1 else stable_lags
+            coefficients = nearest_stable(coefficients, factor, self.delays * spec.ny, project, weights)
+            model = lag_model(spec, coefficients, self.delays, self.offset, {**notes, "stabilized": True})
+        return model
+
+    def _total_is_better(
+        self, records: Sequence[Trajectory], spec: PlantSpec, rank: int, what: str
+    ) -> tuple[bool, dict[str, float]]:
+        """Return True if total DMD of the first two thirds predicts the rest better, ten steps ahead."""
+        fit, held = _split(records)
+        found = {}
+        for name, total in (("plain", False), ("total", True)):
+            model = self._reduced(fit, spec, rank, total, what)
+            found[name] = _ahead(model, held)
+        return found["total"] < found["plain"], found
+
+    def _reduced(
+        self, records: Sequence[Trajectory], spec: PlantSpec, rank: int, total: bool, what: str
+    ) -> LinearModel:
         """Fit on the leading directions of the outputs."""
         ny, nu = spec.ny, spec.nu
-        rank = ny if self.rank is None else int(self.rank)
-        if not 1 <= rank <= ny:
-            raise FitError(f"{what}: rank", expected=f"1 to {ny}", got=str(rank), remedy="correct it")
-        before = np.concatenate([one.y[:-1] for one in records])
-        after = np.concatenate([one.y[1:] for one in records])
-        inputs = np.concatenate([one.u[:-1] for one in records])
-        if self.total:
-            common = np.hstack([before, after, inputs])
-            left, _, _ = np.linalg.svd(common, full_matrices=False)
-            leading = left[:, : min(rank + nu, left.shape[1])]
-            before, after = leading @ (leading.T @ before), leading @ (leading.T @ after)
+        snapshots = _Snapshots.of(records, self.offset)
+        before, exact, after = snapshots.before, snapshots.exact, snapshots.after
+        weight = np.ones(ny)
+        if total:
+            # Total DMD takes the noise of all outputs for equally large: scale them so.
+            weight = 1.0 / _noise_sizes(before, rank)
+            before, after = _cleaned(before * weight, exact, after * weight, rank)
         directions = np.linalg.svd(before, full_matrices=False)[2][:rank].T
-        rows = np.hstack([before @ directions, inputs] + ([np.ones((len(before), 1))] if self.offset else []))
-        solution = solve(lambda: [(rows, after @ directions)], what, ridge=self.ridge)
-        theta = solution.coefficients.T
+        seen = before @ directions
+        solution = solve(lambda: [(np.hstack([seen, exact]), after @ directions)], what, ridge=self.ridge)
+        rms = solution.residual_rms * np.sqrt(len(before) / snapshots.rows)
+        scale = solution.scale
+        solution = Solution(
+            solution.coefficients,
+            solution.singular_values,
+            rms,
+            snapshots.rows,
+            solution.method,
+            solution.factor,
+            scale,
+        )
+        if self.ridge == 0.0 and not total:
+            refuse_feedback(solution, Columns.lifted(rank, spec), self.least_excitation, what)
+        coefficients, notes = solution.coefficients, solution_notes(solution)
+        if self.stable and spectral_radius(coefficients[:rank]) >= 1.0:
+            notes["stabilized"] = True
+            coefficients = nearest_stable(coefficients, solution.factor * scale, rank, clip_eigenvalues, np.ones(rank))
+        theta = coefficients.T
         return LinearModel(
             spec,
             theta[:, :rank],
             theta[:, rank : rank + nu],
-            directions,
+            directions / weight[:, None],
             np.zeros((ny, nu)),
-            directions.T,
+            directions.T * weight,
             theta[:, -1] if self.offset else np.zeros(rank),
             np.zeros(ny),
-            notes=_notes(solution),
+            notes=notes,
         )
-
-
-@dataclass(frozen=True)
-class Dictionary:
-    """Functions of the outputs (and their past) that lift them to a Koopman state.
-
-    The lifted state starts with the arguments themselves, so that the output is read off without error.
-
-    Parameters
-    ----------
-    degree : int
-        Monomials up to this degree.
-    trigonometric : bool
-        Sine and cosine of every argument.
-    centres : tuple of tuple of float
-        Centres of thin-plate splines ``r^2 log r`` in the scaled arguments.
-    scale : tuple of float
-        The arguments are divided by these first.
-    """
-
-    degree: int = 1
-    trigonometric: bool = False
-    centres: tuple[tuple[float, ...], ...] = ()
-    scale: tuple[float, ...] = ()
-
-    def lift(self, arguments: FloatArray) -> FloatArray:
-        """Return the lifted state (..., nz) of arguments (..., n)."""
-        z = arguments / np.asarray(self.scale)
-        n = z.shape[-1]
-        parts = [z, np.ones((*z.shape[:-1], 1))]
-        for degree in range(2, self.degree + 1):
-            rows = [np.prod(z[..., list(pick)], axis=-1) for pick in combinations_with_replacement(range(n), degree)]
-            parts.append(np.stack(rows, axis=-1))
-        if self.trigonometric:
-            parts += [np.sin(arguments), np.cos(arguments) - 1.0]
-        if self.centres:
-            distance = np.linalg.norm(z[..., None, :] - np.asarray(self.centres), axis=-1)
-            parts.append(distance**2 * np.log(np.where(distance > 0, distance, 1.0)))
-        return np.concatenate(parts, axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
-class KoopmanModel:
-    """``z+ = A z + B u`` on lifted outputs; the state is ``[z, past outputs and inputs]``.
+class _Snapshots:
+    """Outputs before and after a step (n, ny), inputs and constant (n, nu + 1): the pairs, or their triangle.
 
-    A seen output replaces the present one and the state is lifted anew; in free run the lifted state moves linearly.
+    A triangle has the same inner products as the ``rows`` pairs it was made of, and serves every regression on them.
     """
 
-    spec: PlantSpec
-    a_matrix: FloatArray
-    b_matrix: FloatArray
-    dictionary: Dictionary
-    delays: int
-    notes: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def burn_in(self) -> int:
-        """Samples until the lifted state has seen its whole past; none without delays."""
-        return self.delays if self.delays > 1 else 0
-
-    @property
-    def lifted(self) -> int:
-        """Dimension of the lifted state."""
-        return int(self.a_matrix.shape[0])
-
-    def initial_state(self, data: Trajectory) -> FloatArray:
-        """Return the state (nx,) at the first sample; the past is the straight line through the first samples."""
-        same_language(self.spec, data)
-        back = np.arange(self.delays)[:, None]
-        slope = np.zeros(self.spec.ny)
-        few = min(len(data), 2 * self.delays)
-        if self.delays > 1 and few > 1:
-            slope = np.polyfit(np.arange(few), data.y[:few], 1)[0]
-        held = np.tile(data.u[0], self.delays - 1)
-        return self._state(np.concatenate([(data.y[0] - back * slope).ravel(), held]))
-
-    def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the output (..., ny), the first arguments of the lifted state."""
-        y: FloatArray = x[..., : self.spec.ny] * np.asarray(self.dictionary.scale)[: self.spec.ny]
-        return y
-
-    def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the next state (..., nx)."""
-        z, past = x[..., : self.lifted], x[..., self.lifted :]
-        moved = z @ self.a_matrix.T + u @ self.b_matrix.T
-        ny, nu = self.spec.ny, self.spec.nu
-        seen, held = past[..., : self.delays * ny], past[..., self.delays * ny :]
-        parts = [moved, self.output(moved, u), seen[..., : (self.delays - 1) * ny]]
-        if self.delays > 1:
-            parts += [np.broadcast_to(u, (*x.shape[:-1], nu)), held[..., : (self.delays - 2) * nu]]
-        return np.concatenate(parts, axis=-1)
-
-    def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the state (..., nx) lifted from the output just seen."""
-        past = x[..., self.lifted + self.spec.ny :]
-        return self._state(np.concatenate([np.broadcast_to(y, (*x.shape[:-1], self.spec.ny)), past], axis=-1))
-
-    def _state(self, past: FloatArray) -> FloatArray:
-        return np.concatenate([self.dictionary.lift(past), past], axis=-1)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        return {
-            "kind": "koopman",
-            "spec": spec_to_dict(self.spec),
-            "a_matrix": self.a_matrix.tolist(),
-            "b_matrix": self.b_matrix.tolist(),
-            "dictionary": {
-                "degree": self.dictionary.degree,
-                "trigonometric": self.dictionary.trigonometric,
-                "centres": [list(centre) for centre in self.dictionary.centres],
-                "scale": list(self.dictionary.scale),
-            },
-            "delays": self.delays,
-            "notes": self.notes,
-        }
+    before: FloatArray
+    exact: FloatArray
+    after: FloatArray
+    rows: int
 
     @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> KoopmanModel:
-        """Return the model of a description."""
-        spec = spec_from_dict(content["spec"])
-        given = content["dictionary"]
-        dictionary = Dictionary(
-            int(given["degree"]),
-            bool(given["trigonometric"]),
-            tuple(tuple(map(float, centre)) for centre in given["centres"]),
-            tuple(map(float, given["scale"])),
+    def of(cls, records: Sequence[Trajectory], offset: bool) -> _Snapshots:
+        """Return the pairs of records, none across a seam."""
+        ny, nu = records[0].spec.ny, records[0].spec.nu
+        rows = sum(len(one) - 1 for one in records)
+        width = 2 * ny + nu + int(offset)
+        if rows <= 2 * width:
+            both = np.vstack(list(_pairs(records, offset, rows)))
+        else:
+            triangle: FloatArray | None = None
+            for block in _pairs(records, offset, max(_BLOCK, 4 * width)):
+                stacked = block if triangle is None else np.vstack([triangle, block])
+                triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
+            assert triangle is not None
+            both = triangle
+        return cls(both[:, :ny], both[:, ny : width - ny], both[:, width - ny :], rows)
+
+
+def _pairs(records: Sequence[Trajectory], offset: bool, size: int) -> Iterator[FloatArray]:
+    """Yield blocks of ``[y[k], u[k], 1, y[k+1]]``."""
+    for one in records:
+        for start in range(0, len(one) - 1, size):
+            stop = min(start + size, len(one) - 1)
+            constant = [np.ones((stop - start, 1))] if offset else []
+            yield np.hstack([one.y[start:stop], one.u[start:stop], *constant, one.y[start + 1 : stop + 1]])
+
+
+def _noise_sizes(before: FloatArray, rank: int) -> FloatArray:
+    """Return the part of each output that the leading directions leave (ny,), never below a part of its size."""
+    right = np.linalg.svd(before, full_matrices=False)[2][:rank]
+    rest = np.sqrt(np.mean((before - before @ right.T @ right) ** 2, axis=0))
+    size = np.sqrt(np.mean(before**2, axis=0))
+    floor = np.maximum(size, 1e-6 * max(float(size.max()), 1e-300))
+    found: FloatArray = np.maximum(rest, 1e-6 * floor)
+    return found
+
+
+def _cleaned(before: FloatArray, exact: FloatArray, after: FloatArray, rank: int) -> tuple[FloatArray, FloatArray]:
+    """Return the pairs with what inputs and ``rank`` common directions do not explain taken away."""
+    both = np.hstack([before, after])
+    known = np.zeros_like(both)
+    if exact.shape[1]:
+        q = np.linalg.qr(exact / np.where((size := np.linalg.norm(exact, axis=0)) > 0, size, 1.0))[0]
+        known = q @ (q.T @ both)
+    left, values, right = np.linalg.svd(both - known, full_matrices=False)
+    both = known + (left[:, :rank] * values[:rank]) @ right[:rank]
+    return both[:, : before.shape[1]], both[:, before.shape[1] :]
+
+
+def _split(records: Sequence[Trajectory]) -> tuple[list[Trajectory], list[Trajectory]]:
+    """Return the first two thirds of every record, and the rest."""
+    return [one[: 2 * len(one) // 3] for one in records], [one[2 * len(one) // 3 :] for one in records]
+
+
+def _best_rank(records: Sequence[Trajectory], offset: bool, what: str) -> tuple[int, dict[str, float]]:
+    """Return the smallest rank that predicts the last third of the records about as well as the best."""
+    fit, held = _split(records)
+    fit, held = [one for one in fit if len(one) > 2], [one for one in held if len(one) > 2]
+    if not fit or not held:
+        raise FitError(
+            f"{what}: records too short for an automatic rank",
+            expected="at least 9 samples",
+            got=str(max(map(len, records))),
+            remedy="give the rank",
         )
-        a = np.array(content["a_matrix"], dtype=float)
-        b = np.array(content["b_matrix"], dtype=float).reshape(a.shape[0], spec.nu)
-        return cls(spec, a, b, dictionary, int(content["delays"]), dict(content.get("notes", {})))
+    learn, judge = _Snapshots.of(fit, offset), _Snapshots.of(held, offset)
+    right = np.linalg.svd(learn.before, full_matrices=False)[2]
+    most = min(_MOST, right.shape[0], max(1, learn.rows // 2 - learn.exact.shape[1]))
+    power = float(np.sum(judge.after**2))
+    errors: dict[int, float] = {}
+    for rank in range(1, most + 1):
+        directions = right[:rank].T
+        rows = np.hstack([learn.before @ directions, learn.exact])
+        length = np.where((size := np.linalg.norm(rows, axis=0)) > 0, size, 1.0)
+        theta = np.linalg.lstsq(rows / length, learn.after @ directions, rcond=1e-12)[0] / length[:, None]
+        guess = np.hstack([judge.before @ directions, judge.exact]) @ theta @ directions.T
+        errors[rank] = max(float(np.sqrt(np.sum((judge.after - guess) ** 2) / power)), _EXACT)
+    least = min(errors.values())
+    chosen = min(rank for rank, error in errors.items() if error <= _NEAR * least)
+    return chosen, {str(rank): error for rank, error in errors.items()}
 
 
-@dataclass(frozen=True)
-class Edmdc:
-    """Extended DMD with control: a linear map between lifted outputs, driven by the input.
-
-    Williams, Kevrekidis & Rowley 2015 (J. Nonlinear Sci. 25:1307, eq. 13); Korda & Mezic 2018 (Automatica 93:149,
-    eq. 18).
-
-    Parameters
-    ----------
-    degree : int
-        Monomials of the outputs up to this degree; more is not always better.
-    trigonometric : bool
-        Sine and cosine of the outputs too, for angles.
-    radial : int
-        Number of thin-plate splines, their centres drawn from the data.
-    delays : int
-        Number of past samples among the arguments (1: none).
-    ridge : float
-        Tikhonov weight relative to the scaled columns; lifted columns are often nearly dependent.
-    """
-
-    degree: int = 2
-    trigonometric: bool = False
-    radial: int = 0
-    delays: int = 1
-    ridge: float = 1e-10
-
-    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> KoopmanModel:
-        """Return the lifted linear model."""
-        what = "edmdc"
-        if self.degree < 1 or self.delays < 1 or self.radial < 0:
-            raise FitError(
-                f"{what}: options",
-                expected="degree >= 1, delays >= 1, radial >= 0",
-                got=f"degree={self.degree}, delays={self.delays}, radial={self.radial}",
-                remedy="correct the options",
-            )
-        records, spec = usable(trajectories, samples=self.delays + 2, what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=False)
-        arguments = [_arguments(one, self.delays) for one in records]
-        together = np.concatenate(arguments)
-        scale = np.abs(together).max(axis=0)
-        scale = np.where(scale > 0, scale, 1.0)
-        centres: tuple[tuple[float, ...], ...] = ()
-        if self.radial:
-            picked = rng.choice(len(together), size=min(self.radial, len(together)), replace=False)
-            centres = tuple(tuple(map(float, row)) for row in together[np.sort(picked)] / scale)
-        dictionary = Dictionary(self.degree, self.trigonometric, centres, tuple(map(float, scale)))
-
-        def blocks() -> Iterator[tuple[FloatArray, FloatArray]]:
-            for record, rows in zip(records, arguments, strict=True):
-                for start in range(0, len(rows) - 1, _BLOCK):
-                    lifted = dictionary.lift(rows[start : start + _BLOCK + 1])
-                    held = record.u[self.delays - 1 + start :][: len(lifted) - 1]
-                    yield np.hstack([lifted[:-1], held]), lifted[1:]
-
-        solution = solve(blocks, what, ridge=self.ridge, rank_tolerance=1e-14)
-        theta = solution.coefficients.T
-        size = theta.shape[0]
-        return KoopmanModel(spec, theta[:, :size], theta[:, size:], dictionary, self.delays, _notes(solution))
-
-
-def _arguments(record: Trajectory, delays: int) -> FloatArray:
-    """Return rows ``[y[k], ..., y[k - d + 1], u[k - 1], ..., u[k - d + 1]]`` for k = d - 1 .. N - 1."""
-    n = len(record)
-    parts = [record.y[delays - 1 - j : n - j] for j in range(delays)]
-    parts += [record.u[delays - 1 - j : n - j] for j in range(1, delays)]
-    return np.hstack(parts)
-
-
-def _notes(solution: Solution) -> dict[str, Any]:
-    """Return what a report should say of a regression."""
-    return {"condition": solution.condition, "method": solution.method, "samples": solution.rows}
+def _ahead(model: LinearModel, records: Sequence[Trajectory], steps: int = 10) -> float:
+    """Return the error of predictions some steps ahead, relative to the outputs' size."""
+    total, count = 0.0, 0
+    size = sizes([one.y for one in records])
+    for one in records:
+        few = min(steps, len(one) - 1)
+        miss: Any = (one.y - predict(model, one, few))[few:] / size
+        total += float(np.sum(miss**2))
+        count += miss.size
+    return float(np.sqrt(total / max(count, 1)))

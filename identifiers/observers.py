@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
-from harness.signals import Channel, FloatArray, Trajectory, residual
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
+from identifiers.linear_model import LinearModel
 
-__all__ = ["alpha_beta_gains", "best_gain", "fitted_start", "riccati_gains"]
+__all__ = ["alpha_beta_gains", "best_gain", "fitted_start", "innovation_form", "riccati_gains"]
 
 Step = Callable[[FloatArray, FloatArray], FloatArray]
 
@@ -158,3 +160,44 @@ def fitted_start(
         if count == len(data):
             break
     return best
+
+
+def innovation_form(
+    spec: PlantSpec,
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+    d: FloatArray,
+    k: FloatArray,
+    state_offset: FloatArray,
+    output_offset: FloatArray,
+    **more: Any,
+) -> LinearModel:
+    """Return the model of ``x+ = A x + B u + K e + a``, ``y = C x + D u + e + c``.
+
+    A linear model corrects its state before it steps, with L where ``A L = K``. Where A cannot be inverted for that the
+    innovation itself becomes a part of the state.
+
+    Examples
+    --------
+    >>> spec = PlantSpec((), (Channel("y"),), 1.0)
+    >>> one, none, zero = np.ones((1, 1)), np.zeros((1, 0)), np.zeros(1)
+    >>> innovation_form(spec, 0.5 * one, none, one, none, 0.2 * one, zero, zero).filter_gain.tolist()
+    [[0.4]]
+    """
+    nx, ny, nu = a.shape[0], c.shape[0], b.shape[1]
+    gain: FloatArray = np.asarray(np.linalg.lstsq(a, k, rcond=1e-9)[0], dtype=np.float64)
+    size = max(float(np.abs(k).max(initial=0.0)), 1e-300)
+    if np.abs(a @ gain - k).max(initial=0.0) <= 1e-9 * size:
+        return LinearModel(spec, a, b, c, d, gain, state_offset, output_offset, **more)
+    return LinearModel(
+        spec,
+        np.block([[a, k], [np.zeros((ny, nx + ny))]]),
+        np.vstack([b, np.zeros((ny, nu))]),
+        np.hstack([c, np.zeros((ny, ny))]),
+        d,
+        np.vstack([np.zeros((nx, ny)), np.eye(ny)]),
+        np.concatenate([state_offset, np.zeros(ny)]),
+        output_offset,
+        **more,
+    )

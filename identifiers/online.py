@@ -3,47 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from harness.errors import FitError
 from harness.protocols import Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
-from identifiers.records import lagged, real_signals
+from identifiers.records import lagged, moving, real_signals
 
 __all__ = ["RecursiveLeastSquares", "RlsState"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class RlsState:
-    """What recursive least squares knows: the triangle of the QR factorisation, and the past of the present record.
+    """What recursive least squares knows.
 
-    ``triangle`` (p, p) and ``right`` (p, ny) satisfy ``triangle @ theta = right``; ``past`` holds the last outputs and
-    inputs, newest first, and ``seen`` counts the outputs of this record.
+    ``triangle`` (p, p + ny) holds ``[R z]`` with ``R theta = z``; ``row`` (p,) the regressors of the next output but
+    for the input to come: past outputs newest first, inputs newest first (the first of them still to come), a constant.
+    ``seen`` counts the outputs of this record, ``rows`` the equations so far.
     """
 
     spec: PlantSpec
     triangle: FloatArray
-    right: FloatArray
-    past_y: FloatArray
-    past_u: FloatArray
+    row: FloatArray
     seen: int
+    rows: int
 
     @property
     def coefficients(self) -> FloatArray:
-        """Parameter estimate (p, ny)."""
-        # As fast as a triangular solve for a few parameters, and without its checks.
-        return np.asarray(np.linalg.solve(self.triangle, self.right), dtype=np.float64)
+        """Parameter estimate (p, ny); of least norm while the equations do not determine it."""
+        p = self.row.size
+        r, z = self.triangle[:, :p], self.triangle[:, p:]
+        if self.rows < p:
+            return np.asarray(np.linalg.lstsq(r, z, rcond=None)[0], dtype=np.float64)
+        return np.asarray(np.linalg.solve(r, z), dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class RecursiveLeastSquares:
     """Recursive least squares on an ARX model, as an online identifier.
 
-    ``y[k+1] = theta' [y[k], ..., y[k-n+1], u[k], ..., u[k-n+1], 1]`` with the prior ``theta ~ N(0, I / prior)``.
-    Each new row is rotated into the triangle of a QR factorisation: the update of the normal equations without squaring
-    the condition number (Ljung 1999, sec. 10.1 and 11.2; Bierman 1977). Its regret grows as d n sigma^2 ln T.
+    ``y[k+1] = theta' [y[k], ..., y[k-n+1], u[k], ..., u[k-n+1], 1]``. Each new row is rotated into the triangle of a QR
+    factorisation: the update of the normal equations without squaring the condition number (Ljung 1999, sec. 10.1 and
+    11.2; Bierman 1977). Its regret grows as d n sigma^2 ln T.
 
     Parameters
     ----------
@@ -52,15 +55,19 @@ class RecursiveLeastSquares:
     offset : bool
         Estimate a constant too.
     prior : float
-        Weight of the prior, in rows; it makes the first predictions finite.
+        Weight of the prior ``theta = 0``, in rows of the size of those seen in the burn-in, so that no unit decides.
     forgetting : float
         Forgetting factor in (0, 1]; 1 forgets nothing. Regret is measured against a fixed predictor in any case.
+    burn_in : int, optional
+        Equations that are learned from before the first prediction is made by them; until then the last output is held,
+        by the identifier and by the predictor that it is compared with. By default twice the number of parameters:
+        with fewer the excess error of least squares has no finite mean.
 
     Examples
     --------
     >>> from harness.signals import Channel
     >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
-    >>> online = RecursiveLeastSquares(order=1, offset=False, prior=1e-9)
+    >>> online = RecursiveLeastSquares(order=1, offset=False, burn_in=2)
     >>> state = online.start(online.init(spec, rng=np.random.default_rng(0)), np.zeros(1))
     >>> y = 0.0
     >>> for u in (1.0, -1.0, 2.0):
@@ -72,93 +79,129 @@ class RecursiveLeastSquares:
 
     order: int = 2
     offset: bool = True
-    prior: float = 1e-6
+    prior: float = 1e-9
     forgetting: float = 1.0
+    burn_in: int | None = None
 
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> RlsState:
         """Return the state before any data."""
-        if self.order < 1 or not 0 < self.forgetting <= 1 or not self.prior > 0:
+        if (
+            self.order < 1
+            or not 0 < self.forgetting <= 1
+            or not self.prior > 0
+            or (self.burn_in is not None and self.burn_in < 1)
+        ):
             raise FitError(
                 "rls: options",
-                expected="order >= 1, 0 < forgetting <= 1, prior > 0",
-                got=f"order={self.order}, forgetting={self.forgetting}, prior={self.prior}",
+                expected="order >= 1, 0 < forgetting <= 1, prior > 0, burn_in >= 1",
+                got=f"order={self.order}, forgetting={self.forgetting}, prior={self.prior}, burn_in={self.burn_in}",
                 remedy="correct the options",
             )
         real_signals(spec, "rls")
-        p = self.order * (spec.ny + spec.nu) + int(self.offset)
-        return RlsState(
-            spec,
-            np.sqrt(self.prior) * np.eye(p),
-            np.zeros((p, spec.ny)),
-            np.zeros((self.order, spec.ny)),
-            np.zeros((self.order - 1, spec.nu)),
-            0,
-        )
+        p = self._parameters(spec)
+        return RlsState(spec, np.zeros((p, p + spec.ny)), np.zeros(p), 0, 0)
 
     def start(self, state: RlsState, y: FloatArray) -> RlsState:
         """Return the state after the first output of a record; what was learned stays, the past does not."""
-        past = np.zeros_like(state.past_y)
-        past[0] = y
-        return RlsState(state.spec, state.triangle, state.right, past, np.zeros_like(state.past_u), 1)
+        row = np.zeros_like(state.row)
+        row[: state.spec.ny] = y
+        if self.offset:
+            row[-1] = 1.0
+        return replace(state, row=row, seen=1)
 
     def predict(self, state: RlsState, u: FloatArray) -> FloatArray:
-        """Return the output (ny,) that ``u`` leads to; the last output until the record is as long as the order."""
-        if state.seen < self.order:
-            return np.array(state.past_y[0])
-        guess: FloatArray = self._row(state, u) @ state.coefficients
+        """Return the output (ny,) that ``u`` leads to; the last output during the burn-in and the first lags."""
+        if state.seen < self.order or state.rows < self._burn_in(state.spec):
+            return state.row[: state.spec.ny].copy()
+        guess: FloatArray = self._with_input(state, u) @ state.coefficients
         return guess
 
     def update(self, state: RlsState, u: FloatArray, y: FloatArray) -> RlsState:
         """Return the state after ``u`` led to ``y``."""
-        triangle, right = state.triangle, state.right
+        row = self._with_input(state, u)
+        triangle, rows = state.triangle, state.rows
         if state.seen >= self.order:
-            old = np.hstack([triangle, right]) * np.sqrt(self.forgetting)
-            new = np.concatenate([self._row(state, u), y])
-            p = triangle.shape[0]
-            both = np.asarray(np.linalg.qr(np.vstack([old, new]), mode="r"))
-            triangle, right = both[:p, :p], both[:p, p:]
-        past_y = np.vstack([y[None], state.past_y[:-1]])
-        past_u = np.vstack([u[None], state.past_u])[: self.order - 1]
-        return RlsState(state.spec, triangle, right, past_y, past_u, state.seen + 1)
+            old = triangle if self.forgetting == 1.0 else triangle * np.sqrt(self.forgetting)
+            triangle = np.asarray(np.linalg.qr(np.vstack([old, np.concatenate([row, y])]), mode="r"))[: row.size]
+            rows += 1
+            if rows == self._burn_in(state.spec):
+                triangle = self._regularised(triangle, rows, state.spec.ny)
+        ny, nu = state.spec.ny, state.spec.nu
+        past = self.order * ny
+        following = row.copy()
+        following[ny:past] = row[: past - ny]
+        following[:ny] = y
+        following[past + nu : past + self.order * nu] = row[past : past + (self.order - 1) * nu]
+        return RlsState(state.spec, triangle, following, state.seen + 1, rows)
 
     def hindsight(self, trajectories: Sequence[Trajectory]) -> Hindsight:
-        """Return the losses of the batch least-squares fit with the same prior and the same first predictions.
+        """Return the losses of the batch least-squares fit with the same prior and the same held predictions.
 
-        It minimises the summed squared error exactly but for the prior, whose weight is ``prior`` rows.
+        It minimises the summed squared error over the samples after the burn-in exactly but for the prior. The details
+        state prior and burn-in, and hold the batch estimate from all rows.
         """
         spec = trajectories[0].spec
-        rows, targets = [], []
-        for one in trajectories:
-            if len(one) > self.order:
-                block = lagged(one, self.order)
-                rows.append(np.hstack([block, np.ones((len(block), 1))]) if self.offset else block)
-                targets.append(one.y[self.order :])
-        if not rows:
+        moving(trajectories, "rls")
+        long = [one for one in trajectories if len(one) > self.order]
+        if not long:
             raise FitError(
                 "rls: records too short",
                 expected=f"more than {self.order} samples",
                 got=str(max(map(len, trajectories))),
                 remedy="record longer, or lower the order",
             )
-        p = rows[0].shape[1]
-        phi = np.vstack([*rows, np.sqrt(self.prior) * np.eye(p)])
-        theta = np.linalg.lstsq(phi, np.vstack([*targets, np.zeros((p, spec.ny))]), rcond=None)[0]
+        blocks = [lagged(one, self.order) for one in long]
+        if self.offset:
+            blocks = [np.hstack([block, np.ones((len(block), 1))]) for block in blocks]
+        rows, targets = np.concatenate(blocks), np.concatenate([one.y[self.order :] for one in long])
+        burn_in, p = self._burn_in(spec), rows.shape[1]
+        typical = np.sqrt(np.mean(rows[:burn_in] ** 2, axis=0))
+        prior = np.sqrt(self.prior) * np.diag(np.where(typical > 0, typical, 1.0))
+        whole, counted = (
+            np.linalg.lstsq(np.vstack([rows[skip:], prior]), np.vstack([targets[skip:], np.zeros((p, spec.ny))]))[0]
+            for skip in (0, min(burn_in, len(rows)))
+        )
+        missed = residual(spec.outputs, targets, rows @ counted) ** 2
+        missed[:burn_in] = (
+            np.concatenate([residual(spec.outputs, one.y[self.order :], one.y[self.order - 1 : -1]) for one in long])[
+                :burn_in
+            ]
+            ** 2
+        )
         losses: list[FloatArray] = []
-        block_number = 0
+        place = 0
         for one in trajectories:
-            loss = np.sum(residual(spec.outputs, one.y[1:], one.y[:-1]) ** 2, axis=1)
+            loss = residual(spec.outputs, one.y[1:], one.y[:-1]) ** 2
             if len(one) > self.order:
-                miss = residual(spec.outputs, targets[block_number], rows[block_number] @ theta)
-                loss[self.order - 1 :] = np.sum(miss**2, axis=1)
-                block_number += 1
+                count = len(one) - self.order
+                loss[self.order - 1 :] = missed[place : place + count]
+                place += count
             losses.append(loss)
+        each = np.concatenate(losses)
         # The loss of an angle is taken the short way round, which is not convex.
         exact = all(channel.period is None for channel in spec.outputs)
-        return Hindsight(np.concatenate(losses), exact=exact, details={"coefficients": theta.tolist()})
+        details = {"coefficients": whole.tolist(), "prior": self.prior, "burn_in": burn_in + self.order - 1}
+        return Hindsight(each.sum(axis=1), exact=exact, details=details, per_output=each)
 
-    def _row(self, state: RlsState, u: FloatArray) -> FloatArray:
+    def _parameters(self, spec: PlantSpec) -> int:
+        """Return the number of parameters of each output."""
+        return self.order * (spec.ny + spec.nu) + int(self.offset)
+
+    def _burn_in(self, spec: PlantSpec) -> int:
+        """Return how many equations are waited for."""
+        return 2 * self._parameters(spec) if self.burn_in is None else max(self.burn_in, self._parameters(spec))
+
+    def _with_input(self, state: RlsState, u: FloatArray) -> FloatArray:
         """Return the regressors of the next output (p,)."""
-        parts = [state.past_y.ravel(), np.asarray(u, dtype=float), state.past_u.ravel()]
-        if self.offset:
-            parts.append(np.ones(1))
-        return np.concatenate(parts)
+        row = state.row.copy()
+        first = self.order * state.spec.ny
+        row[first : first + state.spec.nu] = u
+        return row
+
+    def _regularised(self, triangle: FloatArray, rows: int, ny: int) -> FloatArray:
+        """Return the triangle with the prior in it."""
+        p = triangle.shape[0]
+        typical = np.linalg.norm(triangle[:, :p], axis=0) / np.sqrt(rows)
+        typical = np.where(typical > 0, typical, 1.0)
+        prior = np.hstack([np.sqrt(self.prior) * np.diag(typical), np.zeros((p, ny))])
+        return np.asarray(np.linalg.qr(np.vstack([triangle, prior]), mode="r"))[:p]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,22 +10,41 @@ import numpy as np
 from harness.errors import FitError
 from harness.signals import FloatArray
 
-__all__ = ["Solution", "solve"]
+__all__ = ["Solution", "dependence_text", "solve"]
 
 # The Gram matrix squares the condition number: beyond this (of scaled columns) half of the digits are gone.
 _GRAM_LIMIT = 1e5
+# Terms of a dependence that are named: those above this share of the largest.
+_SHOWN = 1e-3
 Blocks = Callable[[], Iterable[tuple[FloatArray, FloatArray]]]
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Coefficients (p, m), singular values (p,) of the scaled columns, residual rms (m,), rows, and the method used."""
+    """What a regression found, and what a decision on rank needs.
+
+    Parameters
+    ----------
+    coefficients : array (p, m)
+    singular_values : array (p,)
+        Of the regressors with columns scaled to unit length.
+    residual_rms : array (m,)
+    rows : int
+    method : str
+        How it was solved.
+    factor : array (p, p)
+        R with ``R' R`` the Gram matrix of the scaled columns.
+    scale : array (p,)
+        Length of each column.
+    """
 
     coefficients: FloatArray
     singular_values: FloatArray
     residual_rms: FloatArray
     rows: int
     method: str
+    factor: FloatArray
+    scale: FloatArray
 
     @property
     def condition(self) -> float:
@@ -35,7 +54,13 @@ class Solution:
 
 
 def solve(
-    blocks: Blocks, what: str, *, ridge: float = 0.0, rank_tolerance: float = 1e-11, least_norm: bool = False
+    blocks: Blocks,
+    what: str,
+    *,
+    ridge: float = 0.0,
+    rank_tolerance: float = 1e-11,
+    least_norm: bool = False,
+    names: Sequence[str] = (),
 ) -> Solution:
     """Solve ``min ||Y - Phi C||`` for rows that come in blocks.
 
@@ -51,6 +76,8 @@ def solve(
         Relative to the largest singular value of the scaled columns.
     least_norm : bool
         Answer dependent columns with the solution of least norm instead of refusing them.
+    names : sequence of str
+        Names of the columns, so that a refusal can say which of them depend on each other.
 
     Returns
     -------
@@ -88,20 +115,30 @@ def solve(
     scaled = gram / np.outer(scale, scale)
     if ridge > 0:
         scaled = scaled + ridge * np.eye(scaled.shape[0])
-    values = np.sqrt(np.clip(np.linalg.eigvalsh(scaled)[::-1], 0.0, None))
+    squares, vectors = np.linalg.eigh(scaled)
+    values = np.sqrt(np.clip(squares[::-1], 0.0, None))
     if values[-1] * _GRAM_LIMIT > values[0]:
         coefficients = np.linalg.solve(scaled, right / scale[:, None]) / scale[:, None]
+        factor = values[:, None] * vectors[:, ::-1].T
         lost = square - 2 * np.einsum("ij,ij->j", coefficients, right)
         lost = lost + np.einsum("ij,ij->j", coefficients, gram @ coefficients)
         # Below this the difference of squares is rounding: read the residual off the data.
         if np.all(lost > 1e-10 * square):
-            return Solution(coefficients, values, np.sqrt(lost / rows), rows, "normal equations")
-        return Solution(coefficients, values, _residual(blocks, coefficients), rows, "normal equations")
-    return _by_qr(blocks, scale, ridge, rows, what, rank_tolerance, least_norm)
+            return Solution(coefficients, values, np.sqrt(lost / rows), rows, "normal equations", factor, scale)
+        rms = _residual(blocks, coefficients)
+        return Solution(coefficients, values, rms, rows, "normal equations", factor, scale)
+    return _by_qr(blocks, scale, ridge, rows, what, rank_tolerance, least_norm, names)
 
 
 def _by_qr(
-    blocks: Blocks, scale: FloatArray, ridge: float, rows: int, what: str, tolerance: float, least_norm: bool
+    blocks: Blocks,
+    scale: FloatArray,
+    ridge: float,
+    rows: int,
+    what: str,
+    tolerance: float,
+    least_norm: bool,
+    names: Sequence[str],
 ) -> Solution:
     """Solve by a QR factorisation updated block by block (Golub & Van Loan 2013, sec. 6.5)."""
     p = scale.size
@@ -119,17 +156,51 @@ def _by_qr(
         kept = values > tolerance * values[0]
         some = right[kept].T @ ((left[:, kept].T @ z) / values[kept, None]) / scale[:, None]
         method = f"QR, least norm (rank {int(kept.sum())} of {p})"
-        return Solution(some, values, _residual(blocks, some), rows, method)
+        return Solution(some, values, _residual(blocks, some), rows, method, r, scale)
     if values[-1] <= tolerance * values[0]:
         rank = int(np.sum(values > tolerance * values[0]))
+        law = f": {dependence_text(right[-1] / scale, scale, names)}" if len(names) >= p else ""
         raise FitError(
             f"{what}: the data do not determine the model",
             expected=f"rank {p} of {p} regressors",
-            got=f"rank {rank} (singular values {values[0]:.3g} to {values[-1]:.3g})",
+            got=f"rank {rank} of {p} (singular values {values[0]:.3g} to {values[-1]:.3g}){law}",
             remedy="excite the plant beyond what its controller commands, or use fewer features",
         )
     coefficients = (right.T @ ((left.T @ z) / values[:, None])) / scale[:, None]
-    return Solution(coefficients, values, _residual(blocks, coefficients), rows, "QR (ill-conditioned)")
+    rms = _residual(blocks, coefficients)
+    return Solution(coefficients, values, rms, rows, "QR (ill-conditioned)", r, scale)
+
+
+def dependence_text(direction: FloatArray, size: FloatArray, names: Sequence[str]) -> str:
+    """Return ``u = -0.5 x - 0.1 v`` for coefficients of regressors whose sum stays zero.
+
+    Parameters
+    ----------
+    direction : array (p,)
+    size : array (p,)
+        Sizes of the regressors: terms that move little are left out.
+    names : sequence of str
+        The last of those that count most stands on the left.
+
+    Examples
+    --------
+    >>> dependence_text(np.array([0.5, 0.1, 1.0]), np.ones(3), ("x", "v", "u"))
+    'u = -0.5 x - 0.1 v'
+    """
+    weight = np.abs(direction * size)
+    counted = [j for j in range(direction.size) if weight[j] > _SHOWN * weight.max()]
+    lead = max(j for j in counted if weight[j] >= 0.1 * weight.max())
+    terms = sorted((j for j in counted if j != lead), key=lambda j: -weight[j])[:6]
+    text = f"{names[lead]} ="
+    for number, j in enumerate(terms):
+        value = -direction[j] / direction[lead]
+        sign = "-" if value < 0 else "+"
+        text += (
+            f" {sign} {abs(value):.4g} {names[j]}"
+            if number
+            else f" {'-' if value < 0 else ''}{abs(value):.4g} {names[j]}"
+        )
+    return text if terms else f"{text} 0"
 
 
 def _residual(blocks: Blocks, coefficients: FloatArray) -> FloatArray:

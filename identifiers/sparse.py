@@ -12,6 +12,7 @@ import numpy.typing as npt
 from harness.errors import FitError
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.derivatives import Derivative, derivative_rows, measured_motion, unwrapped
+from identifiers.excitation import refuse_feedback_of_records
 from identifiers.library import Library
 from identifiers.observers import alpha_beta_gains, best_gain
 from identifiers.records import moving, real_signals, usable
@@ -210,6 +211,8 @@ class Stlsq:
         Tikhonov weight of the classical rule while terms are dropped; the last fit is without it.
     iterations : int
         At most so many rounds of the classical rule.
+    least_excitation : float
+        As of ``least-squares``.
 
     Examples
     --------
@@ -234,6 +237,7 @@ class Stlsq:
     rule: Literal["eliminate", "threshold"] = "eliminate"
     ridge: float = 1e-6
     iterations: int = 20
+    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> SparseModel:
         """Return the sparse model; its equations and what was dropped stand in its notes."""
@@ -241,7 +245,8 @@ class Stlsq:
         self._check(what)
         records, spec = usable(trajectories, samples=3 if self.time == "discrete" else 8, what=what)
         real_signals(spec, what)
-        moving(records, what, inputs=False)
+        moving(records, what)
+        refuse_feedback_of_records(records, self.order or 1, self.least_excitation, what)
         if self.time == "discrete" or self.order is not None or _rates_measured(spec):
             return self._fitted(records, spec, self.order or 1, what)
         models = [self._fitted(records, spec, order, what) for order in (1, 2)]

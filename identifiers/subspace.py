@@ -9,15 +9,23 @@ from typing import Any
 import numpy as np
 
 from harness.errors import FitError
+from harness.lqr import spectral_radius
 from harness.signals import FloatArray, Trajectory
+from identifiers.excitation import feedback_of
 from identifiers.filters import stationary_gain
 from identifiers.hankel import leading_singular_vectors
-from identifiers.linear import LinearModel
+from identifiers.linear_model import LinearModel
 from identifiers.markov import markov_parameters
 from identifiers.records import lagged_blocks, moving, real_signals, usable
 from identifiers.regression import solve
+from identifiers.scaling import Scaling, sizes
+from identifiers.stability import clip_eigenvalues
 
 __all__ = ["HoKalman", "markov_parameters", "observer_markov", "realize"]
+
+
+# Outputs are not told apart by noise below this fraction of their size.
+_QUIET = 1e-6
 
 
 def realize(
@@ -155,16 +163,23 @@ class HoKalman:
             response, innovation, level, rms = observer_markov(
                 records, self.observer, self.markov, offset=self.offset, direct=self.direct
             )
+        # Outputs count by their noise, inputs by their size: no unit decides on order and directions.
+        size = sizes([one.y for one in records])
+        scaling = Scaling(sizes([one.u for one in records]), np.maximum(rms, _QUIET * size))
+        feedback = feedback_of(records)
+        notes: dict[str, Any] = {"residual_rms": rms.tolist(), "feedback_share": feedback.share}
+        if feedback.found and self.observer is None:
+            notes["warning"] = "past outputs foretell the input (feedback): the direct fit is biased; use observer"
+        response = response * scaling.inputs / scaling.outputs[:, None]
+        if self.observer is not None:
+            innovation = innovation * scaling.outputs / scaling.outputs[:, None]
+        level = level / scaling.outputs
         # The response to the innovation is far less certain than that to the input: with both in one Hankel matrix the
         # noise of the former ends up in A.
         a, b, c, values = realize(response[1:], order=self.order, rows=self.rows)
-        notes: dict[str, Any] = {
-            "hankel_singular_values": values[:20].tolist(),
-            "order": int(a.shape[0]),
-            "residual_rms": rms.tolist(),
-        }
-        if self.stable and np.abs(np.linalg.eigvals(a)).max() >= 1.0:
-            a = _stabilized(a)
+        notes |= {"hankel_singular_values": values[:20].tolist(), "order": int(a.shape[0])}
+        if self.stable and spectral_radius(a) >= 1.0:
+            a = clip_eigenvalues(a)
             b = _input_matrix(a, c, response[1:])
             notes["stabilized"] = True
         gain = stationary_gain(a, c)
@@ -175,7 +190,8 @@ class HoKalman:
             if np.abs(np.linalg.eigvals(a - a @ gain @ c)).max() >= 1.0:
                 gain = stationary_gain(a, c)
         d = response[0] if self.direct else np.zeros((spec.ny, spec.nu))
-        return LinearModel(spec, a, b, c, d, gain, np.zeros(a.shape[0]), level, notes=notes)
+        model = LinearModel(spec, a, b, c, d, gain, np.zeros(a.shape[0]), level, notes=notes)
+        return model.in_units(scaling)
 
 
 def observer_markov(
@@ -241,12 +257,3 @@ def _input_matrix(a: FloatArray, c: FloatArray, markov: FloatArray) -> FloatArra
         power = power @ a
     found = np.linalg.lstsq(np.vstack(rows), markov.reshape(-1, markov.shape[2]), rcond=1e-12)[0]
     return np.asarray(found, dtype=np.float64)
-
-
-def _stabilized(a: FloatArray) -> FloatArray:
-    """Return A with eigenvalues moved inside the unit circle, eigenvectors kept."""
-    values, vectors = np.linalg.eig(a)
-    moduli = np.abs(values)
-    values = np.where(moduli >= 1.0, values / np.where(moduli > 0, moduli, 1.0) * 0.999, values)
-    stable: FloatArray = np.real(vectors @ np.diag(values) @ np.linalg.inv(vectors))
-    return stable

@@ -13,6 +13,7 @@ import sympy as sp
 
 from harness.errors import HarnessError, InputError
 from harness.physics.arm import is_arm
+from harness.physics.flight import perching_glider, planar_quadrotor
 from harness.physics.mechanism import Mechanism
 from harness.physics.ode import Ode
 from harness.physics.parameters import Parameter
@@ -30,6 +31,8 @@ __all__ = [
     "load_model",
     "oscillator",
     "pendulum",
+    "perching_glider",
+    "planar_quadrotor",
     "two_tanks",
 ]
 
@@ -248,6 +251,8 @@ BUILT_IN = {
     "acrobot": acrobot,
     "drive": drive,
     "oscillator": oscillator,
+    "planar-quadrotor": planar_quadrotor,
+    "perching-glider": perching_glider,
     "two-tanks": two_tanks,
     "linear": linear,
 }

@@ -8,7 +8,8 @@ import pytest
 from harness.errors import FitError
 from harness.scoring import equation_error, simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.dmd import Dictionary, Dmdc, Edmdc
+from identifiers.dmd import Dmdc
+from identifiers.koopman import Dictionary, Edmdc
 
 RNG = np.random.default_rng(0)
 MODES = np.array([0.99 * np.exp(0.1j), 0.98 * np.exp(0.3j), 0.97 * np.exp(0.7j)])

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from harness.errors import FitError
+from harness.errors import FitError, InputError
 from harness.scoring import regret
 from harness.signals import Channel, PlantSpec, Trajectory
+from identifiers.leader import FollowTheLeader
 from identifiers.linear import Arx
 from identifiers.online import RecursiveLeastSquares
 
@@ -45,11 +46,76 @@ def test_recursive_equals_batch_to_rounding():
 
 def test_no_fixed_predictor_beats_the_hindsight():
     record = stream(300, 4)
-    online = RecursiveLeastSquares(order=1, offset=False, prior=1e-9)
-    best = online.hindsight([record]).losses.sum()
-    for theta in np.array([0.7, 1.0]) + 0.05 * np.random.default_rng(0).normal(size=(20, 2)):
+    online = RecursiveLeastSquares(order=1, offset=False)
+    found = online.hindsight([record])
+    late = slice(found.details["burn_in"], None)
+    for theta in np.array([0.7, 1.0]) + 0.05 * np.random.default_rng(0).normal(size=(50, 2)):
         losses = (record.y[1:, 0] - theta[0] * record.y[:-1, 0] - theta[1] * record.u[:-1, 0]) ** 2
-        assert losses.sum() >= best
+        assert losses[late].sum() >= found.losses[late].sum()
+    held = (record.y[1:, 0] - record.y[:-1, 0]) ** 2
+    assert found.losses[: late.start] == pytest.approx(held[: late.start])
+
+
+def test_regret_grows_with_the_logarithm_as_theory_says_in_any_unit():
+    """Item 3: slope d n sigma^2 / ln T within 10 %, by the product's own score, mean of ten streams."""
+    sigma = np.array([0.1, 0.02])
+    a, b = np.array([[0.7, 0.2], [-0.1, 0.6]]), np.array([[1.0], [0.5]])
+    spec = PlantSpec((Channel("u"),), (Channel("a"), Channel("b")), 1.0)
+    ratios, late = [], []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        u, y = rng.normal(size=(2500, 1)), np.zeros((2500, 2))
+        for k in range(2499):
+            y[k + 1] = a @ y[k] + b @ u[k] + sigma * rng.normal(size=2)
+        found = [
+            regret(
+                RecursiveLeastSquares(order=1, offset=False),
+                [Trajectory(np.arange(2500.0), u * unit, y * np.array([unit, 1.0]), spec)],
+                rng=RNG,
+                points=30 if unit == 1.0 else 0,
+            )
+            for unit in (1.0, 1e3)[: 2 if seed == 0 else 1]
+        ]
+        if seed == 0:
+            assert found[1].total == pytest.approx(found[0].total, rel=1e-6)
+        theory = 3 * float(np.sum((sigma / found[0].scale) ** 2))  # d parameters for each output, sigma^2 scaled
+        ratios.append(found[0].slope(50) / theory)
+        early = found[0].curve[found[0].steps >= 20][0]
+        late.append(1.0 - early / found[0].curve[-1])
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
+    assert np.mean(late) > 0.4, "the regret is no burst of the first samples"
+
+
+def test_the_curve_is_against_the_best_model_of_the_first_samples():
+    record = stream(400, 3)
+    found = regret(RecursiveLeastSquares(order=1), [record], rng=RNG, points=12)
+    for n, value in zip(found.steps.astype(int), found.curve, strict=True):
+        if n < 20:
+            continue
+        alone = regret(RecursiveLeastSquares(order=1), [record[: n + 1]], rng=RNG, points=0, scaled=False)
+        assert value == pytest.approx(alone.total / found.scale[0] ** 2, rel=1e-9)
+    assert found.curve[-1] == pytest.approx(found.total)
+    assert np.all(np.diff(found.curve[found.steps >= 20]) > 0), "least squares only ever loses"
+
+
+def test_any_batch_identifier_follows_the_leader():
+    record = stream(1500, 0)
+    recursive = regret(RecursiveLeastSquares(order=1, offset=False), [record], rng=RNG)
+    led = regret(FollowTheLeader("arx", {"order": 1, "offset": False}, burn_in=10), [record], rng=RNG)
+    assert led.details["burn_in"] == 10
+    assert led.slope(100) == pytest.approx(recursive.slope(100), rel=0.35)
+    for name, options in (("dmdc", {}), ("edmdc", {}), ("ho-kalman", {"markov": 15, "order": 1})):
+        found = regret(FollowTheLeader(name, options, burn_in=60), [record[:700], record[700:]], rng=RNG, points=8)
+        assert not found.exact
+        assert 0.0 < found.average < 0.01, name
+
+
+def test_a_leader_that_cannot_be_is_refused_by_name():
+    for name in ("no-such-thing", "rls"):
+        with pytest.raises(InputError, match=name):
+            FollowTheLeader(name, {}).init(SPEC, rng=RNG)
+    with pytest.raises(FitError, match="growth"):
+        FollowTheLeader(growth=0.5).init(SPEC, rng=RNG)
 
 
 def test_the_old_state_stays_valid():
@@ -79,7 +145,9 @@ def test_a_seam_is_not_a_transition():
     assert y[2:] == pytest.approx(np.hstack([y[1:-1], y[:-2], u[1:-1], u[:-2]]) @ theta, abs=1e-8)
 
 
-@pytest.mark.parametrize("options", [{"order": 0}, {"forgetting": 0.0}, {"forgetting": 1.5}, {"prior": 0.0}])
+@pytest.mark.parametrize(
+    "options", [{"order": 0}, {"forgetting": 0.0}, {"forgetting": 1.5}, {"prior": 0.0}, {"burn_in": 0}]
+)
 def test_options_that_make_no_sense_are_refused(options):
     with pytest.raises(FitError, match="options"):
         RecursiveLeastSquares(**options).init(SPEC, rng=RNG)

@@ -11,7 +11,8 @@ from harness.errors import FitError
 from harness.scoring import predict, regret, simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
 from harness.testing import FiniteProcess, simulate_finite
-from identifiers.dmd import Dictionary, Dmdc, Edmdc, KoopmanModel
+from identifiers.dmd import Dmdc
+from identifiers.koopman import Dictionary, Edmdc, KoopmanModel
 from identifiers.mdp import MdpCounting, MdpModel, OnlineCounting, count_transitions, weissman_bound
 from identifiers.online import RecursiveLeastSquares
 

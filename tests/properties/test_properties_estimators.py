@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from harness.scoring import equation_error, predict, regret, simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from harness.testing import finite_processes, linear_systems, simulate_finite, simulate_linear
-from identifiers.dmd import Dmdc, Edmdc
+from identifiers.dmd import Dmdc
+from identifiers.koopman import Edmdc
 from identifiers.linear import Arx, LinearModel, StateLeastSquares
 from identifiers.mdp import MdpCounting, OnlineCounting
 from identifiers.online import RecursiveLeastSquares

@@ -46,7 +46,7 @@ class RunningMean:
 
 
 def test_regret_by_hand_over_two_records():
-    found = regret(RunningMean(), [record(9.0, 2.0, 4.0), record(7.0, 6.0)], rng=np.random.default_rng(0))
+    found = regret(RunningMean(), [record(9.0, 2.0, 4.0), record(7.0, 6.0)], rng=np.random.default_rng(0), scaled=False)
     # predictions 0, 2, 3 of 2, 4, 6 (the first output of a record is never predicted); best constant 4
     assert found.losses.tolist() == [4.0, 4.0, 9.0]
     assert found.hindsight.tolist() == [4.0, 0.0, 4.0]
@@ -54,17 +54,28 @@ def test_regret_by_hand_over_two_records():
     assert (found.total, found.average, found.exact) == (9.0, 3.0, True)
 
 
+def test_losses_are_in_units_of_the_output_s_variance():
+    stream = [record(9.0, 2.0, 4.0), record(7.0, 6.0)]
+    found = regret(RunningMean(), stream, rng=np.random.default_rng(0))
+    variance = float(np.var([9.0, 2.0, 4.0, 7.0, 6.0]))
+    assert found.losses * variance == pytest.approx([4.0, 4.0, 9.0])
+    assert found.total * variance == pytest.approx(9.0)
+    # R[n] against the best constant of the first n samples: 2; 2 and 4; 2, 4 and 6
+    assert found.steps.tolist() == [1.0, 2.0, 3.0]
+    assert found.curve * variance == pytest.approx([4.0, 8.0 - 2.0, 17.0 - 8.0])
+
+
 def test_records_of_one_sample_hold_nothing_to_predict():
-    found = regret(RunningMean(), [record(1.0), record(1.0, 2.0)], rng=np.random.default_rng(0))
+    found = regret(RunningMean(), [record(1.0), record(1.0, 2.0)], rng=np.random.default_rng(0), scaled=False)
     assert found.losses.tolist() == [4.0]
     for stream in ([], [record(1.0)]):
         with pytest.raises(FitError, match="empty stream"):
-            regret(RunningMean(), stream, rng=np.random.default_rng(0))
+            regret(RunningMean(), stream, rng=np.random.default_rng(0), scaled=False)
 
 
 def test_hindsight_of_other_samples_is_refused():
     with pytest.raises(FitError, match="one loss for each predicted sample"):
-        regret(RunningMean(wrong_length=True), [record(1.0, 2.0, 3.0)], rng=np.random.default_rng(0))
+        regret(RunningMean(wrong_length=True), [record(1.0, 2.0, 3.0)], rng=np.random.default_rng(0), scaled=False)
 
 
 def test_an_angle_is_lost_by_the_short_way_round():
@@ -74,7 +85,7 @@ def test_an_angle_is_lost_by_the_short_way_round():
         def start(self, state: Any, y: FloatArray) -> Any:
             return float(y[0]), 1, 0
 
-    found = regret(Hold(), [record(3.1, -3.1, spec=spec)], rng=np.random.default_rng(0))
+    found = regret(Hold(), [record(3.1, -3.1, spec=spec)], rng=np.random.default_rng(0), scaled=False)
     assert found.losses[0] == pytest.approx((2 * np.pi - 6.2) ** 2)
 
 
@@ -101,5 +112,5 @@ def test_the_learner_is_told_of_every_seam_with_the_first_output_behind_it():
 
 def test_a_wrong_category_costs_one():
     spec = PlantSpec((), (Channel("s", kind="category", minimum=0, maximum=5),), 1.0)
-    found = regret(RunningMean(), [record(0.0, 5.0, 5.0, spec=spec)], rng=np.random.default_rng(0))
+    found = regret(RunningMean(), [record(0.0, 5.0, 5.0, spec=spec)], rng=np.random.default_rng(0), scaled=False)
     assert found.losses.tolist() == [1.0, 0.0]

@@ -1,22 +1,19 @@
-"""Scores: equation error (one step ahead), simulation error (free run), regret of online identifiers.
+"""Equation error (one step ahead) and simulation error (free run): one definition, two horizons.
 
-Both errors are one definition, :func:`predict` with another horizon (Ljung 1999, *System Identification*, sec. 3.1 and
-16.5); regret is measured against the best fixed predictor of the same model class in hindsight (Hazan 2016,
-*Introduction to Online Convex Optimization*, eq. 1.1).
+Both are :func:`predict` with another horizon (Ljung 1999, *System Identification*, sec. 3.1 and 16.5).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from harness.errors import FitError, InputError
-from harness.protocols import FreeRun, Model, OnlineIdentifier
+from harness.errors import InputError
+from harness.protocols import FreeRun, Model
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 
-__all__ = ["Regret", "Score", "equation_error", "errors", "predict", "regret", "same_language", "simulation_error"]
+__all__ = ["Score", "equation_error", "errors", "predict", "same_language", "simulation_error", "states_ahead"]
 
 
 _FIRST = 50
@@ -73,39 +70,6 @@ class Score:
     def finite(self) -> bool:
         """False if a prediction diverged."""
         return bool(np.isfinite(self.rms).all())
-
-
-@dataclass(frozen=True, eq=False)
-class Regret:
-    """Loss of an online identifier beyond that of the best fixed predictor of its class.
-
-    Parameters
-    ----------
-    losses, hindsight : array (M,)
-        Loss at each predicted sample of the stream: of the identifier, and of the batch minimiser.
-    exact : bool
-        False where the batch minimiser is only the best that was found.
-    """
-
-    losses: FloatArray
-    hindsight: FloatArray
-    exact: bool
-
-    @property
-    def cumulative(self) -> FloatArray:
-        """Loss so far beyond that of the whole stream's minimiser (M,); score a shorter stream for its own regret."""
-        total: FloatArray = np.cumsum(self.losses - self.hindsight)
-        return total
-
-    @property
-    def total(self) -> float:
-        """Regret over the whole stream."""
-        return float(self.cumulative[-1])
-
-    @property
-    def average(self) -> float:
-        """Regret for each sample; goes to zero for an identifier that learns."""
-        return self.total / self.losses.size
 
 
 def same_language(spec: PlantSpec, data: Trajectory, what: str = "model") -> None:
@@ -178,9 +142,39 @@ def predict(
         predictions = np.full((len(data), model.spec.ny), np.nan)
         if len(data) <= horizon:
             return predictions
-        states = _filtered(model, x, data)
-        predictions[horizon:] = _ahead(model, states, data.u, horizon)[:, -1]
+        states = _ahead(model, _filtered(model, x, data), data.u, horizon)
+        predictions[horizon:] = model.output(states, data.u[horizon:])
     return predictions
+
+
+def states_ahead(model: Model, data: Trajectory, horizon: int = 1, *, initial_samples: int | None = None) -> FloatArray:
+    """Return the states from which :func:`predict` reads its predictions.
+
+    Parameters
+    ----------
+    model, data, initial_samples
+        As for :func:`predict`.
+    horizon : int
+        Steps ahead.
+
+    Returns
+    -------
+    array (N - horizon, nx)
+        Row i belongs to sample ``horizon + i``; its output is not yet seen.
+
+    Raises
+    ------
+    InputError
+        As :func:`predict`, and if the record is not longer than the horizon.
+    """
+    same_language(model.spec, data)
+    if not 1 <= horizon < len(data):
+        raise InputError(
+            "horizon", expected=f"1 .. {len(data) - 1} (samples - 1)", got=repr(horizon), remedy="shorten it"
+        )
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        x = _initial_state(model, data, None, initial_samples)
+        return _ahead(model, _filtered(model, x, data), data.u, horizon)
 
 
 def errors(
@@ -286,56 +280,6 @@ def simulation_error(
     return _score(data, miss, skip, horizon, how)
 
 
-def regret(online: OnlineIdentifier, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> Regret:
-    """Run an online identifier over records and compare it with the best fixed predictor of its class.
-
-    The loss is the squared error summed over the outputs (on a category output: 1 for a wrong answer). Every prediction
-    is made before the output is shown.
-
-    Parameters
-    ----------
-    online : OnlineIdentifier
-    trajectories : sequence of Trajectory
-        The stream; the identifier is told of each seam.
-    rng : numpy.random.Generator
-
-    Raises
-    ------
-    FitError
-        If there is nothing to predict, or the hindsight losses do not belong to the same samples.
-    """
-    if not trajectories or all(len(one) < 2 for one in trajectories):
-        raise FitError("an empty stream", expected="at least 2 samples", got="fewer", remedy="record more")
-    spec = trajectories[0].spec
-    state = online.init(spec, rng=rng)
-    losses: list[float] = []
-    for record in trajectories:
-        state = online.start(state, record.y[0])
-        for k in range(len(record) - 1):
-            guess = np.asarray(online.predict(state, record.u[k]), dtype=float)
-            losses.append(_loss(spec, record.y[k + 1], guess))
-            state = online.update(state, record.u[k], record.y[k + 1])
-    best = online.hindsight(trajectories)
-    own = np.array(losses)
-    if best.losses.shape != own.shape:
-        raise FitError(
-            "hindsight of the online identifier",
-            expected=f"one loss for each predicted sample, shape {own.shape}",
-            got=str(best.losses.shape),
-            remedy="let hindsight() predict the same samples, y[1:] of every record",
-        )
-    return Regret(own, np.asarray(best.losses, dtype=float), best.exact)
-
-
-def _loss(spec: PlantSpec, measured: FloatArray, guess: FloatArray) -> float:
-    """Return the squared error over the outputs, categories counted as right or wrong."""
-    miss = residual(spec.outputs, measured, guess)
-    for column, channel in enumerate(spec.outputs):
-        if channel.kind == "category":
-            miss[column] = float(miss[column] != 0.0)
-    return float(miss @ miss)
-
-
 def _initial_state(
     model: Model, data: Trajectory, initial: FloatArray | None, initial_samples: int | None
 ) -> FloatArray:
@@ -381,12 +325,12 @@ def _filtered(model: Model, x: FloatArray, data: Trajectory) -> FloatArray:
 
 
 def _ahead(model: Model, states: FloatArray, u: FloatArray, horizon: int) -> FloatArray:
-    """Return the predictions (N - h, 1, ny), h steps ahead of every filtered state but the last h."""
+    """Return the states (N - h, nx), h steps ahead of every filtered state but the last h."""
     x = states[:-horizon]
     count = x.shape[0]
     for j in range(horizon):
         x = model.step(x, u[j : j + count])
-    return model.output(x, u[horizon:])[:, None]
+    return x
 
 
 def _until_divergence(outputs: FloatArray) -> FloatArray:

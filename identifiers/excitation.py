@@ -1,0 +1,260 @@
+"""One decision for all linear fits: whether the data tell the model, or the input follows the outputs by a law."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from harness.errors import FitError
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.records import lagged_blocks
+from identifiers.regression import Solution, dependence_text, solve
+
+__all__ = ["Columns", "Feedback", "feedback_of", "refuse_collinear", "refuse_feedback", "refuse_feedback_of_records"]
+
+# Columns have rms 1: a combination ten times smaller is a near-dependence, one of size 1 is a signal by itself.
+_WEAK = 0.1
+# A departure below this fraction of the inputs is rounding of the normal equations (the root of 1e-16, and room).
+_EXACT = 1e-7
+# A ridge that is none: it only asks for exact laws too, where the solver answers dependent columns.
+_TINY = 1e-30
+
+
+class Columns:
+    """Which column of a one-step regression is what.
+
+    Parameters
+    ----------
+    spec : PlantSpec
+    lags : int
+        The columns are ``y[k], ..., y[k-lags+1], u[k], ..., u[k-lags+1]``, then a constant where there is one.
+    """
+
+    def __init__(self, spec: PlantSpec, lags: int = 1) -> None:
+        ny, nu = spec.ny, spec.nu
+        self.now = list(range(lags * ny, lags * ny + nu))
+        self.output_of = {j * ny + i: i for j in range(lags) for i in range(ny)}
+        self.names: list[str] = []
+        for side in (spec.outputs, spec.inputs):
+            for j in range(lags):
+                self.names += [c.name if lags == 1 else f"{c.name}[k{f'-{j}' if j else ''}]" for c in side]
+        self.names.append("1")
+
+    @classmethod
+    def lifted(cls, size: int, spec: PlantSpec) -> Columns:
+        """Return the columns ``[z (size), u]`` of a state z that the same regression predicts."""
+        made = cls(spec)
+        made.now = list(range(size, size + spec.nu))
+        made.output_of = {j: j for j in range(size)}
+        made.names = [f"z{j + 1}" for j in range(size)] + [c.name for c in spec.inputs] + ["1"]
+        return made
+
+
+def refuse_feedback(solution: Solution, columns: Columns, least: float, what: str, *, ridge: float = 0.0) -> None:
+    """Raise if the inputs depart from a law of the other regressors by no more than noise makes of that law.
+
+    Under pure feedback ``u = K y`` the parts of A and B cannot be told apart. Sensor noise of size s then makes the
+    input depart from the best law by K s, which fills the rank while the answer is wrong (Ljung 1999, sec. 13.4;
+    Soderstrom & Stoica 1989, sec. 10.3). So the part of the inputs that the other regressors do not explain is
+    compared, in its weakest combination, with the noise that the law would pass on. The noise is taken to be the
+    equation's own residual, which is no less. An input that follows no law (open loop) is never refused, whatever the
+    noise, nor one that departs from it by a tenth of its size: a controller that acts on the noisy outputs themselves
+    gives consistent fits with any departure, and the two cases look alike.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of the one-step equations, least squares.
+    columns : Columns
+    least : float
+        Least ratio of departure to noise, about 2; 0 refuses nothing.
+    what : str
+        For messages.
+    ridge : float
+        Tikhonov weight of the fit, which hides an exact law from its rank decision: then one is looked for here.
+    """
+    if least <= 0 or not columns.now:
+        return
+    r, size, noise = solution.factor, solution.scale, _noise(solution, columns)
+    others = [j for j in range(r.shape[1]) if j not in columns.now]
+    # The law that the true states could have had: one that only noise would need is not taken for a law.
+    left = np.vstack([r[:, others], np.diag(noise[others])])
+    right = np.vstack([r[:, columns.now], np.zeros((len(others), len(columns.now)))])
+    law = np.linalg.lstsq(left, right, rcond=1e-12)[0]
+    rest = r[:, columns.now] - r[:, others] @ law
+    passed = noise[others, None] * law
+    # How much of the departure is noise, in the combination of inputs where that is most.
+    departure, carried = rest.T @ rest, passed.T @ passed
+    if ridge > 0:
+        departure = departure - ridge * (np.eye(len(columns.now)) + law.T @ law)
+        carried = carried + _EXACT**2 / least**2 * np.eye(len(columns.now))
+    low, turned = np.linalg.eigh(departure)
+    root = turned * np.sqrt(np.maximum(low, 1e-30))
+    half = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(half @ carried @ half.T)
+    chance = len(others) / solution.rows  # what a law fitted to chance passes on
+    turns = half.T @ vectors
+    shares = np.sqrt(np.clip(np.einsum("ij,ik,kj->j", turns, departure, turns), 0.0, None))
+    shares = shares / np.linalg.norm(turns, axis=0)
+    weak = (values - chance > 1.0 / least**2) & (shares < _WEAK)
+    if not weak.any():
+        return
+    turn = turns[:, int(np.flatnonzero(weak)[-1])]
+    null = np.zeros(r.shape[1])
+    null[columns.now], null[others] = turn, -law @ turn
+    share = float(np.sqrt(max(turn @ departure @ turn, 0.0)) / max(np.linalg.norm(null), 1e-300))
+    raise _undetermined(null / size, size, columns, r.shape[1] - int(weak.sum()), share, what)
+
+
+def refuse_collinear(
+    solution: Solution,
+    columns: Columns,
+    least: float,
+    what: str,
+    remedy: str = "add an excitation to what the controller commands, or leave an output out",
+) -> None:
+    """Raise if some combination of measured states is no more than noise.
+
+    Parameters
+    ----------
+    solution, columns, least, what
+        As of :func:`refuse_feedback`; here the outputs are the states (one lag).
+    """
+    if least <= 0:
+        return
+    noise = _noise(solution, columns)
+    _, values, right = np.linalg.svd(solution.factor)
+    weak = (values < least * np.linalg.norm(right * noise, axis=1)) & (values < _WEAK)
+    if weak.any():
+        null = right[int(np.flatnonzero(weak)[-1])]
+        rank = values.size - int(weak.sum())
+        raise _undetermined(null / solution.scale, solution.scale, columns, rank, float(values[-1]), what, remedy)
+
+
+def refuse_feedback_of_records(records: Sequence[Trajectory], lags: int, least: float, what: str) -> None:
+    """Raise if the inputs follow the outputs by a law, for fits that are not linear one-step equations themselves.
+
+    As :func:`refuse_feedback`, with the noise of each output taken to be no more than its fourth difference leaves
+    (``/ sqrt(70)``, what white noise makes of it): the residual of a linear equation may be the plant's nonlinearity.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    lags : int
+        Samples of the past that the fit uses.
+    least, what
+        As of :func:`refuse_feedback`.
+    """
+    spec = records[0].spec
+    few = sum(max(0, len(one) - lags) for one in records) <= 2 * (lags * (spec.ny + spec.nu) + 1)
+    if spec.nu == 0 or few:
+        return
+    solution = solve(lambda: lagged_blocks(records, lags, offset=True), what, least_norm=True)
+    rough = np.concatenate([np.diff(one.y, 4, axis=0) for one in records if len(one) > 4])
+    noise = 1.4826 * np.median(np.abs(rough - np.median(rough, axis=0)), axis=0) / np.sqrt(70.0)
+    quiet = replace(solution, residual_rms=np.minimum(solution.residual_rms, noise))
+    refuse_feedback(quiet, Columns(spec, lags), least, what, ridge=_TINY)
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """How far past outputs foretell an input beyond its own past.
+
+    Parameters
+    ----------
+    share : float
+        Share of the input's unpredictable part that past outputs explain, of the input where it is most.
+    probability : float
+        Of a share at least so large in open loop.
+    """
+
+    share: float
+    probability: float
+
+    @property
+    def found(self) -> bool:
+        """True if chance is no explanation (less than 1 in 1000) and the share is not negligible (1 %)."""
+        return self.probability < 1e-3 and self.share > 0.01
+
+
+def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
+    """Test whether outputs foretell the input beyond its own past: feedback (Granger 1969; Ljung 1999, sec. 13.4).
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    lags : int
+        Samples of the past.
+
+    Returns
+    -------
+    Feedback
+
+    Examples
+    --------
+    >>> from harness.signals import Channel
+    >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    >>> rng = np.random.default_rng(0)
+    >>> u, y = rng.normal(size=(500, 1)), np.zeros((500, 1))
+    >>> for k in range(499):
+    ...     y[k + 1] = 0.8 * y[k] + u[k] + 0.3 * rng.normal()
+    >>> feedback_of([Trajectory(np.arange(500.0), u, y, spec)]).found
+    False
+    """
+    from scipy.stats import f
+
+    spec = records[0].spec
+    long = [one for one in records if len(one) > lags + 1]
+    past_u = [[one.u[lags - j : len(one) - j] for j in range(1, lags + 1)] for one in long]
+    # a controller acts on the output of the same sample, unless that depends on the input itself
+    past_y = [[one.y[lags - j : len(one) - j] for j in range(int(spec.feedthrough), lags + 1)] for one in long]
+    rows = sum(len(one) - lags for one in long)
+    width = 1 + lags * spec.nu + (lags + 1) * spec.ny
+    if spec.nu == 0 or rows <= 2 * width:
+        return Feedback(0.0, 1.0)
+    own = np.concatenate([np.hstack([np.ones((len(p[0]), 1)), *p]) for p in past_u])
+    both = np.hstack([own, np.concatenate([np.hstack(p) for p in past_y])])
+    target = np.concatenate([one.u[lags:] for one in long])
+    lost = []
+    for columns in (own, both):
+        size = np.linalg.norm(columns, axis=0)
+        q, values, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
+        q = q[:, values > 1e-10 * values[0]]
+        lost.append((np.sum((target - q @ (q.T @ target)) ** 2, axis=0), q.shape[1]))
+    (alone, few), (helped, many) = lost
+    floor = 1e-20 * np.sum(target**2, axis=0)  # an input that its own past foretells exactly needs no feedback
+    share = np.where(alone > floor, 1.0 - helped / np.maximum(alone, 1e-300), 0.0)
+    worst = int(np.argmax(share))
+    added, rest = max(many - few, 1), max(rows - many, 1)
+    ratio = (share[worst] / added) / max((1.0 - share[worst]) / rest, 1e-300)
+    return Feedback(float(share[worst]), min(1.0, float(f.sf(ratio, added, rest)) * spec.nu))
+
+
+def _noise(solution: Solution, columns: Columns) -> FloatArray:
+    """Return the noise of each regressor relative to its rms (p,): inputs and constants are exact."""
+    noise = np.zeros(solution.scale.size)
+    rms = solution.scale / np.sqrt(solution.rows)
+    for column, output in columns.output_of.items():
+        noise[column] = solution.residual_rms[output] / rms[column]
+    return noise
+
+
+def _undetermined(
+    null: FloatArray,
+    size: FloatArray,
+    columns: Columns,
+    rank: int,
+    share: float,
+    what: str,
+    remedy: str = "add an excitation to what the controller commands",
+) -> FitError:
+    """Return the refusal, with the direction that the data do not tell."""
+    law = dependence_text(null, size, columns.names)
+    return FitError(
+        f"{what}: the data do not determine the model",
+        expected="inputs and states that move in every direction by more than noise",
+        got=f"rank {rank} of {size.size}: {law} up to {share:.1e} of full size, which noise alone would leave",
+        remedy=remedy,
+    )

@@ -1,0 +1,316 @@
+"""Subspace identification from inputs and outputs: N4SID, MOESP, CVA for open loop, PARSIM-E for closed loop."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from harness.errors import FitError
+from harness.lqr import spectral_radius
+from harness.scoring import equation_error
+from harness.signals import FloatArray, Trajectory
+from identifiers.excitation import feedback_of
+from identifiers.filters import stationary_gain
+from identifiers.linear_model import LinearModel
+from identifiers.observers import innovation_form
+from identifiers.records import moving, real_signals, usable
+from identifiers.scaling import scaled
+from identifiers.stability import clip_eigenvalues
+
+__all__ = ["Subspace"]
+
+_BLOCK = 8192
+# Without an order the candidates are those up to here; a larger one is taken only for this gain in validated error.
+_MOST = 12
+_GAIN = 0.99
+# Errors below this fraction of the outputs are rounding: no reason for another order.
+_ROUNDING = 1e-7
+# The regression of the future on past and inputs is refused below this ratio of singular values.
+_RANK = 1e-10
+# Share of the mean power that breaks ties between directions of equal canonical correlation.
+_TIE = 1e-6
+
+
+@dataclass(frozen=True)
+class Subspace:
+    """State-space model in innovation form by a subspace method; no starting values, no local minima.
+
+    The future outputs are regressed on past and future data, the part that the past explains is cut to few directions,
+    and these are the states; A, B, C, D, K follow by least squares (Van Overschee & De Moor 1996, *Subspace
+    Identification for Linear Systems*, ch. 4). All regressions run on one triangle that is made of the data block by
+    block: memory stays bounded, and no window crosses a seam.
+
+    Parameters
+    ----------
+    order : int, optional
+        State dimension; by default the one up to 12 whose one-step error on the last third of the records is least.
+    past : int
+        Samples of the past, and of the future, in the regressions; raised above the order where it is smaller.
+    method : {"auto", "n4sid", "moesp", "cva", "parsim"}
+        Weighting of the directions; ``"parsim"`` is PARSIM-E (Qin & Ljung 2003, IFAC SYSID, sec. 3): row by row, with
+        innovations estimated on the way, so that no future input foretells a past error: also for data from a closed
+        loop. ``"auto"`` takes it where past outputs foretell the input, else cva.
+    direct : bool
+        Keep the direct term D; under feedback leave it out.
+    stable : bool
+        Move eigenvalues on or outside the unit circle to radius 0.999.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec
+    >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    >>> u = np.random.default_rng(0).normal(size=(400, 1))
+    >>> y = np.zeros((400, 1))
+    >>> for k in range(399):
+    ...     y[k + 1] = 0.5 * y[k] + 2.0 * u[k]
+    >>> data = Trajectory(np.arange(400.0), u, y, spec)
+    >>> Subspace(order=1).fit([data], rng=np.random.default_rng(0)).eigenvalues.real.round(6)
+    array([0.5])
+    """
+
+    order: int | None = None
+    past: int = 12
+    method: Literal["auto", "n4sid", "moesp", "cva", "parsim"] = "auto"
+    direct: bool = False
+    stable: bool = False
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
+        """Return the model in innovation form."""
+        what = "n4sid"
+        if self.method not in ("auto", "n4sid", "moesp", "cva", "parsim") or self.past < 2 or (self.order or 1) < 1:
+            raise FitError(
+                f"{what}: options",
+                expected="method auto, n4sid, moesp, cva or parsim, past >= 2, order >= 1",
+                got=f"method={self.method}, past={self.past}, order={self.order}",
+                remedy="correct the options",
+            )
+        window = self.past if self.order is None else max(self.past, self.order + 1)
+        records, spec = usable(trajectories, samples=2 * window + 2, what=what)
+        real_signals(spec, what)
+        moving(records, what)
+        records, scaling = scaled(records)
+        feedback = feedback_of(records)
+        method = self.method
+        if method == "auto":
+            method = "parsim" if feedback.found else "cva"
+        notes: dict[str, Any] = {"method": method, "feedback_share": feedback.share}
+        if feedback.found and method != "parsim":
+            notes["warning"] = "past outputs foretell the input (feedback): use method parsim"
+        order = self.order
+        if order is None:
+            order, notes["order_error"] = self._order(records, window, method, what)
+        model, values = self._models(records, window, method, [order], what)[0]
+        notes |= {"order": order, "singular_values": values[:20].tolist()}
+        if self.stable and spectral_radius(model.a_matrix) >= 1.0:
+            model = replace(model, a_matrix=clip_eigenvalues(model.a_matrix))
+            notes["stabilized"] = True
+        return replace(model.in_units(scaling), notes=notes)
+
+    def _order(
+        self, records: Sequence[Trajectory], window: int, method: str, what: str
+    ) -> tuple[int, dict[str, float]]:
+        """Return the order that predicts the last third of the records best, and all the errors."""
+        fit = [one[: 2 * len(one) // 3] for one in records]
+        held = [one[2 * len(one) // 3 :] for one in records]
+        fit, held = [one for one in fit if len(one) > 2 * window + 1], [one for one in held if len(one) > window + 1]
+        if not fit or not held:
+            raise FitError(
+                f"{what}: records too short to choose an order",
+                expected=f"more than {3 * window + 3} samples",
+                got=str(max(map(len, records))),
+                remedy="give the order, or a smaller past",
+            )
+        orders = list(range(1, min(_MOST, window - 1) + 1))
+        errors: dict[str, float] = {}
+        best = (np.inf, 1)
+        for order, (model, _) in zip(orders, self._models(fit, window, method, orders, what), strict=False):
+            misses = [equation_error(model, one, burn_in=window).rms for one in held]
+            error = float(np.sqrt(np.mean(np.square(misses))))
+            errors[str(order)] = error if np.isfinite(error) else 1e300
+            if error < _GAIN * best[0] and best[0] > _ROUNDING:
+                best = (error, order)
+        return best[1], errors
+
+    def _models(
+        self, records: Sequence[Trajectory], window: int, method: str, orders: Sequence[int], what: str
+    ) -> list[tuple[LinearModel, FloatArray]]:
+        """Return the models of some orders, from one triangle."""
+        data = _Stacked.of(records, window, what)
+        predicted = _parsim(data, self.direct, what) if method == "parsim" else _oblique(data, what)
+        left, values, right = _weighted(data, predicted, method)
+        found = []
+        for order in orders:
+            if order > int(np.sum(values > _RANK * values[0])):
+                break
+            found.append((_completed(records, data, left, values, right, order, self.direct), values))
+        if not found:
+            raise FitError(
+                f"{what}: order",
+                expected=f"1 to {int(np.sum(values > _RANK * values[0]))}, the rank of the data",
+                got=str(orders[0]),
+                remedy="lower the order",
+            )
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Stacked:
+    """Triangle of rows ``[u, y of the samples k - p .. k + f - 1]``, centred, and the means of its columns.
+
+    Sample s of the window (0 .. p + f - 1) has its inputs and outputs in columns ``u(s)`` and ``y(s)``.
+    """
+
+    triangle: FloatArray
+    window: int
+    nu: int
+    ny: int
+    means: FloatArray
+    rows: int
+
+    @classmethod
+    def of(cls, records: Sequence[Trajectory], window: int, what: str) -> _Stacked:
+        """Return the triangle of records."""
+        nu, ny = records[0].spec.nu, records[0].spec.ny
+        width = 2 * window * (nu + ny)
+        rows = sum(max(0, len(one) - 2 * window + 1) for one in records)
+        if rows < width:
+            raise FitError(
+                f"{what}: fewer windows than columns",
+                expected=f"at least {width} windows of {2 * window} samples",
+                got=str(rows),
+                remedy="record longer, or use a smaller past",
+            )
+        triangle: FloatArray | None = None
+        for block in _windows(records, window):
+            stacked = block if triangle is None else np.vstack([triangle, block])
+            triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
+        assert triangle is not None
+        # the constant's column is the first: its row holds the means of the others, and the rest is centred
+        return cls(triangle[1:, 1:], window, nu, ny, triangle[0, 1:] / triangle[0, 0], rows)
+
+    def u(self, first: int, last: int) -> FloatArray:
+        """Return the inputs of samples first .. last - 1."""
+        return self._columns(first, last, 0, self.nu)
+
+    def y(self, first: int, last: int) -> FloatArray:
+        """Return the outputs of samples first .. last - 1."""
+        return self._columns(first, last, self.nu, self.nu + self.ny)
+
+    def past(self, shift: int = 0) -> FloatArray:
+        """Return inputs and outputs of the p samples before sample p + shift."""
+        both = self.nu + self.ny
+        return self.triangle[:, shift * both : (self.window + shift) * both]
+
+    def _columns(self, first: int, last: int, low: int, high: int) -> FloatArray:
+        both = self.nu + self.ny
+        index = (np.arange(first, last)[:, None] * both + np.arange(low, high)).ravel()
+        return self.triangle[:, index]
+
+
+def _windows(records: Sequence[Trajectory], window: int) -> Iterator[FloatArray]:
+    """Yield blocks of ``[1, u[s], y[s], u[s+1], ...]`` over two windows, none across a seam."""
+    length = 2 * window
+    for one in records:
+        both = np.hstack([one.u, one.y])
+        count = len(one) - length + 1
+        for start in range(0, count, _BLOCK):
+            stop = min(start + _BLOCK, count)
+            view = np.lib.stride_tricks.sliding_window_view(both[start : stop + length - 1], length, axis=0)
+            rows = view.transpose(0, 2, 1).reshape(stop - start, -1)
+            yield np.hstack([np.ones((stop - start, 1)), rows])
+
+
+def _solve(columns: FloatArray, targets: FloatArray) -> FloatArray:
+    """Return least squares of least norm; columns are of similar size already."""
+    return np.asarray(np.linalg.lstsq(columns, targets, rcond=_RANK)[0], dtype=np.float64)
+
+
+def _oblique(data: _Stacked, what: str) -> FloatArray:
+    """Return the part of the future outputs that the past explains, given the future inputs (Van Overschee 1996)."""
+    past, inputs, outputs = data.past(), data.u(data.window, 2 * data.window), data.y(data.window, 2 * data.window)
+    if inputs.shape[1]:
+        values = np.linalg.svd(inputs, compute_uv=False)
+        if values[-1] <= 1e-8 * values[0]:
+            raise FitError(
+                f"{what}: the input does not excite all lags",
+                expected=f"persistent excitation of order {inputs.shape[1]}",
+                got=f"rank {int(np.sum(values > 1e-8 * values[0]))}",
+                remedy="use a richer input (PRBS, more lines), or a smaller past",
+            )
+    theta = _solve(np.hstack([past, inputs]), outputs)
+    return theta[: past.shape[1]]
+
+
+def _parsim(data: _Stacked, direct: bool, what: str) -> FloatArray:
+    """Return the same row by row, with only inputs and innovations of the past: PARSIM-E (Qin & Ljung 2003)."""
+    past, window = data.past(), data.window
+    found, innovations = [], np.zeros((data.triangle.shape[0], 0))
+    for i in range(window):
+        last = window + i + (1 if direct else 0)
+        inputs = data.u(window, last)
+        columns = np.hstack([past, inputs, innovations])
+        target = data.y(window + i, window + i + 1)
+        theta = _solve(columns, target)
+        innovations = np.hstack([innovations, target - columns @ theta])
+        found.append(theta[: past.shape[1]])
+    return np.hstack(found)
+
+
+def _weighted(data: _Stacked, predicted: FloatArray, method: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (W^-1 U, singular values, V') of the weighted predictions: Gamma = W^-1 U S, states from V."""
+    past, inputs, outputs = data.past(), data.u(data.window, 2 * data.window), data.y(data.window, 2 * data.window)
+    if method == "n4sid":
+        right = np.asarray(np.linalg.qr(past, mode="r"))
+    else:  # what of the past the future inputs do not explain
+        right = np.asarray(np.linalg.qr(past - inputs @ _solve(inputs, past), mode="r"))
+    weight = np.eye(outputs.shape[1])
+    if method in ("cva", "parsim"):
+        rest = outputs - inputs @ _solve(inputs, outputs)
+        values, vectors = np.linalg.eigh(rest.T @ rest)
+        # Without noise all canonical correlations are 1: a little of the mean power lets the stronger directions lead.
+        values = np.maximum(values, 0.0) + _TIE * max(float(values.mean()), 1e-300)
+        weight = (vectors * values**0.25) @ vectors.T
+        back, forth = weight @ weight, np.linalg.inv(weight @ weight)
+    else:
+        back = forth = weight
+    left, values, _ = np.linalg.svd(forth @ (right @ predicted).T, full_matrices=False)
+    # rows of predicted' are outputs: the map from past to the leading directions of the weighted future
+    return back @ left, values, (left.T @ forth) @ predicted.T
+
+
+def _completed(
+    records: Sequence[Trajectory],
+    data: _Stacked,
+    left: FloatArray,
+    values: FloatArray,
+    right: FloatArray,
+    order: int,
+    direct: bool,
+) -> LinearModel:
+    """Return A, B, C, D, K from the states that the leading directions give."""
+    root = np.sqrt(values[:order])
+    to_state = right[:order] / root[:, None]  # x = to_state @ past, in balanced size
+    p, nu, ny = data.window, data.nu, data.ny
+    state, following = data.past() @ to_state.T, data.past(1) @ to_state.T
+    inputs, outputs = data.u(p, p + 1), data.y(p, p + 1)
+    seen = np.hstack([state, inputs]) if direct else state
+    theta = _solve(seen, outputs)
+    c, d = theta[:order].T, theta[order:].T if direct else np.zeros((ny, nu))
+    innovation = outputs - seen @ theta
+    if np.linalg.norm(innovation) <= _ROUNDING * np.linalg.norm(outputs):
+        innovation = np.zeros_like(innovation)  # exact data tell no filter
+    moved = _solve(np.hstack([state, inputs, innovation]), following)
+    a, b, k = moved[:order].T, moved[order : order + nu].T, moved[order + nu :].T
+    if spectral_radius(a - k @ c) >= 1.0:
+        k = np.zeros_like(k) if spectral_radius(a) < 1.0 else k
+    # The state of data that are not centred is the same sum of their past; its means give the constants.
+    both, means = nu + ny, data.means
+    now, then = to_state @ means[: p * both], to_state @ means[both : (p + 1) * both]
+    u_mean, y_mean = means[p * both : p * both + nu], means[p * both + nu : (p + 1) * both]
+    state_offset = then - a @ now - b @ u_mean
+    output_offset = y_mean - c @ now - d @ u_mean
+    model = innovation_form(records[0].spec, a, b, c, d, k, state_offset, output_offset)
+    return model if np.any(k) else replace(model, filter_gain=stationary_gain(a, c))
