@@ -130,4 +130,4 @@ class _Upright:
             raise PlantError(f"the Acrobot fell after {t:.3g} s", status="terminated")
         v = [self.rate[k] if column is None else y[column] for k, column in enumerate(self.rates)]
         channel = self.spec.inputs[0]
-        return np.clip(-self.gain @ np.array([*q, *v]), channel.minimum, channel.maximum)
+        return np.asarray(np.clip(-self.gain @ np.array([*q, *v]), channel.minimum, channel.maximum), dtype=float)
