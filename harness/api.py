@@ -5,23 +5,30 @@ The heavy rooms are imported inside the calls, so that asking for help stays fas
 
 from __future__ import annotations
 
+import inspect
+import os
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from harness import registry
 from harness.errors import HarnessError, InputError, PluginError
 from harness.plant_files import is_plant_file, make_plant
-from harness.protocols import Experiment, Identifier, Model, Plant, Scenario
+from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
 from harness.rng import Streams, stream
 from harness.signals import FloatArray, PlantSpec, Trajectory, Use
 
 if TYPE_CHECKING:
-    from harness.benchmark import BenchResult
+    from harness.benchmark import Answer, BenchResult
+    from harness.benchmark.planning import Plan
+    from harness.comparison import Comparison, Spectrum
     from harness.conformance import CheckResult
+    from harness.data import Nominal
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
+    from harness.predictive import ProbabilityScore
     from harness.scoring import Score
     from harness.study import StudyResult
 
@@ -30,12 +37,17 @@ __all__ = [
     "bench",
     "check",
     "close_loop",
+    "compare",
     "describe_fmu",
+    "describe_part",
     "export",
     "identify",
     "isolability",
     "list_parts",
+    "plan_bench",
+    "query",
     "simulate",
+    "spectrum",
     "study",
     "table",
 ]
@@ -70,11 +82,66 @@ def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
         )
     return {
         name: [
-            {"id": entry.id, "summary": entry.summary, "distribution": entry.distribution}
+            {"id": entry.id, "summary": _plain(entry.summary), "distribution": entry.distribution}
             for entry in registry.entries(name)
         ]
         for name in ((kind,) if kind is not None else LISTED)
     }
+
+
+def describe_part(id: str) -> dict[str, Any] | None:
+    """Return what a registered part is and which options it takes; None if there is none of this id.
+
+    Returns
+    -------
+    dict or None
+        ``kind``, ``id``, ``distribution``, ``text`` (its docstring) and ``options``: rows with name, default, meaning.
+
+    Examples
+    --------
+    >>> [row["name"] for row in describe_part("hold")["options"]], describe_part("prbs")["kind"]
+    ([], 'scenarios')
+    """
+    for kind in ("plants", "identifiers", "scenarios", "effects", "models"):
+        for entry in registry.entries(kind):
+            if entry.id == id:
+                made = registry.load(kind, id)
+                text = inspect.getdoc(made) or entry.summary
+                options = [] if kind == "effects" else registry.named_options(kind, id).values()
+                rows = [
+                    {
+                        "name": one.name,
+                        "default": "needed" if one.default is one.empty else _default(one.default),
+                        "meaning": _meaning(text, one.name),
+                    }
+                    for one in options
+                ]
+                about = text.partition("\nExamples\n")[0].partition("\nParameters\n")[0].strip()
+                return {
+                    "kind": kind,
+                    "id": id,
+                    "distribution": entry.distribution,
+                    "text": _plain(about if kind != "effects" else entry.summary),
+                    "options": rows,
+                }
+    return None
+
+
+def _default(value: Any) -> str:
+    """Return a default as one writes it."""
+    return "(its own)" if "factory" in repr(value) else repr(value)
+
+
+def _meaning(text: str, name: str) -> str:
+    """Return what a docstring says of a parameter."""
+    found = re.search(rf"^(?:\w+, )*{re.escape(name)}(?:, \w+)* : [^\n]*\n((?:[ ]+[^\n]*\n?)+)", text, re.MULTILINE)
+    return _plain(" ".join(found[1].split())) if found else ""
+
+
+def _plain(text: str) -> str:
+    """Return a docstring's line without its markup."""
+    text = re.sub(r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"\1", text)
+    return re.sub(r"``(.+?)``", r"\1", text)
 
 
 def describe_fmu(path: str | Path) -> dict[str, Any]:
@@ -92,24 +159,30 @@ def describe_fmu(path: str | Path) -> dict[str, Any]:
 def simulate(
     plant: str,
     *,
-    scenario: str,
+    scenario: str | None = None,
     seed: int = 0,
     out: str | Path | None = None,
     options: Mapping[str, Any] | None = None,
     scenario_options: Mapping[str, Any] | None = None,
     hide: Sequence[tuple[str, str, Mapping[str, float]]] = (),
     role: str = "estimation/0",
+    start: float | None = None,
+    stop: float | None = None,
+    step: float | None = None,
+    tolerance: float | None = None,
     force: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    note: Callable[[str], None] | None = None,
 ) -> Trajectory:
-    """Run a scenario on a plant and record it.
+    """Run a scenario on a plant and record it; without a scenario, run an FMU as it is.
 
     Parameters
     ----------
     plant : str
         Id of a registered plant, or a path that ends in ``.fmu``, ``.toml`` or ``.ssp`` (a coupling).
-    scenario : str
-        Id of a registered scenario.
+    scenario : str, optional
+        Id of a registered scenario. An FMU runs without one too: with its default experiment, its start values, and
+        all its outputs.
     seed : int
         Together with the two ids and the role it keys every random number.
     out : path, optional
@@ -121,10 +194,14 @@ def simulate(
         Effects to hide in the plant, e.g. ``("dead_zone", "u", {"width": 0.1})``.
     role : str
         ``estimation/0``, ``validation/0``, ...: other roles give other excitation and noise.
+    start, stop, step, tolerance : float, optional
+        Of an FMU without a scenario: begin, end and sample time [s], relative tolerance of the solver.
     force : bool
         Overwrite ``out`` if it exists.
     progress : callable, optional
         Called as ``progress(samples_done, samples)``.
+    note : callable, optional
+        Called with what an FMU without a scenario has to say, such as why its run ended early.
 
     Returns
     -------
@@ -144,6 +221,21 @@ def simulate(
             raise InputError(
                 "output file", expected="a name that ends in .csv or .parquet", got=str(out), remedy="rename it"
             )
+    if scenario is None:
+        asked = {"start": start, "stop": stop, "step": step, "tolerance": tolerance}
+        trajectory = _as_is(plant, asked, options or {}, bool(hide or scenario_options), progress, note)
+        if out is not None:
+            from harness.data import write_trajectory
+
+            write_trajectory(trajectory, out)
+        return trajectory
+    if any(value is not None for value in (start, stop, step, tolerance)):
+        raise InputError(
+            "start, stop, step and tolerance",
+            expected="none of them with a scenario, which says how long the run is",
+            got=f"the scenario {scenario}",
+            remedy="give --scenario-option duration=... and --option sample_time=..., tolerance=..., start_time=...",
+        )
     made_scenario = cast(Scenario, registry.create("scenarios", scenario, **dict(scenario_options or {})))
     with _make_plant(plant, dict(options or {}), hide) as made:
         from harness.rollout import perform
@@ -166,14 +258,36 @@ def bench(
     seeds: tuple[int, int] | None = None,
     engine: str = "local",
     resume: bool = False,
+    shard: str | None = None,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> BenchResult:
     """Run a benchmark suite; see :func:`harness.benchmark.bench`."""
     from harness import benchmark
 
     return benchmark.bench(
-        suite, out=out, workers=workers, seeds=seeds, engine=engine, resume=resume, progress=progress
+        suite, out=out, workers=workers, seeds=seeds, engine=engine, resume=resume, shard=shard, progress=progress
     )
+
+
+def plan_bench(
+    suite: str | Path,
+    *,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    seeds: tuple[int, int] | None = None,
+    shard: str | None = None,
+) -> Plan:
+    """Return what :func:`bench` would run, and how long it would take; see :func:`harness.benchmark.plan`."""
+    from harness import benchmark
+
+    return benchmark.plan(suite, out=out, workers=workers, seeds=seeds, shard=shard)
+
+
+def query(directory: str | Path, sql: str) -> Answer:
+    """Return the answer to a query over the tables of a benchmark's folder; see :func:`harness.benchmark.query`."""
+    from harness import benchmark
+
+    return benchmark.query(directory, sql)
 
 
 def table(directory: str | Path) -> BenchResult:
@@ -191,6 +305,32 @@ class Identified:
     equation_error: dict[Use, list[Score]]
     simulation_error: dict[Use, list[Score]]
     warnings: tuple[str, ...]
+    probability: dict[Use, list[ProbabilityScore]] = field(default_factory=dict)
+    """One step ahead, of a model that predicts distributions; empty for others."""
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        """Return use, run, output, NRMSE one step ahead and in free run, rms in free run."""
+        return [
+            (use, str(run), channel.name, *(f"{s.nrmse[k]:.4g}" for s in pair), f"{pair[1].rms[k]:.3g} {channel.unit}")
+            for use in self.equation_error
+            for run, pair in enumerate(zip(self.equation_error[use], self.simulation_error[use], strict=True))
+            for k, channel in enumerate(self.model.spec.outputs)
+        ]
+
+    def __repr__(self) -> str:
+        rows = [f"{use} {run} {name} {free}" for use, run, name, _, free, _ in self._rows()]
+        return f"<Identified {type(self.model).__name__}: NRMSE in free run: {', '.join(rows)}>"
+
+    def _repr_html_(self) -> str:
+        from harness.display import page, table
+
+        titles = ["use", "run", "output", "NRMSE one step ahead", "NRMSE in free run", "rms in free run"]
+        parts = [table(titles, self._rows())]
+        if values := getattr(self.model, "parameters", None):
+            spread = getattr(self.model, "deviations", {})
+            shown = [(n, f"{v:.6g}", f"{spread[n]:.2g}" if n in spread else "") for n, v in values.items()]
+            parts.append(table(["parameter", "value", "standard deviation"], shown))
+        return page(f"{type(self.model).__name__}: {self.model.spec}", *parts)
 
 
 def identify(
@@ -200,6 +340,7 @@ def identify(
     options: Mapping[str, Any] | None = None,
     model: str | None = None,
     validation: str | Path | None = None,
+    undriven: Sequence[str] = (),
     out: str | Path | None = None,
     seed: int = 0,
     force: bool = False,
@@ -215,9 +356,12 @@ def identify(
     options : mapping, optional
         Its options.
     model : str, optional
-        Nominal model that names the ports (needed for a bare CSV or Parquet file).
+        Nominal model that names the ports (needed for a bare CSV or Parquet file). An identifier that fits a physical
+        model fits this one, or the one that the data set names, unless ``options`` say otherwise.
     validation : path, optional
         Validation file beside a bare CSV or Parquet file.
+    undriven : sequence of str
+        Inputs of the model that nothing drove; any other must be recorded.
     out : path, optional
         JSON file for the model.
     seed : int
@@ -233,11 +377,12 @@ def identify(
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
     from harness.data import load_dataset
+    from harness.predictive import probability_score
     from harness.scoring import equation_error, simulation_error
 
-    loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation)
+    loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
     data = loaded.dataset
-    made = registry.create("identifiers", identifier, **dict(options or {}))
+    made = registry.create("identifiers", identifier, **_with_model(identifier, dict(options or {}), loaded.nominal))
     if not isinstance(made, Identifier):
         raise InputError(
             f"identifier {identifier!r} cannot be fitted to a record",
@@ -255,11 +400,15 @@ def identify(
     if out is not None:
         _write_json(Path(out), fitted.to_dict())
     uses: tuple[Use, ...] = ("estimation", "validation", "test")
+    probability = {}
+    if isinstance(fitted, Predictive):
+        probability = {use: [probability_score(fitted, one) for one in data.using(use)] for use in uses}
     return Identified(
         fitted,
         {use: [equation_error(fitted, one) for one in data.using(use)] for use in uses},
         {use: [simulation_error(fitted, one) for one in data.using(use)] for use in uses},
         data.warnings,
+        probability,
     )
 
 
@@ -269,6 +418,7 @@ def close_loop(
     out: str | Path,
     model: str | None = None,
     validation: str | Path | None = None,
+    undriven: Sequence[str] = (),
     resume: bool = False,
     force: bool = False,
     seed: int = 0,
@@ -287,6 +437,8 @@ def close_loop(
         Nominal model: a built-in name, ``FILE.py:NAME``; overrides the one that the data set names.
     validation : path, optional
         Validation file beside a bare CSV or Parquet file.
+    undriven : sequence of str
+        Inputs of the model that nothing drove; any other must be recorded.
     resume : bool
         Continue what an interrupted call left in ``out``.
     force : bool
@@ -304,11 +456,11 @@ def close_loop(
         Its ``data`` is the content of ``report.json``.
     """
     from harness import diagnosis
+    from harness.data import load_dataset
 
+    loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
     return diagnosis.close_loop_file(
-        dataset,
-        model=model,
-        validation=validation,
+        cast(Any, loaded),  # data that are read already pass through
         out=out,
         resume=resume,
         force=force,
@@ -403,10 +555,17 @@ def isolability(
     return isolability_of(chosen, made, parameters=parameters, sample_time=sample_time, seed=seed)
 
 
-def export(source: str | Path, *, out: str | Path, fmi: str = "both", force: bool = False) -> list[Path]:
-    """Write a model as co-simulation FMUs, a repaired FMU as an SSP package; see :func:`harness.export.export`."""
+def export(
+    source: str | Path, *, out: str | Path, fmi: str = "both", force: bool = False, trust: bool = False
+) -> list[Path]:
+    """Write a model as co-simulation FMUs, a repaired FMU as an SSP package; see :func:`harness.export.export`.
+
+    ``trust`` allows a ``model.json`` to run the Python file that it names (a model that was given as FILE.py:NAME).
+    """
     from harness import export as room
 
+    if not trust:
+        _refuse_python(Path(source))
     if fmi not in ("2", "3", "both"):
         raise InputError("FMI version", expected="2, 3 or both", got=repr(fmi), remedy="choose one", place="--fmi")
     target = Path(out)
@@ -414,6 +573,102 @@ def export(source: str | Path, *, out: str | Path, fmi: str = "both", force: boo
     for path in (target, *second):
         _refuse_overwrite(path, force=force)
     return room.export(source, out=out, fmi=cast(Any, fmi))
+
+
+def compare(
+    models: Sequence[str | Path],
+    dataset: Any,
+    *,
+    model: str | None = None,
+    validation: Any = None,
+    undriven: Sequence[str] = (),
+    out: str | Path | None = None,
+    trust: bool = False,
+    force: bool = False,
+) -> Comparison:
+    """Put stored models side by side on one data set: fit, residuals, frequency responses.
+
+    Parameters
+    ----------
+    models : sequence of path
+        Files that ``identify`` wrote, or folders that ``close_loop`` wrote.
+    dataset : path or table
+        As for ``identify``.
+    model, validation, undriven
+        As for ``identify``.
+    out : path, optional
+        HTML page to write.
+    trust : bool
+        Let a stored model run the Python file that it names.
+    force : bool
+        Overwrite ``out`` if it exists.
+
+    Raises
+    ------
+    InputError
+        If a file is no model, or a model does not speak the language of the data.
+    """
+    from harness import comparison as room
+    from harness.comparison.models import read_model
+    from harness.data import load_dataset
+    from harness.data.whole_files import whole_file
+
+    if out is not None:
+        _refuse_overwrite(Path(out), force=force)
+    found = {str(path): read_model(path, trust=trust) for path in models}
+    data = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven).dataset
+    result = room.compare(found, data)
+    if out is not None:
+        with whole_file(out) as scratch:
+            scratch.write_text(result.html(), encoding="utf-8")
+    return result
+
+
+def spectrum(
+    dataset: Any,
+    *,
+    model: str | None = None,
+    undriven: Sequence[str] = (),
+    segment: int | None = None,
+    out: str | Path | None = None,
+    force: bool = False,
+) -> Spectrum:
+    """Return the frequency response that the estimation records of a data set show.
+
+    Parameters
+    ----------
+    dataset : path or table
+        As for ``identify``.
+    model, undriven
+        As for ``identify``.
+    segment : int, optional
+        Samples of a segment of Welch's method.
+    out : path, optional
+        Picture to write: ``.svg``, ``.png`` or ``.pdf``.
+    force : bool
+        Overwrite ``out`` if it exists.
+
+    Raises
+    ------
+    InputError
+        If the records have no input, or are too short.
+    """
+    from harness import comparison as room
+    from harness.data import load_dataset
+    from harness.data.whole_files import whole_file
+
+    if out is not None:
+        _refuse_overwrite(Path(out), force=force)
+        if Path(out).suffix not in (".svg", ".png", ".pdf"):
+            raise InputError(
+                "output file", expected="a name that ends in .svg, .png or .pdf", got=str(out), remedy="rename it"
+            )
+    data = load_dataset(registry.dataset_path(dataset), model=model, undriven=undriven).dataset
+    found = room.spectrum([one.measured() for one in data.estimation], segment=segment)
+    if out is not None:
+        with whole_file(out) as scratch:
+            found.plot().savefig(scratch, format=Path(out).suffix[1:])
+    return found
 
 
 def check(name: str) -> list[CheckResult]:
@@ -433,6 +688,48 @@ def _from_outside(experiment: Experiment, spec: PlantSpec) -> dict[str, FloatArr
         if experiment.excitation[:, k].any()
     }
     return {**added, **getattr(experiment.controller, "references", {})}
+
+
+def _as_is(
+    plant: str,
+    asked: Mapping[str, float | None],
+    options: Mapping[str, Any],
+    more: bool,
+    progress: Callable[[int, int], None] | None,
+    note: Callable[[str], None] | None,
+) -> Trajectory:
+    """Return the record of an FMU that runs with its own experiment."""
+    if not plant.endswith(".fmu") or more:
+        raise InputError(
+            "no scenario",
+            expected="--scenario ID (sysid list scenarios); only an FMU runs without one, with nothing hidden in it",
+            got=f"the plant {plant}",
+            remedy="add --scenario, for example --scenario multisine",
+        )
+    found = registry.load("plants", "fmu").as_is(
+        plant, **{**asked, "progress": progress, "isolated": os.name == "posix", **options}
+    )
+    for text in found.notes if note is not None else ():
+        cast(Any, note)(text)
+    recorded: Trajectory = found.trajectory
+    return recorded
+
+
+def _with_model(identifier: str, options: dict[str, Any], nominal: Nominal | None) -> dict[str, Any]:
+    """Return the options of an identifier, with the nominal model of the data where it fits a model and names none."""
+    if nominal is None or nominal.model.endswith((".fmu", ".urdf")):
+        return options
+    known = registry.named_options("identifiers", identifier)
+    if "model" not in known or options.get("model") is not None:
+        return options
+    from harness.physics.arm import is_arm
+
+    if is_arm(nominal.model):
+        return options
+    options["model"] = nominal.model
+    if "options" in known and nominal.options:
+        options.setdefault("options", dict(nominal.options))
+    return options
 
 
 def _make_plant(plant: str, options: dict[str, Any], hide: Sequence[tuple[str, str, Mapping[str, float]]]) -> Plant:
@@ -463,11 +760,34 @@ def _refuse_overwrite(path: Path, *, force: bool) -> None:
         )
 
 
+def _refuse_python(source: Path) -> None:
+    """Raise if a stored model names a Python file, which reading it would run."""
+    import json
+
+    from harness.data.ports import runs_python
+
+    path = source / "model.json" if source.is_dir() else source
+    try:
+        model = json.loads(path.read_text(encoding="utf-8")).get("model") if path.suffix == ".json" else None
+    except (OSError, ValueError, AttributeError):
+        return  # what reads it words the refusal
+    if isinstance(model, str) and runs_python(model):
+        raise InputError(
+            "a stored model that runs Python code",
+            expected="a model that runs no file, or --trust",
+            got=repr(model),
+            remedy="if you trust that file, give --trust (in Python trust=True)",
+            file=path,
+            place="model",
+        )
+
+
 def _write_json(path: Path, content: dict[str, Any]) -> None:
     """Write JSON so that a half-written file is never left behind."""
     import json
 
+    from harness.data.whole_files import whole_file
+
     text = json.dumps(content, indent=1, allow_nan=False)
-    scratch = path.with_name(path.name + ".part")
-    scratch.write_text(text + "\n", encoding="utf-8")
-    scratch.replace(path)
+    with whole_file(path) as scratch:
+        scratch.write_text(text + "\n", encoding="utf-8")

@@ -14,47 +14,55 @@ from typing import Annotated
 import typer
 
 from harness import __version__, api
+from harness.command import INTERRUPTED, Interrupts, main
 from harness.errors import HarnessError, InputError
 from harness.terminal import (
+    completed,
     fail,
     hidden_effect,
     option_pairs,
+    print_answer,
     print_bench,
     print_fmu,
     print_identified,
     print_json,
+    print_parts,
     print_planned,
+    print_rows,
     progress_bar,
     say,
     seed_range,
     wide_console,
 )
 
-__all__ = ["app", "main"]
+__all__ = ["app", "main", "run"]
 
 app = typer.Typer(
     name="sysid",
     help="Co-simulation test harness for system identification that closes the loop with measured data.",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-INTERRUPTED = 130
-
 OptionPairs = Annotated[list[str] | None, typer.Option("--option", "-O", metavar="k=v", help="option, repeatable")]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
 Force = Annotated[bool, typer.Option("--force", help="overwrite")]
 Seed = Annotated[int, typer.Option(help="keys every random number")]
-ModelName = Annotated[str | None, typer.Option(help="nominal model: NAME, FILE.fmu, FILE.urdf or FILE.py:NAME")]
+ModelName = Annotated[
+    str | None,
+    typer.Option(help="nominal model: NAME, FILE.fmu, FILE.urdf or FILE.py:NAME", autocompletion=completed("models")),
+]
 Validation = Annotated[Path | None, typer.Option(help="validation file beside a bare CSV or Parquet file")]
+Undriven = Annotated[
+    list[str] | None, typer.Option("--undriven", metavar="INPUT", help="input of the model that nothing drove")
+]
 
 
 @app.command(name="list")
 def list_command(
-    what: Annotated[str | None, typer.Argument(help=f"{' | '.join(api.LISTED)} | FILE.fmu")] = None,
+    what: Annotated[str | None, typer.Argument(help=f"{' | '.join(api.LISTED)} | ID | FILE.fmu")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Show what is registered, or what is in an FMU."""
@@ -65,26 +73,34 @@ def list_command(
         else:
             print_fmu(description)
         return
+    if what is not None and what not in api.LISTED and (part := api.describe_part(what)) is not None:
+        if as_json:
+            print_json(part)
+            return
+        say(f"{part['id']} ({part['kind'][:-1]} of {part['distribution']}): {part['text']}")
+        print_rows(part["options"])
+        return
     parts = api.list_parts(what)
     if as_json:
         print_json(parts)
         return
-    from rich.table import Table
-
-    for kind, rows in parts.items():
-        shown = Table(title=kind, title_justify="left", box=None, padding=(0, 2, 0, 0), show_header=False)
-        shown.add_column(no_wrap=True)
-        shown.add_column(overflow="fold")
-        for row in rows:
-            foreign = "" if row["distribution"] == "sysid-harness" else f" (from {row['distribution']})"
-            shown.add_row(f"  {row['id']}", row["summary"] + foreign)
-        wide_console().print(shown)
+    print_parts(parts)
 
 
 @app.command()
 def simulate(
-    plant: Annotated[str, typer.Argument(metavar="PLANT", help="id of a plant, or FILE.fmu, .toml or .ssp")],
-    scenario: Annotated[str, typer.Option("--scenario", help="id of a scenario")],
+    plant: Annotated[
+        str,
+        typer.Argument(
+            metavar="PLANT", help="id of a plant, or FILE.fmu, .toml or .ssp", autocompletion=completed("plants")
+        ),
+    ],
+    scenario: Annotated[
+        str | None,
+        typer.Option(
+            "--scenario", help="id of a scenario; an FMU also runs as it is", autocompletion=completed("scenarios")
+        ),
+    ] = None,
     seed: Seed = 0,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="run.csv or run.parquet")] = None,
     option: OptionPairs = None,
@@ -98,9 +114,14 @@ def simulate(
     role: Annotated[
         str, typer.Option(help="estimation/0, validation/0, ...: another role, other noise")
     ] = "estimation/0",
+    start: Annotated[float | None, typer.Option(help="of an FMU without a scenario: first instant [s]")] = None,
+    stop: Annotated[float | None, typer.Option(help="of an FMU without a scenario: last instant [s]")] = None,
+    step: Annotated[float | None, typer.Option(help="of an FMU without a scenario: sample time [s]")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="of an FMU without a scenario: of its solver")] = None,
     force: Force = False,
 ) -> None:
-    """Run a scenario on a plant and record it."""
+    """Run a scenario on a plant and record it; an FMU runs as it is where no scenario is given."""
+    notes: list[str] = []
     with progress_bar("simulating") as bar:
         task = bar.add_task(plant, total=None)
         trajectory = api.simulate(
@@ -112,9 +133,16 @@ def simulate(
             scenario_options=option_pairs(scenario_option, "--scenario-option"),
             hide=[hidden_effect(text) for text in hide or ()],
             role=role,
+            start=start,
+            stop=stop,
+            step=step,
+            tolerance=tolerance,
             force=force,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
+            note=notes.append,
         )
+    for text in notes:
+        print(f"sysid: note: {text}", file=sys.stderr)
     say(str(trajectory))
     if out is not None:
         say(f"wrote {out}")
@@ -122,16 +150,29 @@ def simulate(
 
 @app.command()
 def bench(
-    suite: Annotated[str, typer.Argument(metavar="SUITE", help="name of a suite (sysid list suites) or FILE.toml")],
+    suite: Annotated[
+        str,
+        typer.Argument(
+            metavar="SUITE", help="name of a suite (sysid list suites) or FILE.toml", autocompletion=completed("suites")
+        ),
+    ],
     out: Annotated[Path | None, typer.Option(help="folder for results; default results/SUITE")] = None,
     workers: Annotated[int | None, typer.Option(help="processes; default all cores")] = None,
     seeds: Annotated[str | None, typer.Option(metavar="A..B", help="seeds A to B, both included")] = None,
     engine: Annotated[str, typer.Option(help="local, or dask://HOST:PORT")] = "local",
     resume: Annotated[bool, typer.Option("--resume", help="continue in a folder that has results")] = False,
+    shard: Annotated[str | None, typer.Option(metavar="i/n", help="the i-th of n shares, for job arrays")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="say what would run, and how long it would take")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Run a suite of plants x scenarios x identifiers x seeds and print its table."""
     folder = out if out is not None else Path("results") / Path(suite).stem
+    if dry_run:
+        planned = api.plan_bench(suite, out=folder, workers=workers, seeds=seed_range(seeds), shard=shard)
+        for names, count in planned.cells.items():
+            say(f"{count:6d}  {' x '.join(names)}")
+        say(str(planned))
+        return
     with progress_bar(f"benchmark {suite}") as bar:
         task = bar.add_task(suite, total=None)
 
@@ -145,6 +186,7 @@ def bench(
             seeds=seed_range(seeds),
             engine=engine,
             resume=resume,
+            shard=shard,
             progress=show,
         )
     print_bench(result, as_json=as_json)
@@ -152,20 +194,45 @@ def bench(
 
 @app.command()
 def table(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark")],
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark, or of its shares")],
+    form: Annotated[str | None, typer.Option("--format", help="markdown | latex | csv")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Print a stored benchmark again, and render its report anew."""
-    print_bench(api.table(directory), as_json=as_json)
+    """Print a stored benchmark again, and render its report anew; puts the shares of a job array together."""
+    result = api.table(directory)
+    if form is not None:
+        print(result.render(form), end="")
+        return
+    print_bench(result, as_json=as_json)
+
+
+@app.command()
+def query(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark, finished or not")],
+    sql: Annotated[str, typer.Argument(metavar="SQL", help="over the tables results, timings and regret")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="answer.csv or answer.parquet")] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Ask the stored rows of a benchmark a question in SQL (DuckDB)."""
+    answer = api.query(directory, sql)
+    if out is not None:
+        answer.write(out, force=force)
+        say(f"wrote {out}")
+    elif as_json:
+        print_json(answer.records())
+    else:
+        print_answer(answer)
 
 
 @app.command()
 def identify(
     dataset: Annotated[str, typer.Argument(metavar="DATASET", help="dataset.toml, CSV, Parquet, or a recording")],
-    identifier: Annotated[str, typer.Option(help="id of an identifier")],
+    identifier: Annotated[str, typer.Option(help="id of an identifier", autocompletion=completed("identifiers"))],
     option: OptionPairs = None,
     model: ModelName = None,
     validation: Validation = None,
+    undriven: Undriven = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="model.json")] = None,
     seed: Seed = 0,
     force: Force = False,
@@ -177,11 +244,67 @@ def identify(
         options=option_pairs(option, "--option"),
         model=model,
         validation=validation,
+        undriven=undriven or (),
         out=out,
         seed=seed,
         force=force,
     )
     print_identified(fitted, identifier)
+    if out is not None:
+        say(f"wrote {out}")
+
+
+@app.command()
+def compare(
+    files: Annotated[list[str], typer.Argument(metavar="MODEL... DATASET", help="model.json files, then the data set")],
+    model: ModelName = None,
+    validation: Validation = None,
+    undriven: Undriven = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="page.html")] = None,
+    trust: Annotated[bool, typer.Option("--trust", help="run the Python file that a model.json names")] = False,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Put stored models side by side on one data set: fit, residuals, frequency responses."""
+    if len(files) < 2:
+        raise InputError(
+            "what to compare", expected="MODEL... DATASET", got=" ".join(files), remedy="give a model and a data set"
+        )
+    found = api.compare(
+        files[:-1],
+        files[-1],
+        model=model,
+        validation=validation,
+        undriven=undriven or (),
+        out=out,
+        trust=trust,
+        force=force,
+    )
+    if as_json:
+        print_json(found.rows())
+    else:
+        print_rows(found.rows())
+    if out is not None:
+        say(f"wrote {out}")
+
+
+@app.command()
+def spectrum(
+    dataset: Annotated[str, typer.Argument(metavar="DATASET", help="dataset.toml, CSV, Parquet, or a recording")],
+    model: ModelName = None,
+    undriven: Undriven = None,
+    segment: Annotated[int | None, typer.Option(min=16, help="samples of a segment of Welch's method")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Show the frequency response in the data, with bands and coherence."""
+    found = api.spectrum(dataset, model=model, undriven=undriven or (), segment=segment, out=out, force=force)
+    if as_json:
+        print_json(found.rows(64))
+    else:
+        say(f"{found.averages:.0f} averages; deviation is one standard deviation of the magnitude")
+        print_rows(found.rows())
     if out is not None:
         say(f"wrote {out}")
 
@@ -192,6 +315,7 @@ def close_loop(
     out: Annotated[Path, typer.Option(help="folder for report.html and report.json")],
     model: ModelName = None,
     validation: Validation = None,
+    undriven: Undriven = None,
     as_json: Annotated[bool, typer.Option("--json", help="print report.json")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="continue what was interrupted")] = False,
     force: Force = False,
@@ -210,6 +334,7 @@ def close_loop(
             out=out,
             model=model,
             validation=validation,
+            undriven=undriven or (),
             resume=resume,
             force=force,
             seed=seed,
@@ -267,7 +392,9 @@ def study(
 @app.command()
 def isolability(
     model: Annotated[str, typer.Argument(metavar="PLANT_OR_MODEL", help="nominal model, or a plant made of equations")],
-    scenario: Annotated[str, typer.Option("--scenario", help="id of a scenario")],
+    scenario: Annotated[
+        str, typer.Option("--scenario", help="id of a scenario", autocompletion=completed("scenarios"))
+    ],
     scenario_option: Annotated[
         list[str] | None, typer.Option("--scenario-option", "-S", metavar="k=v", help="scenario option, repeatable")
     ] = None,
@@ -299,9 +426,10 @@ def export(
     out: Annotated[Path, typer.Option("--out", "-o", help="model.fmu; model.ssp for a repaired FMU")],
     fmi: Annotated[str, typer.Option(help="2, 3 or both (then model.fmu is FMI 2.0, model-fmi3.fmu FMI 3.0)")] = "both",
     force: Force = False,
+    trust: Annotated[bool, typer.Option("--trust", help="run the Python file that model.json names")] = False,
 ) -> None:
     """Write a model as a co-simulation FMU, with its C source."""
-    for path in api.export(source, out=out, fmi=fmi, force=force):
+    for path in api.export(source, out=out, fmi=fmi, force=force, trust=trust):
         say(f"wrote {path}")
 
 
@@ -327,6 +455,20 @@ def check(
         )
 
 
+@app.command()
+def new(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="identifier | plant | scenario | effect | model")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="its id, such as soft-friction")],
+    folder: Annotated[Path, typer.Option(help="where sysid-NAME/ is made")] = Path("."),
+) -> None:
+    """Begin a plug-in: a distribution of its own that works and passes its checks."""
+    from harness.scaffold import new as begin
+
+    for path in begin(kind, name, folder=folder):
+        say(f"wrote {path}")
+    say(f"now: cd {folder / f'sysid-{name}'} && pip install -e . && sysid check {name}")
+
+
 @app.callback(invoke_without_command=True)
 def _root(version: Annotated[bool, typer.Option("--version", help="print the version")] = False) -> None:
     """Co-simulation test harness for system identification that closes the loop with measured data."""
@@ -335,29 +477,49 @@ def _root(version: Annotated[bool, typer.Option("--version", help="print the ver
         raise typer.Exit()
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; every failure is one line on standard error and an exit status."""
+def run(arguments: Sequence[str] | None, interrupts: Interrupts) -> int:
+    """Run the command line and return the exit status; every failure is one line on standard error."""
     from typer.main import get_command
 
     try:
-        code = get_command(app).main(args=None if arguments is None else list(arguments), standalone_mode=False)
+        code = get_command(app).main(
+            args=None if arguments is None else list(arguments), prog_name="sysid", standalone_mode=False
+        )
         if code == INTERRUPTED:  # the library turns Ctrl-C into a status
             raise KeyboardInterrupt
-    except HarnessError as error:
-        fail(" ".join(str(error).split()), 2)
-    except (KeyboardInterrupt, typer.Abort):
-        fail("interrupted; what was finished is kept, --resume continues", INTERRUPTED)
+        sys.stdout.flush()
+        return code if isinstance(code, int) else 0
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
+        return 0
+    except (KeyboardInterrupt, typer.Abort):
+        return _interrupted()
     except Exception as error:
-        if hasattr(error, "format_message") and hasattr(error, "exit_code"):
-            fail(f"{error.format_message()}; remedy: sysid --help", 2)
-        if os.environ.get("SYSID_HARNESS_DEBUG"):
-            raise
-        fail(
-            f"a fault in sysid-harness: {type(error).__name__}: {' '.join(str(error).split())}; "
-            "remedy: set SYSID_HARNESS_DEBUG=1 for the traceback and report it",
-            1,
-        )
-    sys.exit(code if isinstance(code, int) else 0)
+        return _interrupted() if interrupts.seen else _failed(error)
+
+
+def _interrupted() -> int:
+    """Say that Ctrl-C was heard."""
+    return fail("interrupted; what was finished is kept, --resume continues", INTERRUPTED)
+
+
+def _failed(error: Exception) -> int:
+    """Say what went wrong, and whose it is."""
+    if isinstance(error, OSError):
+        from harness.data.whole_files import refused_by_system
+
+        error = refused_by_system(error) or error
+    debug = bool(os.environ.get("SYSID_HARNESS_DEBUG"))
+    if debug and isinstance(error.__cause__, TypeError | ValueError | AttributeError | LookupError):
+        raise error
+    if isinstance(error, HarnessError):
+        return fail(" ".join(str(error).split()), 2)
+    if hasattr(error, "format_message") and hasattr(error, "exit_code"):
+        return fail(f"{error.format_message()}; remedy: sysid --help", 2)
+    if debug:
+        raise error
+    return fail(
+        f"a fault in sysid-harness: {type(error).__name__}: {' '.join(str(error).split())}; "
+        "remedy: set SYSID_HARNESS_DEBUG=1 for the traceback and report it",
+        1,
+    )

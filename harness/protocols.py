@@ -21,6 +21,7 @@ __all__ = [
     "Batch",
     "BatchTruth",
     "Controller",
+    "Distribution",
     "Experiment",
     "Feedthrough",
     "FreeRun",
@@ -28,7 +29,9 @@ __all__ = [
     "Identifier",
     "Model",
     "OnlineIdentifier",
+    "OnlinePredictive",
     "Plant",
+    "Predictive",
     "Scenario",
     "Snapshots",
     "Truth",
@@ -228,6 +231,31 @@ class FreeRun(Protocol):
 
 
 @runtime_checkable
+class Distribution(Protocol):
+    """What a model says of outputs that it has not seen: how likely each value is, output by output.
+
+    :mod:`harness.distributions` has the usual ones.
+    """
+
+    def log_score(self, y: FloatArray) -> FloatArray:
+        """Return the log density (real) or log probability (category) of y (..., ny), in nats (..., ny)."""
+        ...
+
+    def covered(self, y: FloatArray, level: float) -> FloatArray:
+        """Return whether the set that should hold y with probability ``level`` holds it, 0 to 1 (..., ny)."""
+        ...
+
+
+@runtime_checkable
+class Predictive(Protocol):
+    """A model that says how sure it is; scored by :mod:`harness.predictive`."""
+
+    def predictive(self, x: FloatArray, u: FloatArray) -> Distribution:
+        """Return the distribution of the measured output (..., ny) in state x (..., nx) under input u (..., nu)."""
+        ...
+
+
+@runtime_checkable
 class Identifier(Protocol):
     """Learns a model from records. Options are frozen; ``fit`` changes nothing outside.
 
@@ -264,6 +292,19 @@ class OnlineIdentifier(Protocol):
 
     def hindsight(self, trajectories: Sequence[Trajectory]) -> Hindsight:
         """Return the best fixed predictor of the same model class and loss on these records."""
+        ...
+
+
+@runtime_checkable
+class OnlinePredictive(Protocol):
+    """An online identifier that predicts distributions; :func:`harness.predictive.log_regret` scores it."""
+
+    def forecast(self, state: Any, u: FloatArray) -> Distribution:
+        """Return the distribution of the output (ny,) that ``u`` (nu,) leads to."""
+        ...
+
+    def log_hindsight(self, trajectories: Sequence[Trajectory]) -> Hindsight:
+        """Return the log losses of the best fixed distributions of the same model class on these records."""
         ...
 
 

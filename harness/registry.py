@@ -7,6 +7,7 @@ imported before it is asked for. ``SYSID_HARNESS_NO_PLUGINS=1`` leaves only the 
 from __future__ import annotations
 
 import ast
+import difflib
 import functools
 import importlib.metadata
 import importlib.util
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.errors import HarnessError, InputError, PluginError
+from harness.options import check_options, instead
 
 __all__ = ["KINDS", "Entry", "create", "dataset_path", "entries", "entry", "load", "named_options"]
 
@@ -113,8 +115,6 @@ def entry(kind: str, id: str) -> Entry:
     known = _all(kind)
     if id in known:
         return known[id]
-    import difflib
-
     near = difflib.get_close_matches(id, known, n=3)
     hint = f"did you mean {' or '.join(near)}?" if near else f"run 'sysid list {kind}'"
     raise InputError(
@@ -147,8 +147,8 @@ def load(kind: str, id: str) -> Any:
         ) from error
 
 
-def dataset_path(dataset: str | Path) -> Path:
-    """Return the file of a data set: a path as it is, or the recipe of a recording by its name.
+def dataset_path(dataset: Any) -> Any:
+    """Return the file of a data set: a path as it is, or the recipe of a recording by its name; data pass through.
 
     Raises
     ------
@@ -160,6 +160,8 @@ def dataset_path(dataset: str | Path) -> Path:
     >>> dataset_path("emps").name
     'emps.toml'
     """
+    if not isinstance(dataset, str | Path):
+        return dataset
     path = Path(dataset)
     if path.suffix or len(path.parts) != 1 or path.is_file():
         return path
@@ -185,7 +187,7 @@ def create(kind: str, id: str, /, **options: Any) -> Any:
     Raises
     ------
     InputError
-        If an option is unknown or missing; the message lists those that there are.
+        If an option is unknown or missing, or has a value that cannot be meant; the message lists those that there are.
     PluginError
         If the plug-in raises anything else.
     """
@@ -195,17 +197,26 @@ def create(kind: str, id: str, /, **options: Any) -> Any:
     unknown = sorted(set(options) - set(known)) if not open_ended else []
     missing = sorted(name for name, p in known.items() if p.default is p.empty and name not in options)
     if unknown or missing:
+        remedy = instead(unknown, known) if unknown else f"give {', '.join(missing)}"
         raise InputError(
             f"options of {kind[:-1]} {id!r}",
             expected=f"options among ({', '.join(known)})" + (f" with {', '.join(missing)} given" if missing else ""),
             got=", ".join(f"{k}={v!r}" for k, v in options.items()) or "none",
-            remedy=f"remove {', '.join(unknown)}" if unknown else f"give {', '.join(missing)}",
+            remedy=remedy,
         )
+    check_options(f"{kind[:-1]} {id!r}", factory, options)
     try:
         return factory(**options)
     except HarnessError:
         raise
     except Exception as error:
+        if options and isinstance(error, TypeError | ValueError | AttributeError | LookupError):
+            raise InputError(
+                f"options of {kind[:-1]} {id!r}",
+                expected="values that it can work with",
+                got=", ".join(f"{k}={v!r}" for k, v in options.items()),
+                remedy="correct them (SYSID_HARNESS_DEBUG=1 shows what it stumbles over)",
+            ) from error
         raise PluginError(
             f"{kind[:-1]} {id!r} raised {type(error).__name__}: {error}; remedy: check its options or report it to "
             f"{entry(kind, id).distribution}"

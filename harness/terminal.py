@@ -7,7 +7,7 @@ import os
 import sys
 import time
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
 
@@ -18,20 +18,24 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
     from harness.api import Identified
-    from harness.benchmark import BenchResult
+    from harness.benchmark import Answer, BenchResult
     from harness.diagnosis.planned import Planned
 
 __all__ = [
     "Lines",
+    "completed",
     "fail",
     "hidden_effect",
     "option_pairs",
     "option_value",
+    "print_answer",
     "print_bench",
     "print_fmu",
     "print_identified",
     "print_json",
+    "print_parts",
     "print_planned",
+    "print_rows",
     "progress_bar",
     "say",
     "seed_range",
@@ -39,10 +43,25 @@ __all__ = [
 ]
 
 
-def fail(message: str, status: int) -> None:
-    """Print one line on standard error and leave."""
+def fail(message: str, status: int) -> int:
+    """Print one line on standard error and return the exit status."""
     print(f"sysid: {message}", file=sys.stderr)
-    sys.exit(status)
+    return status
+
+
+def completed(kind: str) -> Callable[[str], list[str]]:
+    """Return what completes the id of a part in a shell (``sysid --install-completion``)."""
+
+    def begun(incomplete: str) -> list[str]:
+        from harness import registry
+
+        return [entry.id for entry in registry.entries(kind) if entry.id.startswith(incomplete)]
+
+    return begun
+
+
+OWN = "sysid-harness"
+"""The distribution whose parts go without a remark."""
 
 
 def say(text: str) -> None:
@@ -59,7 +78,37 @@ def wide_console() -> Console:
     """Return a console that folds nothing when its output is a file or a pipe."""
     from rich.console import Console
 
-    return Console(width=None if sys.stdout.isatty() else max(120, int(os.environ.get("COLUMNS", "0") or 0)))
+    width = None if sys.stdout.isatty() else max(120, int(os.environ.get("COLUMNS", "0") or 0))
+    return Console(width=width, markup=False, highlight=False, emoji=False)  # "u [N m]" is text, no style
+
+
+NARROW = 70
+"""Columns below which a list puts what a part is under its name."""
+
+
+def print_parts(parts: Mapping[str, Sequence[Mapping[str, str]]]) -> None:
+    """Print ids and what is behind them, kind by kind."""
+    from rich.padding import Padding
+    from rich.table import Table
+
+    console = wide_console()
+    for kind, rows in parts.items():
+        lines = [
+            (row["id"], row["summary"] + ("" if (own := row["distribution"]) == OWN else f" (from {own})"))
+            for row in rows
+        ]
+        console.print(kind)
+        if console.width < NARROW:
+            for name, text in lines:
+                console.print(f"  {name}", overflow="fold")
+                console.print(Padding(text, (0, 0, 0, 4)))
+            continue
+        shown = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
+        shown.add_column(no_wrap=True)
+        shown.add_column(overflow="fold")
+        for name, text in lines:
+            shown.add_row(f"  {name}", text)
+        console.print(shown)
 
 
 class Lines:
@@ -171,6 +220,21 @@ def print_bench(result: BenchResult, *, as_json: bool) -> None:
         say(f"results: {result.folder / 'results.parquet'}")
 
 
+def print_answer(answer: Answer) -> None:
+    """Print the answer to a query as a table."""
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = Table(box=None, padding=(0, 2, 0, 0))
+    for name in answer.columns:
+        shown.add_column(Text(name), overflow="fold")
+    for record in answer.records():
+        shown.add_row(
+            *(Text("" if v is None else f"{v:.6g}" if isinstance(v, float) else str(v)) for v in record.values())
+        )
+    wide_console().print(shown)
+
+
 def print_planned(found: Planned) -> None:
     """Print the isolability matrix (hundredths), the pairs that look alike, and what stays invisible."""
     width = max(map(len, found.effects), default=0)
@@ -182,6 +246,22 @@ def print_planned(found: Planned) -> None:
         say(f"cannot be told apart: {one} and {other} ({cosine:.3f})")
     for hidden in found.hidden:
         say(f"not visible: {hidden['name']}@{hidden['at']}: {hidden['reason']}")
+
+
+def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print rows of one shape as a table."""
+    from rich.table import Table
+
+    shown = Table(box=None, padding=(0, 2, 0, 0))
+    for name in rows[0] if rows else ():
+        shown.add_column(name.replace("_", " "), overflow="fold")
+    words = {True: "yes", False: "no"}
+    for row in rows:
+        cells = [
+            words[v] if isinstance(v, bool) else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()
+        ]
+        shown.add_row(*cells)
+    wide_console().print(shown)
 
 
 def print_identified(fitted: Identified, identifier: str) -> None:
@@ -197,6 +277,9 @@ def print_identified(fitted: Identified, identifier: str) -> None:
                 scores = [f"{s.nrmse[column]:.4g} ({s.rms[column]:.3g} {channel.unit})" for s in (one, free)]
                 shown.add_row(use, str(run), channel.name, *scores, free.initial_state)
     wide_console().print(shown)
+    for use, scores_of_use in fitted.probability.items():
+        for run, score in enumerate(scores_of_use):
+            say(f"{use} {run}, one step ahead: {score}")
     for name, value in getattr(fitted.model, "parameters", {}).items():
         deviation = getattr(fitted.model, "deviations", {}).get(name)
         say(f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else ""))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,32 +17,146 @@ if TYPE_CHECKING:
 __all__ = ["base_units", "convert", "fits"]
 
 
+WRITTEN = {
+    "Nm": "N*m",
+    "Nmm": "N*mm",
+    "Ncm": "N*cm",
+    "Nms": "N*m*s",
+    "Vs": "V*s",
+    "rev": "turn",
+    "revs": "turn",
+    "Kg": "kg",
+    "KG": "kg",
+    "Newton": "N",
+    "Amp": "A",
+    "Amps": "A",
+    "amp": "A",
+    "amps": "A",
+    "inlb": "inch*force_pound",
+    "ftlb": "foot*force_pound",
+    "lsb": "count",
+    "LSB": "count",
+}
+"""What engineers write and pint does not know, or takes for something else (its Nm is a number metre)."""
+
+WHOLE = {
+    "-": "1",
+    "unitless": "1",
+    "dimensionless": "1",
+    "none": "1",
+    "p.u.": "1",
+    "pu": "1",
+    "U/min": "rpm",
+    "r/min": "rpm",
+    "rps": "turn/s",
+    "dps": "degree/s",
+    "deg C": "degC",
+    "deg F": "degF",
+    "Celsius": "degC",
+    "celsius": "degC",
+}
+"""Texts that mean something as a whole."""
+
+AMBIGUOUS = {
+    "C": ("coulomb", "degC"),
+    "F": ("farad", "degF"),
+    "g": ("gram", "standard_gravity"),
+    "G": ("gauss", "standard_gravity"),
+    "NM": ("N*m", "nanometer"),
+    "grad": ("gradian", "degree"),
+    "Grad": ("gradian", "degree"),
+    "au": ("astronomical_unit", "1"),
+    "a.u.": ("astronomical_unit", "1"),
+    "M": ("molar", "1e6"),
+    "MM": ("megamolar", "millimeter"),
+}
+"""Texts with two readings: one counts only where the other does not fit what is measured."""
+
+CYCLES = ("Hz", "kHz", "1/min", "min^-1", "cps")
+"""What counts turns or events in a time: as a rate of an angle it may mean turns or radians."""
+
+_EXPONENT = re.compile(r"(?<=[A-Za-z°µμΩ])([-\u2212]?[1-4])(?![\w.])")
+_INERTIA = re.compile(r"\b(k?g)([cm]?m)(?:\^?2|²)")
+_HYPHEN = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")
+
+
 @functools.cache
 def _registry() -> pint.UnitRegistry[Any]:
     """Return the one registry (pint takes a moment to load, so only where a unit is converted)."""
     import pint
 
-    registry: pint.UnitRegistry[Any] = pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
+    registry: pint.UnitRegistry[Any] = pint.UnitRegistry(autoconvert_offset_to_baseunit=True, on_redefinition="ignore")
     registry.define("tick = count")
+    for name, meaning in WRITTEN.items():
+        registry.define(f"{name} = {meaning}")
     return registry
 
 
-def _parse(unit: str) -> Any:
-    """Return the pint unit of a text such as ``N m``, ``rad/s``, ``1``."""
+def _readings(unit: str) -> tuple[str, ...]:
+    """Return what a text may mean: one text for pint, or two."""
     text = unit.strip()
+    if text.startswith("[") and text.endswith("]"):
+        text = text[1:-1].strip()
+    return AMBIGUOUS.get(text, (WHOLE.get(text, text),))
+
+
+@functools.cache
+def _parsed(text: str) -> Any:
+    """Return the pint unit of a text with one reading."""
     if text in ("", "1", "-"):
         return _registry().dimensionless
     import pint
 
-    try:
-        return _registry().parse_units(text.replace("·", "*"))
-    except (pint.PintError, ValueError, TypeError, AttributeError, AssertionError) as error:
-        raise InputError(
-            "unknown unit",
-            expected="a unit such as 'N m', 'rad/s', 'V', 'm' or '1'",
-            got=repr(unit),
-            remedy="write products with a space and quotients with '/'",
-        ) from error
+    for sign in "·⋅•\u00d7∙":
+        text = text.replace(sign, "*")
+    plain = _INERTIA.sub(r"\1*\2^2", text.replace("º", "°").replace("\u2212", "-"))
+    plain = _HYPHEN.sub("*", _EXPONENT.sub(r"^\1", plain))
+    # a word of three letters or more is the same with capitals (RPM, Sec, Volt); a short sign never is
+    words = plain.lower() if all(len(word) > 2 for word in re.findall("[A-Za-z]+", plain)) else plain
+    last: Exception | None = None
+    for tried in dict.fromkeys((plain, words)):
+        try:
+            return _registry().parse_units(tried)
+        except (pint.PintError, ValueError, TypeError, AttributeError, AssertionError, KeyError) as error:
+            last = error
+    raise InputError(
+        "unknown unit",
+        expected="a unit such as 'N m', 'Nm', 'rad/s', 'deg', 'rpm', 'V', 'm/s^2' or '1'",
+        got=repr(text),
+        remedy="write products with a space and quotients with '/'",
+    ) from last
+
+
+def _parse(unit: str, target: Any = None) -> Any:
+    """Return the pint unit of a text such as ``N m``, ``rad/s``, ``1``; of two readings the one that fits a target."""
+    readings = _readings(unit)
+    if len(readings) == 1:
+        return _parsed(readings[0])
+    fitting = [
+        text for text in readings if target is not None and _parsed(text).dimensionality == target.dimensionality
+    ]
+    if len(fitting) == 1:
+        return _parsed(fitting[0])
+    raise InputError(
+        f"the unit {unit.strip()!r} has two readings",
+        expected=" or ".join(repr(text) for text in readings),
+        got=repr(unit),
+        remedy="declare the one that is meant (unit = ... in a dataset.toml, or the title of the column)",
+    )
+
+
+def _is_angle(unit: Any) -> bool:
+    """Return True if a unit is one of an angle or its rates, and of nothing else."""
+    angles = ("radian", "degree", "turn", "revolutions_per_minute", "grade", "arcminute", "arcsecond")
+    powers = {_root(name): power for name, power in _registry().Quantity(1.0, unit).unit_items()}
+    found = [name for name in powers if name in angles]
+    return len(found) == 1 and powers[found[0]] == 1 and set(powers) <= {*angles, "second", "minute", "hour"}
+
+
+def _root(name: str) -> str:
+    """Return the name of a unit without its prefix."""
+    _, root, _ = _registry().parse_unit_name(name)[0]
+    return WRITTEN.get(root, root)
 
 
 def fits(unit: str, target: str) -> bool:
@@ -52,7 +167,8 @@ def fits(unit: str, target: str) -> bool:
     >>> fits("deg", "rad"), fits("V", "rad")
     (True, False)
     """
-    return bool(_parse(unit).dimensionality == _parse(target).dimensionality)
+    goal = _parse(target)
+    return any(_parsed(text).dimensionality == goal.dimensionality for text in _readings(unit))
 
 
 def convert(values: FloatArray, unit: str, target: str) -> FloatArray:
@@ -73,7 +189,12 @@ def convert(values: FloatArray, unit: str, target: str) -> FloatArray:
     Raises
     ------
     InputError
-        If a unit is unknown or the two do not measure the same thing.
+        If a unit is unknown or has two readings, or the two do not measure the same thing. A share, a count or a
+        frequency is no angle, although SI calls all of them plain numbers.
+
+    Notes
+    -----
+    What engineers write is read: ``Nm``, ``N.m``, ``N-m``, ``m/s2``, ``°/s``, ``RPM``, ``kgm2``.
 
     Examples
     --------
@@ -83,15 +204,37 @@ def convert(values: FloatArray, unit: str, target: str) -> FloatArray:
     values = np.array(values, dtype=float)
     if unit.strip() == target.strip():
         return values
-    source, goal = _parse(unit), _parse(target)
-    if source.dimensionality != goal.dimensionality:
-        raise InputError(
-            "unit does not fit",
-            expected=f"a unit that converts to {target!r}",
-            got=repr(unit),
-            remedy="correct the unit, or declare a scale into the right one",
-        )
+    goal = _parse(target)
+    if not any(_parsed(text).dimensionality == goal.dimensionality for text in _readings(unit)):
+        raise _misfit(unit, target)
+    source = _parse(unit, goal)
+    if _is_angle(goal) and not _is_angle(source):
+        _refuse_count(unit, target)
     return np.asarray(_registry().Quantity(values, source).to(goal).magnitude, dtype=float)
+
+
+def _misfit(unit: str, target: str) -> InputError:
+    """Return the refusal of a unit that measures something else."""
+    return InputError(
+        "unit does not fit",
+        expected=f"a unit that converts to {target!r}",
+        got=repr(unit),
+        remedy="correct the unit, or declare a scale into the right one",
+    )
+
+
+def _refuse_count(unit: str, target: str) -> None:
+    """Refuse shares, counts and frequencies where an angle is meant: pint would take one turn for one radian."""
+    text = unit.strip()
+    if text in CYCLES:
+        raise InputError(
+            f"the unit {text!r} has two readings",
+            expected=f"turns ('turn/s', 'rpm') or radians ('rad/s'), for {target!r}",
+            got=repr(unit),
+            remedy="declare the one that is meant (unit = ... in a dataset.toml, or the title of the column)",
+        )
+    if not re.fullmatch(r"1?|-|1/s|s\^?-1|1/s\^?2|s\^?-2", text):
+        raise _misfit(unit, target)
 
 
 def base_units(unit: str) -> tuple[dict[str, float], float, float]:

@@ -7,11 +7,12 @@ and libraries of data frames, of logs and of progress bars start threads that no
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import signal
-import sys
+import threading
 from collections.abc import Iterator
+from multiprocessing import spawn
+from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
 __all__ = ["death", "one_thread", "worker_pool"]
@@ -42,18 +43,15 @@ def worker_pool(workers: int) -> Iterator[Any]:
     """
     from pebble import ProcessPool
 
-    with _environment():
-        pool: Any = ProcessPool(
-            max_workers=max(1, workers), initializer=_quiet, context=multiprocessing.get_context("spawn")
-        )
-        try:
-            yield pool
-            pool.close()
-        except BaseException:
-            pool.stop()
-            raise
-        finally:
-            pool.join()
+    pool: Any = ProcessPool(max_workers=max(1, workers), initializer=_quiet, context=_Fresh())
+    try:
+        yield pool
+        pool.close()
+    except BaseException:
+        pool.stop()
+        raise
+    finally:
+        pool.join()
 
 
 @contextlib.contextmanager
@@ -102,26 +100,53 @@ def _quiet() -> None:
     os.dup2(nowhere, 2)
 
 
-@contextlib.contextmanager
-def _environment() -> Iterator[None]:
-    """Give workers one thread for linear algebra each, and keep them from importing the caller's main script.
+class _FreshProcess(SpawnProcess):
+    """A process that knows nothing of the caller's main script.
 
-    Without this, a script that asks for workers outside ``if __name__ == "__main__"`` would be run again in each of
-    them. What workers need of it must travel by value.
+    The start of an ordinary one runs that script again, which would start everything anew where it asks for workers
+    outside ``if __name__ == "__main__"``. What workers need of it must travel by value.
     """
-    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
-    main = sys.modules["__main__"]
-    hidden = {name: getattr(main, name) for name in ("__file__", "__spec__") if hasattr(main, name)}
-    for name in THREAD_VARIABLES:
-        os.environ.setdefault(name, "1")
-    main.__spec__ = None
-    if "__file__" in hidden:
-        del main.__file__
-    try:
-        yield
-    finally:
-        for name, value in hidden.items():
-            setattr(main, name, value)
-        for name, old in before.items():
-            if old is None:
-                os.environ.pop(name, None)
+
+    @staticmethod
+    def _Popen(process_obj: Any) -> Any:
+        with _starting():
+            return SpawnProcess._Popen(process_obj)
+
+
+class _Fresh(SpawnContext):
+    """Starts fresh processes."""
+
+    Process = _FreshProcess
+
+
+_one_at_a_time = threading.RLock()
+
+
+@contextlib.contextmanager
+def _starting() -> Iterator[None]:
+    """While this thread starts a process, leave the main script out and give it one thread for linear algebra.
+
+    Nothing of the caller is touched: other threads may start processes of their own, with all they need.
+    """
+    me = threading.get_ident()
+
+    def without_main(name: str) -> dict[str, Any]:
+        data = dict(usual(name))
+        if threading.get_ident() == me:
+            for key in ("init_main_from_name", "init_main_from_path"):
+                data.pop(key, None)
+        return data
+
+    with _one_at_a_time:
+        before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+        usual = spawn.get_preparation_data
+        spawn.get_preparation_data = without_main
+        for name in THREAD_VARIABLES:
+            os.environ.setdefault(name, "1")
+        try:
+            yield
+        finally:
+            spawn.get_preparation_data = usual
+            for name, old in before.items():
+                if old is None:
+                    os.environ.pop(name, None)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -59,6 +59,12 @@ class HoldLast:
     A model that does not beat it has learned nothing.
     """
 
+    expected_failures: ClassVar[Mapping[str, str]] = {
+        "data_matter": "a baseline that learns nothing",
+        "beats_trivial": "it is the trivial prediction that others must beat",
+        "inputs_matter": "a baseline that knows no input",
+    }
+
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> Model:
         """Return the model that holds its last output."""
         _, spec = usable(trajectories, samples=1, what="hold")
@@ -77,6 +83,11 @@ class TrueModel:
     samples : int
         Samples at the start of a record from which the initial state is estimated.
     """
+
+    expected_failures: ClassVar[Mapping[str, str]] = {
+        "data_matter": "the plant itself learns nothing from records",
+        "model_stored_and_read": "an engine is no file",
+    }
 
     plant: Plant | Callable[[], Plant]
     samples: int = 200

@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.errors import FitError
 from harness.signals import FloatArray, Trajectory
+from identifiers.grey_box_estimate import at_bound, output_error_estimate
 from identifiers.grey_box_model import GreyBoxModel, tuned_gain
 from identifiers.physical import recipe_for
 from identifiers.records import moving, real_signals, usable
@@ -21,6 +22,8 @@ __all__ = ["GreyBoxModel", "OutputError"]
 
 # exp(6): as far as an error may grow over a window before the fit has nothing to hold on to.
 _GROWTH = 6.0
+# A first horizon [s] that spans a swing of most mechanisms; a window has at least so many samples.
+_FIRST, _FEWEST = 2.0, 15
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class OutputError:
         Values where some parameters start.
     horizon : float, "record" or "auto"
         Length of the windows of the fit [s]; whole records; or whole records unless the motion is so unstable that an
-        error would grow beyond exp(6) over them.
+        error would grow beyond exp(6) over them: then the longest windows over which it does not and the fit converges.
     starts : int
         Number of starts; the best minimum counts.
     intersample : {"zoh", "foh", "smooth"}
@@ -69,7 +72,7 @@ class OutputError:
     intersample: Literal["zoh", "foh", "smooth"] = "zoh"
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> GreyBoxModel:
-        """Return the grey box; whether the fit converged, and its covariance, stand in its notes."""
+        """Return the grey box; its notes hold the record of the estimate."""
         what = "output-error"
         records, spec = usable(trajectories, samples=10, what=what)
         real_signals(spec, what)
@@ -85,12 +88,8 @@ class OutputError:
             "converged": bool(fit.converged),
             "message": fit.message,
             "horizon": fit.horizon,
-            "standard_errors": {
-                name: float(np.sqrt(v)) if np.isfinite(v) else None
-                for name, v in zip(fit.names, np.diag(fit.covariance), strict=True)
-            },
             "rms": fit.rms.tolist(),
-            "unidentified": list(fit.unidentified),
+            "estimate": output_error_estimate(system, fit).to_dict(),
         }
         model = GreyBoxModel(spec, recipe, dict(fit.parameters), None, self.intersample, notes=notes)
         return replace(model, filter_gain=tuned_gain(model, records))
@@ -118,21 +117,44 @@ class OutputError:
             return fit(float(self.horizon))
         longest = max(one.duration for one in records)
         dt = records[0].spec.sample_time
-        first = fit(max(2.0, 40 * dt))
-        rate = _growth(system, first, records)
+        shortest = _FEWEST * dt
+        short = max(_FIRST, 40 * dt)
+        rate = _growth(system, self._guess(system, records), records)
+        if rate * short > 0.5 * _GROWTH:
+            short = max(0.5 * _GROWTH / rate, shortest)
+        first = fit(short)
+        rate = _growth(system, system.vector(first.parameters), records)
         if rate * longest <= _GROWTH:
             return fit(None, first)
-        horizon = max(_GROWTH / rate, 40 * dt)
-        return first if horizon <= max(2.0, 40 * dt) else fit(horizon, first)
+        # Unstable: twice as long as long as errors keep growing gently and the fit goes on converging.
+        best = first
+        while (horizon := 2 * short) * rate <= _GROWTH:
+            longer = fit(horizon, best)
+            if not _believable(system, longer) and _believable(system, best):
+                break
+            best, short = longer, horizon
+        return best
+
+    def _guess(self, system: System, records: list[Trajectory]) -> FloatArray:
+        """Return parameters near the data, before any fit: where the fit itself would start."""
+        from harness.physics.start import first_values
+
+        free = np.array([not one.fixed and one.name not in self.fixed for one in system.parameters], dtype=bool)
+        values = system.values(dict(self.start) or None)
+        return first_values(system, records, values, free, set(self.start), self.intersample)[-1]
 
 
-def _growth(system: System, fit: OutputErrorFit, records: Sequence[Trajectory]) -> float:
+def _believable(system: System, fit: OutputErrorFit) -> bool:
+    """Return True if a fit converged inside the bounds."""
+    return fit.converged and not any(at_bound(system, name, fit.parameters[name]) for name in fit.names)
+
+
+def _growth(system: System, p: FloatArray, records: Sequence[Trajectory]) -> float:
     """Return the mean over the motion of the fastest growth rate of small errors [1/s]."""
     import casadi as ca
 
     from harness.physics.windows import data_states
 
-    p = system.vector(fit.parameters)
     simulator = system.simulator(records[0].spec.sample_time)
     slope = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
     rates: list[float] = []

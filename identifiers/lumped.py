@@ -1,4 +1,4 @@
-"""Lumped parameters of a mechanism by linear least squares: torque, energy and momentum (weak) form."""
+"""Lumped parameters of a mechanism by linear regression: torque, energy and momentum (weak) form."""
 
 from __future__ import annotations
 
@@ -11,17 +11,48 @@ import numpy as np
 from harness.errors import FitError
 from harness.signals import FloatArray, Trajectory
 from identifiers.grey_box_model import GreyBoxModel, tuned_gain
-from identifiers.motion import Motion, Smoothing, motion
-from identifiers.physical import recipe_for
+from identifiers.lumped_estimate import lumped_estimate, physical_estimate
+from identifiers.lumped_rows import instants, simulated_motion, weighted
+from identifiers.motion import Motion, Smoothing, between, motion, noisier
+from identifiers.physical import Recipe, recipe_for
 from identifiers.records import moving, real_signals, usable
+from identifiers.row_solvers import Estimator, huber, instrumental, total
+from identifiers.simulated_records import Spread, simulated, spread_of
 
 if TYPE_CHECKING:
-    from harness.physics import LumpedFit, LumpedModel, System
+    from harness.estimate import RankDecision
+    from harness.physics import LumpedModel, System
 
-__all__ = ["Lumped", "lumped_energy", "lumped_momentum", "lumped_torque"]
+__all__ = ["Lumped", "Regressed", "lumped_energy", "lumped_momentum", "lumped_torque"]
 
 Form = Literal["torque", "energy", "momentum"]
 Intersample = Literal["zoh", "smooth"]
+# Rounds of instruments: each simulates with the parameters of the one before.
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Regressed:
+    """The regression of a record's equations.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Lumped parameters, ``"m*l**2"``.
+    values : dict
+        Of those.
+    rank : RankDecision
+    condition : float
+        Of the rows, columns at unit length.
+    rms : float
+        Of the residual, in units of its own noise where coordinates weigh by it.
+    """
+
+    names: tuple[str, ...]
+    values: dict[str, float]
+    rank: RankDecision
+    condition: float
+    rms: float
 
 
 @dataclass(frozen=True)
@@ -30,7 +61,9 @@ class Lumped:
 
     The torque form needs accelerations and suffers most from noise; the energy form needs rates; the momentum form
     moves the derivative onto a test function and suffers least (Tedrake 2024, *Underactuated Robotics*, ch. 18). The
-    rows of each coordinate weigh by their own residual, so that newtons and newton metres mix.
+    equations of the coordinates weigh by their joint residual covariance, so that newtons and newton metres mix.
+    Parameters that the model declares fixed are known. Directions of the parameters that the motion does not show above
+    the noise are refused by name.
 
     Parameters
     ----------
@@ -43,17 +76,25 @@ class Lumped:
         the records are free of noise, wider as they need more smoothing.
     known : mapping, optional
         Physical parameters that are known, by name.
-    smoothing : {"auto", "local", "spline", "kalman", "forward"}
+    smoothing : {"auto", "local", "spline", "kalman", "forward", "causal"}
         How rates and accelerations come of what was measured: local cubics with the width of least leave-one-out
-        error; an interpolating spline; a Kalman filter with its backward pass; forward differences; or the spline
-        where there is no noise to speak of.
+        error; an interpolating spline; a Kalman filter with its backward pass; forward differences; cubics through
+        past samples only (what a filter on the machine can do); or the spline where there is no noise to speak of.
     intersample : {"zoh", "smooth"}
         The input was held over each sample, or moved smoothly through the samples.
     tolerance : float
-        Relative size below which a combination of parameters counts as not identifiable.
+        Numerical floor of the rank decision: relative size below which a direction of the parameters counts as not
+        determined, whatever the noise.
+    estimator : {"least-squares", "total", "instruments", "huber", "l1"}
+        Weighted least squares; generalised total least squares with the noise of the rows measured on a noisier copy;
+        instruments from simulated motion (three rounds); Huber's criterion; least absolute deviations.
+    intervals : int
+        Simulated copies of the records whose scatter corrects the bias and gives 95 % intervals; 0 for none. They are
+        given only where a free run of the model comes back to the records within their noise.
 
     Examples
     --------
+    >>> from harness.estimate import estimate_of
     >>> from harness.physics.models import pendulum
     >>> from harness.signals import PlantSpec
     >>> system = pendulum().system()
@@ -63,6 +104,8 @@ class Lumped:
     >>> fitted = lumped_momentum().fit([data], rng=np.random.default_rng(0))
     >>> {name: round(value, 3) for name, value in fitted.parameters.items()}
     {'J': 0.2, 'b': 0.05, 'mgl': 1.0}
+    >>> estimate_of(fitted).rank.full
+    True
     """
 
     form: Form
@@ -72,15 +115,17 @@ class Lumped:
     smoothing: Smoothing = "auto"
     intersample: Intersample = "zoh"
     tolerance: float = 1e-6
+    estimator: Estimator = "least-squares"
+    intervals: int = 0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> GreyBoxModel:
-        """Return the mechanism with the parameters found.
+        """Return the mechanism with the parameters found; the record of the estimate stands in its notes.
 
         Raises
         ------
         FitError
             If the model is no mechanism, the signals are not its own, or the motion does not determine all lumped
-            parameters: the message names the combinations that it does determine.
+            parameters above the noise: the message names what can change together unseen.
         """
         what = f"lumped-{self.form}"
         records, spec = usable(trajectories, samples=12, what=what)
@@ -88,85 +133,213 @@ class Lumped:
         moving(records, what, inputs=False)
         recipe = recipe_for(spec, what, model=self.model)
         system = recipe.system(spec)
-        found, regression = self.regress(system, records)
-        identifiable = found.identifiability
-        if identifiable.rank < regression.k:
+        found, regression = self.regress(system, records, rng=rng)
+        if not found.rank.full:
             raise FitError(
                 f"{what}: the motion does not determine all lumped parameters",
                 expected=f"rank {regression.k} ({', '.join(regression.names)})",
-                got=str(identifiable),
+                got=str(found.rank),
                 remedy="excite the plant more richly, or give known={...}",
             )
-        parameters = {**regression.to_parameters(found.values), **dict(self.known or {})}
-        self._refuse_unphysical(system, regression, found.values, parameters, what)
-        deviations = dict(zip(regression.names, np.sqrt(np.diag(found.covariance)).tolist(), strict=True))
-        notes: dict[str, Any] = {"lumped": found.values, "lumped_deviations": deviations, "residual_rms": found.rms}
+        values, spread, how = self._corrected(system, recipe, regression, found.values, records, rng)
+        parameters = {**regression.to_parameters(values), **self._known(system)}
+        self._refuse_unphysical(system, regression, values, parameters, what)
+        record = lumped_estimate(system, regression, values, spread, how, found.rank, found.condition)
+        notes: dict[str, Any] = {
+            "estimate": physical_estimate(system, regression, parameters, record).to_dict(),
+            "lumped": record.to_dict(),
+            "residual_rms": found.rms,
+        }
         model = GreyBoxModel(spec, recipe, parameters, notes=notes)
         return replace(model, filter_gain=tuned_gain(model, records))
 
-    def regress(self, system: System, records: Sequence[Trajectory]) -> tuple[LumpedFit, LumpedModel]:
-        """Return the least-squares fit of the lumped parameters, and the regression they belong to.
+    def regress(
+        self, system: System, records: Sequence[Trajectory], *, rng: np.random.Generator | None = None
+    ) -> tuple[Regressed, LumpedModel]:
+        """Return the lumped parameters of a system and the regression they belong to.
+
+        Parameters
+        ----------
+        system : harness.physics.System
+        records : sequence of Trajectory
+        rng : numpy.random.Generator, optional
+            Draws the noisier copy that the rank decision is made with.
 
         Raises
         ------
         FitError
             If the system is no mechanism, or a coordinate is not measured.
         """
-        from harness.physics import Mechanism, lumped
+        from harness.physics.identifiability import determined
 
-        what = f"lumped-{self.form}"
-        if not isinstance(system.mechanism, Mechanism) or not system.coordinates:
-            raise FitError(
-                f"{what}: {system.name} is no mechanism",
-                expected="a model with coordinates and a Lagrangian",
-                got=str(system),
-                remedy="use output-error for other models",
-            )
-        regression = lumped(system.mechanism, known=dict(self.known or {}))
-        rows, targets = [], []
-        for one in records:
-            moved = motion(system, one, self.smoothing)
-            phi, target = self._equations(regression, moved, one.spec.sample_time)
-            rows.append(phi)
-            targets.append(target)
-        phi, target = np.concatenate(rows), np.concatenate(targets)
+        regression = self._regression(system)
+        rng = rng or np.random.default_rng(0)
+        moved = [motion(system, one, self.smoothing) for one in records]
+        phi, target = self._stacked(regression, moved, records)
         if not np.any(target):
             raise FitError(
-                f"{what}: nothing known drives the motion",
+                f"lumped-{self.form}: nothing known drives the motion",
                 expected="a moving input or a known parameter",
                 got="free motion: the parameters have a common scale that cannot be seen",
                 remedy="excite the plant, or give known={...}",
             )
-        return self._weighted(regression, phi, target), regression
+        again = [
+            motion(system, noisier(one, rng), self.smoothing, like=old) for one, old in zip(records, moved, strict=True)
+        ]
+        noisy, noisy_target = self._stacked(regression, again, records)
+        if not (np.isfinite(phi).all() and np.isfinite(target).all()):
+            raise FitError(
+                "regression", expected="finite numbers", got="NaN or infinity", remedy="cut the record before it breaks"
+            )
+        errors = np.vstack([noisy - phi, *self._systematic(system, regression, records, moved, phi)])
+        decision, kept, condition = determined(phi, regression.names, errors, tolerance=self.tolerance)
+        if decision.rank == 0:
+            raise FitError(
+                f"lumped parameters of {regression.mechanism.name}",
+                expected="a motion that shows at least one",
+                got=str(decision),
+                remedy="excite the plant",
+            )
+        n = 1 if self.form == "energy" else regression.n
+        theta, white = weighted(phi, target, kept, n)
+        if self.estimator != "least-squares" and decision.full:
+            wide = white @ instants(noisy - phi, n), white @ instants((noisy_target - target)[:, None], n)
+            theta = self._otherwise(system, regression, records, moved, theta, white, (phi, target), wide)
+        rest = white @ instants((target - phi @ theta)[:, None], n)
+        values = dict(zip(regression.names, theta.tolist(), strict=True))
+        return Regressed(regression.names, values, decision, condition, float(np.sqrt(np.mean(rest**2)))), regression
 
-    def _equations(self, regression: LumpedModel, moved: Motion, dt: float) -> tuple[FloatArray, FloatArray]:
-        """Return the rows and targets of one record."""
-        t, q, v, u = moved.t, moved.q, moved.v, moved.u
+    # ---- inside --------------------------------------------------------------------------------------------------
+
+    def _known(self, system: System) -> dict[str, float]:
+        """Return the parameters that are given or declared fixed."""
+        return {one.name: one.value for one in system.parameters if one.fixed} | dict(self.known or {})
+
+    def _regression(self, system: System) -> LumpedModel:
+        from harness.physics import Mechanism, lumped
+
+        if not isinstance(system.mechanism, Mechanism) or not system.coordinates:
+            raise FitError(
+                f"lumped-{self.form}: {system.name} is no mechanism",
+                expected="a model with coordinates and a Lagrangian",
+                got=str(system),
+                remedy="use output-error for other models",
+            )
+        return lumped(system.mechanism, known=self._known(system))
+
+    def _stacked(
+        self, regression: LumpedModel, moved: Sequence[Motion], records: Sequence[Trajectory]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the equations of all records; none reaches across a seam."""
+        parts = [self._equations(regression, one, r.spec.sample_time) for one, r in zip(moved, records, strict=True)]
+        return np.concatenate([one[0] for one in parts]), np.concatenate([one[1] for one in parts])
+
+    def _systematic(
+        self,
+        system: System,
+        regression: LumpedModel,
+        records: Sequence[Trajectory],
+        moved: Sequence[Motion],
+        phi: FloatArray,
+    ) -> list[FloatArray]:
+        """Return what smoothing, and the quadrature of the forms that integrate, change in the rows."""
+        pairs = list(zip(records, moved, strict=True))
+        bent = [motion(system, one, self.smoothing, like=old, coarser=True) for one, old in pairs]
+        found = [self._stacked(regression, bent, records)[0] - phi]
+        if self.form != "torque":
+            fine = [self._equations(regression, old, one.spec.sample_time, finer=True)[0] for one, old in pairs]
+            found.append(np.concatenate(fine) - phi)
+        return found
+
+    def _otherwise(
+        self,
+        system: System,
+        regression: LumpedModel,
+        records: Sequence[Trajectory],
+        moved: Sequence[Motion],
+        theta: FloatArray,
+        white: FloatArray,
+        equations: tuple[FloatArray, FloatArray],
+        noise: tuple[FloatArray, FloatArray],
+    ) -> FloatArray:
+        """Return the parameters by another criterion than least squares, started there."""
+        what, n = f"lumped-{self.form}", white.shape[0]
+        phi = (white @ instants(equations[0], n)).reshape(-1, regression.k)
+        target = (white @ instants(equations[1][:, None], n)).reshape(-1)
+        if self.estimator == "huber":
+            return huber(phi, target)[0]
+        if self.estimator == "l1":
+            from identifiers.criteria import absolute_deviations
+
+            return absolute_deviations(phi, target[:, None], what)[:, 0]
+        if self.estimator == "total":
+            return total(phi, target, noise[0].reshape(phi.shape), noise[1].reshape(-1), what)
+        for _ in range(_ROUNDS):
+            parameters = {**regression.to_parameters(dict(zip(regression.names, theta, strict=True)))}
+            copies = [
+                simulated_motion(system, parameters | self._known(system), one, r.spec.sample_time)
+                for one, r in zip(moved, records, strict=True)
+            ]
+            exact = self._stacked(regression, copies, records)[0]
+            theta = instrumental(phi, target, (white @ instants(exact, n)).reshape(phi.shape), what)
+        return theta
+
+    def _corrected(
+        self,
+        system: System,
+        recipe: Recipe,
+        regression: LumpedModel,
+        values: dict[str, float],
+        records: list[Trajectory],
+        rng: np.random.Generator,
+    ) -> tuple[dict[str, float], Spread | None, str]:
+        """Return the values without the bias that simulated records show, their spread, and how it was found."""
+        if not self.intervals:
+            return values, None, "no intervals: not asked for (option intervals = 60 simulates records)"
+        parameters = {**regression.to_parameters(values), **self._known(system)}
+        model = GreyBoxModel(records[0].spec, recipe, parameters)
+        runs = simulated(model, records)
+        if runs is None:
+            return values, None, "no intervals: the model's free run leaves the records by more than their noise"
+        start = regression.values(parameters)
+        plain = replace(self, intervals=0)
+
+        def refit(noisy: list[Trajectory]) -> FloatArray:
+            found = plain.regress(system, noisy, rng=rng)[0]
+            return np.array([found.values[name] for name in regression.names])
+
+        spread = spread_of(records, runs, start, refit, self.intervals, rng)
+        if spread is None:
+            return values, None, "no intervals: fits of simulated records fail or are too biased"
+        better = {name: values[name] - spread.bias[row] for row, name in enumerate(regression.names)}
+        return better, spread, f"scatter of {spread.count} simulated records, bias taken off"
+
+    def _equations(
+        self, regression: LumpedModel, moved: Motion, dt: float, *, finer: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the rows and targets of one record; the integrals on twice as many instants if ``finer``."""
+        longest = max(1, (len(moved.t) - 1) // 4)
+        if finer:
+            moved = between(moved)
+        t, q, v, u, many = moved.t, moved.q, moved.v, moved.u, 2 if finer else 1
         if self.form == "torque":
             return regression.torque_rows(t, q, v, moved.a, u if self.intersample == "smooth" else moved.mean_u)
-        longest = max(1, (len(t) - 1) // 4)
         if self.form == "energy":
-            samples = moved.width if self.window is None else round(self.window / dt)
-            return regression.energy_rows(
-                t, q, v, u, samples=int(np.clip(samples, 1, longest)), intersample=self.intersample
-            )
+            samples = max(moved.width, 1) if self.window is None else round(self.window / dt)
+            samples = many * int(np.clip(samples, 1, longest))
+            rows, target = regression.energy_rows(t, q, v, u, samples=samples, intersample=self.intersample)
+            return rows[::many], target[::many]
         samples = max(51, 3 * moved.width) if self.window is None else round(self.window / dt)
+        samples = int(np.clip(samples, 5, max(5, longest)))
         return regression.momentum_rows(
-            t, q, v, u, samples=int(np.clip(samples, 5, max(5, longest))), intersample=self.intersample
+            t,
+            q,
+            v,
+            u,
+            samples=many * (samples - 1) + 1,
+            hop=many * max(1, samples // 4),
+            intersample=self.intersample,
         )
-
-    def _weighted(self, regression: LumpedModel, phi: FloatArray, target: FloatArray) -> LumpedFit:
-        """Return the fit in which the rows of each coordinate weigh by their own residual."""
-        found = regression.solve(phi, target, tolerance=self.tolerance)
-        n = 1 if self.form == "energy" else regression.n
-        if n == 1 or found.identifiability.rank < regression.k:
-            return found
-        scale = np.sqrt(np.mean(target**2)) or 1.0
-        for _ in range(2):
-            miss = (target - phi @ np.array(list(found.values.values()))).reshape(-1, n)
-            size = np.maximum(np.sqrt(np.mean(miss**2, axis=0)), 1e-9 * scale)
-            found = regression.solve(phi, target, weights=np.tile(1.0 / size, len(miss)), tolerance=self.tolerance)
-        return found
 
     def _refuse_unphysical(
         self,
@@ -197,9 +370,11 @@ def lumped_torque(
     smoothing: Smoothing = "auto",
     intersample: Intersample = "zoh",
     tolerance: float = 1e-6,
+    estimator: Estimator = "least-squares",
+    intervals: int = 0,
 ) -> Lumped:
     """Lumped parameters from the torque form (inverse dynamics); options as of :class:`Lumped`."""
-    return Lumped("torque", model, None, known, smoothing, intersample, tolerance)
+    return Lumped("torque", model, None, known, smoothing, intersample, tolerance, estimator, intervals)
 
 
 def lumped_energy(
@@ -210,9 +385,11 @@ def lumped_energy(
     smoothing: Smoothing = "auto",
     intersample: Intersample = "zoh",
     tolerance: float = 1e-6,
+    estimator: Estimator = "least-squares",
+    intervals: int = 0,
 ) -> Lumped:
     """Lumped parameters from the energy form (work over short intervals); options as of :class:`Lumped`."""
-    return Lumped("energy", model, window, known, smoothing, intersample, tolerance)
+    return Lumped("energy", model, window, known, smoothing, intersample, tolerance, estimator, intervals)
 
 
 def lumped_momentum(
@@ -223,6 +400,8 @@ def lumped_momentum(
     smoothing: Smoothing = "auto",
     intersample: Intersample = "zoh",
     tolerance: float = 1e-6,
+    estimator: Estimator = "least-squares",
+    intervals: int = 0,
 ) -> Lumped:
     """Lumped parameters from the momentum (weak) form; options as of :class:`Lumped`."""
-    return Lumped("momentum", model, window, known, smoothing, intersample, tolerance)
+    return Lumped("momentum", model, window, known, smoothing, intersample, tolerance, estimator, intervals)

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from harness.distributions import Categories
 from harness.errors import FitError, InputError
 from harness.protocols import Hindsight
 from harness.scoring import same_language
@@ -124,6 +126,10 @@ class MdpModel:
         best: FloatArray = np.argmax(x, axis=-1)[..., None].astype(float)
         return best
 
+    def predictive(self, x: FloatArray, u: FloatArray) -> Categories:
+        """Return the distribution of the state: the model's state itself."""
+        return Categories((np.asarray(x, dtype=float),))
+
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the distribution (..., S) one step later."""
         x = np.asarray(x, dtype=float)
@@ -232,12 +238,32 @@ class OnlineCounting:
     def hindsight(self, trajectories: Sequence[Trajectory]) -> Hindsight:
         """Return the losses of the best fixed table of answers: the majority of each pair."""
         best = np.argmax(count_transitions(trajectories), axis=2)
-        losses = []
-        for one in trajectories:
-            s = one.y[:, 0].astype(np.int64)
-            a = one.u[:, 0].astype(np.int64) if one.spec.nu else np.zeros(len(one), dtype=np.int64)
-            losses.append((best[s[:-1], a[:-1]] != s[1:]).astype(float))
+        losses = [(best[s, a] != later).astype(float) for s, a, later in map(_transitions, trajectories)]
         return Hindsight(np.concatenate(losses), exact=True)
+
+    def forecast(self, state: tuple[FloatArray, int], u: FloatArray) -> Categories:
+        """Return the probabilities of the next state: counts plus a half for each state.
+
+        The half is the estimator of Krichevsky and Trofimov (1981, *IEEE Trans. Inf. Theory* 27, 199-207), whose
+        regret in log loss grows as (S - 1)/2 ln n for each pair (s, a), which is the least possible.
+        """
+        counts, now = state
+        weights = counts[now, int(u[0]) if len(u) else 0] + 0.5
+        return Categories((weights / weights.sum(),))
+
+    def log_hindsight(self, trajectories: Sequence[Trajectory]) -> Hindsight:
+        """Return the log losses of the best fixed table of probabilities: the frequencies of each pair."""
+        counts = count_transitions(trajectories)
+        share = counts / np.maximum(counts.sum(axis=2, keepdims=True), 1.0)
+        losses = [-np.log(share[s, a, later]) for s, a, later in map(_transitions, trajectories)]
+        return Hindsight(np.concatenate(losses), exact=True)
+
+
+def _transitions(one: Trajectory) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return states, actions and next states of a record."""
+    s = one.y[:, 0].astype(np.int64)
+    a = one.u[:, 0].astype(np.int64) if one.spec.nu else np.zeros(len(one), dtype=np.int64)
+    return s[:-1], a[:-1], s[1:]
 
 
 def _sizes(spec: PlantSpec) -> tuple[int, int]:

@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from harness.errors import InputError
+from harness.options import check_options, instead
 from harness.signals import Channel, FloatArray, PlantSpec
 
 __all__ = ["checked_inputs", "checked_options", "initial_values", "per_item", "positive", "refuse_input"]
@@ -153,6 +154,7 @@ def checked_options(
             f"options of {factory}",
             expected=f"options among {', '.join(sorted(known))}",
             got=", ".join(unknown),
-            remedy=f"remove {', '.join(unknown)}",
+            remedy=instead(unknown, known),
         )
+    check_options(factory, maker, options)
     return {**defaults, **options}

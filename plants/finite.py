@@ -13,7 +13,7 @@ from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
 from plants.checking import checked_inputs, initial_values, positive
 
-__all__ = ["FiniteMdp", "checked_distribution", "cumulated", "grid_mdp"]
+__all__ = ["FiniteMdp", "category_number", "checked_distribution", "cumulated", "grid_mdp"]
 
 TOLERANCE = 1e-9
 """How far a distribution's sum may be from 1."""
@@ -105,7 +105,7 @@ class FiniteMdp:
         self._rng = rng
         drawn = int(np.searchsorted(self._first_bounds, rng.random(), side="right"))
         (value,) = initial_values(x0, self.spec.states, [drawn])
-        self._state = _category(value, self.spec.states[0])
+        self._state = category_number(value, self.spec.states[0])
         return np.array([float(self._state)])
 
     def step(self, u: FloatArray) -> FloatArray:
@@ -117,12 +117,12 @@ class FiniteMdp:
             If the action is not one of 0 .. A-1.
         """
         row = checked_inputs(np.atleast_2d(u), self.spec)[0]
-        self._move(_category(row[0], self.spec.inputs[0]))
+        self._move(category_number(row[0], self.spec.inputs[0]))
         return np.array([float(self._state)])
 
     def rollout(self, inputs: FloatArray) -> FloatArray:
         """Take actions ``inputs`` (N, 1) in order; row k of the result (N, 1) is what ``step`` returned."""
-        actions = [_category(u, self.spec.inputs[0]) for u in checked_inputs(inputs, self.spec)[:, 0]]
+        actions = [category_number(u, self.spec.inputs[0]) for u in checked_inputs(inputs, self.spec)[:, 0]]
         outputs = np.empty((len(actions), 1))
         for k, action in enumerate(actions):
             self._move(action)
@@ -249,7 +249,7 @@ def cumulated(table: FloatArray) -> FloatArray:
     return bounds
 
 
-def _category(value: float, channel: Channel) -> int:
+def category_number(value: float, channel: Channel) -> int:
     """Return a category as an integer, or refuse it."""
     number = int(value) if np.isfinite(value) else -1
     if number != value or not 0 <= number <= channel.maximum:

@@ -20,10 +20,12 @@ from plants.fmu_engine import INPUT_NOT_FINITE, Engine, NativeStep, Timing
 from plants.fmu_instance import Instance
 from plants.fmu_options import check_event_mode, chosen_kind, complaints, count_substeps, default, encoded, refused
 from plants.fmu_stops import finish, stopped
+from plants.fmu_trust import FirstRun
 from plants.fmu_variables import Port, channels, choose, describe, feeds_through, starts, states_of
 from plants.mockups import mockup
 
 if TYPE_CHECKING:
+    from plants.fmu_as_is import AsIs
     from plants.fmu_probe import ProbeResult
 
 __all__ = ["FmuPlant", "describe"]
@@ -91,6 +93,14 @@ class FmuPlant(Beyond):
     """
 
     describe = staticmethod(describe)
+
+    @staticmethod
+    def as_is(path: str | Path, **options: Any) -> AsIs:
+        """Run an FMU with its default experiment; see :func:`plants.fmu_as_is.run_as_is`."""
+        from plants.fmu_as_is import run_as_is
+
+        return run_as_is(path, **options)
+
     mockup = staticmethod(mockup)
 
     @staticmethod
@@ -127,7 +137,11 @@ class FmuPlant(Beyond):
         dt = default(self.file, "stepSize") if sample_time is None else sample_time
         if dt is None:
             raise refused(
-                self.file, "no sample time", "a number of seconds", "none, and the FMU suggests none", "sample_time"
+                self.file,
+                "no sample time",
+                "a number of seconds",
+                "none, and the FMU suggests none",
+                "give sample_time=0.01 or the like (sysid: --option sample_time=0.01)",
             )
         self._tolerance = tolerance
         self._inputs = choose(self.file, inputs, "input")
@@ -156,6 +170,8 @@ class FmuPlant(Beyond):
         except BaseException:
             self.close()
             raise
+        self._first: FirstRun | None = None  # the beginning of the first run, until the way back is known
+        self.way_back: str | None = None  # "reset", "instance" or "process", known from the second reset on
         self._both: Engine | None = None  # reads outputs and states at once; made when it is needed
         self._rollback, self._solver = rollback, solver
         self._shape = (self.spec.nu,)
@@ -188,6 +204,18 @@ class FmuPlant(Beyond):
         self._one = idle
         values = dict(self._start)
         values.update(encoded(self.file, x0 or {}, "x0", None))
+        if self.way_back is None and self._first is not None:
+            self._find_way_back(self._first)
+        self._begin(values)
+        if self.way_back is None:
+            self._first = FirstRun(self._engine, values)
+            self._one = self._first.step  # of that object: a method of this one would keep the plant alive
+        else:
+            self._one = self._engine.one
+        return self._engine.y.copy()
+
+    def _begin(self, values: Mapping[str, Any]) -> None:
+        """Initialise the FMU anew with these start values, in its own types and units, and read the outputs."""
         hint = default(self.file, "tolerance") if self._tolerance is None else self._tolerance
         self._instance.initialise(values, self._t0, hint)
         for engine in (self._engine, self._observer, *(() if self._both is None else (self._both,))):
@@ -196,8 +224,31 @@ class FmuPlant(Beyond):
         self._engine.loop.warnings = 0
         if self._engine.look():
             raise stopped(self._engine)
-        self._one = self._engine.one
-        return self._engine.y.copy()
+
+    def _find_way_back(self, first: FirstRun) -> None:
+        """Try once whether the FMU's reset brings it back; where it does not, every run gets a fresh instance."""
+        once = bool(self._instance.interface.canBeInstantiatedOnlyOncePerProcess or self._instance.states)
+        if not self._instance.resets:
+            self.way_back = "instance"
+            return
+        found, difference = first.way_back(self._begin, self._instance.renew, once=once)
+        if not found:
+            return
+        self.way_back, self._first = found, None
+        if found == "reset":
+            return
+        self._instance.resets = False
+        text = f"reset does not bring the FMU back (a second run differs by {difference:.2g} of the signal): "
+        text += "every run gets a fresh instance"
+        if found == "process":
+            text += ", which does not repeat the first run either: only a fresh process does, as an isolated plant has"
+        self.warnings += (text,)
+        log.warning("%s: %s", self.file.path.name, text)
+
+    @property
+    def needs_process(self) -> bool:
+        """True where only a fresh process brings the FMU back."""
+        return self.way_back == "process"
 
     def step(self, u: FloatArray) -> FloatArray:
         """Hold ``u`` (nu,) for one sample time; returns the next output (ny,).
@@ -245,6 +296,9 @@ class FmuPlant(Beyond):
         if self._one is idle:
             self._not_ready()
         outputs = engine.many(rows)
+        if self._first is not None and engine is self._engine:
+            self._first.keep(rows, outputs)
+        self._leave_record()
         while (done := outputs.shape[0]) < rows.shape[0]:
             engine.u[:] = rows[done]
             self._finish(engine)
@@ -256,6 +310,7 @@ class FmuPlant(Beyond):
     def native_step(self) -> NativeStep | None:
         """Return what a loop in C needs to step this plant after a reset; None where steps are made in Python."""
         self._check_open()
+        self._leave_record()
         return self._engine.native_step()
 
     def finish_step(self) -> None:
@@ -268,6 +323,7 @@ class FmuPlant(Beyond):
             refuse_input(u, self.spec)
         if self._one is idle:
             self._not_ready()
+        self._leave_record()
         self._engine.u[:] = u
         if self._engine.peek():
             self._finish(self._engine)

@@ -14,6 +14,7 @@ from plants.fmu_instance import Instance
 from plants.fmu_options import encoded, refused
 from plants.fmu_slopes import slopes
 from plants.fmu_states import Snapshot, packed, unpacked
+from plants.fmu_trust import FirstRun, state_error
 
 __all__ = ["Beyond", "idle"]
 
@@ -33,22 +34,59 @@ class Beyond:
     _start: dict[str, Any]
     _one: Callable[[], int]
     _finalizer: weakref.finalize[Any, Any]
+    _first: FirstRun | None
+    _states_kept = False
+    input_starts: Any
 
     def get_state(self) -> Snapshot:
         """Return a state of the FMU that stays valid until the plant is closed."""
         if "snapshots" not in self.abilities or self._one is idle:
             self._not_ready("a snapshot")
+        if not self._states_kept:
+            self._try_state()
+        return self._taken()
+
+    def _taken(self) -> Snapshot:
+        """Return the present state of the FMU, and where the plant is in its run."""
         taken = self._instance.take()
         taken.k = self._engine.loop.k
         return taken
+
+    def _set_back(self, state: Snapshot) -> None:
+        """Go back to a state."""
+        self._instance.put(state)
+        self._engine.loop.k = state.k
+        self._engine.settle()
+
+    def _leave_record(self) -> None:
+        """End the record of the first run: what comes next is no plain step."""
+        if self._first is not None:
+            self._first.close()
+
+    def _try_state(self) -> None:
+        """Try once whether the FMU keeps the states that it declares; where it does not, there are none."""
+        self._leave_record()
+        held = self._engine.u if self._engine.loop.k else self.input_starts
+        difference = state_error(self._engine, self._taken, self._set_back, held)
+        self._states_kept = difference == 0.0
+        if difference is None or self._states_kept:
+            return
+        self.abilities -= {"snapshots"}
+        self._one = idle
+        raise refused(
+            self.file,
+            "a snapshot",
+            "a state that the FMU keeps, as its description declares",
+            f"another continuation from it (off by {difference:.2g} of the signal)",
+            "reset, and replay the inputs; this plant gives no more states",
+        )
 
     def set_state(self, state: Snapshot) -> None:
         """Go back to a state that :meth:`get_state` of this plant returned."""
         if "snapshots" not in self.abilities or self._one is idle:
             self._not_ready("a snapshot")
-        self._instance.put(state)
-        self._engine.loop.k = state.k
-        self._engine.settle()
+        self._leave_record()
+        self._set_back(state)
 
     def serialize_state(self) -> bytes:
         """Return the present state as bytes, for a plant of the same FMU in this process or, if it allows, another.
@@ -116,6 +154,7 @@ class Beyond:
         self._check_open()
         as_fmu = encoded(self.file, {name: value}, "parameters", ("parameter",))
         variability = next(v.variability for v in self.file.description.modelVariables if v.name == name)
+        self._leave_record()
         if self._one is not idle:
             if variability != "tunable":
                 raise refused(self.file, "a fixed parameter", "a tunable one", repr(name), "reset first", name)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+import shutil
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from harness.errors import InputError
-from harness.fmi.archive import check_entries
+from harness.fmi.archive import check_entries, has_document_type, plain_name
 from plants.temporary import release, temporary_folder
 
 __all__ = ["MAX_ENTRIES", "MAX_RATIO", "MAX_TOTAL", "FmuFile", "read_fmu"]
@@ -53,6 +54,15 @@ class FmuFile:
         """Return fmpy's record of abilities of one kind."""
         return self.description.coSimulation if kind == "cs" else self.description.modelExchange
 
+    @property
+    def platforms(self) -> tuple[str, ...]:
+        """Systems that the FMU brings a binary for, by the names of their folders; ``c-code`` for sources."""
+        with zipfile.ZipFile(self.path) as archive:
+            parts = [plain_name(entry).split("/") for entry in archive.infolist() if not entry.is_dir()]
+        found = {part[1] for part in parts if part[0] == "binaries" and len(part) > 2 and part[2]}
+        sources = any(part[0] == "sources" and part[-1].endswith((".c", ".cpp", ".cc")) for part in parts)
+        return (*sorted(found), *(("c-code",) if sources else ()))
+
     def unpack(self) -> Path:
         """Extract what running needs into a new temporary folder, which the caller removes.
 
@@ -65,22 +75,26 @@ class FmuFile:
 
         library = f"binaries/{fmpy.platform_tuple if self.version == 3 else fmpy.platform}/"
         with zipfile.ZipFile(self.path) as archive:
-            names = archive.namelist()
+            names = [plain_name(entry) for entry in archive.infolist()]
         if not any(name.startswith(library) and not name.endswith("/") for name in names):
-            others = sorted(
-                {name.split("/")[1] for name in names if name.startswith("binaries/") and name.count("/") > 1}
-            )
             raise InputError(
                 "the FMU has no binary for this system",
                 expected=library,
-                got=", ".join(others) or "no binaries",
+                got=", ".join(self.platforms) or "no binaries",
                 remedy="export it for this system, or compile its sources (fmusim, fmpy compile)",
                 file=self.path,
             )
         folder = temporary_folder("sysid-fmu-")
         wanted = (library, "resources/", "modelDescription.xml")
         try:
-            fmpy.extract(str(self.path), str(folder), include=lambda name: name.startswith(wanted))
+            with zipfile.ZipFile(self.path) as archive:
+                for entry in archive.infolist():
+                    name = plain_name(entry)
+                    if name.startswith(wanted) and not name.endswith("/"):
+                        target = folder / name
+                        target.parent.mkdir(parents=True, exist_ok=True)
+                        with archive.open(entry) as packed, target.open("wb") as file:
+                            shutil.copyfileobj(packed, file)
         except Exception as error:
             release(folder)
             raise InputError(
@@ -148,14 +162,14 @@ def _refuse(path: Path, what: str, expected: str, got: str, remedy: str, place: 
 
 def _check_entries(path: Path, archive: zipfile.ZipFile) -> None:
     """Refuse entries that must not be unpacked, and say which."""
-    entries = check_entries(path, archive, entries=MAX_ENTRIES, total=MAX_TOTAL, ratio=MAX_RATIO)
+    entries = check_entries(path, archive, entries=MAX_ENTRIES, total=MAX_TOTAL, ratio=MAX_RATIO, windows=True)
     described = [entry for entry in entries if entry.filename == "modelDescription.xml"]
     if not described:
         raise _refuse(path, "not an FMU", "modelDescription.xml at the top of the archive", "none", "export it again")
     if described[0].file_size > MAX_DESCRIPTION:
         size = f"{described[0].file_size >> 20} MiB"
         raise _refuse(path, "modelDescription.xml", f"at most {MAX_DESCRIPTION >> 20} MiB", size, "shrink it")
-    if b"<!DOCTYPE" in archive.read(described[0]):
+    if has_document_type(archive.read(described[0])):
         raise _refuse(path, "modelDescription.xml", "no document type", "a DOCTYPE", "do not trust it")
 
 

@@ -8,6 +8,7 @@ asks for.
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Callable, Sequence
 from ctypes import POINTER, c_double
 from typing import Any
@@ -204,9 +205,16 @@ class _Solver:
         self.fmu, self.nx, self.nz = instance.fmu, nx, nz
         three = instance.version == 3
         self.derivatives = self.fmu.getContinuousStateDerivatives if three else self.fmu.getDerivatives
-        self.nominals = (
+        self._nominals = (
             self.fmu.getNominalContinuousStates if instance.version == 1 else self.fmu.getNominalsOfContinuousStates
         )
+
+    def nominals(self, values: Any, n: int) -> None:
+        """Fill in the sizes of the states; 0, which some tools write, is none and means 1."""
+        self._nominals(values, n)
+        sizes = ctypes.cast(values, POINTER(c_double))
+        for i in range(n):
+            sizes[i] = abs(sizes[i]) if sizes[i] != 0.0 and math.isfinite(sizes[i]) else 1.0
 
 
 class _Cvode(_Solver):

@@ -58,6 +58,7 @@ class Instance:
         self.event_mode, self.early_return, self.debug = event_mode, early_return, debug
         self.interface = file.interface(kind)
         self.messages: deque[str] = deque(maxlen=50)
+        self.resets = not (self.version == 1 and kind == "me")  # there is a reset, and it brings the FMU back
         self.pristine = False  # instantiated or reset, and not yet initialised
         self.next_event: float | None = None  # [s], announced by an FMI 3.0 FMU in event mode
         self.dead = False  # after a fatal error no function may be called any more
@@ -234,15 +235,19 @@ class Instance:
 
     def _reset(self) -> None:
         """Bring the instance back; where it cannot (FMI 1.0 model exchange, a failing reset), make a new one."""
-        try:
-            if self.version == 1 and self.kind == "me":
-                raise PlantError("no reset")
-            self.fmu.reset()
-        except Exception as error:
-            if getattr(error, "status", None) == 4:
-                raise self.failure("fatal error at reset", error) from error
-            self._free_instance()
-            self._instantiate()
+        if self.resets:
+            try:
+                self.fmu.reset()
+                return
+            except Exception as error:
+                if getattr(error, "status", None) == 4:
+                    raise self.failure("fatal error at reset", error) from error
+        self.renew()
+
+    def renew(self) -> None:
+        """Put a fresh instance in the place of this one."""
+        self._free_instance()
+        self._instantiate()
 
     def _enter(self, values: dict[str, Any], t0: float, tolerance: float | None) -> None:
         variables = {v.name: v for v in self.file.description.modelVariables}

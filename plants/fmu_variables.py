@@ -221,8 +221,6 @@ def describe(path: str | Path) -> dict[str, Any]:
     >>> [row["name"] for row in describe(mockup("pendulum"))["variables"] if row["causality"] == "output"]
     ['theta', 'omega']
     """
-    import fmpy
-
     file = read_fmu(path)
     d = file.description
     complaints = []
@@ -266,7 +264,7 @@ def describe(path: str | Path) -> dict[str, Any]:
         "description": d.description,
         "fmi": d.fmiVersion,
         "tool": d.generationTool,
-        "platforms": list(fmpy.supported_platforms(str(file.path))),
+        "platforms": list(file.platforms),
         "kinds": {{"cs": "co-simulation", "me": "model exchange"}[kind]: _abilities(file, kind) for kind in file.kinds},
         "experiment": {
             name: _number(getattr(experiment, name, None))

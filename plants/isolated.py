@@ -6,29 +6,35 @@ the caller. Whole chunks of input travel at once, so an open-loop rollout costs 
 
 from __future__ import annotations
 
+import logging
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
 import time
 import weakref
 from collections.abc import Callable, Mapping
-from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, Self
 
+import msgspec
 import numpy as np
 
 from harness.errors import HarnessError, InputError, PlantError
 from harness.protocols import Ability, Plant
 from harness.signals import FloatArray, PlantSpec
+from plants import frames
 from plants.checking import checked_inputs, refuse_input
 from plants.temporary import release, temporary_folder
 
 __all__ = ["IsolatedPlant", "isolated"]
 
+log = logging.getLogger("plants.isolated")
+
 FIRST_CHUNK, LAST_CHUNK = 128, 8192  # rows of input in one message
+SLACK = 16 << 20  # bytes of an answer beyond its numbers: descriptions and texts
 
 
 class IsolatedPlant:
@@ -59,8 +65,9 @@ class IsolatedPlant:
 
     Notes
     -----
-    After a crash or timeout the next ``reset`` starts a new child; snapshots of the old one are gone. The child gets
-    a temporary folder of its own, which is removed with it. Needs a POSIX system.
+    After a crash or timeout the next ``reset`` starts a new child; snapshots of the old one are gone. The child works
+    in a temporary folder of its own, which is removed with it, and what it sends is read as numbers and text only. It
+    is no sandbox: what runs in it may do whatever you may. Needs a POSIX system.
 
     Examples
     --------
@@ -88,7 +95,7 @@ class IsolatedPlant:
             if not value > 0:
                 raise InputError(name, expected="a positive number", got=repr(value), remedy="give one")
         try:
-            self._order = pickle.dumps((factory, dict(options or {})))
+            self._order = pickle.dumps((factory, {k: _from_here(k, v) for k, v in (options or {}).items()}))
         except Exception as error:
             raise InputError(
                 "a factory that cannot travel to another process",
@@ -106,6 +113,7 @@ class IsolatedPlant:
         self._resets = 0
         self._doubtful = False
         self._truth = np.zeros(0)
+        self.warnings: tuple[str, ...] = ()
         self._start()
 
     def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
@@ -113,15 +121,22 @@ class IsolatedPlant:
         self._resets += 1
         if self._child is None or self._doubtful or self._resets > self._recycle:
             self._start()
-        return self._output(self._call("reset", rng, None if x0 is None else dict(x0)))
+        start = None if x0 is None else dict(x0)
+        answer = self._call("reset", rng, start)
+        if answer.renew:  # neither its reset nor a fresh instance brings the plant back
+            self._recycle = 1
+            self._start()
+            self._resets = 1
+            answer = self._call("reset", rng, start)
+        return self._output(answer, (self.spec.ny,))
 
     def step(self, u: FloatArray) -> FloatArray:
         """Hold ``u`` (nu,) for one sample time; returns the next output (ny,)."""
-        return self._output(self._call("step", self._fitting(u)))
+        return self._output(self._call("step", self._fitting(u)), (self.spec.ny,))
 
     def output(self, u: FloatArray) -> FloatArray:
         """Return the output (ny,) with ``u`` applied, where the plant declares feedthrough."""
-        return self._output(self._call("output", self._fitting(u)))
+        return self._output(self._call("output", self._fitting(u)), (self.spec.ny,))
 
     def rollout(self, inputs: FloatArray) -> FloatArray:
         """Apply ``inputs`` (N, nu) in chunks; returns (N, ny), equal to stepping."""
@@ -140,7 +155,8 @@ class IsolatedPlant:
         while done < rows.shape[0]:
             chunk = rows[done : done + size]
             started = time.perf_counter()
-            both[done : done + len(chunk)] = self._output(self._call(order, chunk))
+            answer = self._call(order, chunk, size=len(chunk) * (ny + nx))
+            both[done : done + len(chunk)] = self._output(answer, (len(chunk), ny + nx))
             spent = time.perf_counter() - started
             done += len(chunk)
             # a chunk shall take about a fiftieth of the limit
@@ -154,7 +170,7 @@ class IsolatedPlant:
     def get_state(self) -> _Ticket:
         """Return a ticket for a state that the child keeps."""
         child = self._living()
-        ticket = _Ticket(child, int(self._call("get_state")))
+        ticket = _Ticket(child, self._call("get_state").number)
         weakref.finalize(ticket, child.dropped.append, ticket.number)
         return ticket
 
@@ -167,7 +183,7 @@ class IsolatedPlant:
                 got="one of a child that is gone",
                 remedy="replay the inputs from reset",
             )
-        self._truth = np.asarray(self._call("set_state", state.number)[1])
+        self._output(self._call("set_state", state.number), (0,))
 
     def close(self) -> None:
         """End the child; harmless when called twice."""
@@ -190,12 +206,14 @@ class IsolatedPlant:
             self._child.end(polite=True)
         self._child = _Child(self._show)
         self._resets, self._doubtful = 0, False
-        spec, abilities, tolerance = self._call("make", self._order, limit=self._start_timeout)
-        self.spec, self.abilities = spec, frozenset(abilities) | {"batch"}
+        made = self._call("make", self._order, limit=self._start_timeout).made
+        if made is None:
+            raise self._nonsense("make")
+        self.spec, self.abilities = made.spec, frozenset(made.abilities) | {"batch"}
         if "truth" in self.abilities:
             self.abilities |= {"batch-truth"}
-        if tolerance is not None:  # only where the plant inside declares one
-            self.snapshot_tolerance = float(tolerance)
+        if made.snapshot_tolerance is not None:  # only where the plant inside declares one
+            self.snapshot_tolerance = made.snapshot_tolerance
 
     def _living(self) -> _Child:
         if self._child is None:
@@ -207,11 +225,17 @@ class IsolatedPlant:
             )
         return self._child
 
-    def _call(self, name: str, *arguments: Any, limit: float | None = None) -> Any:
-        """Have the child do something, within the time limit."""
+    def _call(self, name: str, *arguments: Any, limit: float | None = None, size: int = 0) -> frames.Answer:
+        """Have the child do something, within the time limit; ``size`` is the count of numbers in the answer."""
         child = self._living()
         try:
-            return child.call(name, arguments, self._timeout if limit is None else limit)
+            answer = child.call(name, arguments, self._timeout if limit is None else limit, SLACK + 8 * size)
+            for note in answer.notes:
+                self.warnings += (note,)
+                log.warning("%s: %s", self._name, note)
+            if answer.trouble is not None:
+                raise frames.raised(answer.trouble)
+            return answer
         except _Gone as gone:
             self._child = None
             raise PlantError(f"{self._name}: {gone}", status=gone.status) from None
@@ -222,13 +246,24 @@ class IsolatedPlant:
                 self._child = None
             raise
 
-    def _output(self, answer: Any) -> FloatArray:
+    def _output(self, answer: frames.Answer, shape: tuple[int, ...]) -> FloatArray:
         """Return the outputs of an answer, keep the truth that came with them; NaN is divergence."""
-        outputs, truth = answer
-        self._truth = np.asarray(truth)
+        try:
+            outputs = frames.array_of(answer.values, shape)
+            truth = frames.array_of(answer.truth, (len(self.spec.states),) if answer.truth else (0,))
+        except ValueError:
+            raise self._nonsense("a step") from None
+        self._truth = truth
         if not np.isfinite(outputs).all():
             raise PlantError(f"{self._name}: an output is not finite", status="diverged")
-        return cast(FloatArray, outputs)
+        return outputs
+
+    def _nonsense(self, order: str) -> PlantError:
+        """End a child that answers what no plant does, and return the error."""
+        if self._child is not None:
+            self._child.end(polite=False)
+            self._child = None
+        return PlantError(f"{self._name}: the child's answer to {order} is no answer", status="crashed")
 
     def _fitting(self, u: FloatArray) -> FloatArray:
         array = np.asarray(u, dtype=np.float64)
@@ -252,6 +287,9 @@ def isolated(plant: str, *, timeout: float = 10.0, **options: Any) -> IsolatedPl
     return IsolatedPlant(plant, options, timeout=timeout)
 
 
+_DECODER = msgspec.msgpack.Decoder(frames.Answer)
+
+
 class _Gone(Exception):
     """The child did not survive, or had to be ended."""
 
@@ -273,15 +311,16 @@ class _Child:
     def __init__(self, show_output: bool) -> None:
         self.dropped: list[int] = []  # numbers of states that nobody holds any more
         self.folder = temporary_folder("sysid-isolated-")
-        self.pipe, theirs = Pipe()
+        self.pipe, theirs = socket.socketpair()
         environment = {
             **os.environ,
             "TMPDIR": str(self.folder),
-            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+            "PYTHONPATH": os.pathsep.join(dict.fromkeys(os.path.abspath(path) for path in sys.path)),
         }
         self.process = subprocess.Popen(
-            [sys.executable, "-c", "from plants.isolated_child import serve; serve()", str(theirs.fileno())],
+            [sys.executable, "-P", "-c", "from plants.isolated_child import serve; serve()", str(theirs.fileno())],
             pass_fds=[theirs.fileno()],
+            cwd=self.folder,
             stdin=subprocess.DEVNULL,
             stdout=2 if show_output else subprocess.DEVNULL,
             stderr=None if show_output else subprocess.DEVNULL,
@@ -291,20 +330,20 @@ class _Child:
         theirs.close()
         self._finalizer = weakref.finalize(self, _end, self.process, self.pipe, self.folder)
 
-    def call(self, name: str, arguments: tuple[Any, ...], limit: float) -> Any:
-        """Send an order and wait for the answer."""
+    def call(self, name: str, arguments: tuple[Any, ...], limit: float, largest: int) -> frames.Answer:
+        """Send an order and wait for the answer, which has at most so many bytes."""
         dropped, self.dropped[:] = self.dropped.copy(), []
         try:
-            self.pipe.send_bytes(pickle.dumps((name, arguments, dropped), protocol=5))
-            if not self.pipe.poll(limit):
-                self.end(polite=False)
-                raise _Gone(f"no answer to {name} within {limit:g} s", "timeout")
-            good, answer = pickle.loads(self.pipe.recv_bytes())
+            frames.send(self.pipe, pickle.dumps((name, arguments, dropped), protocol=5), limit=limit)
+            return _DECODER.decode(frames.receive(self.pipe, largest=largest, limit=limit))
+        except TimeoutError:
+            self.end(polite=False)
+            raise _Gone(f"no answer to {name} within {limit:g} s", "timeout") from None
+        except (msgspec.DecodeError, HarnessError):  # no frame of ours, or a spec that makes no sense
+            self.end(polite=False)
+            raise _Gone(f"the child's answer to {name} is no answer", "crashed") from None
         except (EOFError, OSError):
             raise _Gone(f"{self._obituary()} during {name}", "crashed") from None
-        if not good:
-            raise answer
-        return answer
 
     def _obituary(self) -> str:
         """Return how the process ended."""
@@ -333,7 +372,16 @@ class _Child:
         self._finalizer()
 
 
-def _end(process: subprocess.Popen[bytes], pipe: Connection, folder: Path) -> None:
+def _from_here(name: str, value: Any) -> Any:
+    """Return an option with the path of a file made absolute: the child works in another folder."""
+    if isinstance(value, Path):
+        return value.absolute()
+    if isinstance(value, str) and (name == "path" or ("." in value and os.path.exists(value))):
+        return os.path.abspath(value)
+    return value
+
+
+def _end(process: subprocess.Popen[bytes], pipe: socket.socket, folder: Path) -> None:
     """Kill the process with all it started, and remove what it left in its temporary folder."""
     pipe.close()
     try:

@@ -8,25 +8,29 @@ import inspect
 import os
 import pickle
 import shutil
+import socket
 import sys
 import threading
 import time
 from collections.abc import Callable
-from multiprocessing.connection import Connection
 from typing import Any, cast
 
+import msgspec
 import numpy as np
 
 from harness.errors import HarnessError, InputError, PlantError
+from harness.options import check_options, instead
 from harness.protocols import Batch, BatchTruth, Feedthrough, Plant, Snapshots, Truth
 from harness.signals import FloatArray
+from plants import frames
+from plants.frames import Answer, Made
 
 __all__ = ["serve"]
 
 
 def serve() -> None:
     """Run in the child: obey orders until the caller closes the pipe."""
-    pipe = Connection(int(sys.argv[1]))
+    pipe = socket.socket(fileno=int(sys.argv[1]))
     parent = os.getppid()
 
     def watch() -> None:
@@ -39,35 +43,41 @@ def serve() -> None:
     threading.Thread(target=watch, daemon=True).start()
     plant: Plant | None = None
     states: dict[int, Any] = {}
-    number = 0
+    number, told = 0, 0
     while True:
         try:
-            name, arguments, dropped = pickle.loads(pipe.recv_bytes())
+            name, arguments, dropped = pickle.loads(frames.receive(pipe))
         except (EOFError, OSError):
             break
         for old in dropped:
             states.pop(old, None)
-        answer: Any
-        good = True
         try:
             if name == "make":
                 plant = _made(*pickle.loads(arguments[0]))
-                answer = (plant.spec, set(plant.abilities), getattr(plant, "snapshot_tolerance", None))
+                told = len(getattr(plant, "warnings", ()))
+                tolerance = getattr(plant, "snapshot_tolerance", None)
+                abilities = tuple(sorted(plant.abilities))
+                answer = Answer(made=Made(plant.spec, abilities, None if tolerance is None else float(tolerance)))
             elif plant is None:
                 raise PlantError("no plant was made")
             elif name == "get_state":
                 number += 1
                 states[number] = cast(Snapshots, plant).get_state()
-                answer = number
+                answer = Answer(number=number)
             else:
-                outputs = _obey(plant, name, arguments, states)
-                answer = (outputs, cast(Truth, plant).truth() if "truth" in plant.abilities else np.zeros(0))
+                outputs = np.ascontiguousarray(_obey(plant, name, arguments, states), dtype=np.float64)
+                truth = cast(Truth, plant).truth().tobytes() if "truth" in plant.abilities else b""
+                renew = name == "reset" and bool(getattr(plant, "needs_process", False))
+                answer = Answer(values=outputs.tobytes(), truth=truth, renew=renew)
         except HarnessError as error:
-            good, answer = False, error
+            answer = Answer(trouble=frames.trouble(error))
         except Exception as error:
             text = " ".join(f"raised {type(error).__name__}: {error}".split())
-            good, answer = False, PlantError(text[:500], status="crashed")
-        pipe.send_bytes(pickle.dumps((good, answer), protocol=5))
+            answer = Answer(trouble=frames.trouble(PlantError(text[:500], status="crashed")))
+        said = tuple(getattr(plant, "warnings", ()))
+        if name != "make" and len(said) > told:  # what a plant says later than in its making
+            answer, told = msgspec.structs.replace(answer, notes=said[told:]), len(said)
+        frames.send(pipe, msgspec.msgpack.encode(answer))
     states.clear()
     if plant is not None:
         plant.close()
@@ -101,12 +111,16 @@ def _made(factory: str | Callable[..., Plant], options: dict[str, Any]) -> Plant
     try:
         inspect.signature(maker).bind(**options)
     except TypeError as error:
+        known = inspect.signature(maker).parameters
+        unknown = [name for name in options if name not in known]
+        lacking = [name for name, one in known.items() if one.default is one.empty and name not in options]
         raise InputError(
             f"options of the plant {factory if isinstance(factory, str) else maker.__name__!r}",
-            expected=f"options among ({', '.join(inspect.signature(maker).parameters)})",
+            expected=f"options among ({', '.join(known)})",
             got=", ".join(f"{name}={value!r}" for name, value in options.items()) or "none",
-            remedy=f"correct them: {error}",
+            remedy=instead(unknown, known) if unknown else f"give {', '.join(lacking)}",
         ) from error
+    check_options(f"the plant {factory if isinstance(factory, str) else maker.__name__!r}", maker, options)
     return maker(**options)
 
 

@@ -19,9 +19,7 @@ STILL = 1e-12
 def glider_ode(**options: Any) -> OdePlant:
     """Perching glider: two flat plates (wing with fuselage, elevator) in still air, driven by the elevator's rate.
 
-    Each plate feels a force along its normal, ``F = -rho S |v| (n . v)`` with the velocity v of its centre: the flat
-    plate of lift ``2 sin(a) cos(a)`` and drag ``2 sin(a)^2``. Pitch theta and elevator phi count positive nose down, as
-    a turn about the axis y with x forward and z up does. The stops of the elevator (-0.4463, 0.9473 rad) are left out.
+    The model ``perching-glider``. The stops of the elevator (-0.4463, 0.9473 rad) are left out.
 
     Parameters
     ----------
@@ -32,8 +30,6 @@ def glider_ode(**options: Any) -> OdePlant:
 
     Notes
     -----
-    Model: J. W. Roberts, R. Cory, R. Tedrake, "On the controllability of fixed-wing perching", American Control
-    Conference 2009, section II; parameters of the glider in Drake's examples (there pitch counts positive nose up).
     It starts 3.5 m before the perch at 7 m/s.
 
     Examples
@@ -42,73 +38,8 @@ def glider_ode(**options: Any) -> OdePlant:
     phidot [rad/s] -> x [m], z [m], theta [rad], phi [rad] every 0.01 s
     """
     start = {"x": -3.5, "z": 0.1, "xdot": 7.0}
-    defaults = {"model": _glider(), "u_limit": 13.0, "initial": start, "sample_time": 0.01}
+    defaults = {"model": "perching-glider", "u_limit": 13.0, "initial": start, "sample_time": 0.01}
     return named("glider-ode", defaults, options)
-
-
-def _glider() -> Any:
-    """Return the equations of motion of the glider."""
-    import sympy as sp
-
-    from harness.physics import Ode
-
-    units = {
-        "x": "m",
-        "z": "m",
-        "theta": "rad",
-        "phi": "rad",
-        "xdot": "m/s",
-        "zdot": "m/s",
-        "thetadot": "rad/s",
-        "phidot": "rad/s",
-    }
-    given = {
-        "m": ("kg", 0.08),
-        "I": ("kg m^2", 0.0015),
-        "S_w": ("m^2", 0.0885),
-        "S_e": ("m^2", 0.0147),
-        "l_w": ("m", 0.0),
-        "l_h": ("m", 0.27),
-        "l_e": ("m", 0.022),
-        "rho": ("kg/m^3", 1.204),
-        "g": ("m/s^2", 9.81),
-    }
-    model = Ode(
-        "glider",
-        x="x z theta phi xdot zdot thetadot",
-        u="phidot",
-        p=" ".join(given),
-        units=units,
-        parameters=given,
-    )
-    x, z, theta, phi, vx, vz, rate = model.x
-    (turn,) = model.u
-    m, inertia, s_w, s_e, l_w, l_h, l_e, rho, g = model.p
-    tail = theta + phi
-
-    def force(area: Any, angle: Any, px: Any, pz: Any) -> Any:
-        """Return the force along the normal (sin, cos) of a plate whose centre moves with (px, pz)."""
-        return -rho * area * sp.sqrt(px**2 + pz**2 + STILL) * (sp.sin(angle) * px + sp.cos(angle) * pz)
-
-    wing = force(s_w, theta, vx - l_w * rate * sp.sin(theta), vz - l_w * rate * sp.cos(theta))
-    swing = l_e * (rate + turn)
-    elevator = force(
-        s_e,
-        tail,
-        vx + l_h * rate * sp.sin(theta) + swing * sp.sin(tail),
-        vz + l_h * rate * sp.cos(theta) + swing * sp.cos(tail),
-    )
-    model.rhs = [
-        vx,
-        vz,
-        rate,
-        turn,
-        (wing * sp.sin(theta) + elevator * sp.sin(tail)) / m,
-        (wing * sp.cos(theta) + elevator * sp.cos(tail)) / m - g,
-        (elevator * (l_h * sp.cos(phi) + l_e) - wing * l_w) / inertia,
-    ]
-    model.outputs = {"x": x, "z": z, "theta": theta, "phi": phi}
-    return model
 
 
 def hydro_cart_pole_ode(**options: Any) -> OdePlant:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from harness.protocols import Experiment
 from harness.rng import Streams
 from harness.signals import FloatArray, PlantSpec
 from scenarios import signals
+from scenarios.arm_models import arm_of
 from scenarios.conditions import Conditions
 from scenarios.noise import PerChannel, per_channel
 
@@ -77,7 +77,7 @@ class ArmTracking(Conditions):
                 remedy="use an arm, or an open-loop scenario",
             )
         n = self.length(spec)
-        reference = self._reference(n, spec, positions, rng=streams(f"{role}/excitation"))
+        reference, posture = self._planned(n, spec, positions, rng=streams(f"{role}/excitation"))
         law = self.law(spec)
         controller = _Tracking(spec, positions, rates if len(rates) == spec.nu else [], reference, law, self.cutoff)
         excitation = np.zeros((n, spec.nu))
@@ -88,7 +88,11 @@ class ArmTracking(Conditions):
             rng = streams(f"{role}/torque")
             for i, peak in enumerate(peaks):
                 excitation[:, i] = peak * signals.multisine(n, n, lines, rng=rng)
-        return self.experiment(spec, excitation, streams=streams, role=role, controller=controller)
+        states = {channel.name for channel in spec.states}
+        names = [spec.outputs[i].name for i in positions]
+        start = {} if posture is None else dict(zip(names, posture.tolist(), strict=True))
+        start = {name: value for name, value in start.items() if name in states}
+        return self.experiment(spec, excitation, streams=streams, role=role, controller=controller, x0=start)
 
     def law(self, spec: PlantSpec) -> _Law:
         """Return the feedback law for this plant."""
@@ -100,20 +104,13 @@ class ArmTracking(Conditions):
         """Return the inverse dynamics that the controller uses."""
         if self.inverse_dynamics is not None:
             return self.inverse_dynamics
-        from harness.physics.urdf import load_urdf
+        return arm_of(self.urdf, spec).inverse_dynamics
 
-        path = self.urdf if self.urdf is not None else _iiwa_urdf(spec)
-        arm = load_urdf(path)
-        if arm.n != spec.nu:
-            raise InputError(
-                "model of the arm",
-                expected=f"{spec.nu} moving joints, one for each input",
-                got=str(arm.n),
-                remedy="give the URDF of this arm",
-                file=path,
-                place="urdf",
-            )
-        return arm.inverse_dynamics
+    def _planned(
+        self, n: int, spec: PlantSpec, positions: list[int], *, rng: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Return the reference about the start, (3, n, joints), and the posture to start from if one is wanted."""
+        return self._reference(n, spec, positions, rng=rng), None
 
     def _reference(self, n: int, spec: PlantSpec, positions: list[int], *, rng: np.random.Generator) -> FloatArray:
         """Return position, rate and acceleration about the start, shape (3, n, joints)."""
@@ -126,7 +123,7 @@ class ArmTracking(Conditions):
                 got=f"band {self.band}, lines {self.lines}, fade {self.fade}",
                 remedy="correct the options",
             )
-        t = np.arange(n) * spec.sample_time
+        t: FloatArray = np.arange(n, dtype=np.float64) * spec.sample_time
         omega = 2 * np.pi * np.linspace(self.band[0], self.band[1], self.lines)
         moves = np.zeros((3, n, len(positions)))
         for joint, peak in enumerate(peaks):
@@ -136,6 +133,10 @@ class ArmTracking(Conditions):
             moves[0, :, joint] = np.sin(angle) @ shares
             moves[1, :, joint] = np.cos(angle) @ (shares * omega)
             moves[2, :, joint] = -np.sin(angle) @ (shares * omega**2)
+        return self.faded(t, moves)
+
+    def faded(self, t: FloatArray, moves: FloatArray) -> FloatArray:
+        """Return position, rate and acceleration (3, N, joints) about the start, faded in smoothly."""
         s = np.clip(t / self.fade, 0, 1)[:, None]
         fade = s**3 * (10 - 15 * s + 6 * s**2)
         slope = 30 * s**2 * (1 - s) ** 2 / self.fade
@@ -392,18 +393,3 @@ class _Balance:
 def _outputs_in(spec: PlantSpec, units: tuple[str, ...]) -> list[int]:
     """Return the indices of the outputs with one of these units."""
     return [i for i, channel in enumerate(spec.outputs) if channel.unit in units]
-
-
-def _iiwa_urdf(spec: PlantSpec) -> Path:
-    """Return the URDF of the KUKA iiwa that PyBullet brings, for a plant with seven inputs."""
-    found = importlib.util.find_spec("pybullet_data") if spec.nu == 7 else None
-    path = None if found is None or found.origin is None else Path(found.origin).parent / "kuka_iiwa" / "model.urdf"
-    if path is None or not path.is_file():
-        raise InputError(
-            "model of the arm",
-            expected="a URDF, or a plant with seven inputs and PyBullet's data installed",
-            got=f"{spec.nu} inputs",
-            remedy="give urdf, or inverse_dynamics, or for arm-pd kp, kd and gravity_compensation = false",
-            place="urdf",
-        )
-    return path

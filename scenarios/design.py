@@ -15,9 +15,24 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["Design", "FourierReference", "JointLimits", "condition_number", "design_reference", "identifiable_columns"]
+__all__ = [
+    "Design",
+    "FourierReference",
+    "JointLimits",
+    "condition_number",
+    "design_reference",
+    "deviation_of",
+    "identifiable_columns",
+]
 
 Regressor = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+Violation = Callable[[FloatArray, FloatArray, FloatArray], float]
+Criterion = Callable[[FloatArray], float]
+FORBIDDEN = 1e9
+"""Cost of a reference that breaks a limit, before the size of the breach: above any condition number in doubles."""
+
+PROMISING = 4
+"""Starts that are searched from before one is chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +99,7 @@ class FourierReference:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A designed reference, its condition number, and that of the best random start."""
+    """A designed reference, its criterion (by default the condition number), and that of the best random start."""
 
     reference: FourierReference
     condition: float
@@ -130,6 +145,30 @@ def condition_number(W: FloatArray, *, scaled: bool = True) -> float:
     return float(np.sqrt(values[-1] / values[0])) if values[0] > 0 else float("inf")
 
 
+def deviation_of(W: FloatArray, column: int) -> float:
+    """Return the standard deviation of one parameter under torque noise of 1, the others unknown.
+
+    The inverse of how much of its column no other column makes; with the difference of two effects in that column, of
+    how well the pair is told apart.
+
+    Parameters
+    ----------
+    W : array (M, k)
+    column : int
+        Of the parameter.
+
+    Examples
+    --------
+    >>> deviation_of(np.array([[1.0, 1.0], [0.0, 2.0]]), 1)
+    0.5
+    """
+    others = np.delete(W, column, axis=1)
+    size = np.linalg.norm(others, axis=0)
+    part = np.linalg.lstsq(others / np.where(size > 0, size, 1.0), W[:, column], rcond=None)[0]
+    left = float(np.linalg.norm(W[:, column] - others / np.where(size > 0, size, 1.0) @ part))
+    return 1.0 / left if left > 0 else float("inf")
+
+
 def design_reference(
     regressor: Regressor,
     limits: JointLimits,
@@ -140,6 +179,8 @@ def design_reference(
     starts: int = 20,
     steps: int = 1000,
     scaled: bool = True,
+    violation: Violation | None = None,
+    criterion: Criterion | None = None,
     rng: np.random.Generator,
 ) -> Design:
     """Return a reference under which the inertial parameters are well conditioned.
@@ -160,12 +201,22 @@ def design_reference(
         Random references to choose from, and steps of the search from the best of them.
     scaled : bool
         Scale the columns to unit length first, so that the units of the parameters do not count.
+    violation : callable, optional
+        ``(q, v, a) -> float``, 0 where torques and places are within their limits, else by how much they are not.
+    criterion : callable, optional
+        Of the whole regressor, in place of the condition number of its identifiable columns:
+        :func:`deviation_of` a chosen parameter.
     rng : numpy.random.Generator
         Draws both.
 
     Returns
     -------
     Design
+
+    Raises
+    ------
+    InputError
+        If no reference that keeps the limits is found.
 
     Notes
     -----
@@ -182,7 +233,8 @@ def design_reference(
         middle, reach = 0.5 * (q.max(axis=0) + q.min(axis=0)), 0.5 * np.ptp(q, axis=0)
         # 0.97: peaks between the points of the dense grid
         scale = np.minimum(half / reach, limits.rate / np.abs(v).max(axis=0)) * 0.97
-        size = np.minimum(scale, 1.0)[:, None]
+        # raw[2] says, beside the middle, how much of what the limits leave is used: where torques or places limit it
+        size = np.minimum(scale, 1.0)[:, None] * (1.0 if violation is None else 1 / (1 + np.exp(-raw[2, :, 1:2])))
         # the middle of the motion may lie anywhere that keeps the limits: raw[2] says where
         room = np.maximum(half - reach * size[:, 0] / 0.97, 0.0)
         centre = 0.5 * (limits.high + limits.low) - middle * size[:, 0] + np.tanh(raw[2, :, 0]) * room
@@ -195,18 +247,38 @@ def design_reference(
     columns = identifiable_columns(np.vstack([regressor(*motion) for motion in many]))
 
     def cost(raw: FloatArray) -> float:
-        return condition_number(regressor(*made(raw).at(t))[:, columns], scaled=scaled)
+        reference = made(raw)
+        breach = violation(*reference.at(dense)) if violation is not None else 0.0
+        if breach > 0:
+            return FORBIDDEN * (1 + breach)
+        W = regressor(*reference.at(t))
+        return condition_number(W[:, columns], scaled=scaled) if criterion is None else criterion(W)
 
     trials = [draw() for _ in range(max(1, starts))]
     costs = [cost(raw) for raw in trials]
-    best, value = trials[int(np.argmin(costs))], min(costs)
-    first, size = value, 0.3
-    for _ in range(steps):
-        mask = rng.random(best.shape) < 0.3
-        trial = best + size * mask * rng.standard_normal(best.shape) * half[:, None]
-        new = cost(trial)
-        if new < value:
-            best, value, size = trial, new, size * 1.22
-        else:
-            size = max(size * 0.951, 1e-3)
+    order = np.argsort(costs)
+    first = costs[int(order[0])]
+
+    def searched(best: FloatArray, value: float, size: float, count: int) -> tuple[float, FloatArray, float]:
+        for _ in range(count):
+            mask = rng.random(best.shape) < 0.3
+            trial = best + size * mask * rng.standard_normal(best.shape) * half[:, None]
+            new = cost(trial)
+            if new < value:
+                best, value, size = trial, new, size * 1.22
+            else:
+                size = max(size * 0.951, 1e-3)
+        return value, best, size
+
+    # A few of the best starts go some way, because the search ends where it began; the best of them goes on.
+    few = [searched(trials[k], costs[k], 0.3, steps // (2 * PROMISING)) for k in order[:PROMISING]]
+    value, best, size = min(few, key=lambda one: one[0])
+    value, best, _ = searched(best, value, size, steps - len(few) * (steps // (2 * PROMISING)))
+    if value >= FORBIDDEN:
+        raise InputError(
+            "design of an experiment",
+            expected="a reference within the limits of torque and workspace",
+            got=f"none in {starts} starts and {steps} steps",
+            remedy="widen the limits, or lower the rate",
+        )
     return Design(made(best), value, first)

@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
+from harness.benchmark.query import Answer, query
 from harness.benchmark.row import Row
-from harness.benchmark.running import BenchResult, bench, table
+from harness.benchmark.running import BenchResult, bench, plan, table
 from harness.benchmark.suite import Suite, load_suite
 
-__all__ = ["BenchResult", "Row", "Suite", "bench", "load_suite", "table"]
+__all__ = ["Answer", "BenchResult", "Row", "Suite", "bench", "load_suite", "plan", "query", "table"]

@@ -6,6 +6,7 @@ import math
 import multiprocessing
 import os
 import tempfile
+from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass
@@ -22,14 +23,20 @@ from harness.workers import death, worker_pool
 
 __all__ = ["DaskEngine", "Engine", "LocalEngine", "make_engine"]
 
-POLL = 0.1  # s between looks at the shards
+POLL = 0.5  # s between signs of life while nothing finishes
+AHEAD = 4  # tasks for each worker that the pool holds: enough that no worker waits, few enough that looking is cheap
+BUNDLE = 20  # tasks that travel to a cluster together, at most: one pool of processes serves them all
+SHARES = 8  # bundles for each cluster worker, at least, so that all end at about the same time
+
+Moved = Callable[[str, Sequence[str]], None]
+"""Called with a title and the jobs whose rows have been added."""
 
 
 class Engine(Protocol):
     """Something that runs tasks; every row ends up as a shard in the folder."""
 
-    def run(self, tasks: Sequence[Task], shards: Path, moved: Callable[[str], None]) -> None:
-        """Run all tasks; ``moved`` is called with a title whenever shards may have been added."""
+    def run(self, tasks: Sequence[Task], shards: Path, moved: Moved) -> None:
+        """Run all tasks; ``moved`` is called with a title, and the jobs whose rows have been added."""
         ...
 
 
@@ -75,14 +82,17 @@ class LocalEngine:
 
     workers: int
 
-    def run(self, tasks: Sequence[Task], shards: Path, moved: Callable[[str], None]) -> None:
+    def run(self, tasks: Sequence[Task], shards: Path, moved: Moved) -> None:
         """Run all tasks; see :class:`Engine`."""
         with worker_pool(min(self.workers, len(tasks))) as pool:
-            self._drain(pool, list(tasks), shards, moved)
+            self._drain(pool, deque(tasks), shards, moved)
 
-    @staticmethod
-    def _drain(pool: Any, tasks: list[Task], shards: Path, moved: Callable[[str], None]) -> None:
-        """Schedule the tasks, and again what is left of a task whose worker was lost."""
+    def _drain(self, pool: Any, tasks: deque[Task], shards: Path, moved: Moved) -> None:
+        """Keep a few tasks for each worker in the pool, and put back what is left of one whose worker was lost.
+
+        Waiting and the pool's own bookkeeping look at every task that is scheduled, so scheduling all of them at once
+        costs the square of their number.
+        """
         waiting: dict[Any, Task] = {}
 
         def schedule(task: Task) -> None:
@@ -90,19 +100,20 @@ class LocalEngine:
             backstop = math.ceil((len(task.cells) + 1) * (task.time_limit + 10))
             waiting[pool.schedule(do_task, args=[task, str(shards)], timeout=backstop)] = task
 
-        for task in tasks:
-            schedule(task)
-        while waiting:
+        while tasks or waiting:
+            while tasks and len(waiting) < AHEAD * self.workers:
+                schedule(tasks.popleft())
             done, _ = wait(list(waiting), timeout=POLL, return_when=FIRST_COMPLETED)
             if not done:
-                moved("")
+                moved("", ())
             for future in done:
                 task = waiting.pop(future)
                 error = future.exception()
                 rest = _after_loss(task, shards, error) if error is not None else None
-                moved(task.title)
+                left = {cell.job for cell in rest.cells} if rest is not None else set()
+                moved(task.title, [cell.job for cell in task.cells if cell.job not in left])
                 if rest is not None:
-                    schedule(rest)
+                    tasks.appendleft(rest)
 
 
 def _after_loss(task: Task, shards: Path, error: BaseException) -> Task | None:
@@ -126,11 +137,14 @@ def _after_loss(task: Task, shards: Path, error: BaseException) -> Task | None:
 
 @dataclass(frozen=True)
 class DaskEngine:
-    """A dask cluster: each of its tasks carries one of ours and runs it through the local engine where it lands."""
+    """A dask cluster: each of its tasks carries some of ours and runs them through the local engine where it lands.
+
+    A cluster worker that dies loses nothing: the scheduler gives its bundle to another.
+    """
 
     address: str
 
-    def run(self, tasks: Sequence[Task], shards: Path, moved: Callable[[str], None]) -> None:
+    def run(self, tasks: Sequence[Task], shards: Path, moved: Moved) -> None:
         """Run all tasks; see :class:`Engine`."""
         try:
             import distributed
@@ -153,10 +167,13 @@ class DaskEngine:
                 remedy="start one with 'dask scheduler' or correct the address",
             ) from error
         with client:
-            futures = {client.submit(run_elsewhere, task, pure=False, retries=1): task for task in tasks}
+            workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
+            size = max(1, min(BUNDLE, len(tasks) // (SHARES * workers)))
+            bundles = [tuple(tasks[k : k + size]) for k in range(0, len(tasks), size)]
+            futures = {client.submit(run_elsewhere, bundle, pure=False, retries=1): bundle for bundle in bundles}
             try:
                 for future in completed(list(futures), loop=client.loop):
-                    task = futures[future]
+                    bundle = futures.pop(future)
                     lost = future.exception()
                     if lost is None:
                         for name, content in future.result().items():
@@ -165,23 +182,25 @@ class DaskEngine:
                             scratch.replace(shards / name)
                     else:
                         reason = f"the cluster lost the task: {type(lost).__name__}: {lost}"
-                        for cell in task.cells:
-                            write_row(blank(task, cell, status="crashed", reason=reason), shards)
-                    moved(task.title)
+                        for task in bundle:
+                            for cell in task.cells:
+                                write_row(blank(task, cell, status="crashed", reason=reason), shards)
+                    moved(bundle[-1].title, [cell.job for task in bundle for cell in task.cells])
+                    future.release()  # the rows are here: the cluster need not keep them
             except BaseException:
                 client.cancel(list(futures))
                 raise
 
 
-def run_elsewhere(task: Task) -> dict[str, bytes]:
-    """Run one task through the local engine on a worker of a cluster; returns its shards by file name."""
+def run_elsewhere(tasks: tuple[Task, ...]) -> dict[str, bytes]:
+    """Run tasks through the local engine on a worker of a cluster; returns their shards by file name."""
     process = multiprocessing.current_process()
     configuration = getattr(process, "_config", {})
     daemon = configuration.get("daemon", False)
     configuration["daemon"] = False  # cluster workers are daemons by default, and daemons may not have children
     try:
         with tempfile.TemporaryDirectory(prefix="sysid-harness-") as folder:
-            LocalEngine(1).run([task], Path(folder), lambda _: None)
+            LocalEngine(1).run(tasks, Path(folder), lambda title, jobs: None)
             return {path.name: path.read_bytes() for path in Path(folder).glob("*.json")}
     finally:
         configuration["daemon"] = daemon

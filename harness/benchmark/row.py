@@ -21,7 +21,10 @@ class Row(msgspec.Struct, kw_only=True):
 
     ``equation_error`` and ``simulation_error`` are the root mean square over outputs and held-out records of the
     NRMSE (rms of the residual over the standard deviation of the output), so they carry no unit; the rms of each
-    output in its own unit stands beside them.
+    output in its own unit stands beside them. ``noise_floor`` is the same figure of the sensor noise in the held-out
+    records: what the true plant from the true initial state would score, so no model can do better but by luck.
+    ``axes`` and ``axis_values`` say where on the axes of its group a cell lies. ``memory_mib`` is the most that the
+    worker process has had in memory so far.
     """
 
     job: str
@@ -31,6 +34,9 @@ class Row(msgspec.Struct, kw_only=True):
     seed: int
     status: str = "ok"
     reason: str = ""
+    axes: list[str] = []
+    axis_values: list[float] = []
+    noise_floor: float | None = None
     equation_error: float | None = None
     simulation_error: float | None = None
     regret: float | None = None
@@ -50,11 +56,15 @@ class Row(msgspec.Struct, kw_only=True):
     data_seconds: float = 0.0
     fit_seconds: float = 0.0
     score_seconds: float = 0.0
+    memory_mib: float | None = None
 
 
 def blank(task: Task, cell: Cell, *, status: str = "ok", reason: str = "") -> Row:
     """Return the row of a cell of which nothing else is known."""
+    at = {**task.plant.at, **task.scenario.at, **cell.identifier.at}
     return Row(
+        axes=list(at),
+        axis_values=list(at.values()),
         job=cell.job,
         plant=task.plant.name,
         scenario=task.scenario.name,

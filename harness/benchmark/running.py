@@ -5,13 +5,16 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from harness.benchmark.engines import make_engine
+from harness.benchmark.planning import Plan, plan_of, read_shard, share
 from harness.benchmark.probes import probe_plants
+from harness.benchmark.progress import Progress
 from harness.benchmark.row import Row
 from harness.benchmark.store import Store
 from harness.benchmark.suite import Cell, Task, cells_of, load_suite, tasks_of
@@ -22,7 +25,7 @@ if TYPE_CHECKING:
 
     from harness.benchmark.tables import Summary
 
-__all__ = ["BenchResult", "bench", "table"]
+__all__ = ["BenchResult", "bench", "plan", "table"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +70,10 @@ class BenchResult:
 
     def summary(self) -> list[Summary]:
         """Return median, quartiles and counts of each plant x scenario x identifier."""
+        return self._summary
+
+    @cached_property
+    def _summary(self) -> list[Summary]:
         from harness.benchmark.tables import summarise
 
         return summarise(self.rows, self.cells)
@@ -77,6 +84,12 @@ class BenchResult:
 
         return rich_table(self)
 
+    def render(self, form: str) -> str:
+        """Return the table as ``"markdown"``, ``"latex"`` or ``"csv"``."""
+        from harness.benchmark.exports import render
+
+        return render(self, form)
+
     def query(self, sql: str) -> list[dict[str, Any]]:
         """Return the records of a DuckDB query over the tables ``results``, ``timings`` and ``regret``.
 
@@ -85,11 +98,11 @@ class BenchResult:
         InputError
             If the benchmark has no folder, or DuckDB refuses the query.
         """
-        from harness.benchmark.tables import query
+        from harness.benchmark.query import query
 
         if self.folder is None:
             raise InputError("query", expected="a benchmark in a folder", got="none", remedy="give bench(out=...)")
-        return query(Store(self.folder), sql)
+        return query(self.folder, sql).records()
 
     def to_records(self) -> list[dict[str, Any]]:
         """Return the rows as plain dictionaries, ready for JSON."""
@@ -107,6 +120,7 @@ def bench(
     seeds: tuple[int, int] | Sequence[int] | None = None,
     engine: str = "local",
     resume: bool = False,
+    shard: str | None = None,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> BenchResult:
     """Run a suite of plants x scenarios x identifiers x seeds.
@@ -129,8 +143,11 @@ def bench(
         ``"local"`` or ``"dask://HOST:PORT"``.
     resume : bool
         Continue in a folder that has rows of this suite.
+    shard : str, optional
+        ``"i/n"``: run the i-th of n shares, in the folder ``shard-i-of-n`` of ``out``; :func:`table` puts the shares
+        of a job array together.
     progress : callable, optional
-        Called as ``progress(rows_done, rows, what)``.
+        Called as ``progress(rows_done, rows, what)``; the text has counts by status, rate and time left.
 
     Returns
     -------
@@ -144,13 +161,46 @@ def bench(
         If the user interrupts; what was finished is kept.
     """
     read = load_suite(suite)
-    tasks = tasks_of(read, _seed_list(seeds))
+    everything = tasks_of(read, _seed_list(seeds))
+    part = read_shard(shard)
+    tasks = share(everything, part)
     made = make_engine(engine, workers)
+    if part is not None:
+        if out is None:
+            raise InputError("a share of a suite", expected="a folder", got="none", remedy="give --out", place="shard")
+        order = [cell.job for _, cell in cells_of(everything)]
+        store = Store(Path(out) / f"shard-{part[0]}-of-{part[1]}")
+        return _run(read, tasks, made, store, resume=resume, progress=progress, report=False, order=order)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="sysid-bench-") as scratch:
             result = _run(read, tasks, made, Store(Path(scratch)), resume=False, progress=progress, report=False)
         return replace(result, folder=None)
     return _run(read, tasks, made, Store(Path(out)), resume=resume, progress=progress, report=True)
+
+
+def plan(
+    suite: str | Path,
+    *,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    seeds: tuple[int, int] | Sequence[int] | None = None,
+    shard: str | None = None,
+) -> Plan:
+    """Return what :func:`bench` with the same arguments would run, and how long it would take; nothing is written.
+
+    Raises
+    ------
+    InputError
+        If the suite or an option cannot be used.
+    """
+    part = read_shard(shard)
+    tasks = share(tasks_of(load_suite(suite), _seed_list(seeds)), part)
+    folder = None if out is None else Path(out) / (f"shard-{part[0]}-of-{part[1]}" if part else "")
+    store = Store(folder) if folder is not None else Store(Path())
+    jobs = {cell.job for task in tasks for cell in task.cells}
+    done = jobs & set(store.rows()) if folder is not None and store.manifest.is_file() else set()
+    processes = make_engine("local", workers)
+    return plan_of(tasks, done, store.timings, getattr(processes, "workers", 1))
 
 
 def table(directory: str | Path) -> BenchResult:
@@ -167,8 +217,12 @@ def table(directory: str | Path) -> BenchResult:
         If the folder holds no benchmark.
     """
     store = Store(Path(directory))
-    store.read_manifest()
-    result = _result(store, store.consolidate(finished=False))
+    if store.shares():
+        store.merge()
+        result = _result(store, list(store.rows().values()))
+    else:
+        store.read_manifest()
+        result = _result(store, store.consolidate(finished=False))
     _write_report(result, store)
     return result
 
@@ -182,16 +236,13 @@ def _run(
     resume: bool,
     progress: Callable[[int, int, str], None] | None,
     report: bool,
+    order: Sequence[str] = (),
 ) -> BenchResult:
     """Run what is missing in the store and write its files."""
     pairs = cells_of(tasks)
-    found = store.open(suite, pairs, resume=resume)
+    found = store.open(suite, pairs, resume=resume, order=order)
     todo = [task for task in (_missing(task, found) for task in tasks) if task is not None]
-    here = store.count()
-
-    def moved(title: str) -> None:
-        if progress is not None:
-            progress(len(found) + store.count() - here, len(pairs), title)
+    moved = Progress(store, len(pairs), len(found), progress)
 
     if progress is not None:
         progress(len(found), len(pairs), suite.name)
@@ -223,7 +274,7 @@ def _result(store: Store, rows: Sequence[Row]) -> BenchResult:
     return BenchResult(
         suite=content["suite"],
         rows=tuple(rows),
-        planned=len(content["cells"]),
+        planned=content.get("planned", len(content["cells"])),
         folder=store.folder,
         versions=content["versions"],
         cells=cells,

@@ -12,21 +12,50 @@ from typing import Any
 import msgspec
 
 from harness import __version__, registry
+from harness.benchmark.axes import expanded, problem
 from harness.errors import InputError
 from harness.plant_files import fingerprint, is_plant_file
 
-__all__ = ["Cell", "Group", "Part", "Score", "Suite", "Task", "cells_of", "find_suite", "load_suite", "tasks_of"]
+__all__ = [
+    "RECORDING",
+    "Cell",
+    "Group",
+    "Part",
+    "Score",
+    "Suite",
+    "Task",
+    "cells_of",
+    "find_suite",
+    "load_suite",
+    "tasks_of",
+]
+
+
+RECORDING, RECORDED = "recording:", "recorded"
+"""Prefix of a plant that is a recording, and the scenario that goes with it."""
 
 
 class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A plant, scenario or identifier of a suite: the id of a registered part, its options, its name in the table.
 
-    A plant may also be a file (``.fmu``, ``.toml`` of a coupling, ``.ssp``), relative to the suite.
+    A plant may also be a file (``.fmu``, ``.toml`` of a coupling, ``.ssp``), relative to the suite, or a recording
+    (``recording:emps``) under the scenario ``recorded``: models are fitted to its estimation runs and scored on its
+    test runs, or else its validation runs; its noise is its own, so one seed is enough.
+
+    ``streams`` names the random streams (the name by default): parts with one name there meet the same random numbers.
+    ``at`` is filled by the axes of a group.
     """
 
     id: str
     options: dict[str, Any] = {}
     label: str = ""
+    streams: str = ""
+    at: dict[str, float] = {}
+
+    @property
+    def stream(self) -> str:
+        """What keys its random streams."""
+        return self.streams or self.name
 
     @property
     def name(self) -> str:
@@ -47,7 +76,10 @@ class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Every plant of a group meets every scenario, every identifier and every seed."""
+    """Every plant of a group meets every scenario, every identifier and every seed.
+
+    ``axes`` gives options several values: ``{"scenarios.noise" = [0.0, 0.01, 0.1]}``.
+    """
 
     plants: tuple[Part, ...]
     scenarios: tuple[Part, ...]
@@ -56,6 +88,7 @@ class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seeds: tuple[int, ...] | None = None
     score: Score = Score()
     time_limit: float | None = None
+    axes: dict[str, tuple[int | float, ...]] = {}
 
 
 class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -144,6 +177,7 @@ def load_suite(suite: str | Path) -> Suite:
     read = msgspec.structs.replace(read, groups=tuple(_located(group, path.parent) for group in read.groups))
     for number, group in enumerate(read.groups):
         _check_group(group, f"groups[{number}]", path)
+    read = msgspec.structs.replace(read, groups=tuple(expanded(group) for group in read.groups))
     if not read.groups or read.time_limit <= 0:
         raise InputError(
             "suite", expected="at least one group and a positive time_limit", got="none", remedy="add it", file=path
@@ -213,6 +247,8 @@ def _job(plant: Part, scenario: Part, identifier: Part, seed: int, score: Score)
         "seed": seed,
         "score": score,
     }
+    if plant.streams or scenario.streams:
+        content["streams"] = (plant.stream, scenario.stream)
     return hashlib.sha256(msgspec.json.encode(content, order="deterministic")).hexdigest()[:20]
 
 
@@ -237,11 +273,21 @@ def _check_group(group: Group, place: str, path: Path) -> None:
         (group.score.runs < 1 or group.score.held_out < 1, "score", "runs >= 1 and held_out >= 1"),
         (group.score.horizon is not None and group.score.horizon <= 0, "score.horizon", "a positive number of s"),
         (group.time_limit is not None and group.time_limit <= 0, "time_limit", "a positive number of s"),
+        (
+            len({p.id.startswith(RECORDING) for p in group.plants} | {s.id == RECORDED for s in group.scenarios}) > 1,
+            "scenarios",
+            f"the scenario {RECORDED!r} for recordings, and for nothing else",
+        ),
+        (bool(problem(group.axes)), "axes", problem(group.axes)),
     ]
     for kind in ("plants", "scenarios", "identifiers"):
         for number, part in enumerate(getattr(group, kind)):
             try:
-                if kind == "plants" and is_plant_file(part.id):
+                if kind == "plants" and part.id.startswith(RECORDING):
+                    registry.entry("recordings", part.id.removeprefix(RECORDING))
+                elif kind == "scenarios" and part.id == RECORDED:
+                    continue
+                elif kind == "plants" and is_plant_file(part.id):
                     fingerprint(part.id)
                 else:
                     registry.entry(kind, part.id)
@@ -268,7 +314,7 @@ def _explained(error: msgspec.ValidationError, path: Path) -> InputError:
         return InputError(
             "unknown key",
             expected="the keys of a suite: name, description, seeds, time_limit, [[groups]] with name, plants, "
-            "scenarios, identifiers (id, options, label), seeds, time_limit, score (horizon, runs, held_out)",
+            "scenarios, identifiers (id, options, label), seeds, time_limit, score (horizon, runs, held_out), axes",
             got=repr(key),
             remedy=f"remove or correct {key}",
             file=path,

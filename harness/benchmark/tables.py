@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from harness.benchmark.row import Row
-from harness.errors import InputError
+from harness.benchmark.statistics import Ranking, no_worse, ranking
 
 if TYPE_CHECKING:
     from rich.console import Group, RenderableType
 
     from harness.benchmark.running import BenchResult
-    from harness.benchmark.store import Store
 
-__all__ = ["Quartiles", "Summary", "figure", "query", "rich_table", "summarise"]
+__all__ = ["Quartiles", "Summary", "figure", "places_of", "rankings", "rich_table", "summarise"]
 
-SCORES = ("equation_error", "simulation_error", "regret")
+SCORES = ("equation_error", "simulation_error", "regret", "noise_floor", "fit_seconds", "memory_mib")
+BASELINES = ("true-model",)
+"""Identifiers that know the truth: they show what is possible and do not compete."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,11 @@ class Summary:
     equation_error: Quartiles | None
     simulation_error: Quartiles | None
     regret: Quartiles | None
+    noise_floor: Quartiles | None
+    fit_seconds: Quartiles | None
+    memory_mib: Quartiles | None
+    leading: bool
+    """The least simulation error of its plant and scenario, or one that the paired bootstrap cannot tell from it."""
     problems: tuple[tuple[str, str, int], ...]
     """(status, reason, count) of the rows that are not ok, the most frequent first."""
 
@@ -70,7 +76,7 @@ def figure(value: float | None, digits: int = 3) -> str:
 def summarise(rows: Sequence[Row], cells: Sequence[tuple[str, str, str]] = ()) -> list[Summary]:
     """Return one summary for each plant x scenario x identifier, in the order of ``cells``, then of the rows.
 
-    Medians are over the rows with status ``ok``.
+    Medians are over the rows with status ``ok``; the noise floor is that of all rows.
     """
     grouped: dict[tuple[str, str, str], list[Row]] = defaultdict(list)
     for cell in cells:
@@ -78,19 +84,81 @@ def summarise(rows: Sequence[Row], cells: Sequence[tuple[str, str, str]] = ()) -
     for row in rows:
         grouped[row.plant, row.scenario, row.identifier].append(row)
     result = []
+    leaders = _leaders(grouped)
     for (plant, scenario, identifier), own in grouped.items():
         good = [row for row in own if row.status == "ok"]
         scores = {name: _quartiles([getattr(row, name) for row in good]) for name in SCORES}
+        scores["noise_floor"] = _quartiles([row.noise_floor for row in own])
+        leading = (plant, scenario, identifier) in leaders
         counts = Counter((row.status, row.reason) for row in own if row.status != "ok")
         problems = tuple((status, reason, n) for (status, reason), n in counts.most_common())
-        result.append(Summary(plant, scenario, identifier, len(good), len(own), **scores, problems=problems))
+        result.append(
+            Summary(plant, scenario, identifier, len(good), len(own), **scores, leading=leading, problems=problems)
+        )
+    return result
+
+
+def _leaders(grouped: Mapping[tuple[str, str, str], Sequence[Row]]) -> set[tuple[str, str, str]]:
+    """Return the lines that lead their plant and scenario, over the seeds that all of its identifiers have."""
+    places: dict[tuple[str, str], dict[str, Sequence[Row]]] = defaultdict(dict)
+    for (plant, scenario, identifier), rows in grouped.items():
+        if identifier not in BASELINES and any(row.simulation_error is not None for row in rows):
+            places[plant, scenario][identifier] = rows
+    found = set()
+    for (plant, scenario), own in places.items():
+        found |= {(plant, scenario, name) for name in no_worse(_paired(own))}
+    return found
+
+
+def _paired(own: Mapping[str, Sequence[Row]]) -> dict[str, list[float | None]]:
+    """Return the simulation errors by identifier over the seeds that all have run; None where a cell is not ok."""
+    by_seed = {
+        name: {row.seed: row.simulation_error if row.status == "ok" else None for row in rows}
+        for name, rows in own.items()
+    }
+    seeds = sorted(set.intersection(*(set(scores) for scores in by_seed.values())))
+    return {name: [scores[seed] for seed in seeds] for name, scores in by_seed.items()}
+
+
+def places_of(lines: Sequence[Summary]) -> list[tuple[str, str, list[Summary]]]:
+    """Return the summaries grouped by plant and scenario."""
+    grouped: dict[tuple[str, str], list[Summary]] = {}
+    for line in lines:
+        grouped.setdefault((line.plant, line.scenario), []).append(line)
+    return [(plant, scenario, own) for (plant, scenario), own in grouped.items()]
+
+
+def rankings(rows: Sequence[Row]) -> list[Ranking]:
+    """Return a ranking for each set of identifiers that meet in the same plants and scenarios.
+
+    Blocks are plant x scenario x seed. Identifiers without a simulation error anywhere (online ones) do not take part,
+    nor does the true model.
+    """
+    places: dict[tuple[str, str], dict[str, list[Row]]] = defaultdict(lambda: defaultdict(list))
+    for row in rows:
+        if row.identifier not in BASELINES:
+            places[row.plant, row.scenario][row.identifier].append(row)
+    families: dict[frozenset[str], list[tuple[str, str]]] = defaultdict(list)
+    for place, own in places.items():
+        taking = frozenset(n for n, found in own.items() if any(row.simulation_error is not None for row in found))
+        families[taking].append(place)
+    result = []
+    for names, where in families.items():
+        blocks: list[dict[str, float | None]] = []
+        for place in where:
+            table = _paired({name: places[place][name] for name in names}) if names else {}
+            blocks += [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
+        made = ranking(blocks, [f"{plant} x {scenario}" for plant, scenario in where])
+        if made is not None:
+            result.append(made)
     return result
 
 
 def rich_table(result: BenchResult) -> Group:
     """Return the table for a terminal, and below it a line for each kind of failure with its reason.
 
-    The least simulation error of each plant and scenario stands out.
+    The least simulation error of each plant and scenario stands out, with those that the paired bootstrap over seeds
+    cannot tell from it (from five seeds on).
     """
     from rich.box import SIMPLE_HEAD
     from rich.console import Group
@@ -102,9 +170,8 @@ def rich_table(result: BenchResult) -> Group:
     for name, part in (("plant, scenario", "plant"), ("identifier", "identifier")):
         made.add_column(name, no_wrap=True, min_width=max((len(getattr(line, part)) for line in lines), default=0))
     made.add_column("ok", justify="right", no_wrap=True, min_width=5)
-    for name in ("equation error", "simulation error", "regret"):
+    for name in ("equation error", "simulation error", "floor", "regret"):
         made.add_column(name, no_wrap=True)
-    leaders = best_of(lines)
     place, row_of_place = ("", ""), 0
     for line in lines:
         row_of_place = row_of_place + 1 if place == (line.plant, line.scenario) else 0
@@ -112,61 +179,27 @@ def rich_table(result: BenchResult) -> Group:
         if not row_of_place and made.row_count:
             made.add_section()
         title = (Text(line.plant, style="bold"), Text(f"  {line.scenario}"), Text(""))[min(row_of_place, 2)]
-        style = "bold green" if line in leaders else ""
+        style = "bold green" if line.leading else ""
         made.add_row(
             title,
             Text(line.identifier, style=style),
             Text(f"{line.ok}/{line.run}", style="" if line.ok == line.run else "yellow"),
             _shown(line.equation_error) if line.ok else Text(_status(line), style="yellow"),
             Text(_shown(line.simulation_error), style=style),
+            figure(line.noise_floor.median, 2) if line.noise_floor and not row_of_place else "",
             _shown(line.regret),
         )
         if not row_of_place and _alone(line, lines):
             made.add_row(Text(f"  {line.scenario}"))
     heading = Text(f"{result.suite}: ", style="bold")
-    heading.append("median [quartiles] over seeds; errors are NRMSE on held-out data", style="not bold")
+    heading.append(
+        "median [quartiles] over seeds; errors are NRMSE on held-out data; floor: sensor noise, the least possible",
+        style="not bold",
+    )
     parts: list[RenderableType] = [heading, made]
     parts += [Text(text, style="dim") for text in _reasons(lines)]
     parts.append(Text(f"{result.ok} ok of {len(result.rows)} run, {result.planned} planned"))
     return Group(*parts)
-
-
-def best_of(lines: Sequence[Summary]) -> set[Summary]:
-    """Return, for each plant and scenario, the line with the least simulation error (the true model apart)."""
-    best: dict[tuple[str, str], Summary] = {}
-    for line in lines:
-        if line.simulation_error is None or line.identifier == "true-model":
-            continue
-        place = (line.plant, line.scenario)
-        other = best.get(place)
-        if (
-            other is None
-            or other.simulation_error is None
-            or line.simulation_error.median < other.simulation_error.median
-        ):
-            best[place] = line
-    return set(best.values())
-
-
-def query(store: Store, sql: str) -> list[dict[str, Any]]:
-    """Return the records of a query over the Parquet files, as tables ``results``, ``timings`` and ``regret``."""
-    import duckdb
-
-    connection = duckdb.connect()
-    try:
-        for name, path in (("results", store.results), ("timings", store.timings), ("regret", store.curves)):
-            connection.execute(
-                f"create view {name} as select * from read_parquet('{str(path).replace(chr(39), chr(39) * 2)}')"
-            )
-        cursor = connection.execute(sql)
-        names = [column[0] for column in cursor.description or ()]
-        return [dict(zip(names, record, strict=True)) for record in cursor.fetchall()]
-    except duckdb.Error as error:
-        raise InputError(
-            "query", expected="SQL over results, timings and regret", got=str(error), remedy="correct it", place="sql"
-        ) from error
-    finally:
-        connection.close()
 
 
 def _quartiles(values: Sequence[float | None]) -> Quartiles | None:

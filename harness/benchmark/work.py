@@ -8,9 +8,11 @@ thread of the standard library that ends the process on time even if foreign cod
 from __future__ import annotations
 
 import faulthandler
+import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +20,11 @@ import numpy as np
 
 from harness import registry
 from harness.benchmark.row import Row, blank, one_line, write_row
-from harness.benchmark.suite import Cell, Task
+from harness.benchmark.suite import RECORDING, Cell, Task
 from harness.errors import HarnessError, InputError, PlantError, PluginError
 from harness.plant_files import make_plant
 from harness.rng import Streams, stream
-from harness.signals import Trajectory
+from harness.signals import FloatArray, Trajectory, residual
 
 if TYPE_CHECKING:
     from harness.scoring import Score
@@ -46,15 +48,18 @@ def do_task(task: Task, shards: str | Path) -> None:
     """Do all cells of a task and write their shards."""
     folder = Path(shards)
     at = position_file(folder, task)
+    _stand(at, AT_DATA)
+    _preload(task)
     with watch_file(folder, task).open("w") as watch:
         _stand(at, AT_DATA)
         started = time.perf_counter()
         failure: HarnessError | None = None
         runs: list[Trajectory] = []
         held_out: list[Trajectory] = []
+        floor: float | None = None
         with _limit(task.time_limit, watch):
             try:
-                runs, held_out = _make_data(task)
+                runs, held_out, floor = _make_data(task)
             except HarnessError as error:
                 failure = error
             except (Exception, SystemExit) as error:
@@ -67,10 +72,24 @@ def do_task(task: Task, shards: str | Path) -> None:
             else:
                 with _limit(task.time_limit, watch):
                     row = _do_cell(task, cell, runs, held_out)
-            row.data_seconds = seconds
+            row.data_seconds, row.noise_floor, row.memory_mib = seconds, floor, _memory()
             write_row(row, folder)
     at.unlink(missing_ok=True)
     watch_file(folder, task).unlink(missing_ok=True)
+
+
+def _preload(task: Task) -> None:
+    """Import what the task needs, so that no cell pays for it: a first import takes seconds where cores are busy.
+
+    A part that does not load says so when it is made.
+    """
+    wanted = [("scenarios", task.scenario.id), ("plants", task.plant.id)]
+    wanted += [("identifiers", cell.identifier.id) for cell in task.cells]
+    for kind, id in dict.fromkeys(wanted):
+        with suppress(Exception, SystemExit):
+            registry.load(kind, id)
+    import harness.rollout
+    import harness.scoring  # noqa: F401
 
 
 def _stand(at: Path, where: str) -> None:
@@ -90,18 +109,90 @@ def _limit(seconds: float, watch: Any) -> Iterator[None]:
         faulthandler.cancel_dump_traceback_later()
 
 
-def _make_data(task: Task) -> tuple[list[Trajectory], list[Trajectory]]:
-    """Return the records that models are fitted to, and those that they are scored on."""
-    from harness.rollout import run
+def _make_data(task: Task) -> tuple[list[Trajectory], list[Trajectory], float | None]:
+    """Return the records that models are fitted to, those that they are scored on, and the noise floor of these."""
+    from harness.rollout import perform
 
+    if task.plant.id.startswith(RECORDING):
+        return _recorded(task.plant.id.removeprefix(RECORDING))
     scenario = registry.create("scenarios", task.scenario.id, **task.scenario.options)
-    streams = Streams(task.plant.name, task.scenario.name, task.seed)
+    streams = Streams(task.plant.stream, task.scenario.stream, task.seed)
     with make_plant(task.plant.id, dict(task.plant.options)) as plant:
 
-        def record(use: str, count: int) -> list[Trajectory]:
-            return [run(plant, scenario, streams=streams, role=f"{use}/{i}") for i in range(count)]
+        def record(role: str) -> tuple[Trajectory, dict[int, FloatArray]]:
+            experiment, clean = scenario.prepare(plant.spec, streams=streams, role=role), {}
 
-        return record("estimation", task.score.runs), record("validation", task.score.held_out)
+            def measure(k: int, y: FloatArray) -> FloatArray:
+                clean[k] = np.array(y)
+                measured: FloatArray = experiment.measure(k, y)
+                return measured
+
+            made = perform(plant, replace(experiment, measure=measure), rng=streams(f"{role}/plant"))
+            return made, clean
+
+        runs = [record(f"estimation/{i}")[0] for i in range(task.score.runs)]
+        pairs = [record(f"validation/{i}") for i in range(task.score.held_out)]
+    return runs, [made for made, _ in pairs], noise_floor(pairs)
+
+
+def _recorded(name: str) -> tuple[list[Trajectory], list[Trajectory], float | None]:
+    """Return the runs of a recording: those for estimation, and those for a test or else for validation.
+
+    The floor is that of the sensor noise that the recording declares, if it does so for every output.
+    """
+    from harness.data import load_dataset
+
+    data = load_dataset(registry.dataset_path(name)).dataset
+    held_out = list(data.test or data.validation)
+    if not data.estimation or not held_out:
+        raise InputError(
+            f"recording {name}",
+            expected="runs for estimation, and for test or validation",
+            got=f"{len(data.estimation)} and {len(held_out)}",
+            remedy="leave it out of the suite",
+        )
+    outputs = data.spec.outputs
+    if not all(channel.name in data.noise for channel in outputs):
+        return list(data.estimation), held_out, None
+    noise = np.array([data.noise[channel.name] for channel in outputs])
+    spreads = [np.std(record.y, axis=0) for record in held_out]
+    floor = float(np.sqrt(np.mean([np.mean((noise / spread) ** 2) for spread in spreads if (spread > 0).all()])))
+    return list(data.estimation), held_out, floor if np.isfinite(floor) else None
+
+
+def noise_floor(pairs: Sequence[tuple[Trajectory, dict[int, FloatArray]]]) -> float | None:
+    """Return the NRMSE that the true outputs score against the measured ones, pooled as the scores are.
+
+    None where nothing is measured with noise, or an output is a category.
+    """
+    total, count = 0.0, 0
+    for made, clean in pairs:
+        if any(channel.kind == "category" for channel in made.spec.outputs):
+            return None
+        true = np.array([clean[k] for k in range(len(made))])
+        wrong = residual(made.spec.outputs, made.y, true)
+        spread = np.array(
+            [
+                np.std(np.unwrap(column, period=channel.period) if channel.period else column)
+                for column, channel in zip(made.y.T, made.spec.outputs, strict=True)
+            ]
+        )
+        moving = spread > 0
+        if not moving.any():
+            return None
+        total += len(made) * float(np.mean(np.mean(wrong[:, moving] ** 2, axis=0) / spread[moving] ** 2))
+        count += len(made)
+    return float(np.sqrt(total / count)) or None
+
+
+def _memory() -> float | None:
+    """Return the most that this process has had in memory [MiB]."""
+    try:
+        import resource
+    except ImportError:  # a system without it
+        return None
+    kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return kilobytes / 1024 if sys.platform != "darwin" else kilobytes / 1024**2
 
 
 def _do_cell(task: Task, cell: Cell, runs: Sequence[Trajectory], held_out: Sequence[Trajectory]) -> Row:
@@ -166,6 +257,7 @@ def _fit_and_score(
     model = identifier.fit(shown, rng=rng)
     fitted = time.perf_counter()
     row.fit_seconds = fitted - started
+    row.reason = _doubts(model)
     try:
         one_step = [equation_error(model, record.measured()) for record in held_out]
         row.equation_error, row.equation_rms = _pooled(one_step)
@@ -178,6 +270,21 @@ def _fit_and_score(
         raise PlantError("the one-step predictions of the model are not finite", status="diverged")
     if row.simulation_error is None:
         raise PlantError("the free run of the model diverges on held-out data", status="diverged")
+
+
+def _doubts(model: Any) -> str:
+    """Return why the estimate of a model that is scored all the same is in doubt; empty where it is not."""
+    from harness.estimate import estimate_of
+
+    found = estimate_of(model)
+    if found is None:
+        return ""
+    doubts = [] if found.converged else [f"not converged: {found.message}" if found.message else "not converged"]
+    if found.on_bound and "on a bound" not in found.message:
+        doubts.append(f"on a bound: {', '.join(found.on_bound)}")
+    if found.rank is not None and not found.rank.full:
+        doubts.append(str(found.rank))
+    return one_line("; ".join(doubts))
 
 
 def _score_regret(identifier: Any, shown: Sequence[Trajectory], row: Row, rng: np.random.Generator) -> None:

@@ -13,7 +13,49 @@ from harness.conformance.running import alike, one_step
 from harness.errors import HarnessError
 from harness.signals import Channel, PlantSpec, Trajectory
 
-__all__ = ["batch_axes", "no_look_ahead", "other_data_refused", "pure_steps", "stored_and_read"]
+__all__ = [
+    "batch_axes",
+    "burn_in",
+    "free_run_equals_steps",
+    "no_look_ahead",
+    "other_data_refused",
+    "pure_steps",
+    "stored_and_read",
+]
+
+
+def burn_in(model: Any, data: Trajectory) -> None:
+    """Demand a whole number of samples that leaves at least half of a record to be scored."""
+    count = model.burn_in
+    demand(isinstance(count, int | np.integer) and count >= 0, f"burn_in is {count!r}, expected 0, 1, 2, ...")
+    demand(
+        count <= len(data) / 2,
+        f"a burn-in of {count} samples leaves too little to score of the record of {len(data)} that the model was "
+        "fitted to the like of",
+    )
+
+
+def free_run_equals_steps(model: Any, data: Trajectory) -> None:
+    """Demand that ``free_run`` gives what output and step give, for several starts at once."""
+    if not callable(getattr(model, "free_run", None)):
+        raise NotApplicable("the model has no free_run")
+    u = np.stack([data.u[:20], data.u[10:30]])
+    x = np.asarray(model.initial_state(data), dtype=float)
+    starts = np.stack([x, np.asarray(model.step(model.correct(x, data.u[0], data.y[0]), data.u[0]), dtype=float)])
+    with np.errstate(all="ignore"):
+        together = np.asarray(model.free_run(starts, u))
+        expected = np.empty((2, 20, data.spec.ny))
+        for row, start in enumerate(starts):
+            state = start
+            for k in range(20):
+                expected[row, k] = model.output(state, u[row, k])
+                state = model.step(state, u[row, k])
+    demand(together.shape == expected.shape, f"free_run returns shape {together.shape}, expected {expected.shape}")
+    scale = 1.0 + float(np.nanmax(np.abs(data.y)))
+    finite = np.isfinite(expected) & (np.abs(expected) < 1e3 * scale)  # beyond, rounding errors have grown too
+    off = np.abs(together - expected)[finite]
+    worst = float(np.nan_to_num(off, nan=np.inf).max(initial=0.0))
+    demand(worst <= 1e-6 * scale, f"free_run differs from output and step by {worst:.3g}")
 
 
 def pure_steps(model: Any, data: Trajectory) -> None:
@@ -32,8 +74,27 @@ def pure_steps(model: Any, data: Trajectory) -> None:
         all(np.array_equal(a, b, equal_nan=True) for a, b in zip((x, u, y), copies, strict=True)),
         "a step of the model changes its arguments",
     )
+    _remembers_nothing(model, data)
     demand(first[0].shape == (data.spec.ny,), f"output has shape {first[0].shape}, expected ({data.spec.ny},)")
     demand(first[1].shape == x.shape, f"step returns shape {first[1].shape}, expected that of the state {x.shape}")
+
+
+def _remembers_nothing(model: Any, data: Trajectory) -> None:
+    """Demand that the state carries everything: what the model was shown since makes no difference to it."""
+    other = Trajectory(data.t, data.u[::-1], data.y[::-1], data.spec)
+    x = np.asarray(model.initial_state(data), dtype=float)
+    runs = []
+    for shown in (data, other):
+        model.initial_state(shown)
+        state, rows = x.copy(), []
+        for k in range(min(30, len(data))):
+            rows.append(np.array(model.output(state, data.u[k])))
+            state = model.step(state, data.u[k])
+        runs.append(np.array(rows))
+    demand(
+        np.array_equal(runs[0], runs[1], equal_nan=True),
+        "a simulation from one state depends on the record that the model was shown last: the future leaks",
+    )
 
 
 def batch_axes(model: Any, data: Trajectory) -> None:
@@ -99,12 +160,12 @@ def stored_and_read(model: Any, data: Trajectory) -> None:
     from harness import registry
 
     known = {entry.id for entry in registry.entries("model_readers")}
-    if kind not in known:
+    if kind not in known and not hasattr(type(model), "from_dict"):
         raise NotApplicable(
             f"no reader for models of kind {kind!r} is registered (sysid_harness.model_readers), so they can be stored "
             "and not read back"
         )
-    reader = registry.load("model_readers", str(kind))
+    reader = registry.load("model_readers", str(kind)) if kind in known else type(model)
     read = getattr(reader, "from_dict", reader)(json.loads(text))
     demand(alike(model, read, data, tolerance=1e-9), "a model read back from its JSON predicts something else")
 

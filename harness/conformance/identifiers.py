@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import pickle
-import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from harness.conformance import fitted
+from harness.conformance import fitted, seams, substance
 from harness.conformance.results import Broken, Check, CheckResult, demand, run_checks
 from harness.conformance.running import EXAMPLES, alike, fit, for_all, one_step, untouched
-from harness.conformance.workloads import KINDS, Workload, kinds_for
+from harness.conformance.subject import Factory, Subject, Subjects, shown
+from harness.conformance.workloads import KINDS, Workload
 from harness.errors import HarnessError
 from harness.protocols import Identifier
 from harness.signals import PlantSpec, Trajectory
 
 __all__ = ["check_identifier", "identifier_checks"]
-
-Factory = Callable[[], Any]
-_SLOW = 1.0
-# seconds for two fits, beyond which each check draws two systems only
 
 
 def check_identifier(
@@ -59,60 +56,48 @@ def identifier_checks(*, kinds: tuple[str, ...] = KINDS, examples: int = EXAMPLE
     >>> [check.name for check in identifier_checks()][:3]
     ['interface', 'learns', 'no_mutation']
     """
-    cache: dict[int, tuple[str, ...]] = {}
-    drawn: dict[int, int] = {}
-    models: dict[tuple[int, Workload], Any] = {}
-
-    def accepted(factory: Factory) -> tuple[str, ...]:
-        """Return the kinds of data that this identifier accepts, found once."""
-        if id(factory) not in cache:
-            started = time.perf_counter()
-            found, refused = kinds_for(lambda w: fit(factory(), [w.first.measured(), w.second.measured()]), kinds)
-            why = "; ".join(f"{kind}: {reason}" for kind, reason in refused.items())
-            demand(found, f"it refuses every kind of data ({why})")
-            slow = (time.perf_counter() - started) / len(found) > _SLOW
-            cache[id(factory)], drawn[id(factory)] = found, min(examples, 2) if slow else examples
-        return cache[id(factory)]
+    subjects = Subjects(kinds, examples)
 
     def on_all(body: Callable[[Factory, Workload], None]) -> Callable[[Factory], None]:
         def hold(factory: Factory) -> None:
-            found = accepted(factory)
-            for_all(found, lambda workload: body(factory, workload), drawn[id(factory)])
+            subject = subjects(factory)
+            for_all(subject.kinds, lambda workload: body(factory, workload), subject.examples)
 
         return hold
 
     def on_models(body: Callable[[Any, Trajectory], None]) -> Callable[[Factory], None]:
-        def run(factory: Factory, workload: Workload) -> None:
-            key = (id(factory), workload)  # the checks of models draw the same systems: fit them once
-            if key not in models:
-                models[key] = fit(factory(), _shown(workload))
-            body(models[key], workload.probe.measured())
+        # the checks of models draw the same systems, which are fitted once
+        return on_all(lambda factory, workload: body(subjects(factory).model(workload), workload.probe.measured()))
 
-        return on_all(run)
+    def on_survey(body: Callable[[Subject], None]) -> Callable[[Factory], None]:
+        return lambda factory: body(subjects(factory))
 
-    return [
-        Check("interface", "fit(trajectories, *, rng), options frozen", _interface),
-        Check("learns", "accepts at least one kind of data and predicts finite numbers", on_all(_learns)),
-        Check("no_mutation", "fit changes neither its data nor itself nor global state", on_all(_no_mutation)),
-        Check("deterministic", "the same data and rng give the same model", on_all(_deterministic)),
-        Check("refit_equals_fresh_fit", "an earlier fit leaves no trace", on_all(_refit)),
-        Check("pickles", "the identifier travels to another process", on_all(_pickles)),
-        Check("no_seam_crossed", "nothing is differenced or windowed across two records", on_all(_no_seam)),
-        Check("bad_data_refused", "no data, too little, or of two plants: a named refusal", on_all(_bad_data)),
-        Check("truth_never_read", "true states in a record make no difference", on_all(_truth)),
-        Check("model_pure_steps", "a model's methods are pure", on_models(fitted.pure_steps)),
-        Check("model_batch_axes", "a model takes leading axes", on_models(fitted.batch_axes)),
-        Check("model_no_look_ahead", "a prediction is made before its output is seen", on_models(fitted.no_look_ahead)),
-        Check("model_stored_and_read", "a model pickles, and its JSON is read back", on_models(fitted.stored_and_read)),
-        Check(
-            "model_other_data_refused", "data of another sample time are refused", on_models(fitted.other_data_refused)
-        ),
+    checks: list[tuple[str, str, Callable[[Factory], None]]] = [
+        ("interface", "fit(trajectories, *, rng), options frozen", _interface),
+        ("learns", "accepts at least one kind of data and predicts finite numbers", on_all(_learns)),
+        ("no_mutation", "fit changes neither its data nor itself nor anything global", on_all(_no_mutation)),
+        ("any_sequence", "records in a tuple are as good as in a list", on_all(_any_sequence)),
+        ("deterministic", "the same data and rng give the same model", on_all(_deterministic)),
+        ("refit_equals_fresh_fit", "an earlier fit leaves no trace", on_all(_refit)),
+        ("models_stand_alone", "a later fit leaves an earlier model as it is", on_survey(substance.stands_alone)),
+        ("pickles", "the identifier travels to another process", on_all(_pickles)),
+        ("no_seam_crossed", "nothing is differenced or windowed across two records", on_survey(seams.no_seam_crossed)),
+        ("all_records_used", "every record is learned from", on_survey(seams.all_records_used)),
+        ("bad_data_refused", "no data, too little, or of two plants: a named refusal", on_all(_bad_data)),
+        ("truth_never_read", "true states in a record make no difference", on_all(_truth)),
+        ("data_matter", "other data give another model", on_survey(substance.data_matter)),
+        ("beats_trivial", "predicts better than what needs no model", on_survey(substance.beats_trivial)),
+        ("inputs_matter", "every input has an effect in the model", on_survey(substance.inputs_matter)),
+        ("start_matters", "a simulation starts where the record does", on_survey(substance.initial_state_matters)),
+        ("model_burn_in", "a burn-in that leaves something to score", on_models(fitted.burn_in)),
+        ("model_pure_steps", "a model's methods are pure", on_models(fitted.pure_steps)),
+        ("model_batch_axes", "a model takes leading axes", on_models(fitted.batch_axes)),
+        ("model_free_run", "a fast free run gives what the steps give", on_models(fitted.free_run_equals_steps)),
+        ("model_no_look_ahead", "a prediction is made before its output is seen", on_models(fitted.no_look_ahead)),
+        ("model_stored_and_read", "a model pickles, and its JSON is read back", on_models(fitted.stored_and_read)),
+        ("model_other_data_refused", "data of another sample time are refused", on_models(fitted.other_data_refused)),
     ]
-
-
-def _shown(workload: Workload) -> list[Trajectory]:
-    """Return the records that a fit sees."""
-    return [workload.first.measured(), workload.second.measured()]
+    return [Check(*one) for one in checks]
 
 
 def _interface(factory: Factory) -> None:
@@ -128,7 +113,7 @@ def _interface(factory: Factory) -> None:
 
 
 def _learns(factory: Factory, workload: Workload) -> None:
-    model = fit(factory(), _shown(workload))
+    model = fit(factory(), shown(workload))
     predicted = one_step(model, workload.probe)
     demand(
         np.isfinite(predicted[int(model.burn_in) + 1 :]).all(), "one-step predictions after the burn-in are not finite"
@@ -138,12 +123,19 @@ def _learns(factory: Factory, workload: Workload) -> None:
 
 def _no_mutation(factory: Factory, workload: Workload) -> None:
     identifier = factory()
-    records = _shown(workload)
+    records = shown(workload)
     given = list(records)
     before = _state(identifier)
     with untouched(*records):
         fit(identifier, given)
+    demand(len(given) == len(records), "fit changes the list of records that it was given")
+    demand(all(a is b for a, b in zip(given, records, strict=True)), "fit reorders the list of records it was given")
     demand(_state(identifier) == before, "fit changes the identifier itself")
+
+
+def _any_sequence(factory: Factory, workload: Workload) -> None:
+    one, two = fit(factory(), shown(workload)), fit(factory(), tuple(shown(workload)))
+    demand(alike(one, two, workload.probe), "records in a tuple give another model than in a list")
 
 
 def _state(identifier: Any) -> bytes:
@@ -155,7 +147,7 @@ def _state(identifier: Any) -> bytes:
 
 
 def _deterministic(factory: Factory, workload: Workload) -> None:
-    records = _shown(workload)
+    records = shown(workload)
     one, two = fit(factory(), records), fit(factory(), records)
     demand(alike(one, two, workload.probe), "two fits with the same data and rng differ")
 
@@ -163,47 +155,15 @@ def _deterministic(factory: Factory, workload: Workload) -> None:
 def _refit(factory: Factory, workload: Workload) -> None:
     used = factory()
     fit(used, [workload.probe.measured()])
-    again, fresh = fit(used, _shown(workload)), fit(factory(), _shown(workload))
+    again, fresh = fit(used, shown(workload)), fit(factory(), shown(workload))
     demand(alike(again, fresh, workload.probe), "a second fit differs from a fresh one: the first left a trace")
 
 
 def _pickles(factory: Factory, workload: Workload) -> None:
     identifier = factory()
     copy = pickle.loads(_state(identifier))
-    one, two = fit(identifier, _shown(workload)), fit(copy, _shown(workload))
+    one, two = fit(identifier, shown(workload)), fit(copy, shown(workload))
     demand(alike(one, two, workload.probe), "a pickled identifier fits something else")
-
-
-def _no_seam(factory: Factory, workload: Workload) -> None:
-    """Two records whose seam contradicts the system, in both orders.
-
-    Sound: the order makes no difference, or the fit is exact on exact data, or (for identifiers that depend on the
-    order) the contradiction does not spoil the predictions compared with one record alone.
-    """
-    a, b = _shown(workload)
-    forth, back = fit(factory(), [a, b]), fit(factory(), [b, a])
-    if alike(forth, back, workload.probe, tolerance=1e-6):
-        return
-    errors = [_error(model, workload.probe) for model in (forth, back)]
-    if max(errors) < 1e-6:
-        return
-    alone = max(_error(fit(factory(), [a]), workload.probe), 1e-9)
-    whole = fit(factory(), [a, b[: len(b) // 2], b[len(b) // 2 :]])  # a seam that contradicts nothing
-    if alike(whole, forth, workload.probe, tolerance=1e-6) and max(errors) < 3 * alone:
-        return
-    demand(
-        max(errors) < 1.5 * alone and max(errors) < 1.2 * min(errors),
-        "the order of two records changes the model: something is differenced or windowed across their seam",
-    )
-
-
-def _error(model: Any, data: Trajectory) -> float:
-    """Return the one-step error relative to the size of the outputs."""
-    skip = int(model.burn_in) + 1
-    difference = one_step(model, data)[skip:] - data.y[skip:]
-    if not np.isfinite(difference).all():
-        return float("inf")
-    return float(np.sqrt(np.mean(difference**2)) / (data.y.std() or 1.0))
 
 
 def _bad_data(factory: Factory, workload: Workload) -> None:
@@ -212,6 +172,10 @@ def _bad_data(factory: Factory, workload: Workload) -> None:
     spec = first.spec
     other = PlantSpec(spec.inputs, spec.outputs, 3 * spec.sample_time, spec.states, spec.feedthrough)
     _refused(factory, [first, Trajectory(first.t * 3, first.u, first.y, other)], "records of two sample times")
+    renamed = tuple(replace(channel, name=f"other {channel.name}") for channel in spec.outputs)
+    foreign = PlantSpec(spec.inputs, renamed, spec.sample_time, spec.states, spec.feedthrough)
+    _refused(factory, [first, Trajectory(first.t, first.u, first.y, foreign)], "records of other channels")
+    _standstill(factory, workload)
     for short in (first[:1], first[:2], first[:3]):
         try:
             model = fit(factory(), [short])
@@ -219,6 +183,17 @@ def _bad_data(factory: Factory, workload: Workload) -> None:
             continue
         predicted = one_step(model, workload.probe)[int(model.burn_in) + 1 :]
         demand(np.isfinite(predicted).all(), f"a record of {len(short)} samples gives a model that predicts no numbers")
+
+
+def _standstill(factory: Factory, workload: Workload) -> None:
+    """Demand a refusal, or a model that predicts numbers, from a record in which nothing moves."""
+    first = workload.first.measured()
+    try:
+        model = fit(factory(), [Trajectory(first.t, 0 * first.u, np.tile(first.y[:1], (len(first), 1)), first.spec)])
+        predicted = one_step(model, workload.probe)[int(model.burn_in) + 1 :]
+    except HarnessError:
+        return
+    demand(np.isfinite(predicted).all(), "a record in which nothing moves gives a model that predicts no numbers")
 
 
 def _refused(factory: Factory, records: list[Trajectory], what: str) -> None:
@@ -231,7 +206,7 @@ def _refused(factory: Factory, records: list[Trajectory], what: str) -> None:
 
 
 def _truth(factory: Factory, workload: Workload) -> None:
-    plain = fit(factory(), _shown(workload))
+    plain = fit(factory(), shown(workload))
     trapped = [
         Trajectory(r.t, r.u, r.y, r.spec, np.full((len(r), max(len(r.spec.states), 1)), 1e6))
         for r in (workload.first, workload.second)

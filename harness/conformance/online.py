@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from harness.conformance.results import Broken, Check, CheckResult, demand, run_checks
+from harness.conformance.results import Broken, Check, CheckResult, NotApplicable, demand, run_checks
 from harness.conformance.running import EXAMPLES, for_all, seeded, untouched
-from harness.conformance.workloads import Workload, kinds_for
+from harness.conformance.workloads import Workload, draw_workload, kinds_for
 from harness.errors import HarnessError
 from harness.protocols import OnlineIdentifier
-from harness.signals import FloatArray, Trajectory
+from harness.signals import FloatArray, Trajectory, residual
 
 __all__ = ["check_online_identifier", "online_checks"]
 
@@ -36,18 +36,22 @@ def online_checks(*, examples: int = EXAMPLES) -> list[Check]:
     >>> [check.name for check in online_checks()][:2]
     ['online_interface', 'online_predicts']
     """
-    cache: dict[int, tuple[str, ...]] = {}
+    # the factory is kept with what was found, so that its id stays its own
+    cache: dict[int, tuple[Factory, tuple[str, ...]]] = {}
 
     def kinds(factory: Factory) -> tuple[str, ...]:
         if id(factory) not in cache:
             found, refused = kinds_for(lambda w: _stream(factory(), [w.first.measured()[:40]]))
             why = "; ".join(f"{kind}: {reason}" for kind, reason in refused.items())
             demand(found, f"it refuses every kind of data ({why})")
-            cache[id(factory)] = found
-        return cache[id(factory)]
+            cache[id(factory)] = factory, found
+        return cache[id(factory)][1]
 
     def on_all(body: Callable[[Factory, Workload], None]) -> Callable[[Factory], None]:
         return lambda factory: for_all(kinds(factory), lambda workload: body(factory, workload), examples)
+
+    def on_kinds(body: Callable[[Factory, tuple[str, ...]], None]) -> Callable[[Factory], None]:
+        return lambda factory: body(factory, kinds(factory))
 
     return [
         Check("online_interface", "init, start, predict, update, hindsight", _interface),
@@ -56,8 +60,10 @@ def online_checks(*, examples: int = EXAMPLES) -> list[Check]:
         Check("online_no_mutation", "update leaves the old state and the data alone", on_all(_no_mutation)),
         Check("online_no_look_ahead", "a prediction is made before its output is seen", on_all(_no_look_ahead)),
         Check("online_no_seam_crossed", "start begins a record: nothing reaches across", on_all(_no_seam)),
+        Check("online_learns", "predicts better than 0, and better for what earlier records taught", on_kinds(_learns)),
         Check("online_pickles", "a state travels to another process and goes on", on_all(_pickles)),
         Check("online_hindsight", "one finite loss for each predicted sample", on_all(_hindsight)),
+        Check("online_hindsight_best", "what is called exact is no worse than the online predictions", on_kinds(_best)),
     ]
 
 
@@ -150,6 +156,63 @@ def _no_seam(factory: Factory, workload: Workload) -> None:
     one = np.array(identifier.predict(fresh, b.u[0]))
     two = np.array(identifier.predict(twice, b.u[0]))
     demand(np.array_equal(one, two), "the first prediction of a record depends on what was shown of another record")
+
+
+def _learns(factory: Factory, kinds: tuple[str, ...]) -> None:
+    """Demand that some stream is predicted better than by 0, and that a seam does not end what was learned."""
+    better, keeps, seen = False, False, 0
+    for workload in _survey(kinds):
+        try:
+            a, b = _shown(workload)
+            whole, fresh = _stream(factory(), [a, b]), _stream(factory(), [b])
+        except HarnessError:
+            continue
+        seen += 1
+        late = slice(len(a) // 2, len(a) - 1)
+        loss = [_losses(a, guess)[late].mean() for guess in (whole[: len(a) - 1], np.zeros((len(a) - 1, a.spec.ny)))]
+        better = better or loss[0] < 0.9 * loss[1]
+        keeps = keeps or not np.array_equal(whole[len(a) - 1 :], fresh)
+    demand(seen, "every stream of the survey is refused")
+    demand(better, "on no stream its predictions, once it has seen 60 samples, are better than always answering 0")
+    demand(keeps, "after a seam it predicts as if it had seen nothing before: start() forgets what was learned")
+
+
+def _best(factory: Factory, kinds: tuple[str, ...]) -> None:
+    """Demand that an exact minimiser in hindsight loses no more than the online predictions, on stationary streams.
+
+    One that adapts may gain a little on the best fixed predictor: only twice its loss is blamed.
+    """
+    worse = []
+    for workload in _survey(tuple(kind for kind in kinds if kind.startswith("linear") or kind == "finite")):
+        record = workload.probe.measured()[:120]
+        try:
+            result = factory().hindsight([record])
+            online = _losses(record, _stream(factory(), [record])).sum()
+        except HarnessError:
+            continue
+        if result.exact:
+            worse.append(float(np.sum(result.losses)) > 2.0 * online + 1e-12 * float((record.y**2).sum()))
+    if not worse:
+        raise NotApplicable("no stationary stream with an exact minimiser")
+    demand(
+        sum(worse) <= len(worse) / 2,
+        "hindsight is called exact, and loses more than twice as much as the online predictions: negative regret",
+    )
+
+
+def _survey(kinds: tuple[str, ...]) -> list[Workload]:
+    """Return some systems of each kind."""
+    return [draw_workload(kind, 100 + seed) for kind in kinds for seed in range(max(2, 8 // len(kinds)))]
+
+
+def _losses(record: Trajectory, predicted: FloatArray) -> FloatArray:
+    """Return the loss at each predicted sample (N - 1,), as regret counts it."""
+    miss = residual(record.spec.outputs, record.y[1:], predicted)
+    for column, channel in enumerate(record.spec.outputs):
+        if channel.kind == "category":
+            miss[:, column] = miss[:, column] != 0.0
+    losses: FloatArray = (miss**2).sum(axis=1)
+    return losses
 
 
 def _pickles(factory: Factory, workload: Workload) -> None:

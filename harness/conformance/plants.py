@@ -10,10 +10,10 @@ import numpy as np
 
 from harness.conformance.excitation import inputs_for
 from harness.conformance.results import Broken, Check, CheckResult, NotApplicable, demand, run_checks
-from harness.conformance.running import seeded
+from harness.conformance.running import globals_untouched, seeded
 from harness.errors import HarnessError, PlantError
 from harness.protocols import Batch, BatchTruth, Feedthrough, Plant, Snapshots, Truth
-from harness.signals import FloatArray, PlantSpec
+from harness.signals import Channel, FloatArray, PlantSpec
 from harness.units import fits
 
 if TYPE_CHECKING:
@@ -53,10 +53,13 @@ def plant_checks() -> list[Check]:
         Check("interface", "spec, abilities, reset, step, close, context manager; known units", _interface),
         Check("abilities", "what is declared is there, and feedthrough agrees with the spec", _abilities),
         Check("step_shapes", "float64 outputs of shape (ny,), finite, not overwritten later", _shapes),
+        Check("inputs_matter", "every input changes an output, in time", _inputs_matter),
+        Check("instances_apart", "two plants do not move each other", _apart),
         Check("reset_repeats", "the same rng gives the same run, on the same plant and on a fresh one", _repeats),
         Check("arguments_left_alone", "inputs are neither changed nor kept", _arguments),
         Check("bad_input_refused", "a wrong shape or NaN is refused by name", _bad_input),
         Check("unknown_x0_refused", "an unknown initial state is refused by name", _bad_x0),
+        Check("x0_taken", "a named initial state is where the run begins", _x0_taken),
         Check("snapshot_equals_replay", "a restored state continues as it did", _snapshot),
         Check("batch_equals_stepping", "rollout gives what step gives", _batch),
         Check("batch_truth_equals_stepping", "rollout_truth gives what step and truth give", _batch_truth),
@@ -142,11 +145,41 @@ def _shapes(factory: Factory) -> None:
 def _repeats(factory: Factory) -> None:
     with _made(factory) as plant:
         inputs = inputs_for(plant.spec)
-        first, second = _run(plant, inputs), _run(plant, inputs)
+        with globals_untouched():
+            first, second = _run(plant, inputs), _run(plant, inputs)
         demand(np.array_equal(first, second), f"a second run differs by {np.abs(first - second).max():.3g}")
     with _made(factory) as plant:
         third = _run(plant, inputs)
         demand(np.array_equal(first, third), f"a fresh plant differs by {np.abs(first - third).max():.3g}")
+
+
+def _inputs_matter(factory: Factory) -> None:
+    with _made(factory) as plant:
+        if not plant.spec.nu:
+            raise NotApplicable("it has no inputs")
+        base = inputs_for(plant.spec)
+        other = inputs_for(plant.spec, seed=2)
+        reference = _run(plant, base)
+        for column, channel in enumerate(plant.spec.inputs):
+            changed = base.copy()
+            changed[:, column] = other[:, column]
+            if np.array_equal(changed, base):
+                continue
+            off, scale = np.abs(_run(plant, changed) - reference).max(), np.abs(reference).max() or 1.0
+            demand(off > 1e-12 * scale, f"input {channel.name} changes no output")
+
+
+def _apart(factory: Factory) -> None:
+    with _made(factory) as one, _made(factory) as two:
+        inputs, others = inputs_for(one.spec, 20), inputs_for(one.spec, 20, seed=2)
+        reference = _run(one, inputs)
+        one.reset(rng=seeded())
+        two.reset(rng=seeded(1))
+        rows = []
+        for u, v in zip(inputs[:-1], others[:-1], strict=True):
+            rows.append(np.array(one.step(u)))
+            two.step(v)
+        demand(np.array_equal(np.array(rows), reference[1:]), "a second plant of this kind moves the first")
 
 
 def _arguments(factory: Factory) -> None:
@@ -196,6 +229,64 @@ def _bad_x0(factory: Factory) -> None:
             except Exception as error:
                 raise Broken(f"{what} raises {type(error).__name__}: {error}; expected an InputError") from error
             raise Broken(f"{what} is accepted; expected an InputError")
+
+
+def _x0_taken(factory: Factory) -> None:
+    """Each true state that may be set is set: the truth says so, or else the outputs differ.
+
+    States that a constraint binds to each other may need to be set together.
+    """
+    with _made(factory) as plant:
+        names = [channel.name for channel in plant.spec.states]
+        if not names:
+            raise NotApplicable("it names no states")
+        tells = "truth" in plant.abilities
+        taken, refused = [], []
+        inputs = inputs_for(plant.spec, 20)
+        reference = _run(plant, inputs)
+        for i, channel in enumerate(plant.spec.states):
+            plant.reset(rng=seeded())
+            value = _elsewhere(channel, float(plant.truth()[i]) if tells else 0.0)
+            try:
+                start = np.array(plant.reset(rng=seeded(), x0={channel.name: value}))
+            except HarnessError:
+                refused.append(channel.name)
+                continue
+            if tells:
+                got = float(plant.truth()[i])
+                demand(
+                    _near(got, value) or _bound(plant),
+                    f"x0 sets {channel.name} = {value:g}, and the run begins at {got:g}",
+                )
+            rows = np.array([start, *(np.array(plant.step(u)) for u in inputs[:-1])])
+            if not np.array_equal(rows, reference):
+                taken.append(channel.name)
+        if len(refused) == len(names):
+            raise NotApplicable("none of its states can be set")
+        demand(taken, "setting the initial state changes no output of a run")
+
+
+def _near(got: float, wanted: float) -> bool:
+    return abs(got - wanted) <= 1e-6 * max(1.0, abs(wanted))
+
+
+def _bound(plant: Any) -> bool:
+    """Return True if all states are taken when all are moved by the same amount; the plant is left as it was."""
+    kept = {channel.name: float(x) for channel, x in zip(plant.spec.states, plant.truth(), strict=True)}
+    moved = {name: x + 0.05 for name, x in kept.items()}
+    plant.reset(rng=seeded(), x0=moved)
+    taken = all(_near(float(x), moved[c.name]) for c, x in zip(plant.spec.states, plant.truth(), strict=True))
+    plant.reset(rng=seeded(), x0=kept)
+    return taken
+
+
+def _elsewhere(channel: Channel, now: float) -> float:
+    """Return another value that a state can have, near the present one."""
+    if channel.kind == "category":
+        return float((int(now) + 1) % channel.categories)
+    low, high = channel.minimum, channel.maximum
+    step = 0.05 if not (np.isfinite(low) and np.isfinite(high)) else 0.05 * (high - low)
+    return now + step if now + step <= high else now - step
 
 
 def _snapshot(factory: Factory) -> None:

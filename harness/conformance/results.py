@@ -55,11 +55,10 @@ class Check:
     body: Callable[[Callable[[], Any]], None]
 
     def __call__(self, factory: Callable[[], Any]) -> None:
-        """Hold the parts of a factory to this demand."""
-        try:
-            self.body(factory)
-        except NotApplicable:
-            return
+        """Hold the parts of a factory to this demand; a failure that the part declares must be one."""
+        result = run_checks([self], factory)[-1]
+        if not result.passed:
+            raise Broken(result.reason)
 
     def __str__(self) -> str:
         return self.name
@@ -86,6 +85,8 @@ def run_checks(
         Returns a fresh part each time.
     expected_failures : mapping, optional
         Name of a check to the reason why it is known to fail. Strict: a declared failure that passes is a failure.
+        A part may declare its own as the class attribute ``expected_failures``, the way a baseline says that no input
+        matters to it.
 
     Returns
     -------
@@ -99,8 +100,9 @@ def run_checks(
     >>> run_checks([Check("two", "is it two", fails)], lambda: 1, expected_failures={"two": "it is one"})
     [CheckResult(name='two', passed=True, reason='fails as declared (it is one): expected 2')]
     """
-    declared = dict(expected_failures or {})
-    unknown = sorted(set(declared) - {check.name for check in checks})
+    given = dict(expected_failures or {})
+    declared = {**_declared(factory), **given}
+    unknown = sorted(set(given) - {check.name for check in checks})
     results = [
         CheckResult(name, False, "declared to fail, and no check has this name: remove the declaration")
         for name in unknown
@@ -126,6 +128,21 @@ def run_checks(
         else:
             results.append(CheckResult(check.name, False, f"declared to fail ({excuse}), and passes: remove that"))
     return results
+
+
+def _declared(factory: Callable[[], Any]) -> dict[str, str]:
+    """Return what a part says of itself that it does not keep, and why."""
+    found = getattr(factory, "expected_failures", None)
+    if found is None and not isinstance(factory, type):
+        try:
+            made = factory()
+        except Exception:
+            return {}  # the checks will say what is wrong with it
+        found = getattr(made, "expected_failures", None)
+        close = getattr(made, "close", None)
+        if callable(close):
+            close()
+    return dict(found) if isinstance(found, Mapping) else {}
 
 
 def _line(error: BaseException) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import random
 import warnings
 from collections.abc import Sequence
 from contextlib import contextmanager
@@ -19,7 +21,7 @@ from harness.signals import FloatArray, Trajectory
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ["EXAMPLES", "alike", "fit", "for_all", "global_random_state", "one_step", "seeded", "untouched"]
+__all__ = ["EXAMPLES", "alike", "fit", "for_all", "globals_untouched", "one_step", "seeded", "untouched"]
 
 EXAMPLES = 6
 """Systems that hypothesis draws for each check."""
@@ -68,7 +70,7 @@ def fit(identifier: Any, trajectories: Sequence[Trajectory], seed: int = 0) -> A
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return identifier.fit(list(trajectories), rng=seeded(seed))
+            return identifier.fit(trajectories, rng=seeded(seed))
     except HarnessError:
         raise
     except Exception as error:
@@ -102,17 +104,52 @@ def alike(first: Any, second: Any, data: Trajectory, *, tolerance: float = 0.0) 
         return bool(np.all((np.abs(a - b) <= tolerance * scale) | (np.isnan(a) & np.isnan(b))))
 
 
-def global_random_state() -> bytes:
-    """Return numpy's global random state, which nothing may touch."""
-    return pickle.dumps(np.random.get_state())  # noqa: NPY002 - the legacy state is the one that is global
+def global_state() -> dict[str, bytes]:
+    """Return what belongs to the whole process and nothing may touch, by what it is called in a verdict."""
+    return {
+        "numpy's global random state": pickle.dumps(np.random.get_state()),  # noqa: NPY002 - the one that is global
+        "the state of the module random": pickle.dumps(random.getstate()),
+        "numpy's handling of floating-point errors": pickle.dumps(np.geterr()),
+        "how numpy prints": repr(np.get_printoptions()).encode(),
+        "the environment": pickle.dumps(dict(os.environ)),
+        "the working folder": os.getcwd().encode(),
+    }
+
+
+@contextmanager
+def globals_untouched() -> Iterator[None]:
+    """Demand that nothing that belongs to the whole process is changed.
+
+    The random states are set to ones that no seed gives first, so that seeding them shows even if it was done before;
+    everything is put back.
+    """
+    kept, rand, errors, folder = np.random.get_state(), random.getstate(), np.geterr(), os.getcwd()  # noqa: NPY002
+    environment, printing = dict(os.environ), np.get_printoptions()
+    np.random.set_state(("MT19937", np.arange(1, 625, dtype=np.uint32), 624, 0, 0.0))  # noqa: NPY002
+    random.setstate((3, (*range(1, 625), 624), None))
+    np.seterr(divide="warn", over="warn", under="ignore", invalid="warn")
+    before = global_state()
+    try:
+        yield
+        after = global_state()
+        changed = [what for what in before if before[what] != after[what]]
+        demand(not changed, f"it changes {' and '.join(changed)}; random numbers come from rng alone")
+    finally:
+        np.random.set_state(kept)  # noqa: NPY002
+        random.setstate(rand)
+        np.seterr(**errors)
+        np.set_printoptions(**printing)
+        os.chdir(folder)
+        if dict(os.environ) != environment:
+            os.environ.clear()
+            os.environ.update(environment)
 
 
 @contextmanager
 def untouched(*records: Trajectory) -> Iterator[None]:
-    """Demand that the records and the global random state are the same afterwards."""
+    """Demand that the records, and all that belongs to the whole process, are the same afterwards."""
     before = [(r.t.tobytes(), r.u.tobytes(), r.y.tobytes()) for r in records]
-    state = global_random_state()
-    yield
+    with globals_untouched():
+        yield
     after = [(r.t.tobytes(), r.u.tobytes(), r.y.tobytes()) for r in records]
     demand(before == after, "it changed its data")
-    demand(state == global_random_state(), "it drew from numpy's global random state instead of rng")

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from harness.conformance.results import Broken, Check, CheckResult, demand, run_checks
-from harness.conformance.running import global_random_state
+from harness.conformance.results import Broken, Check, CheckResult, NotApplicable, demand, run_checks
+from harness.conformance.running import globals_untouched
 from harness.errors import HarnessError
 from harness.protocols import Experiment, Scenario
 from harness.rng import Streams
@@ -44,10 +44,11 @@ def scenario_checks(specs: Sequence[PlantSpec] = ()) -> list[Check]:
 
     Examples
     --------
-    >>> [check.name for check in scenario_checks()]
-    ['interface', 'fits_the_plant', 'deterministic', 'roles_differ', 'measures', 'controls', 'limits_kept']
+    >>> [check.name for check in scenario_checks()][:5]
+    ['interface', 'fits_the_plant', 'deterministic', 'roles_differ', 'noise_is_new']
     """
-    cache: dict[int, list[PlantSpec]] = {}
+    # the factory is kept with what was found, so that its id stays its own
+    cache: dict[int, tuple[Factory, list[PlantSpec]]] = {}
 
     def fitting(factory: Factory) -> list[PlantSpec]:
         if id(factory) not in cache:
@@ -61,16 +62,21 @@ def scenario_checks(specs: Sequence[PlantSpec] = ()) -> list[Check]:
                 if len(found) >= 4:
                     break
             demand(found, f"it refuses every plant ({'; '.join(reasons[:3])})")
-            cache[id(factory)] = found
-        return cache[id(factory)]
+            cache[id(factory)] = factory, found
+        return cache[id(factory)][1]
 
     def on_all(body: Callable[[Factory, PlantSpec], None]) -> Callable[[Factory], None]:
         def hold(factory: Factory) -> None:
+            idle: list[NotApplicable] = []
             for spec in fitting(factory):
                 try:
                     body(factory, spec)
+                except NotApplicable as error:
+                    idle.append(error)
                 except Broken as error:
                     raise Broken(f"{error} (plant: {spec})") from error
+            if len(idle) == len(fitting(factory)):
+                raise idle[0]
 
         return hold
 
@@ -79,6 +85,7 @@ def scenario_checks(specs: Sequence[PlantSpec] = ()) -> list[Check]:
         Check("fits_the_plant", "finite excitation and disturbance of shape (N, nu)", on_all(_fits)),
         Check("deterministic", "the same streams and role give the same run, in any order", on_all(_deterministic)),
         Check("roles_differ", "another role or seed gives another experiment", on_all(_roles)),
+        Check("noise_is_new", "another role or seed has other sensor noise", on_all(_noise_is_new)),
         Check(
             "measures",
             "finite numbers of the right shape; the plant's output is left alone",
@@ -190,13 +197,13 @@ def _answers(experiment: Experiment, spec: PlantSpec) -> FloatArray:
 
 
 def _deterministic(factory: Factory, spec: PlantSpec) -> None:
-    state = global_random_state()
-    first = _prepare(factory, spec)
-    scenario, streams = factory(), Streams("check", "scenario", 0)
-    scenario.prepare(spec, streams=streams, role="validation/0")
-    second = scenario.prepare(spec, streams=streams, role="estimation/0")
-    demand(_same(first, second, spec), "the same streams and role give another experiment after another role was asked")
-    demand(state == global_random_state(), "it draws from numpy's global random state")
+    with globals_untouched():
+        first = _prepare(factory, spec)
+        scenario, streams = factory(), Streams("check", "scenario", 0)
+        scenario.prepare(spec, streams=streams, role="validation/0")
+        second = scenario.prepare(spec, streams=streams, role="estimation/0")
+        same = _same(first, second, spec)
+    demand(same, "the same streams and role give another experiment after another role was asked")
 
 
 def _roles(factory: Factory, spec: PlantSpec) -> None:
@@ -205,6 +212,24 @@ def _roles(factory: Factory, spec: PlantSpec) -> None:
     base = _prepare(factory, spec)
     for other, what in ((_prepare(factory, spec, "validation/0"), "role"), (_prepare(factory, spec, seed=1), "seed")):
         demand(not _same(base, other, spec), f"another {what} gives the same run: held-out data would not be new")
+
+
+def _noise_is_new(factory: Factory, spec: PlantSpec) -> None:
+    """Demand that what is random in the measurement differs between roles and seeds."""
+    base = _sensor(_prepare(factory, spec), spec)
+    if not base.std(axis=0).any():
+        raise NotApplicable("a plant at rest is measured without noise")
+    for other, what in ((_prepare(factory, spec, "validation/0"), "role"), (_prepare(factory, spec, seed=1), "seed")):
+        demand(
+            not np.array_equal(base, _sensor(other, spec)[: len(base)]),
+            f"another {what} has the same sensor noise: what is learned from one record is told about the other",
+        )
+
+
+def _sensor(experiment: Experiment, spec: PlantSpec) -> FloatArray:
+    """Return what is measured (N, ny) of a plant that stands at 0."""
+    count = min(len(experiment.excitation), 50)
+    return np.array([np.asarray(experiment.measure(k, np.zeros(spec.ny)), dtype=float) for k in range(count)])
 
 
 def _measures(factory: Factory, spec: PlantSpec) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.errors import InputError
-from harness.fmi.archive import check_entries
+from harness.fmi.archive import check_entries, has_document_type
 from harness.units import base_units
 
 __all__ = ["Component", "Structure", "read_structure"]
@@ -93,7 +93,7 @@ def _refuse_doctype(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo
         raise InputError(
             entry.filename, expected=f"at most {LARGEST_TEXT >> 20} MiB", got=got, remedy="shrink it", file=path
         )
-    if b"<!DOCTYPE" in archive.read(entry):
+    if has_document_type(archive.read(entry)):
         raise InputError(
             entry.filename, expected="no document type", got="a DOCTYPE", remedy="do not trust it", file=path
         )

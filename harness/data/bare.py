@@ -8,8 +8,9 @@ from pathlib import Path
 import msgspec
 
 from harness.data.description import Description, NominalSection, RunSection, SignalSection, TimeSection
+from harness.data.headers import split_header
 from harness.data.ports import Ports, located_model, ports_of
-from harness.data.tables import BARE, REFERENCE, Table, split_header
+from harness.data.tables import BARE, REFERENCE, Table, open_table, suffix_of
 from harness.data.trajectories import stored_spec
 from harness.errors import InputError
 from harness.signals import Channel
@@ -24,6 +25,7 @@ def describe_bare(
     validation: str | Path | None,
     ports: tuple[Sequence[Channel], Sequence[Channel]] | None,
     notes: list[str],
+    tables: dict[Path, Table],
 ) -> tuple[Description, Ports]:
     """Return the description that a bare file amounts to, and the ports that name its columns.
 
@@ -32,7 +34,7 @@ def describe_bare(
     InputError
         If no model names the ports, or no column carries the name of one.
     """
-    table = Table(path)
+    table = open_table(path, tables)
     stored = stored_spec(path)
     if model is None and ports is None and stored is None:
         raise InputError(
@@ -52,16 +54,17 @@ def describe_bare(
         raise InputError(
             f"the model {model} takes any ports",
             expected="a dataset.toml that says which columns are inputs",
-            got="a bare CSV file",
+            got="a bare table",
             remedy="write a dataset.toml, or use a Parquet file of sysid simulate, which knows",
             file=path,
         )
     signals = _signals(table, known, path, notes)
-    runs, second = _runs(path, table, validation, next(iter(signals)))
+    runs, second = _runs(path, table, validation, next(iter(signals)), tables)
     notes += second
     nominal = NominalSection(model=model) if model is not None else None
     names = [split_header(title)[0] for title in table.titles]
-    time = TimeSection(column="t") if "t" in names and "time" not in names and "t" not in signals else None
+    clock = _clock(names)
+    time = TimeSection(column=clock) if clock not in ("", "time", *signals) else None
     return Description(name=path.stem, signals=signals, runs=runs, nominal=nominal, time=time), known
 
 
@@ -76,7 +79,7 @@ def _signals(table: Table, ports: Ports, path: Path, notes: list[str]) -> dict[s
     plain = {port.replace("_", ""): port for port in inputs}
     bare = {name.replace("_", ""): one for name, one in outputs.items()}
     names = {split_header(title)[0]: title for title in table.titles}
-    clock = names.get("t", "") if "time" not in names else ""
+    clock = names.get(_clock(list(names)), "")
     ignored = []
     for title in table.titles:
         name = split_header(title)[0]
@@ -108,14 +111,25 @@ def _signals(table: Table, ports: Ports, path: Path, notes: list[str]) -> dict[s
     return signals
 
 
+def _clock(names: Sequence[str]) -> str:
+    """Return the name of the time column, empty if there is none: time or t, else the same with capitals."""
+    for wanted in ("time", "t", "timestamp"):
+        found = [name for name in names if name == wanted] or [name for name in names if name.lower() == wanted]
+        if len(found) == 1 or wanted in found:
+            return found[0]
+    return ""
+
+
 def _runs(
-    path: Path, table: Table, validation: str | Path | None, first: str
+    path: Path, table: Table, validation: str | Path | None, first: str, tables: dict[Path, Table]
 ) -> tuple[tuple[RunSection, ...], list[str]]:
     """Return the estimation and validation run: two files, or two thirds and one third of one."""
     own = RunSection(file=path.name, use="estimation")
+    if validation is not None and Path(validation) in tables:
+        return (own, RunSection(file=str(validation), use="validation")), []
     if validation is not None:
         other = Path(validation)
-        if other.suffix.lower() not in BARE:
+        if suffix_of(other) not in BARE:
             raise InputError(
                 "validation file",
                 expected=f"a file that ends in {' or '.join(BARE)}",

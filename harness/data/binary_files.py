@@ -7,17 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from harness.data.cells import seconds_of
 from harness.data.selectors import parse_selector, vector
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["Hdf5File", "MatFile", "NumpyFile", "ParquetFile", "broken", "open_mat", "optional"]
+__all__ = ["FeatherFile", "Hdf5File", "MatFile", "NumpyFile", "ParquetFile", "broken", "open_mat", "optional"]
 
 
 def broken(path: Path, kind: str, error: Exception) -> InputError:
     """Return the refusal of a file that its reader cannot read."""
     return InputError(
-        f"not a {kind} file",
+        f"not {'an' if kind in ('Excel', 'HDF5', 'MCAP', 'MDF') else 'a'} {kind} file",
         expected=f"a readable {kind} file",
         got=f"{type(error).__name__}: {error}"[:200],
         remedy="check that it was copied whole",
@@ -41,21 +42,31 @@ def optional(package: str, kind: str, install: str = "'sysid-harness[data]'") ->
 
 
 class ParquetFile:
-    """A Parquet file; nulls are NaN."""
+    """A Parquet file; nulls are NaN, time stamps seconds from the first."""
+
+    kind = "Parquet"
 
     def __init__(self, path: Path) -> None:
-        import pyarrow.parquet as pq
-
         try:
-            self._table = pq.read_table(path)
+            self._table = self._read(path)
         except Exception as error:
-            raise broken(path, "Parquet", error) from error
+            raise broken(path, self.kind, error) from error
         self.titles = list(self._table.column_names)
         self.metadata: dict[bytes, bytes] = dict(self._table.schema.metadata or {})
 
+    def _read(self, path: Path) -> Any:
+        """Return the table of the file."""
+        import pyarrow.parquet as pq
+
+        return pq.read_table(path)
+
     def values(self, title: str) -> FloatArray:
         """Return one column (N,)."""
+        import pyarrow.types as kinds
+
         column = self._table.column(title)
+        if kinds.is_timestamp(column.type) or kinds.is_duration(column.type):
+            return seconds_of(column.to_numpy(zero_copy_only=False))
         try:
             return np.array(column.to_numpy(zero_copy_only=False), dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -74,6 +85,17 @@ class ParquetFile:
     def unit(self, title: str) -> str | None:
         """Return None: units stand in the titles."""
         return None
+
+
+class FeatherFile(ParquetFile):
+    """A Feather file (Arrow on disk)."""
+
+    kind = "Feather"
+
+    def _read(self, path: Path) -> Any:
+        from pyarrow import feather
+
+        return feather.read_table(path)
 
 
 class _Variables:

@@ -73,13 +73,14 @@ class SignalSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     scale: float = 1.0
     offset: float = 0.0
     noise: float | None = None
+    categories: int | None = None
 
 
 class TimeSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The time column: its name and unit."""
+    """The time column: its name and unit (by default what its title says, else s)."""
 
     column: Column = "time"
-    unit: str = "s"
+    unit: str | None = None
 
 
 class RunSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -125,7 +126,12 @@ class SourceSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The whole of a dataset.toml."""
+    """The whole of a dataset.toml.
+
+    ``undriven`` names the inputs of the nominal model that nothing drove while the data were recorded: they count as 0
+    (an FMU keeps their start values). An input that is neither recorded nor named there is refused. ``duplicates`` says
+    which of several rows with one time stamp counts.
+    """
 
     name: str
     signals: dict[str, SignalSection]
@@ -135,7 +141,9 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     time: TimeSection | None = None
     intersample: Literal["zoh", "foh", "smooth"] = "zoh"
     gaps: Gaps = "refuse"
+    duplicates: Literal["refuse", "first", "last", "mean"] = "refuse"
     resample: ResampleSection | None = None
+    undriven: tuple[str, ...] = ()
     source: SourceSection | None = None
     description: str = ""
 
@@ -178,7 +186,7 @@ def parse_description(text: str, *, file: str | Path | None = None) -> Descripti
     ... except InputError as error:
     ...     print(error)
     sampel_time: unknown key: expected one of name, signals, runs, nominal, sample_time, time, intersample, gaps,
-    resample, source, description, got 'sampel_time'; remedy: did you mean sample_time?
+    duplicates, resample, undriven, source, description, got 'sampel_time'; remedy: did you mean sample_time?
     """
     try:
         content = tomllib.loads(text)

@@ -6,15 +6,18 @@ import hashlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from harness.data.bare import describe_bare
 from harness.data.description import Description, RunSection, read_description
 from harness.data.loaded import LoadedDataset
+from harness.data.memory import in_memory
 from harness.data.plan import Plan
 from harness.data.sanity import check_run, check_runs
-from harness.data.tables import BARE, FORMATS, Table, open_table
+from harness.data.tables import BARE, FORMATS, Table, nearest, open_table, suffix_of
 from harness.data.timebase import Piece, TimeRules, pieces_of
 from harness.errors import InputError
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
@@ -27,24 +30,29 @@ DATA_FOLDER = "SYSID_HARNESS_DATA"
 
 
 def load_dataset(
-    path: str | Path,
+    path: Any,
     *,
     model: str | None = None,
-    validation: str | Path | None = None,
+    validation: Any = None,
     ports: tuple[Sequence[Channel], Sequence[Channel]] | None = None,
+    undriven: Sequence[str] = (),
 ) -> LoadedDataset:
     """Read a data set, check it, and convert it to SI units.
 
     Parameters
     ----------
-    path : path
-        ``dataset.toml``, or one CSV or Parquet file whose columns carry the names of the model's ports.
+    path : path or table
+        ``dataset.toml``; one CSV, Parquet, Feather or Excel file whose columns carry the names of the model's ports; or
+        such a table in memory: a DataFrame of pandas or polars, an xarray Dataset, a mapping of arrays, a
+        :class:`Trajectory`. Units stand in the titles: ``u [N m]``.
     model : str, optional
         Nominal model, in place of the one that the file names; a bare file needs it.
-    validation : path, optional
-        Validation file beside a bare file; without it the last third validates.
+    validation : path or table, optional
+        Validation data beside a bare file or table; without them the last third validates.
     ports : (inputs, outputs), optional
         Channels of the model, for a caller that knows it already.
+    undriven : sequence of str, optional
+        Inputs of the model that nothing drove (0 in all records), beside those that the file declares.
 
     Returns
     -------
@@ -56,11 +64,17 @@ def load_dataset(
     InputError
         If a file, column, unit, time axis or value cannot be used. The message names file, place and remedy.
     """
-    path = Path(path)
-    suffix = path.suffix.lower()
+    if isinstance(path, LoadedDataset):
+        return path
+    tables: dict[Path, Table] = {}
+    path = _path_or_name(path, "data", tables)
+    validation = None if validation is None else _path_or_name(validation, "validation data", tables)
+    suffix = suffix_of(path)
     notes: list[str] = []
-    if suffix in BARE:
-        description, known = describe_bare(path, model=model, validation=validation, ports=ports, notes=notes)
+    if suffix in BARE or path in tables:
+        description, known = describe_bare(
+            path, model=model, validation=validation, ports=ports, notes=notes, tables=tables
+        )
         ports = (known.inputs, known.outputs)
     elif suffix in FORMATS and path.is_file():
         raise InputError(
@@ -80,10 +94,21 @@ def load_dataset(
                 file=path,
             )
         description = read_description(path)
+    description = msgspec.structs.replace(description, undriven=tuple({*description.undriven, *undriven}))
     try:
-        return _Reader(path, description, model, ports, notes).load()
+        return _Reader(path, description, model, ports, notes, tables).load()
     except InputError as error:
         raise error.located(file=path) from error
+
+
+def _path_or_name(data: Any, name: str, tables: dict[Path, Table]) -> Path:
+    """Return the path of a file, or a name for a table in memory, which is kept under it."""
+    found = in_memory(data)
+    if found is None:
+        return Path(data)
+    path = Path(f"({name})")
+    tables[path] = Table(path, found)
+    return path
 
 
 class _Reader:
@@ -96,18 +121,26 @@ class _Reader:
         model: str | None,
         ports: tuple[Sequence[Channel], Sequence[Channel]] | None,
         notes: list[str],
+        tables: dict[Path, Table],
     ) -> None:
         self.path, self.description = path, description
-        self.tables: dict[Path, Table] = {}
+        self.tables = tables
         self.plan = Plan(path, description, model=model, ports=ports, header_unit=self._header_unit)
         self.notes = [*notes, *self.plan.notes]
-        self.rules = TimeRules(description.sample_time, description.gaps, description.resample, description.intersample)
+        self.rules = TimeRules(
+            description.sample_time,
+            description.gaps,
+            description.resample,
+            description.intersample,
+            description.duplicates,
+        )
 
     def load(self) -> LoadedDataset:
         """Read every run."""
         plan, spec = self.plan, None
         runs: list[Run] = []
         references: list[dict[str, FloatArray]] = []
+        self._refuse_unrecorded()
         measured = tuple((plan.port(name), plan.signal(name).derivative) for name in plan.outputs)
         self._check_files()
         for number, section in enumerate(self.description.runs):
@@ -126,6 +159,8 @@ class _Reader:
             except InputError as error:
                 raise error.located(file=file, place=place) from error
             self.notes += [f"{place} ({file.name}): {note}" for note in dict.fromkeys(notes)]
+        for table in self.tables.values():
+            self.notes += [f"{table.path.name}: {note}" for note in table.notes]
         self.notes += check_runs(runs)
         self._check_overlap()
         if not any(run.use == "validation" for run in runs):
@@ -135,11 +170,33 @@ class _Reader:
         )
         return LoadedDataset(dataset, plan.nominal, measured, tuple(references), self.path, self.description.source)
 
+    def _refuse_unrecorded(self) -> None:
+        """Refuse inputs of the model that no column gives: taken as 0 they would pass for something that is missing."""
+        if not self.plan.unrecorded:
+            return
+        channel, ports = self.plan.unrecorded[0], self.plan.ports
+        section = self.description.runs[0]
+        table = open_table(self._file(0, section), self.tables)
+        signals = self.description.signals
+        used = {table.find(self._column(name, section)) for name in signals if signals[name].role != "reference"}
+        time = "time" if self.description.time is None else self.description.time.column
+        free = [title for title in table.titles if title not in used and title != table.find(time)]
+        raise InputError(
+            f"no column gives the input {channel} of {ports.model if ports is not None else 'the model'}",
+            expected=f"a column {str(channel)!r}, or undriven = [{channel.name!r}] where nothing drove it",
+            got=f"columns that serve nothing: {', '.join(nearest(channel, free)) or 'none'}",
+            remedy=f"name the column after the input, or give a signal role = 'input' and port = {channel.name!r}; "
+            f"only if the input was 0 all along, declare undriven (sysid: --undriven {channel.name})",
+            place="undriven",
+        )
+
     # ---- files ----------------------------------------------------------------------------------------------------
 
     def _file(self, number: int, section: RunSection) -> Path:
         """Return the file of a run: beside the description, or under the folder of recordings."""
         given = Path(section.file)
+        if given in self.tables:
+            return given
         places = [self.path.parent / given]
         folder = os.environ.get(DATA_FOLDER)
         if folder:
@@ -225,6 +282,7 @@ class _Reader:
             inputs=inputs,
             rules=self.rules,
             common=common,
+            where=lambda row: table.where(row + (chosen.start or 0)),
         )
 
     def _converted(self, name: str, table: Table, column: str | int) -> FloatArray:
@@ -233,22 +291,16 @@ class _Reader:
         raw, stated = table.read(column)
         unit = stated if signal.unit is None and stated is not None else self.plan.units[name]
         if stated is not None and signal.unit is not None and not _same_unit(stated, unit):
-            raise InputError(
-                "the column states another unit",
-                expected=f"unit = {stated!r}, as the title of the column says",
-                got=f"unit = {unit!r}",
-                remedy="correct one of the two",
-                place=f"signals.{name}.unit",
-            )
+            self.notes.append(f"signals.{name}: the title says {stated!r}; {unit!r}, as declared, counts")
         scaled = raw if signal.scale == 1.0 and signal.offset == 0.0 else signal.scale * raw + signal.offset
         if np.isinf(scaled).any():
             row = int(np.argmax(np.isinf(scaled)))
             raise InputError(
                 "an infinite value",
                 expected="numbers",
-                got=f"{raw[row]} in row {row}",
+                got=f"{raw[row]} in {table.where(row)}",
                 remedy="cut or empty the cell",
-                place=f"row {row}, signal {name}",
+                place=f"{table.where(row)}, signal {name}",
             )
         return convert(scaled, unit, self.plan.channels[name].unit)
 
@@ -267,7 +319,7 @@ class _Reader:
                 )
             return None
         raw, stated = table.read(column)
-        unit = declared.unit if declared is not None else (stated or "s")
+        unit = (declared.unit if declared is not None else None) or stated or "s"
         try:
             return convert(raw, unit, "s")
         except InputError as error:

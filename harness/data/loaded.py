@@ -74,6 +74,12 @@ class LoadedDataset:
         model = "no nominal model" if self.nominal is None else f"nominal model {self.nominal.model}"
         return f"{self.dataset.name}: {self.dataset.spec}; {', '.join(uses)} runs; {model}"
 
+    def __repr__(self) -> str:
+        return f"<LoadedDataset {self}>"
+
+    def _repr_html_(self) -> str:
+        return self.dataset._repr_html_()
+
     def system(self) -> System:
         """Return the nominal model, measured as these data are, with what is known of its parameters.
 
@@ -113,9 +119,9 @@ class LoadedDataset:
         return system.with_parameters(self._parameters(system))
 
     def for_system(self, system: System) -> Dataset:
-        """Return the data set with every input of a model, in its order; 0 where nothing was recorded.
+        """Return the data set with every input of a model, in its order; 0 where it is declared as undriven.
 
-        A free swing has no recorded input; a model that has one was not driven through it.
+        A free swing has no recorded input: ``undriven = ["u"]`` says so.
         """
         spec = self.dataset.spec
         names = [channel.name for channel in spec.inputs]

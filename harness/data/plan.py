@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.data.description import Description, NominalParameter, SignalSection
 from harness.data.loaded import Nominal
-from harness.data.ports import Ports, located_model, ports_of, rate_unit
+from harness.data.ports import Ports, located_model, ports_of, rate_unit, runs_python
 from harness.data.si import si_unit
 from harness.errors import InputError
 from harness.signals import Channel
@@ -45,6 +45,8 @@ class Plan:
         Names of the signals by role, in the model's order.
     channels : dict
         The channel of each signal, in the unit that its values will have.
+    unrecorded : list of Channel
+        Inputs of the model that no signal gives and that are not declared as undriven.
     notes : list of str
         What was noticed.
     """
@@ -60,6 +62,7 @@ class Plan:
     ) -> None:
         self.path, self.description = path, description
         self.notes: list[str] = []
+        self.unrecorded: list[Channel] = []
         self._header_unit = header_unit
         self.nominal = self._nominal(model)
         self.ports = self._ports(ports)
@@ -84,6 +87,14 @@ class Plan:
             return Nominal(located_model(model, Path.cwd()))
         if section is None:
             return None
+        if model is None and runs_python(section.model):
+            raise InputError(
+                "a data set that runs Python code",
+                expected="a model that runs no file, or the command line naming the file as well",
+                got=repr(section.model),
+                remedy=f"if you trust that file, give --model {section.model} (in Python model={section.model!r})",
+                place="nominal.model",
+            )
         parameters = {
             name: given if isinstance(given, NominalParameter) else NominalParameter(value=float(given))
             for name, given in section.parameters.items()
@@ -128,17 +139,37 @@ class Plan:
                 rank = (self.ports.inputs if signal.role == "input" else self.ports.outputs).index(channel)
             ranks[name] = (signal.derivative, rank)
         role = {name: signal.role for name, signal in self.description.signals.items()}
-        if self.ports is not None:
-            recorded = {self.port(name) for name in role if role[name] == "input"}
-            for channel in self.ports.inputs:
-                if channel.name not in recorded:
-                    self.notes.append(f"input {channel.name} of {self.ports.model} is not recorded: taken as 0")
+        self._check_undriven({self.port(name) for name in role if role[name] == "input"})
         ordered = sorted(ranks, key=lambda name: ranks[name])
         return (
             [name for name in ordered if role[name] == "input"],
             [name for name in ordered if role[name] == "output"],
             [name for name in role if role[name] == "reference"],
         )
+
+    def _check_undriven(self, recorded: set[str]) -> None:
+        """Hold the declared undriven inputs against the model's, and keep those that nothing is known of."""
+        declared = self.description.undriven
+        channels = () if self.ports is None else self.ports.inputs
+        for name in declared:
+            if name in recorded or name not in [channel.name for channel in channels]:
+                free = [channel.name for channel in channels if channel.name not in recorded]
+                raise InputError(
+                    "undriven input",
+                    expected=f"an input of the model that no signal gives ({', '.join(free) or 'there is none'})",
+                    got=repr(name) + (", which a signal gives" if name in recorded else ""),
+                    remedy="correct or remove the name",
+                    place="undriven",
+                )
+        for channel in channels:
+            if channel.name in recorded:
+                continue
+            if channel.name not in declared:
+                self.unrecorded.append(channel)
+                continue
+            fmu = self.nominal is not None and self.nominal.model.endswith(".fmu")
+            value = "its start value" if fmu else "0"
+            self.notes.append(f"input {channel.name} is declared as undriven: {value} in all records")
 
     def signal(self, name: str) -> SignalSection:
         """Return the section of a signal."""
@@ -164,6 +195,8 @@ class Plan:
         self.units[name] = unit
         if signal.role == "reference":
             return Channel(name, _si(unit, place))
+        if signal.categories is not None:
+            return self._category(name, label)
         if self.ports is None:
             return Channel(label, _si(unit, place))
         port = self.ports.find(self.port(name), signal.role)
@@ -181,6 +214,23 @@ class Plan:
         if signal.derivative:
             return Channel(label, target)
         return replace(port, name=label)
+
+    def _category(self, name: str, label: str) -> Channel:
+        """Return the channel of a signal whose numbers are names: 0 .. categories - 1."""
+        count, place = self.signal(name).categories, f"signals.{name}.categories"
+        if count is None or count < 2:
+            raise InputError(
+                "categories", expected="their number, at least 2", got=str(count), remedy="correct it", place=place
+            )
+        if self.ports is not None:
+            raise InputError(
+                "categories under a nominal model",
+                expected="a real signal",
+                got=f"{count} categories",
+                remedy="remove the nominal model, or the key",
+                place=place,
+            )
+        return Channel(label, "1", 0, count - 1, kind="category")
 
 
 def _si(unit: str, place: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from harness.errors import InputError
-from harness.units import convert, fits
+from harness.units import base_units, convert, fits
 
 __all__ = ["SI_UNITS", "si_unit"]
 
@@ -38,6 +38,8 @@ def si_unit(unit: str) -> str:
     --------
     >>> si_unit("deg"), si_unit("mV"), si_unit("rpm"), si_unit("tick/s"), si_unit("degC"), si_unit("%")
     ('rad', 'V', 'rad/s', 'tick/s', 'K', '1')
+    >>> si_unit("Hz"), si_unit("1/min"), si_unit("kHz")
+    ('Hz', '1/s', '1/s')
     """
     text = unit.strip()
     if text in ("", "1", "-") or text in SI_UNITS:
@@ -46,7 +48,11 @@ def si_unit(unit: str) -> str:
         return "1"
     for candidate in SI_UNITS:
         if fits(text, candidate):
-            zero, one = convert(np.array([0.0, 1.0]), text, candidate)
+            try:
+                zero, one = convert(np.array([0.0, 1.0]), text, candidate)
+            except InputError:  # a count or a frequency, which is no angle
+                _, factor, _ = base_units(text)
+                return text if factor == 1.0 else "1/s"
             return text if zero == 0.0 and one == 1.0 else candidate
     raise InputError(
         "unit without a known SI form",

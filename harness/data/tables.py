@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
+from harness.data.headers import split_header
 from harness.errors import InputError
-from harness.signals import FloatArray
+from harness.signals import Channel, FloatArray
+from harness.units import fits
 
-__all__ = ["BARE", "FORMATS", "REFERENCE", "TRUTH", "Source", "Table", "open_table", "split_header"]
+__all__ = ["BARE", "FORMATS", "REFERENCE", "TRUTH", "Source", "Table", "nearest", "open_table", "suffix_of"]
 
-BARE = (".csv", ".parquet")
+BARE = (".csv", ".tsv", ".csv.gz", ".tsv.gz", ".parquet", ".pq", ".feather", ".arrow", ".xlsx")
 """Suffixes of files that can stand for a whole data set, with a model that names the ports."""
 
 REFERENCE = "reference:"
@@ -21,22 +22,6 @@ REFERENCE = "reference:"
 
 TRUTH = "truth:"
 """Prefix of columns that hold true states: for scoring only, never read as measurements."""
-
-_HEADER = re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
-
-
-def split_header(header: str) -> tuple[str, str | None]:
-    """Return name and unit of a column title.
-
-    Examples
-    --------
-    >>> split_header("u [N m]"), split_header("theta")
-    (('u', 'N m'), ('theta', None))
-    """
-    found = _HEADER.match(header)
-    if found is None or not found["name"]:
-        return header.strip(), None
-    return found["name"].strip(), found["unit"].strip() or "1"
 
 
 class Source(Protocol):
@@ -78,6 +63,18 @@ def _mat(path: Path) -> Source:
     return open_mat(path)
 
 
+def _feather(path: Path) -> Source:
+    from harness.data.binary_files import FeatherFile
+
+    return FeatherFile(path)
+
+
+def _excel(path: Path) -> Source:
+    from harness.data.memory import ExcelFile
+
+    return ExcelFile(path)
+
+
 def _npz(path: Path) -> Source:
     from harness.data.binary_files import NumpyFile
 
@@ -107,6 +104,11 @@ FORMATS: dict[str, Callable[[Path], Source]] = {
     ".tsv": _csv,
     ".txt": _csv,
     ".dat": _csv,
+    **{f"{suffix}.gz": _csv for suffix in (".csv", ".tsv", ".txt", ".dat")},
+    ".feather": _feather,
+    ".arrow": _feather,
+    ".xlsx": _excel,
+    ".xlsm": _excel,
     ".parquet": _parquet,
     ".pq": _parquet,
     ".mat": _mat,
@@ -121,13 +123,27 @@ FORMATS: dict[str, Callable[[Path], Source]] = {
 """Readers by suffix."""
 
 
+def suffix_of(path: Path) -> str:
+    """Return the suffix that decides the format, in small letters.
+
+    Examples
+    --------
+    >>> suffix_of(Path("a.CSV")), suffix_of(Path("run.1.csv.gz"))
+    ('.csv', '.csv.gz')
+    """
+    last = path.suffix.lower()
+    return "".join(path.suffixes[-2:]).lower() if last == ".gz" else last
+
+
 class Table:
-    """One file of data.
+    """One file of data, or a table in memory.
 
     Parameters
     ----------
     path : Path
         Its suffix decides the format; see :data:`FORMATS`.
+    source : Source, optional
+        What is in memory already; the path is then a name for messages.
 
     Raises
     ------
@@ -135,12 +151,16 @@ class Table:
         If there is no file, its format is unknown, or it cannot be read.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, source: Source | None = None) -> None:
+        self.path = path
+        if source is not None:
+            self._source = source
+            return
         if not path.is_file():
             raise InputError(
                 "no such file", expected="a file of data", got=_nearby(path), remedy="check the path", file=path
             )
-        opener = FORMATS.get(path.suffix.lower())
+        opener = FORMATS.get(suffix_of(path))
         if opener is None:
             raise InputError(
                 "unknown format",
@@ -149,7 +169,6 @@ class Table:
                 remedy="convert it, for example to CSV",
                 file=path,
             )
-        self.path = path
         try:
             self._source = opener(path)
         except InputError as error:
@@ -159,6 +178,16 @@ class Table:
     def titles(self) -> tuple[str, ...]:
         """Titles of the measured columns (those of true states are left out)."""
         return tuple(title for title in self._source.titles if not title.startswith(TRUTH))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was noticed while reading."""
+        return tuple(getattr(self._source, "notes", ()))
+
+    def where(self, row: int) -> str:
+        """Return the place of a row (from 0) as an editor of the file counts it, or as the file itself does."""
+        find = getattr(self._source, "where", None)
+        return f"row {row}" if find is None else str(find(row))
 
     @property
     def all_titles(self) -> tuple[str, ...]:
@@ -238,6 +267,28 @@ def open_table(path: Path, cache: dict[Path, Table]) -> Table:
     if path not in cache:
         cache[path] = Table(path)
     return cache[path]
+
+
+def nearest(channel: Channel, titles: Sequence[str]) -> list[str]:
+    """Return the titles that may be meant by a channel: of like name first, then of like unit, at most six.
+
+    Examples
+    --------
+    >>> nearest(Channel("u", "N m"), ["temperature [K]", "u_motor [V]", "torque [N mm]"])
+    ['u_motor [V]', 'torque [N mm]', 'temperature [K]']
+    """
+
+    def distance(title: str) -> tuple[float, bool]:
+        name, unit = split_header(title)
+        alike = difflib.SequenceMatcher(None, name.lower(), channel.name.lower()).ratio()
+        starts = name.lower().startswith(channel.name.lower())
+        try:
+            other = unit is None or not fits(unit, channel.unit)
+        except InputError:
+            other = True
+        return -alike - 0.5 * starts - 0.3 * (not other), other
+
+    return sorted(titles, key=distance)[:6]
 
 
 def _nearby(path: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -34,6 +35,7 @@ class TimeRules:
     gaps: Gaps = "refuse"
     resample: ResampleSection | None = None
     intersample: Literal["zoh", "foh", "smooth"] = "zoh"
+    duplicates: Literal["refuse", "first", "last", "mean"] = "refuse"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +69,7 @@ def pieces_of(
     inputs: tuple[bool, ...],
     rules: TimeRules,
     common: float | None = None,
+    where: Callable[[int], str] = "row {}".format,
 ) -> tuple[list[Piece], list[str]]:
     """Turn the columns of one run into pieces with a uniform time axis.
 
@@ -84,6 +87,8 @@ def pieces_of(
         What the data set declares.
     common : float, optional
         Sample time [s] of the runs before: all share one.
+    where : callable
+        Returns what a person calls a row (from 0), for messages.
 
     Returns
     -------
@@ -94,7 +99,7 @@ def pieces_of(
     Raises
     ------
     InputError
-        If the time is not usable and no declared remedy covers it. Rows count from 0.
+        If the time is not usable and no declared remedy covers it.
     """
     notes: list[str] = []
     if time is None:
@@ -109,8 +114,10 @@ def pieces_of(
         dt = rules.sample_time
         stamps: FloatArray = np.arange(values.shape[0], dtype=np.float64) * dt
     else:
+        time, values, rows = _without_duplicates(time, values, rules, notes)
+        where = _renamed(where, rows)
         stamps = time
-        _check_time(time)
+        _check_time(time, where)
         dt = _agreed(time, rules, common) if len(time) > 1 else (rules.sample_time or common or 1.0)
     present: BoolArray = np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
     if rules.resample is not None:
@@ -121,9 +128,9 @@ def pieces_of(
         raise InputError(
             f"nothing recorded in {missing} of {len(present)} rows",
             expected="a number in every row",
-            got=f"{values[row, column]} in row {row} of {names[column]}",
+            got=f"{values[row, column]} in {where(row)} of {names[column]}",
             remedy='cut the run with rows = [start, stop], or declare gaps = "split" or [resample]',
-            place=f"row {row}, signal {names[column]}",
+            place=f"{where(row)}, signal {names[column]}",
         )
     steps = np.diff(stamps)
     jumps = np.abs(steps - dt) > 0.5 * dt
@@ -132,9 +139,9 @@ def pieces_of(
         raise InputError(
             f"time is not uniform ({int(jumps.sum())} gaps)",
             expected=f"a step of {dt:g} s between rows",
-            got=f"{steps[k]:g} s between rows {k} and {k + 1} (t = {stamps[k]:g} s)",
+            got=f"{steps[k]:g} s between {where(k)} and {where(k + 1)} (t = {stamps[k]:g} s)",
             remedy='declare gaps = "split" or [resample] in a dataset.toml, or cut the run with rows = [start, stop]',
-            place=f"row {k + 1}",
+            place=where(k + 1),
         )
     cuts = np.flatnonzero(~present[:-1] | ~present[1:] | jumps) + 1
     kept, lost = [], 0
@@ -157,19 +164,45 @@ def pieces_of(
             got=f"{len(stamps)} rows with {cuts.size} cuts",
             remedy="declare [resample] instead, or record anew",
         )
-    return [_uniform(stamps[rows], values[rows], int(rows[0]), dt, notes) for rows in kept], notes
+    return [_uniform(stamps[rows], values[rows], _renamed(where, rows), dt, notes) for rows in kept], notes
 
 
-def _check_time(time: FloatArray) -> None:
+def _renamed(where: Callable[[int], str], rows: npt.NDArray[np.int64]) -> Callable[[int], str]:
+    """Return what names rows that were chosen from others."""
+    return lambda row: where(int(rows[row]))
+
+
+def _without_duplicates(
+    time: FloatArray, values: FloatArray, rules: TimeRules, notes: list[str]
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]:
+    """Return the rows with time stamps of their own, as declared, and which rows of the file they are."""
+    rows = np.arange(len(time))
+    if rules.duplicates == "refuse" or len(time) < 2:
+        return time, values, rows
+    first = np.concatenate(([True], np.diff(time) != 0.0))
+    if first.all():
+        return time, values, rows
+    groups = np.cumsum(first) - 1
+    count = int(groups[-1]) + 1
+    last = np.concatenate((first[1:], [True]))
+    kept = last if rules.duplicates == "last" else first
+    chosen = values[kept]
+    if rules.duplicates == "mean":
+        chosen = np.column_stack([np.bincount(groups, column) for column in values.T]) / np.bincount(groups)[:, None]
+    notes.append(f"{len(time) - count} rows repeat the time stamp of the row before: the {rules.duplicates} counts")
+    return time[kept], chosen, rows[kept]
+
+
+def _check_time(time: FloatArray, where: Callable[[int], str]) -> None:
     """Refuse time stamps that are missing or do not increase."""
     if not np.isfinite(time).all():
         row = int(np.argmax(~np.isfinite(time)))
         raise InputError(
             "no time stamp",
             expected="a time in every row",
-            got=f"{time[row]} in row {row}",
+            got=f"{time[row]} in {where(row)}",
             remedy="cut the run with rows = [start, stop]",
-            place=f"row {row}",
+            place=where(row),
         )
     back = np.diff(time) <= 0
     if back.any():
@@ -177,10 +210,12 @@ def _check_time(time: FloatArray) -> None:
         stands = time[row] == time[row - 1]
         raise InputError(
             "time stands still" if stands else "time runs back",
-            expected=f"more than {time[row - 1]:g} s in row {row}",
+            expected=f"more than {time[row - 1]:g} s in {where(row)}",
             got=f"{time[row]:g} s",
-            remedy='sort or cut the rows first; neither [resample] nor gaps = "split" mends this',
-            place=f"row {row}",
+            remedy='declare duplicates = "first", "last" or "mean" in a dataset.toml'
+            if stands
+            else 'sort or cut the rows first; neither [resample] nor gaps = "split" mends this',
+            place=where(row),
         )
 
 
@@ -209,7 +244,7 @@ def _agreed(time: FloatArray, rules: TimeRules, common: float | None) -> float:
     return measured
 
 
-def _uniform(time: FloatArray, values: FloatArray, first: int, dt: float, notes: list[str]) -> Piece:
+def _uniform(time: FloatArray, values: FloatArray, where: Callable[[int], str], dt: float, notes: list[str]) -> Piece:
     """Return a piece whose time stamps lie on a grid, near enough."""
     n = len(time)
     own = (time[-1] - time[0]) / (n - 1) if n > 1 else dt
@@ -219,10 +254,10 @@ def _uniform(time: FloatArray, values: FloatArray, first: int, dt: float, notes:
         k = int(np.argmax(deviation))
         raise InputError(
             "time is not uniform (clock jitter)",
-            expected=f"{time[0] + k * own:.9g} s in row {first + k}, within {JITTER_ACCEPTED:.0%} of {dt:g} s",
+            expected=f"{time[0] + k * own:.9g} s in {where(k)}, within {JITTER_ACCEPTED:.0%} of {dt:g} s",
             got=f"{time[k]:.9g} s ({jitter:.0%} of a sample time off)",
             remedy="declare [resample] in a dataset.toml",
-            place=f"row {first + k}",
+            place=where(k),
         )
     if jitter > JITTER_UNNOTICED:
         notes.append(f"clock jitter up to {jitter:.2%} of the sample time: taken as uniform")

@@ -14,7 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.tables import REFERENCE, TRUTH, Table, split_header
+from harness.data.headers import split_header
+from harness.data.tables import REFERENCE, TRUTH, Table
+from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
@@ -95,24 +97,24 @@ def write_trajectory(
         raise InputError(
             "the folder is missing", expected="an existing folder", got=str(path.parent), remedy="make it", file=path
         )
-    scratch = path.with_name(path.name + ".part")
-    if path.suffix.lower() == ".csv":
-        lines = [",".join(f'"{title}"' if "," in title or '"' in title else title for title in columns)]
-        table = [values.tolist() for values in columns.values()]
-        lines += [",".join(map(repr, row)) for row in zip(*table, strict=True)]
-        scratch.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    elif path.suffix.lower() == ".parquet":
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        content = json.dumps(_spec_to_dict(trajectory.spec))
-        arrow = pa.table({title: np.ascontiguousarray(values) for title, values in columns.items()})
-        pq.write_table(arrow.replace_schema_metadata({_KEY: content.encode()}), scratch)
-    else:
+    suffix = path.suffix.lower()
+    if suffix not in (".csv", ".parquet"):
         raise InputError(
             "output file", expected="a name that ends in .csv or .parquet", got=path.name, remedy="rename it", file=path
         )
-    scratch.replace(path)
+    with whole_file(path) as scratch:
+        if suffix == ".csv":
+            lines = [",".join(f'"{title}"' if "," in title or '"' in title else title for title in columns)]
+            table = [values.tolist() for values in columns.values()]
+            lines += [",".join(map(repr, row)) for row in zip(*table, strict=True)]
+            scratch.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        else:
+            import pyarrow as pa
+            import pyarrow.parquet as pq
+
+            content = json.dumps(_spec_to_dict(trajectory.spec))
+            arrow = pa.table({title: np.ascontiguousarray(values) for title, values in columns.items()})
+            pq.write_table(arrow.replace_schema_metadata({_KEY: content.encode()}), scratch)
     return path
 
 

@@ -1,48 +1,39 @@
-"""The diagnosis, step by step: fit, find the residual, trace it to effects, grade what is left."""
+"""The closed loop, step by step: fit, ask whether the model fits at all, search, grade what is left."""
 
 from __future__ import annotations
 
 import functools
-import os
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from harness.diagnosis.adequacy import Adequacy
 from harness.diagnosis.columns_check import check_columns
-from harness.diagnosis.confirm import far_above
 from harness.diagnosis.dictionary import placed
-from harness.diagnosis.disturbed import BALANCE, Balance, second_opinion
-from harness.diagnosis.equation_form import EquationForm
-from harness.diagnosis.forms import Fitted, Form
-from harness.diagnosis.horizons import searched
-from harness.diagnosis.leftover import leftover
-from harness.diagnosis.momentum_form import MomentumForm
-from harness.diagnosis.noise import NoiseFloor, noise_floors
-from harness.diagnosis.nominal import fit_nominal, reweighed
-from harness.diagnosis.output_form import OutputForm
-from harness.diagnosis.prepare import Horizon
-from harness.diagnosis.refit_workers import RefitWorkers
-from harness.diagnosis.refitter import Refitter
-from harness.diagnosis.response import Family
-from harness.diagnosis.screens import Screen, sensitivity_screen
-from harness.diagnosis.store import Store, fingerprint
-from harness.diagnosis.stretches import polished, stretched
-from harness.diagnosis.subset import Search, SearchResult
+from harness.diagnosis.free_runs import FreeRuns, free_runs
+from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.prepare import checked, sizes_of
+from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.leftover import Leftover, left_over
+from harness.diagnosis.search.likelihood_form import LikelihoodForm
+from harness.diagnosis.search.misfit import misfit_reasons
+from harness.diagnosis.search.remembered import Remembered
+from harness.diagnosis.search.rounding import add_rounding
+from harness.diagnosis.search.rounds import Outcome, search
+from harness.diagnosis.search.score_test import ScoreTest
 from harness.diagnosis.thinning import thinned_dataset
-from harness.effects.effect import Effect, Placed
+from harness.effects.effect import Effect
 from harness.errors import FitError
 from harness.signals import Dataset
 from harness.workers import one_thread
 
-__all__ = ["Diagnosis", "diagnose"]
+__all__ = ["Diagnosis", "Progress", "diagnose"]
 
 Progress = Callable[[float, str], None]
-DISTURBED = "something that is not measured disturbs the plant: over short windows the effects stand out most from it"
+DRY = frozenset({"coulomb_friction", "stribeck_friction", "asymmetric_friction", "hysteresis",
+                 "position_dependent_friction", "sublinear_friction"})  # fmt: skip
+"""Laws of the whole dry friction of a joint: a sum of two is neither."""
 
 
 @dataclass(eq=False)
@@ -51,51 +42,74 @@ class Diagnosis:
 
     dataset: Dataset
     system: Any
-    horizon: Horizon
-    floors: tuple[NoiseFloor, ...]
-    form: Form
-    output: OutputForm
-    strong: EquationForm | None
-    inverse: bool
-    nominal: Fitted
-    same_minimum: bool
-    result: SearchResult
-    screened: Callable[[], Screen] = field(repr=False)
-    adequacy: Adequacy
-    families: dict[str, Family]
+    form: LikelihoodForm
+    outcome: Outcome
+    leftover: Leftover
+    runs: FreeRuns
+    misfit: tuple[str, ...]
+    policy: Policy
     warnings: list[str] = field(default_factory=list)
     seconds: float = 0.0
 
-    @functools.cached_property
-    def first_screen(self) -> Screen:
-        """The dictionary against the nominal model: what this experiment can show, and tell apart."""
-        return self.result.rounds[0].screen if self.result.rounds else self.screened()
+    @property
+    def nominal(self) -> Fit:
+        """The nominal model at its maximum."""
+        return self.outcome.nominal
 
     @property
-    def final(self) -> Fitted:
+    def final(self) -> Fit:
         """The model with the accepted effects (the nominal one if none was accepted)."""
-        return self.result.model
+        return self.outcome.model
+
+    @property
+    def test(self) -> ScoreTest:
+        """The dictionary against the nominal model: what this experiment can show, and tell apart."""
+        return self.outcome.rounds[0].test
 
     @property
     def verdict(self) -> str:
-        """See diagnosis: effects_found, nothing_missing, unexplained."""
-        if self.result.accepted:
+        """See diagnosis: model_does_not_fit, effects_found, unexplained, nothing_missing."""
+        if self.misfit:
+            return "model_does_not_fit"
+        if self.outcome.accepted:
             return "effects_found"
-        return "unexplained" if self.adequacy.unexplained else "nothing_missing"
+        return "unexplained" if self.leftover.best is not None else "nothing_missing"
+
+    @property
+    def grade(self) -> str:
+        """How much of the motion the final model explains over the horizon, and whether more could be predicted."""
+        if self.misfit:
+            return "does_not_fit"
+        if self.leftover.best is not None:
+            return "proxy_or_incomplete"
+        return "explained" if self.runs.left <= self.policy.explained else "mostly_explained"
+
+    @functools.cached_property
+    def stand_in(self) -> tuple[str, ...]:
+        """Why accepted effects imitate something that is not in the dictionary; empty if nothing says so."""
+        accepted = [one.placed for one in self.outcome.accepted]
+        reasons = []
+        for place in dict.fromkeys(one.at for one in accepted):
+            dry = [one.effect.name.replace("_", " ") for one in accepted if one.at == place and one.effect.name in DRY]
+            if len(dry) > 1:
+                reasons.append(f"the friction at {place} is none of the dictionary's laws: {' and '.join(dry)} "
+                               "together imitate it")  # fmt: skip
+        best = self.leftover.best
+        if accepted and best is not None:
+            reasons.append(f"what is left can still be predicted, as a force at {best.name}")
+        return tuple(reasons)
 
 
 def diagnose(
     dataset: Dataset,
     system: Any,
     *,
-    seed: int = 0,
     progress: Progress | None = None,
     folder: Path | None = None,
     dictionary: Sequence[Effect] | None = None,
-    inverse_dynamics: bool | None = None,
-    workers: int | None = None,
+    policy: Policy = POLICY,
 ) -> Diagnosis:
-    """Run the algorithm and return all that it found, without writing a report.
+    """Run the closed loop and return all that it found, without writing a report.
 
     Parameters
     ----------
@@ -103,187 +117,52 @@ def diagnose(
         With estimation and validation runs; test runs are scored at the end and influence nothing.
     system : System
         The nominal model, measured as the data are.
-    seed : int
-        Keys surrogates and bootstrap draws.
     progress : callable, optional
         Called as ``progress(fraction_done, what)``.
     folder : Path, optional
-        Where finished refits are kept.
+        Where finished refits are kept, for ``resume``.
     dictionary : sequence of Effect, optional
         By default the built-in effects and those of installed plug-ins.
-    inverse_dynamics : bool, optional
-        Judge force residuals on measured motion instead of simulations; by default decided from the data.
-    workers : int, optional
-        Processes for refits; by default the number of cores, at most 4.
+    policy : Policy
+        The deciding numbers.
 
     Raises
     ------
     InputError
         If the data do not fit the model.
+    FitError
+        If the nominal model cannot be simulated along the data.
     """
-    count = min(os.cpu_count() or 1, 4) if workers is None else workers
-    with one_thread(), RefitWorkers(count) as helpers:
-        return _diagnosed(dataset, system, seed, progress, folder, dictionary, inverse_dynamics, helpers)
-
-
-def _diagnosed(
-    dataset: Dataset,
-    system: Any,
-    seed: int,
-    progress: Progress | None,
-    folder: Path | None,
-    dictionary: Sequence[Effect] | None,
-    inverse_dynamics: bool | None,
-    helpers: RefitWorkers,
-) -> Diagnosis:
-    """Do what :func:`diagnose` says."""
     began = time.monotonic()
+    parts = iter(0.75 * (1.0 - 0.9**k) for k in range(1, 10_000))
 
-    def say(part: float, what: str) -> None:
+    def say(what: str, part: float | None = None) -> None:
         if progress is not None:
-            progress(part, what)
+            progress(next(parts) if part is None else part, what)
 
-    ways = _ways(system)
-    whole = thinned_dataset(ways.checked(dataset, system), system)
-    dataset = stretched(whole)
-    warnings = list(dataset.warnings)
-    say(0.02, "first fit of the nominal model")
-    if hasattr(system, "coordinates") and hasattr(system, "f"):
-        warnings += check_columns(system, dataset)
-    values = ways.rough_values(system, dataset)
-    horizon = ways.choose_horizon(system, values, dataset)
-    say(0.06, "noise floor")
-    floors = noise_floors(dataset, horizon=horizon.seconds)
-    sizes: dict[str, dict[str, float]] = ways.sizes_of(system, values, dataset)
-    inverse = ways.prefers_equations(system, horizon, floors) if inverse_dynamics is None else inverse_dynamics
-    spread = np.std(np.concatenate([run.y for run in dataset.estimation]), axis=0)
-    weights = np.array([one.value if one.value else max(0.1 * s, 1e-12) for one, s in zip(floors, spread, strict=True)])
-    output, strong, weak = ways.forms(system, dataset, horizon=horizon, floors=floors, weights=weights, sizes=sizes)
-    if inverse and strong is None:
-        raise FitError(
-            "inverse dynamics asked for",
-            expected="a measured position for every coordinate",
-            got=", ".join(channel.name for channel in system.outputs),
-            remedy="leave inverse_dynamics to the data",
-        )
-    form: Form = strong if inverse and strong is not None else output
-    say(0.1, "nominal fit")
-    nominal, same = fit_nominal(form, values, seed, floors)
-    if not same:
-        warnings.append("the nominal fit did not end in the same minimum from two starts")
-    form, nominal, floors = reweighed(form, output, nominal, floors, warnings)
-    sizes = output.sizes
-    steps = iter(np.linspace(0.25, 0.8, 60))
-
-    def _fraction() -> float:
-        return float(next(steps, 0.8))
-
-    everything, faults = placed(system, dictionary)
-    warnings += faults
-    candidates = [one for one in everything if form.judges(one)]
-
-    def size_of(placed: Placed) -> Mapping[str, float]:
-        return sizes.get(placed.at, sizes.get("base", {}))
-
-    stores: dict[tuple[str, float | None], Store] = {}  # what a second search needs again is there
-
-    def search_of(one: Form) -> Search:
-        by_momentum = isinstance(one, MomentumForm)
-        key = (type(one).__name__, getattr(one, "horizon", horizon.seconds))
-        identity = fingerprint(dataset, model=str(system), parameters=str(system.parameters), horizon=key[1],
-                               inverse="balance" if by_momentum else inverse, weights=one.weights.tolist())  # fmt: skip
-        store = stores.setdefault(key, Store(folder, identity))
-        workers = None if by_momentum else helpers  # its refits take no time
-        refitter = Refitter(one, store, seed, workers, lambda name: say(_fraction(), f"refitted {name}"))
-        judged = [placed for placed in candidates if one.judges(placed)]
-        return Search(
-            one, None if by_momentum else weak, judged, sizes, refitter, seed, lambda text: say(_fraction(), text)
-        )
-
-    def graded(one: Form, found: SearchResult, others: Sequence[tuple[Form, Fitted]]) -> Any:
-        say(0.82, "what is left, and whether it can be predicted")
-        detected = search_of(one).detected(found.model)
-        return leftover(one, found, others, weak, dataset, seed, detected=detected, balance=momentum,
-                        unbalanced=bool(large))  # fmt: skip
-
-    usual, usual_nominal = form, nominal
-    momentum: MomentumForm | None = None
-    balance = Balance(system, dataset, sizes, usual_nominal.values, floors, seed)
-    large = ""
-    form, nominal, result = searched(form, nominal, search_of, size_of)
-    disturbed = far_above(usual, usual_nominal) and (form is not usual or far_above(usual, result.model))
-    if weak is not None and isinstance(usual, OutputForm) and isinstance(form, OutputForm) and disturbed:
-        say(0.8, "the momentum balance of the measured motion")
-        momentum, why = balance.asked()
-        warnings += why
-        if momentum is not None:
-            form, nominal, result = second_opinion(usual, form, nominal, result, momentum, search_of)
-            warnings += [note for note in result.notes if note == BALANCE]
-    doubtful = far_above(usual, usual_nominal) or not all(usual.floors)
-    if weak is not None and isinstance(usual, OutputForm) and doubtful and not result.accepted:
-        large = balance.unexplained()
-        warnings += [large] if large else []
-    others = [] if form is usual or result.accepted else [(usual, usual_nominal)]
-    adequacy, families = graded(form, result, others)
-    if form is not usual and adequacy.predictable:
-        # no disturbance can be predicted: a law is missing that the search over short windows did not find
-        again = search_of(usual).run(usual_nominal)
-        if again.accepted and not far_above(usual, again.model):
-            form, nominal, result = usual, usual_nominal, again
-            adequacy, families = graded(form, result, [])
-    if form is not usual:
-        assert isinstance(form, OutputForm)
-        output, horizon = form, Horizon(form.horizon, DISTURBED)
-    if dataset is not whole:
-        say(0.85, "refitting on the whole records")
-        first = polished(form, nominal, whole)
-        result = replace(result, model=first if result.model is nominal else polished(form, result.model, whole))
-        nominal = first
-        adequacy, families = graded(form, result, [])
-    warnings += undetermined(result.model)
-    return Diagnosis(
-        dataset=dataset,
-        system=system,
-        horizon=horizon,
-        floors=floors,
-        form=form,
-        output=output,
-        strong=strong,
-        inverse=inverse,
-        nominal=nominal,
-        same_minimum=same,
-        result=result,
-        screened=lambda: sensitivity_screen(form, nominal, candidates, size_of),
-        adequacy=adequacy,
-        families=families,
-        warnings=warnings,
-        seconds=time.monotonic() - began,
-    )
-
-
-def undetermined(model: Fitted) -> list[str]:
-    """Return a warning for every effect whose size the data hardly tell, though it takes away error."""
-    found = []
-    for one in model.effects:
-        name, parameter = one.main(), one.effect.main
-        if name is None or parameter is None or parameter.neutral is None or name not in model.free:
-            continue
-        interval = model.intervals()[name]
-        if interval.low <= parameter.neutral <= interval.high:
-            found.append(
-                f"the 95 % interval of {name} includes {parameter.neutral:g}: what is left stays correlated for so "
-                "long that its size is hardly known; that the error falls is no chance"
+    with one_thread():
+        dataset = thinned_dataset(checked(dataset, system), system)
+        warnings = [*dataset.warnings, *(check_columns(system, dataset) if hasattr(system, "f") else [])]
+        sizes = sizes_of(system, system.values(), dataset)
+        form = LikelihoodForm(system, dataset, sizes)
+        remembered = Remembered(form, folder)
+        say("first fit of the nominal model", 0.02)
+        nominal = remembered.fit((), form.first_starts(), None)
+        if nominal is None:
+            raise FitError(
+                f"the nominal model {system.name}",
+                expected="start values from which it can be simulated along the data",
+                got="a state that diverges",
+                remedy="check signs and units of the columns, or give start values nearer to the plant",
             )
-    return found
-
-
-def _ways(system: Any) -> Any:
-    """Return what prepares the loop: for equations, or for an FMU."""
-    from harness.diagnosis import prepare
-    from harness.diagnosis.fmu_system import FmuSystem
-
-    if isinstance(system, FmuSystem):
-        from harness.diagnosis import fmu_prepare
-
-        return fmu_prepare
-    return prepare
+        form.resize(nominal)
+        candidates, faults = placed(system, dictionary)
+        outcome = search(remembered, nominal, candidates, policy=policy, say=say)
+        add_rounding(remembered, outcome, dataset, candidates, policy)
+        say("what is left", 0.8)
+        leftover = left_over(form, outcome.model, policy)
+        runs = free_runs(form, outcome.nominal, outcome.model)
+        misfit = misfit_reasons(form, outcome.model, runs, policy)
+    return Diagnosis(
+        dataset, system, form, outcome, leftover, runs, misfit, policy, warnings + faults, time.monotonic() - began
+    )

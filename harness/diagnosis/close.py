@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.algorithm import Diagnosis, Progress, diagnose
+from harness.diagnosis.simulated import SimulatedDiagnosis, diagnose_by_simulation
 from harness.diagnosis.stretches import cut_alike
 from harness.effects.effect import Effect
 from harness.errors import InputError
@@ -115,8 +116,8 @@ def close_loop(
     InputError
         If the data do not fit the model, or ``out`` holds a report and neither ``resume`` nor ``force`` is given.
     """
-    from harness.diagnosis.report_html import write_html
-    from harness.diagnosis.report_json import report_data
+    from harness.diagnosis.evidence_json import evidence_data
+    from harness.diagnosis.evidence_page import write_evidence
     from harness.diagnosis.store import write_atomic
 
     folder = _folder(out, resume=resume, force=force)
@@ -127,25 +128,47 @@ def close_loop(
         data = close_arm(dataset, arm, folder=folder, seed=chosen, progress=progress, dictionary=dictionary)
         return Report(data, folder, arm)
     system = _system(model, parameters, dataset)
-    found = diagnose(
-        dataset,
-        system,
-        seed=chosen,
-        progress=progress,
-        folder=folder,
-        dictionary=dictionary,
-        inverse_dynamics=inverse_dynamics,
-        workers=workers,
+    if is_fmu(system):
+        return _closed_around_fmu(dataset, system, chosen, progress, folder, dictionary, workers, references)
+    found = diagnose(dataset, system, progress=progress, folder=folder, dictionary=dictionary)
+    if progress is not None:
+        progress(0.9, "report")
+    data = evidence_data(found, references)
+    if folder is not None:
+        write_evidence(found, data, folder / HTML)
+        repaired = _repaired(found, name or system.name, options or {}, dataset.spec.sample_time)
+        write_atomic(folder / MODEL, json.dumps(repaired, indent=1, allow_nan=False) + "\n")
+        write_atomic(folder / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
+    if progress is not None:
+        progress(1.0, data["summary"])
+    return Report(data, folder, found.final.system.with_parameters(found.final.values))
+
+
+def _closed_around_fmu(
+    dataset: Dataset,
+    system: Any,
+    seed: int,
+    progress: Progress | None,
+    folder: Path | None,
+    dictionary: Sequence[Effect] | None,
+    workers: int | None,
+    references: Sequence[Mapping[str, FloatArray]],
+) -> Report:
+    """Close the loop around an FMU, by free runs: it shows no equations to filter with."""
+    from harness.diagnosis.report_html import write_html
+    from harness.diagnosis.report_json import report_data
+    from harness.diagnosis.store import write_atomic
+
+    found = diagnose_by_simulation(
+        dataset, system, seed=seed, progress=progress, folder=folder, dictionary=dictionary, workers=workers
     )
     if progress is not None:
         progress(0.9, "report")
     data = report_data(found, cut_alike(references, dataset, found.dataset))
     if folder is not None:
         write_html(found, data, folder / HTML)
-        repaired = _repaired(found, name or system.name, options or {}, dataset.spec.sample_time)
-        if is_fmu(system):
-            repaired = _repaired_fmu(found, folder)
-        write_atomic(folder / MODEL, json.dumps(repaired, indent=1, allow_nan=False) + "\n")
+        text = json.dumps(_repaired_fmu(found, folder), indent=1, allow_nan=False)
+        write_atomic(folder / MODEL, text + "\n")
         write_atomic(folder / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
     if progress is not None:
         progress(1.0, data["summary"])
@@ -238,7 +261,7 @@ def is_fmu(system: Any) -> bool:
     return isinstance(system, FmuSystem)
 
 
-def _repaired_fmu(found: Diagnosis, folder: Path) -> dict[str, Any]:
+def _repaired_fmu(found: SimulatedDiagnosis, folder: Path) -> dict[str, Any]:
     """Return the repaired model as ``sysid export`` reads it, a copy of the FMU beside it."""
     from harness.specs import spec_to_dict
 

@@ -47,6 +47,8 @@ class ResidualView:
     fitted: FloatArray | None
     residual_unit: str
     port: str
+    deviation: float = 0.0
+    """Standard deviation of one value, where it is known: drawn as a band about 0."""
 
 
 @dataclass
@@ -191,12 +193,17 @@ def _one_view(axis: Axes, view: ResidualView) -> None:
         _fitted(axis, view.x, view.fitted)
     shown = view.before if view.after is None else np.concatenate([view.before, view.after])
     low, high = np.quantile(shown, [0.005, 0.995])
+    if view.deviation > 0:
+        axis.axhspan(-2 * view.deviation, 2 * view.deviation, color=GREY, alpha=0.18, lw=0, label="±2 sd of one value")
+        low, high = min(low, -2 * view.deviation), max(high, 2 * view.deviation)
     margin = 0.25 * max(high - low, 1e-300)
     axis.set_ylim(low - margin, high + margin)
     axis.set(
         title=f"against {view.axis}",
         xlabel=_axis(view.axis, view.unit),
-        ylabel=f"residual of {view.port} [{view.residual_unit}]",
+        ylabel=f"{view.port} [{view.residual_unit}]"
+        if view.deviation > 0
+        else f"residual of {view.port} [{view.residual_unit}]",
     )
 
 

@@ -14,12 +14,12 @@ from harness.diagnosis.motion import smooth_motion
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
-    from harness.diagnosis.algorithm import Diagnosis
+    from harness.diagnosis.simulated import SimulatedDiagnosis
 
 __all__ = ["pictures_of"]
 
 
-def pictures_of(found: Diagnosis) -> Pictures:
+def pictures_of(found: SimulatedDiagnosis) -> Pictures:
     """Return what the figures need."""
     accepted = [str(one.placed) for one in found.result.accepted]
     names, cosines = isolability(found.first_screen, first=accepted)
@@ -53,7 +53,7 @@ def pictures_of(found: Diagnosis) -> Pictures:
     return pictures
 
 
-def _overlays(found: Diagnosis, changed: bool) -> list[Overlay]:
+def _overlays(found: SimulatedDiagnosis, changed: bool) -> list[Overlay]:
     """Return measured and simulated outputs of the longest validation record."""
     before, _, _ = found.output.simulated(found.nominal, "validation", found.horizon.seconds)
     after = None
@@ -77,7 +77,7 @@ def _overlays(found: Diagnosis, changed: bool) -> list[Overlay]:
     return result
 
 
-def _force_views(found: Diagnosis, pictures: Pictures, changed: bool) -> None:
+def _force_views(found: SimulatedDiagnosis, pictures: Pictures, changed: bool) -> None:
     """Add the force that the nominal part leaves over, against every axis, with the fitted effect on top."""
     strong = found.strong
     assert strong is not None
@@ -117,7 +117,7 @@ def _force_views(found: Diagnosis, pictures: Pictures, changed: bool) -> None:
             )
 
 
-def _coverage(found: Diagnosis, pictures: Pictures) -> None:
+def _coverage(found: SimulatedDiagnosis, pictures: Pictures) -> None:
     """Add where estimation and validation have been, coordinate by coordinate."""
     strong = found.strong
     assert strong is not None
@@ -133,7 +133,7 @@ def _coverage(found: Diagnosis, pictures: Pictures) -> None:
             )
 
 
-def _output_views(found: Diagnosis, pictures: Pictures, changed: bool) -> None:
+def _output_views(found: SimulatedDiagnosis, pictures: Pictures, changed: bool) -> None:
     """Add the output residual against output, input and time, where forces cannot be formed or do not tell."""
     record = found.dataset.estimation[0]
 

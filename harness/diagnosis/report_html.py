@@ -10,12 +10,12 @@ from harness.diagnosis.pictures import pictures_of
 from harness.diagnosis.store import write_atomic
 
 if TYPE_CHECKING:
-    from harness.diagnosis.algorithm import Diagnosis
+    from harness.diagnosis.simulated import SimulatedDiagnosis
 
-__all__ = ["environment", "render", "write_html"]
+__all__ = ["environment", "error_rows", "render", "write_html"]
 
 
-def write_html(found: Diagnosis, data: dict[str, Any], path: Path) -> None:
+def write_html(found: SimulatedDiagnosis, data: dict[str, Any], path: Path) -> None:
     """Write the page of a diagnosis."""
     write_atomic(path, render(data, draw(pictures_of(found))))
 
@@ -36,7 +36,7 @@ def render(data: dict[str, Any], figures: dict[str, str]) -> str:
         .render(
             data=data,
             figures=figures,
-            rows=_error_rows(data),
+            rows=error_rows(data),
             ratio=_ratios(data),
             refits=[row for row in data["candidates"] if row["refitted"]],
             aside=[row for row in data["candidates"] if not row["refitted"] and row["round"] == 1],
@@ -61,7 +61,7 @@ def environment() -> Any:
     return made
 
 
-def _error_rows(data: dict[str, Any]) -> list[dict[str, Any]]:
+def error_rows(data: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the rows of the before/after table: use, output, figures."""
     rows = []
     for use in ("estimation", "validation", "test"):

@@ -58,7 +58,7 @@ from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
-    from harness.diagnosis.algorithm import Diagnosis
+    from harness.diagnosis.simulated import SimulatedDiagnosis
 
 __all__ = ["FORMAT", "report_data"]
 
@@ -71,7 +71,7 @@ AROUND = (
 )
 
 
-def report_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray]] = ()) -> dict[str, Any]:
+def report_data(found: SimulatedDiagnosis, references: Sequence[Mapping[str, FloatArray]] = ()) -> dict[str, Any]:
     """Return the content of ``report.json``; ``references`` as :func:`harness.diagnosis.close_loop` takes them."""
     others = _other_horizons(found)
     errors = {
@@ -141,7 +141,7 @@ def _named(member: Sequence[Placed]) -> dict[str, Any]:
     return {"name": " + ".join(one.effect.name for one in member), "at": ", ".join(one.at for one in member)}
 
 
-def _effect(found: Diagnosis, placed: Placed, delta_bic: float) -> dict[str, Any]:
+def _effect(found: SimulatedDiagnosis, placed: Placed, delta_bic: float) -> dict[str, Any]:
     """Return one accepted effect with its parameters."""
     model = found.final
     intervals = model.intervals()
@@ -176,12 +176,12 @@ def _parameters(model: Fitted) -> dict[str, Any]:
     return result
 
 
-def _noise_ratios(found: Diagnosis, model: Fitted) -> dict[str, float | None]:
+def _noise_ratios(found: SimulatedDiagnosis, model: Fitted) -> dict[str, float | None]:
     """Return residual over noise floor by use, in the form that judged."""
     return noise_ratios({"estimation": model.estimation, "validation": model.validation}, found.form.floors)
 
 
-def _other_horizons(found: Diagnosis) -> list[float]:
+def _other_horizons(found: SimulatedDiagnosis) -> list[float]:
     """Return other horizons worth reporting [s]: a tenth, and ten times, within the records."""
     dt = found.dataset.spec.sample_time
     shortest = min(len(run.trajectory) for run in found.dataset) * dt
@@ -192,7 +192,7 @@ def _other_horizons(found: Diagnosis) -> list[float]:
     return [float(f"{one:.2g}") for one in wanted if 20 * dt <= one < shortest]
 
 
-def _disturbance(found: Diagnosis) -> dict[str, Any]:
+def _disturbance(found: SimulatedDiagnosis) -> dict[str, Any]:
     """Return, by output, the level and spectrum of a coloured rest that cannot be predicted."""
     from scipy import signal
 
@@ -223,12 +223,12 @@ def _disturbance(found: Diagnosis) -> dict[str, Any]:
     return result
 
 
-def _factor(found: Diagnosis) -> int:
+def _factor(found: SimulatedDiagnosis) -> int:
     """Return the decimation of the force residual."""
     return found.strong.motions["estimation"][0].factor if found.strong is not None else 1
 
 
-def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
+def _candidates(found: SimulatedDiagnosis) -> list[dict[str, Any]]:
     """Return one row for each refit of each round, then what the screens set aside."""
     accepted = {str(one.placed) for one in found.result.accepted}
     tied = {str(p) for one in found.result.accepted for member in one.tie for p in member} - accepted
@@ -292,7 +292,7 @@ def _row(one: Candidate, number: int, judge: str, accepted: set[str], tied: set[
     }
 
 
-def _tests(found: Diagnosis, model: Fitted) -> dict[str, Any]:
+def _tests(found: SimulatedDiagnosis, model: Fitted) -> dict[str, Any]:
     """Return the residual tests by output, on the longest validation record."""
     result: dict[str, Any] = {}
     for j, (name, _) in enumerate(found.form.columns):
@@ -324,7 +324,7 @@ def _three(one: residual_tests.Outcome) -> tuple[float, int, float]:
     return one.statistic, one.dof, one.p
 
 
-def _null(found: Diagnosis) -> dict[str, Any]:
+def _null(found: SimulatedDiagnosis) -> dict[str, Any]:
     """Return the global null of the first round."""
     if not found.result.rounds:
         return {"p": None, "surrogates": 0, "observed": None, "reason": "nothing was detected, so nothing was tested"}
@@ -337,7 +337,7 @@ def _null(found: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _force_map(found: Diagnosis) -> dict[str, Any] | None:
+def _force_map(found: SimulatedDiagnosis) -> dict[str, Any] | None:
     """Return the non-physical fallback: a table of forces, valid only inside its hull; None where nothing is left."""
     best = found.adequacy.best
     if not found.adequacy.predictable or best is None:
@@ -361,7 +361,7 @@ def _force_map(found: Diagnosis) -> dict[str, Any] | None:
     }
 
 
-def _bias(found: Diagnosis, references: Sequence[Mapping[str, FloatArray]]) -> dict[str, Any]:
+def _bias(found: SimulatedDiagnosis, references: Sequence[Mapping[str, FloatArray]]) -> dict[str, Any]:
     """Return the test of the bias that feedback puts on the parameters of the final model."""
     from harness.diagnosis.closed_loop_bias import closed_loop_bias
 
@@ -371,7 +371,7 @@ def _bias(found: Diagnosis, references: Sequence[Mapping[str, FloatArray]]) -> d
     return test.to_dict({one.name: one.unit for one in found.final.system.parameters})
 
 
-def _closed_loop(found: Diagnosis) -> dict[str, Any]:
+def _closed_loop(found: SimulatedDiagnosis) -> dict[str, Any]:
     """Test whether the residual acts back on the input, which biases fits of data taken in closed loop.
 
     The residual of the final model is correlated with *later* inputs (Ljung, System Identification, section 13.4).

@@ -16,7 +16,7 @@ from harness.diagnosis.scores import noise_ratios
 from harness.effects.effect import Placed
 
 if TYPE_CHECKING:
-    from harness.diagnosis.algorithm import Diagnosis
+    from harness.diagnosis.simulated import SimulatedDiagnosis
 
 __all__ = ["stand_in", "stand_in_reasons"]
 
@@ -74,7 +74,7 @@ def stand_in_reasons(accepted: Sequence[Placed], adequacy: Adequacy, ratio: floa
     return tuple(reasons)
 
 
-def stand_in(found: Diagnosis) -> tuple[str, ...]:
+def stand_in(found: SimulatedDiagnosis) -> tuple[str, ...]:
     """Return why the accepted effects of a diagnosis are a stand-in; see :func:`stand_in_reasons`."""
     ratios = noise_ratios({"validation": found.final.validation}, found.form.floors)
     return stand_in_reasons([one.placed for one in found.result.accepted], found.adequacy, ratios["validation"])

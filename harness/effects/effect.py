@@ -65,6 +65,8 @@ class Effect:
         It fits only coordinates that are angles.
     initial : dict
         Where a hidden state starts if not at 0: ``"signal"`` (what arrives at the port), ``"q"`` or ``"v"``.
+    requires : dict
+        What the law's own physics asks of its values: a sentence, and a function of the values by name.
     """
 
     name: str
@@ -87,6 +89,7 @@ class Effect:
     angles: bool = False
     initial: Mapping[str, str] = field(default_factory=dict)
     extras: tuple[str, ...] = ()
+    requires: Mapping[str, Callable[[Mapping[str, float]], bool]] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return self.name
@@ -116,6 +119,10 @@ class Effect:
             got=repr(name),
             remedy="correct the name",
         )
+
+    def violations(self, values: Mapping[str, float]) -> list[str]:
+        """Return the sentences of ``requires`` that do not hold for values by name."""
+        return [f"not so: {text}" for text, holds in self.requires.items() if not holds(values)]
 
     def complete(self, values: Mapping[str, float], sizes: Mapping[str, float] | None = None) -> dict[str, float]:
         """Return a value for every parameter: those given, the others from their scale hints.
@@ -252,6 +259,7 @@ def effect(
     linearises: bool = True,
     angles: bool = False,
     initial: Mapping[str, str] | None = None,
+    requires: Mapping[str, Callable[[Mapping[str, float]], bool]] | None = None,
 ) -> Callable[[Callable[..., Any]], Effect]:
     """Make an effect of a function.
 
@@ -265,7 +273,8 @@ def effect(
     states : str or mapping
         Names of hidden states separated by spaces, or name to unit template. They start at 0 unless ``initial`` says
         otherwise.
-    name, family, same_as, limits, nests, experiment, formula, drives, downstream, sampled, linearises, angles, initial
+    name, family, same_as, limits, nests, experiment, formula, drives, downstream, sampled, linearises, angles, initial,
+    requires
         See :class:`Effect`; ``name`` is the function's own unless given.
 
     Returns
@@ -332,6 +341,7 @@ def effect(
             angles=angles,
             initial=dict(initial or {}),
             extras=extras,
+            requires=dict(requires or {}),
         )
 
     return decorate

@@ -19,6 +19,7 @@ __all__ = [
     "position_dependent_friction",
     "quadratic_drag",
     "stribeck_friction",
+    "sublinear_friction",
     "viscous_friction",
 ]
 
@@ -53,7 +54,7 @@ def viscous_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     [_level("Fc", "0.05 F", main=True, meaning="Coulomb level"), _width()],
     formula="F = -Fc sgn(v), sgn(v) = tanh(v/w)",
     family=("stribeck_friction", "asymmetric_friction", "viscous_friction", "hysteresis", "load_dependent_friction",
-            "position_dependent_friction"),
+            "position_dependent_friction", "sublinear_friction"),
     limits={"stribeck_friction": "at speeds far above the Stribeck speed"},
     experiment="slow triangles through zero speed at several amplitudes: the force loop keeps its height",
 )  # fmt: skip
@@ -82,6 +83,10 @@ def coulomb_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     formula="F = -[Fc + (Fs - Fc) exp(-(v/vs)^2)] sgn(v), sgn(v) = tanh(v/w)",
     family=("coulomb_friction", "asymmetric_friction", "viscous_friction", "hysteresis"),
     nests=("coulomb_friction",),
+    requires={
+        "the level near standstill Fs lies above the level at speed Fc": lambda p: p["Fs"] > p["Fc"],
+        "the Stribeck speed vs lies above the smoothing width w": lambda p: p["vs"] > 2 * p["w"],
+    },
     limits={"coulomb_friction": "at speeds far above the Stribeck speed vs"},
     experiment="a slow triangle through zero speed: the force must fall as the speed rises",
 )
@@ -106,6 +111,25 @@ def stribeck_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 def asymmetric_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Dry friction with another level in each direction."""
     return -0.5 * (p.Fp + p.Fm) * tanh(v / p.w) - 0.5 * (p.Fp - p.Fm)
+
+
+@effect(
+    "coordinate",
+    [
+        par("Fr", "F", scale="0.05 F", sign="+", neutral=0.0, main=True, linear=True,
+            meaning="force at a speed of 1 (rad/s or m/s)"),
+        par("a", "1", scale="0.5", minimum=0.05, maximum=0.95, grid=(1.0, 0.5, 1.5), meaning="exponent of the speed"),
+        _width(),
+    ],
+    formula="F = -Fr |v|^a sgn(v) with v in rad/s or m/s, 0 < a < 1; |v| rounded over w",
+    family=("coulomb_friction", "viscous_friction", "stribeck_friction", "quadratic_drag"),
+    nests=("coulomb_friction",),
+    limits={"coulomb_friction": "for a small exponent", "viscous_friction": "for an exponent near 1"},
+    experiment="slow and fast triangles: the force grows with the speed, less than in proportion",
+)  # fmt: skip
+def sublinear_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Friction of grease and seals, which grows with the speed less than in proportion."""
+    return -p.Fr * v * (v * v + p.w * p.w) ** (0.5 * (p.a - 1.0))
 
 
 @effect(
@@ -146,6 +170,7 @@ def load_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any, load: Any) -
     formula="F = -[1 + a cos(q + phi)] Fc sgn(v), sgn(v) = tanh(v/w)",
     family=("coulomb_friction", "load_dependent_friction", "cogging"),
     nests=("coulomb_friction",),
+    requires={"the level 1 + a cos(q + phi) is nowhere negative": lambda p: abs(p["a"]) <= 1.0},
     angles=True,
     experiment="slow full turns in both directions: the height of the force loop depends on the angle",
 )

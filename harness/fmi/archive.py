@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import stat
 import zipfile
 from pathlib import Path
 
 from harness.errors import InputError
 
-__all__ = ["check_entries"]
+__all__ = ["check_entries", "has_document_type", "plain_name"]
 
 LARGE = 32 << 20  # bytes; smaller entries may be packed as tightly as they like
 
 
 def check_entries(
-    path: Path, archive: zipfile.ZipFile, *, entries: int = 20_000, total: int = 2 << 30, ratio: float = 200
+    path: Path,
+    archive: zipfile.ZipFile,
+    *,
+    entries: int = 20_000,
+    total: int = 2 << 30,
+    ratio: float = 200,
+    windows: bool = False,
 ) -> list[zipfile.ZipInfo]:
     """Return the entries of an archive that is safe to unpack.
 
@@ -28,6 +35,9 @@ def check_entries(
         Most entries; most bytes unpacked.
     ratio : float
         Most bytes unpacked for each byte packed, of large entries.
+    windows : bool
+        Let entries separate folders by backslashes, as some tools on Windows write them; the caller unpacks them by
+        :func:`plain_name`.
 
     Raises
     ------
@@ -37,10 +47,10 @@ def check_entries(
     found = archive.infolist()
     if len(found) > entries:
         raise _refuse(path, "too many entries", f"at most {entries}", str(len(found)), "check where it comes from")
-    seen: set[str] = set()
+    seen: dict[str, tuple[bool, int, int]] = {}
     size = 0
     for entry in found:
-        name = entry.orig_filename
+        name = plain_name(entry) if windows else entry.orig_filename
         parts = name.rstrip("/").split("/")
         if "\\" in name or ":" in name or name.startswith("/") or ".." in parts or "\0" in name:
             raise _refuse(
@@ -49,9 +59,10 @@ def check_entries(
         if entry.create_system == 3 and not _plain(entry.external_attr >> 16):
             raise _refuse(path, "an entry is a link", "files and folders", repr(name), "do not trust it", name)
         key = "/".join(part for part in parts if part not in ("", ".")).casefold()
-        if key in seen:
+        content = (name.endswith("/"), entry.file_size, entry.CRC)
+        if key in seen and seen[key] != content:  # the same thing may be listed twice
             raise _refuse(path, "two entries share a name", "unique names", repr(name), "export it again", name)
-        seen.add(key)
+        seen[key] = content
         if entry.flag_bits & 1:
             raise _refuse(path, "an entry is encrypted", "readable entries", repr(name), "remove the password", name)
         size += entry.file_size
@@ -69,6 +80,52 @@ def check_entries(
                 path, "too large", f"at most {total >> 20} MiB unpacked", f"more, at {name!r}", "shrink it", name
             )
     return found
+
+
+def plain_name(entry: zipfile.ZipInfo) -> str:
+    r"""Return the name of an entry with slashes, whatever wrote it.
+
+    Examples
+    --------
+    >>> plain_name(zipfile.ZipInfo("binaries\\win64/model.dll"))
+    'binaries/win64/model.dll'
+    """
+    return entry.orig_filename.replace("\\", "/")
+
+
+def has_document_type(text: bytes) -> bool:
+    """Return True if an XML document declares a document type, in whatever encoding: entities hide bombs and files.
+
+    Examples
+    --------
+    >>> bomb = '<?xml version="1.0" encoding="UTF-16"?><!DOCTYPE a []><a/>'
+    >>> has_document_type(bomb.encode("utf-16")), has_document_type(b"<a>DOCTYPE</a>")
+    (True, False)
+    """
+    from xml.parsers import expat
+
+    found: list[str] = []
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = lambda name, *_: found.append(name)
+    parser.StartElementHandler = lambda *_: _leave()
+    with contextlib.suppress(_Element):
+        try:
+            parser.Parse(text, True)
+        except expat.ExpatError as error:
+            # an encoding that only other parsers know is not looked through: only what is plain ASCII can be
+            unknown = error.code == expat.errors.codes[expat.errors.XML_ERROR_UNKNOWN_ENCODING]
+            return bool(found) or unknown or b"<!DOCTYPE" in text.replace(b"\0", b"")
+        except (ValueError, LookupError):
+            return True
+    return bool(found)
+
+
+class _Element(Exception):
+    """The first element: no document type can follow."""
+
+
+def _leave() -> None:
+    raise _Element
 
 
 def _refuse(path: Path, what: str, expected: str, got: str, remedy: str, place: str | None = None) -> InputError:

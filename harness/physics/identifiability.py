@@ -8,9 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from harness.errors import InputError
+from harness.estimate import SHARE, RankDecision, null_words
 from harness.signals import FloatArray
 
-__all__ = ["Identifiability", "identifiability"]
+__all__ = ["NOISE_RATIO", "Identifiability", "determined", "identifiability"]
+
+NOISE_RATIO = 1.5
+"""A direction of the parameters counts as determined where the regressor moves by more than this many times what its
+noise alone makes. Below, more than 4/9 of its energy is noise, and least squares shrinks the parameter to less than
+5/9 of the truth (attenuation, Fuller 1987, *Measurement Error Models*, eq. 1.1.7)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +120,71 @@ def identifiability(rows: FloatArray, names: Sequence[str], *, tolerance: float 
     return Identifiability(
         tuple(names), rank, tuple(seen[column] for column in kept), tuple(combinations), sizes, gap, unseen
     )
+
+
+def determined(
+    rows: FloatArray, names: Sequence[str], noise: FloatArray | None = None, *, tolerance: float = 1e-8
+) -> tuple[RankDecision, FloatArray, float]:
+    """Return which directions of the parameters a regressor determines, relative to the noise that is in it.
+
+    Parameters
+    ----------
+    rows : array (M, k)
+        The regressor.
+    names : sequence of str
+        One for each column.
+    noise : array (any, k), optional
+        What errors change in the rows: those of a record with as much noise again, minus the rows; and those of
+        another smoothing, minus the rows, below.
+    tolerance : float
+        Numerical floor: least singular value, columns at unit length.
+
+    Returns
+    -------
+    decision : RankDecision
+    kept : array (k, rank)
+        Columns span the determined directions, in parameters times the lengths of the columns of ``rows``.
+    condition : float
+        Of the rows, columns at unit length; infinite if one is zero.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> x = rng.normal(size=(400, 2))
+    >>> exact = np.column_stack([x, 2 * x[:, 1]])
+    >>> rows, again = (exact + 1e-6 * rng.normal(size=exact.shape) for _ in range(2))
+    >>> print(determined(rows, ["a", "b", "c"], again - exact)[0])
+    rank 2 of 3 (1.5 times the errors in the regressor); not determined: c and b only in proportion: c may fall
+    by 0.5 for each 1 of b
+    """
+    lengths = np.linalg.norm(rows, axis=0)
+    size = np.where(lengths > 0, lengths, 1.0)
+    upper = np.linalg.qr(rows / size, mode="r")
+    limit: FloatArray = tolerance * np.eye(len(names))
+    rule = f"a tolerance of {tolerance:g}"
+    if noise is not None:
+        limit = np.asarray(np.linalg.qr(np.vstack([NOISE_RATIO * noise / size, limit]), mode="r"))
+        rule = f"{NOISE_RATIO:g} times the errors in the regressor"
+    # How far each direction stands above what counts as nothing, without squaring (generalised singular values).
+    inverse = np.linalg.inv(limit)
+    _, sizes, vectors = np.linalg.svd(upper @ inverse, full_matrices=True)
+    sizes = np.concatenate([sizes, np.zeros(len(names) - sizes.size)])
+    vectors, weak = inverse @ vectors.T, sizes <= 1.0
+    vectors = vectors / np.linalg.norm(vectors, axis=0)
+    singular = np.linalg.svd(upper, compute_uv=False)
+    full = singular.size == len(names) and singular[-1] > 0 and bool(np.all(lengths > 0))
+    condition = float(singular[0] / singular[-1]) if full else float("inf")
+    null = np.linalg.qr(vectors[:, weak])[0] if weak.any() else np.zeros((len(names), 0))
+    kept = np.linalg.svd(null, full_matrices=True)[0][:, null.shape[1] :] if weak.any() else np.eye(len(names))
+    touched = np.sum(null**2, axis=1) > SHARE**2
+    decision = RankDecision(
+        int(np.sum(~weak)),
+        len(names),
+        null_words(names, null, lengths),
+        tuple(name for name, one in zip(names, touched, strict=True) if one),
+        rule,
+    )
+    return decision, kept, condition
 
 
 def _term(factor: float, name: str) -> str:

@@ -263,6 +263,7 @@ class LumpedModel:
         u: FloatArray | None = None,
         *,
         samples: int = 51,
+        hop: int | None = None,
         intersample: Literal["zoh", "smooth"] = "zoh",
     ) -> tuple[FloatArray, FloatArray]:
         """Return the weak form: for every coordinate one equation for each bump, (M n, k) and (M n,).
@@ -272,8 +273,9 @@ class LumpedModel:
         t, q, v, u, intersample
             As in :meth:`energy_rows`.
         samples : int
-            Width of a bump; bumps overlap by three quarters. With 1 the plain balance of momentum from sample to
-            sample is returned.
+            Width of a bump. With 1 the plain balance of momentum from sample to sample is returned.
+        hop : int, optional
+            Samples from a bump to the next; by default bumps overlap by three quarters.
         """
         momentum = self.momentum(q, v, t)
         known_momentum = self._known_momentum(q, v, t)
@@ -284,7 +286,7 @@ class LumpedModel:
             return gain.reshape(-1, self.k), (given - np.diff(known_momentum, axis=0)).reshape(-1)
         rows, targets = [], []
         pushes, pushed_known = self._force_means(q, v, u, t, intersample)
-        hop = max(1, samples // 4)
+        hop = hop or max(1, samples // 4)
         for first in range(0, t.shape[0] - samples + 1, hop):
             part = slice(first, first + samples)
             bump, steep, weight = bump_on(t[part])

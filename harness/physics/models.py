@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib.util
 import sys
 from collections.abc import Sequence
@@ -12,9 +13,11 @@ import sympy as sp
 
 from harness.errors import HarnessError, InputError
 from harness.physics.arm import is_arm
+from harness.physics.flight import perching_glider, planar_quadrotor
 from harness.physics.mechanism import Mechanism
 from harness.physics.ode import Ode
 from harness.physics.parameters import Parameter
+from harness.physics.plug_ins import model_names, model_of
 from harness.physics.system import System
 from harness.physics.tanks import two_tanks
 
@@ -28,6 +31,8 @@ __all__ = [
     "load_model",
     "oscillator",
     "pendulum",
+    "perching_glider",
+    "planar_quadrotor",
     "two_tanks",
 ]
 
@@ -246,6 +251,8 @@ BUILT_IN = {
     "acrobot": acrobot,
     "drive": drive,
     "oscillator": oscillator,
+    "planar-quadrotor": planar_quadrotor,
+    "perching-glider": perching_glider,
     "two-tanks": two_tanks,
     "linear": linear,
 }
@@ -257,8 +264,8 @@ def load_model(name: str, **options: Any) -> System:
     Parameters
     ----------
     name : str
-        A built-in model (``"pendulum"``), or ``FILE.py:FUNCTION`` where the function returns a :class:`Mechanism`, an
-        :class:`Ode` or a :class:`System`.
+        A built-in model (``"pendulum"``), one that another distribution registers, or ``FILE.py:FUNCTION`` where the
+        function returns a :class:`Mechanism`, an :class:`Ode` or a :class:`System`.
     **options
         Passed to the model's function (``order=4`` of ``linear``).
 
@@ -284,12 +291,16 @@ def load_model(name: str, **options: Any) -> System:
         )
     elif name in BUILT_IN:
         maker, where = BUILT_IN[name], None
+    elif (found := model_of(name)) is not None:
+        maker, where = found, None
     else:
+        known = dict.fromkeys((*BUILT_IN, *model_names()))
+        near = difflib.get_close_matches(name, known, n=2)
         raise InputError(
             "unknown model",
-            expected=f"one of {', '.join(BUILT_IN)}, or FILE.py:FUNCTION",
+            expected=f"one of {', '.join(known)}, or FILE.py:FUNCTION",
             got=repr(name),
-            remedy="correct the name, or write the model in a file of your own",
+            remedy=f"did you mean {' or '.join(near)}?" if near else "correct the name, or write the model in a file",
         )
     try:
         made = maker(**options) if callable(maker) and not isinstance(maker, System) else maker

@@ -80,7 +80,7 @@ def as_parameter(name: str, given: Any, *, minimum: float = -np.inf) -> Paramete
     given : Parameter, float or tuple
         A number is the value; a tuple is ``(unit, value[, minimum[, maximum]])``.
     minimum : float
-        Lower bound where none is given.
+        Lower bound where none is given and the value lies above it; a value of 0 (an offset) may go either way.
 
     Raises
     ------
@@ -99,10 +99,10 @@ def as_parameter(name: str, given: Any, *, minimum: float = -np.inf) -> Paramete
             )
         return given
     if isinstance(given, int | float) and not isinstance(given, bool):
-        return Parameter(name, value=float(given), minimum=min(minimum, float(given)))
+        return Parameter(name, value=float(given), minimum=minimum if given > minimum else -np.inf)
     if isinstance(given, tuple) and 2 <= len(given) <= 4 and isinstance(given[0], str):
         numbers = [float(number) for number in given[1:]]
-        low = numbers[1] if len(numbers) > 1 else min(minimum, numbers[0])
+        low = numbers[1] if len(numbers) > 1 else (minimum if numbers[0] > minimum else -np.inf)
         high = numbers[2] if len(numbers) > 2 else np.inf
         return Parameter(name, given[0], numbers[0], low, high)
     raise InputError(

@@ -259,6 +259,10 @@ class Functions:
             return whole[:, :nx], found.full().T, np.empty((rows, 0))
         return whole[:, :nx], found[0].full().T, found[1].full().T
 
+    def sample(self, dt: float, substeps: int, foh: bool) -> tuple[Any, Any]:
+        """Return the functions (x, (u, next u), p, t) of one sample: next state, and outputs."""
+        return self._sample(dt, substeps, foh, False, ())
+
     def _sample(
         self, dt: float, substeps: int, foh: bool, sensitivities: bool, delay_columns: tuple[int, ...]
     ) -> tuple[Any, Any]:

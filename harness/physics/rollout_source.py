@@ -9,7 +9,7 @@ from harness.physics.ccode import FINE, c_function, near_zero
 if TYPE_CHECKING:
     from harness.physics.rollout_code import Functions, Linear
 
-__all__ = ["rollout_source"]
+__all__ = ["RUNGE_KUTTA", "STAGE", "rollout_source", "shared_source"]
 
 
 def rollout_source(functions: Functions, sensitivities: bool, delay_columns: tuple[int, ...]) -> str:
@@ -42,6 +42,24 @@ def rollout_source(functions: Functions, sensitivities: bool, delay_columns: tup
     >>> [line for line in source.splitlines() if line.startswith("int ")]
     ['int sysid_rollout(job *in) {']
     """
+    loop = _SENSITIVE if sensitivities else _PLAIN
+    return "\n\n".join([*shared_source(functions, sensitivities, delay_columns), loop, RUNGE_KUTTA, _LOOP]) + "\n"
+
+
+def shared_source(
+    functions: Functions, sensitivities: bool, delay_columns: tuple[int, ...], extra: int = 0
+) -> list[str]:
+    """Return the parts of the C source that a roll-out and a Kalman filter share: rates, outputs, their derivatives.
+
+    Parameters
+    ----------
+    functions : Functions
+    sensitivities : bool
+    delay_columns : tuple of int
+        See :func:`rollout_source`.
+    extra : int
+        Columns to make room for beside the derivatives by (p, x0).
+    """
     system = functions.system
     sizes = {
         "NX": system.nx,
@@ -50,6 +68,7 @@ def rollout_source(functions: Functions, sensitivities: bool, delay_columns: tup
         "NP": system.np,
         "ND": len(delay_columns) if sensitivities else 0,
         "NS": system.np + system.nx if sensitivities else 0,
+        "EXTRA": extra,
         "FINE": FINE,
     }
     bodies = []
@@ -66,8 +85,7 @@ def rollout_source(functions: Functions, sensitivities: bool, delay_columns: tup
         bodies.append(_carry(parts) if name == "rate" else _look(parts))
     bodies.append(near_zero(system, "sysid"))
     head = "\n".join(f"#define {name} {size}" for name, size in sizes.items())
-    loop = _SENSITIVE if sensitivities else _PLAIN
-    return "\n\n".join(["#include <math.h>\n#include <stddef.h>", head, _TYPES, *bodies, loop, _LOOP]) + "\n"
+    return ["#include <math.h>\n#include <stddef.h>", head, _TYPES, *bodies]
 
 
 def _terms(parts: Linear, row: int, s: str, a: str, b: str) -> str:
@@ -145,7 +163,7 @@ def _source(name: str, parts: Linear, delay_columns: tuple[int, ...]) -> str:
 _TYPES = """\
 #define ROOM(n) ((n) > 0 ? (n) : 1)
 #define NW (NU*ND)
-#define BLOCKS ((NS + 3)/4)
+#define BLOCKS ((NS + EXTRA + 3)/4)
 
 typedef double block __attribute__((vector_size(32), may_alias));
 
@@ -197,6 +215,14 @@ static void total(columns *s, const job *in, long window, int whole, double cost
   (void)s; (void)in; (void)window; (void)whole; (void)cost;
 }"""
 
+STAGE = """\
+static void stage(const double *x, const double *u, const double *d, const sample *in, double t, double *dx,
+                  tangent *at) {
+  double b[ROOM(NS*NX)], f[ROOM(NX*NU)];
+  rate(x, u, in->p, &t, dx, at->a, b, f);
+  if (in->sources) rate_source(b, f, d, in->place, (double *)at->b);
+}"""
+
 _SENSITIVE = """\
 /* dx/d(p, x0) in blocks of four columns, the derivatives of the outputs, and the sums over the samples. */
 typedef struct {
@@ -206,12 +232,7 @@ typedef struct {
   double squares[NY];
 } columns;
 
-static void stage(const double *x, const double *u, const double *d, const sample *in, double t, double *dx,
-                  tangent *at) {
-  double b[ROOM(NS*NX)], f[ROOM(NX*NU)];
-  rate(x, u, in->p, &t, dx, at->a, b, f);
-  if (in->sources) rate_source(b, f, d, in->place, (double *)at->b);
-}
+STAGE
 
 /* Choose the columns, and where they are among blocks of four; those that nobody wants share the last block. */
 static void clear(tangent *at, columns *s, const job *in, int *place) {
@@ -297,9 +318,9 @@ static void total(columns *s, const job *in, long window, int whole, double cost
   }
   for (i = 0; i < NY; i++) in->squares[i] += whole ? s->squares[i] : NAN;
   in->cost[window] = whole ? cost : INFINITY;
-}"""
+}""".replace("STAGE", STAGE)
 
-_LOOP = """\
+RUNGE_KUTTA = """\
 /* One step from z to the next, h long: over the shares a to b of a sample, m between them. */
 static void runge_kutta(const sample *in, const double *z, double *next, double t, double h, double a, double m,
                         double b, tangent *at) {
@@ -328,8 +349,9 @@ static void runge_kutta(const sample *in, const double *z, double *next, double 
   for (i = 0; i < NX; i++) w[i] = z[i] + h*k3[i];
   stage(w, ue, de, in, end, k4, at + 3);
   for (i = 0; i < NX; i++) next[i] = z[i] + h/6.0*(k1[i] + 2.0*k2[i] + 2.0*k3[i] + k4[i]);
-}
+}"""
 
+_LOOP = """\
 int sysid_rollout(job *in) {
   const long n = in->n, many = in->substeps, rows = (n + in->every - 1)/in->every;
   const double h = in->dt/(double)many;

@@ -262,7 +262,7 @@ class Simulator:
             x, y, s = run(values, start, seen, slope, times, sensitivities, self.dt, self.substeps)
         else:
             pieces = self.substeps
-            seen, slope = self._refined(seen), None if slope is None else self._refined(slope)
+            seen, slope = self.refined(seen), None if slope is None else self.refined(slope)
             x, y, s = run(values, start, seen, slope, times, sensitivities, self.dt / pieces, 1)
             x, y = np.ascontiguousarray(x[:, ::pieces]), np.ascontiguousarray(y[:, ::pieces])
             s = None if s is None else np.ascontiguousarray(s[:, ::pieces])
@@ -312,7 +312,7 @@ class Simulator:
         smooth = self.intersample == "smooth"
         substeps, every = (1, self.substeps) if smooth else (self.substeps, 1)
         if smooth:
-            u, slope = self._refined(u), None if slope is None else self._refined(slope)
+            u, slope = self.refined(u), None if slope is None else self.refined(slope)
         found = Sums(np.zeros(m), np.zeros(ny), np.zeros((m, ns, ns)), np.zeros((m, ns)), budget, None, None, None)
         if keep:
             found.states, found.residuals = np.empty((m, n, self.nx)), np.empty((m, n, ny))
@@ -342,7 +342,7 @@ class Simulator:
             array = np.broadcast_to(array, (m, size))
         return np.ascontiguousarray(array)
 
-    def _refined(self, signal: FloatArray) -> FloatArray:
+    def refined(self, signal: FloatArray) -> FloatArray:
         """Return a signal (M, N, ...) on the finer grid of its cubic spline, ((N - 1) substeps + 1) samples.
 
         A fit asks for the same windows again and again: the last few answers are kept.

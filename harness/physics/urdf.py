@@ -14,7 +14,7 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["Arm", "Joint", "load_urdf"]
+__all__ = ["Arm", "Joint", "load_urdf", "pose_of", "vector_of"]
 
 MOVING = {"revolute", "continuous", "prismatic"}
 
@@ -123,15 +123,12 @@ class Arm:
             Joint positions, rates and accelerations.
         gravity : (x, y, z)
             m/s^2 in the frame of the base.
+
+        Notes
+        -----
+        Generated C, compiled at the first call: :class:`harness.physics.arm_regressor.ArmRegressor`.
         """
-        samples = np.asarray(q).shape[0]
-        stacked = self._linear.map(samples)(np.asarray(q).T, np.asarray(v).T, np.asarray(a).T, np.asarray(gravity))
-        return (
-            np.asarray(stacked, dtype=float)
-            .reshape(self.n, samples, -1)
-            .transpose(1, 0, 2)
-            .reshape(samples * self.n, -1)
-        )
+        return np.asarray(self._regressor(q, v, a, gravity))
 
     @property
     def parameters(self) -> FloatArray:
@@ -153,13 +150,11 @@ class Arm:
         return ca.Function("inverse_dynamics", arguments, [torques])
 
     @cached_property
-    def _linear(self) -> Any:
-        """Return the regressor (n, 10 * bodies) as a CasADi function of (q, v, a, gravity)."""
-        import casadi as ca
+    def _regressor(self) -> Any:
+        """Return the compiled regressor."""
+        from harness.physics.arm_regressor import ArmRegressor
 
-        parameters = ca.SX.sym("p", 10 * len(self.joints))
-        arguments, torques = self.symbolic_torques(parameters)
-        return ca.Function("regressor", arguments, [ca.densify(ca.jacobian(torques, parameters))])
+        return ArmRegressor(self)
 
     def symbolic_torques(self, parameters: Any) -> tuple[list[Any], Any]:
         """Return the symbols (q, v, a, gravity) and the torques, linear in the inertial parameters.
@@ -301,8 +296,8 @@ def _joint(element: ElementTree.Element, parent: int, body: tuple[float, FloatAr
             file=file,
             place=place,
         )
-    rotation, offset = _pose(element.find("origin"), file, place)
-    axis = _vector(None if kind == "fixed" else element.find("axis"), "xyz", (1.0, 0.0, 0.0), file, place)
+    rotation, offset = pose_of(element.find("origin"), file, place)
+    axis = vector_of(None if kind == "fixed" else element.find("axis"), "xyz", (1.0, 0.0, 0.0), file, place)
     length = float(np.linalg.norm(axis))
     if not length > 0:
         raise InputError(
@@ -331,7 +326,7 @@ def _body(link: ElementTree.Element, file: Path) -> tuple[float, FloatArray, Flo
     inertial = link.find("inertial")
     if inertial is None:
         return 0.0, np.zeros(3), np.zeros((3, 3))
-    rotation, centre = _pose(inertial.find("origin"), file, place)
+    rotation, centre = pose_of(inertial.find("origin"), file, place)
     mass = _number(inertial.find("mass"), "value", 0.0, file, place)
     element = inertial.find("inertia")
     xx, xy, xz, yy, yz, zz = (_number(element, f"i{n}", 0.0, file, place) for n in ("xx", "xy", "xz", "yy", "yz", "zz"))
@@ -339,9 +334,9 @@ def _body(link: ElementTree.Element, file: Path) -> tuple[float, FloatArray, Flo
     return mass, centre, rotation @ inertia @ rotation.T
 
 
-def _pose(origin: ElementTree.Element | None, file: Path, place: str) -> tuple[FloatArray, FloatArray]:
+def pose_of(origin: ElementTree.Element | None, file: Path, place: str) -> tuple[FloatArray, FloatArray]:
     """Return rotation matrix and position of an ``origin`` (rpy: about fixed x, then y, then z)."""
-    roll, pitch, yaw = _vector(origin, "rpy", (0.0, 0.0, 0.0), file, place)
+    roll, pitch, yaw = vector_of(origin, "rpy", (0.0, 0.0, 0.0), file, place)
     cr, sr, cp, sp, cy, sy = (f(x) for x in (roll, pitch, yaw) for f in (math.cos, math.sin))
     rotation = np.array(
         [
@@ -350,10 +345,10 @@ def _pose(origin: ElementTree.Element | None, file: Path, place: str) -> tuple[F
             [-sp, cp * sr, cp * cr],
         ]
     )
-    return rotation, _vector(origin, "xyz", (0.0, 0.0, 0.0), file, place)
+    return rotation, vector_of(origin, "xyz", (0.0, 0.0, 0.0), file, place)
 
 
-def _vector(
+def vector_of(
     element: ElementTree.Element | None, key: str, default: tuple[float, float, float], file: Path, place: str
 ) -> FloatArray:
     """Return three numbers of an attribute."""

@@ -1,7 +1,15 @@
 """Scores: equation error, simulation error, regret of online identifiers, and what a model is worth for control."""
 
 from harness.scoring.control import ControlRegret, ControlScore, control_regret, control_score, linearise
-from harness.scoring.prediction import Score, equation_error, errors, predict, same_language, simulation_error
+from harness.scoring.prediction import (
+    Score,
+    equation_error,
+    errors,
+    predict,
+    same_language,
+    simulation_error,
+    states_ahead,
+)
 from harness.scoring.regret import Regret, regret
 from harness.scoring.rounds import Round, interleaved
 
@@ -21,4 +29,5 @@ __all__ = [
     "regret",
     "same_language",
     "simulation_error",
+    "states_ahead",
 ]

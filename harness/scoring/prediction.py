@@ -13,7 +13,7 @@ from harness.errors import InputError
 from harness.protocols import FreeRun, Model
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 
-__all__ = ["Score", "equation_error", "errors", "predict", "same_language", "simulation_error"]
+__all__ = ["Score", "equation_error", "errors", "predict", "same_language", "simulation_error", "states_ahead"]
 
 
 _FIRST = 50
@@ -46,6 +46,20 @@ class Score:
     burn_in: int
     initial_state: str
     samples: int
+
+    def __repr__(self) -> str:
+        how = "free run" if self.horizon is None else f"horizon {self.horizon:g} s"
+        nrmse = ", ".join(f"{value:.4g}" for value in self.nrmse)
+        return f"<Score: NRMSE {nrmse}; {how}, {self.samples} samples, initial state {self.initial_state}>"
+
+    def _repr_html_(self) -> str:
+        from harness.display import page, table
+
+        rows = [
+            (k, f"{rms:.4g}", f"{nrmse:.4g}", f"{fit:.2f}")
+            for k, (rms, nrmse, fit) in enumerate(zip(self.rms, self.nrmse, self.fit_percent, strict=True))
+        ]
+        return page(repr(self).strip("<>"), table(["output", "rms", "NRMSE", "fit %"], rows))
 
     @property
     def fit_percent(self) -> FloatArray:
@@ -128,9 +142,39 @@ def predict(
         predictions = np.full((len(data), model.spec.ny), np.nan)
         if len(data) <= horizon:
             return predictions
-        states = _filtered(model, x, data)
-        predictions[horizon:] = _ahead(model, states, data.u, horizon)[:, -1]
+        states = _ahead(model, _filtered(model, x, data), data.u, horizon)
+        predictions[horizon:] = model.output(states, data.u[horizon:])
     return predictions
+
+
+def states_ahead(model: Model, data: Trajectory, horizon: int = 1, *, initial_samples: int | None = None) -> FloatArray:
+    """Return the states from which :func:`predict` reads its predictions.
+
+    Parameters
+    ----------
+    model, data, initial_samples
+        As for :func:`predict`.
+    horizon : int
+        Steps ahead.
+
+    Returns
+    -------
+    array (N - horizon, nx)
+        Row i belongs to sample ``horizon + i``; its output is not yet seen.
+
+    Raises
+    ------
+    InputError
+        As :func:`predict`, and if the record is not longer than the horizon.
+    """
+    same_language(model.spec, data)
+    if not 1 <= horizon < len(data):
+        raise InputError(
+            "horizon", expected=f"1 .. {len(data) - 1} (samples - 1)", got=repr(horizon), remedy="shorten it"
+        )
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        x = _initial_state(model, data, None, initial_samples)
+        return _ahead(model, _filtered(model, x, data), data.u, horizon)
 
 
 def errors(
@@ -281,12 +325,12 @@ def _filtered(model: Model, x: FloatArray, data: Trajectory) -> FloatArray:
 
 
 def _ahead(model: Model, states: FloatArray, u: FloatArray, horizon: int) -> FloatArray:
-    """Return the predictions (N - h, 1, ny), h steps ahead of every filtered state but the last h."""
+    """Return the states (N - h, nx), h steps ahead of every filtered state but the last h."""
     x = states[:-horizon]
     count = x.shape[0]
     for j in range(horizon):
         x = model.step(x, u[j : j + count])
-    return model.output(x, u[horizon:])[:, None]
+    return x
 
 
 def _until_divergence(outputs: FloatArray) -> FloatArray:

@@ -32,7 +32,7 @@ from harness.study.truths import DT, GRAVITY, SUBSTEPS
 
 __all__ = ["OUTSIDE", "hide", "hide_outside"]
 
-OUTSIDE = ("root_friction", "even_drag", "position_damping", "torque_ripple", "force_step", "maxwell_element")
+OUTSIDE = ("even_drag", "position_damping", "torque_ripple", "force_step", "maxwell_element")
 """Laws that the dictionary does not have."""
 _LEVEL = {"nominal": 1.0, "quarter": 0.25}
 
@@ -95,6 +95,11 @@ def _asymmetric(context: Context, at: str, scale: float, size: float, rng: np.ra
 def _hysteresis(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
     values = {"Fh": size * context.torque(at), "xs": 0.05 * rms(context.q(at))}
     return Hidden("hysteresis", at, _put(context, at, values), values)
+
+
+def _sublinear(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    value = size * context.torque(at) / rms(np.sqrt(np.abs(context.v(at))))
+    return Hidden("sublinear_friction", at, _put(context, at, {"root": value}), {"Fr": value, "a": 0.5})
 
 
 def _load(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
@@ -275,6 +280,7 @@ _MAKERS: dict[str, Callable[[Context, str, float, float, np.random.Generator], H
     "stribeck_friction": _stribeck,
     "asymmetric_friction": _asymmetric,
     "hysteresis": _hysteresis,
+    "sublinear_friction": _sublinear,
     "load_dependent_friction": _load,
     "position_dependent_friction": _position,
     "quadratic_drag": _named("quadratic_drag", _simple("c", "c", lambda q, v: v**2)),
@@ -325,7 +331,6 @@ def hide_outside(name: str, at: str, level: str, context: Context, rng: np.rando
         values = {"stepf": 2 * force, "stept": (PRE + 0.5 * (len(v) - PRE)) * DT}
     else:
         truth, shape = {
-            "root_friction": ("root", np.sqrt(np.abs(v))),
             "even_drag": ("even", v**2),
             "position_damping": ("vdp", q**2 * v),
             "torque_ripple": ("ripple", context.u * np.cos(5 * q)),

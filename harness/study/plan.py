@@ -25,6 +25,7 @@ _COORDINATE = (
     "stribeck_friction",
     "asymmetric_friction",
     "hysteresis",
+    "sublinear_friction",
     "load_dependent_friction",
     "quadratic_drag",
     "linear_spring",
@@ -76,7 +77,6 @@ PAIRS = {
 }
 OUTSIDE = {
     "pendulum": (
-        "root_friction@theta",
         "even_drag@theta",
         "position_damping@theta",
         "torque_ripple@theta",
@@ -84,7 +84,6 @@ OUTSIDE = {
         "maxwell_element@theta",
     ),
     "cart-pole": (
-        "root_friction@x",
         "even_drag@theta",
         "position_damping@theta",
         "force_step@x",

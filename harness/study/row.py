@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -37,6 +38,7 @@ COLUMNS = (
     "stand_in",
     "accepted",
     "ties",
+    "tie_size",
     "validation_before",
     "validation_after",
     "validation_oracle",
@@ -85,44 +87,36 @@ def do_row(task: Task, *, samples: int = SAMPLES, workers: int = 1) -> dict[str,
 
 def _diagnose(task: Task, records: Records, workers: int) -> dict[str, Any]:
     """Return the columns that a diagnosis fills."""
+    if task.model == "fmu":
+        return _diagnose_fmu(task, records, workers)
     from harness.diagnosis.algorithm import diagnose
-    from harness.diagnosis.forms import rms, weighted_rms
-    from harness.diagnosis.isolability import unseen
-    from harness.diagnosis.stand_in import stand_in
 
-    model = _model(task, records)
-    cpu, wall = time.process_time(), time.monotonic()
-    found = diagnose(records.dataset, model, seed=task.seed, workers=workers)
-    cpu, wall = time.process_time() - cpu, time.monotonic() - wall
-    accepted = tuple(str(one.placed) for one in found.result.accepted)
-    ties = tuple(
-        tuple(frozenset(str(placed) for placed in member) for member in one.tie) for one in found.result.accepted
-    )
+    cpu, wall = _cpu_of_tree(), time.monotonic()
+    found = diagnose(records.dataset, _model(task, records))
+    cpu, wall = _cpu_of_tree() - cpu, time.monotonic() - wall
+    accepted = tuple(str(one.placed) for one in found.outcome.accepted)
+    ties = tuple(tuple(frozenset(map(str, member)) for member in one.tie) for one in found.outcome.accepted)
     # what the report says this experiment cannot show matters only where nothing was found
-    hidden = unseen(found.first_screen) if task.effects and not accepted else []
-    invisible = frozenset(f"{one['name']}@{one['at']}" for one in hidden)
-    imitates = stand_in(found)
-    answer = Answer(found.verdict, accepted, ties, invisible, bool(imitates))
-    outcome = judge_answer(task.effects, answer, task.plant)
-    before, after = weighted_rms(found.nominal.validation), weighted_rms(found.final.validation)
+    hidden = frozenset(str(one.placed) for one in found.test.hidden) if task.effects and not accepted else frozenset()
+    imitates = [*found.stand_in, *found.misfit]
+    outcome = judge_answer(task.effects, Answer(found.verdict, accepted, ties, hidden, bool(imitates)), task.plant)
+    before, after = _error(found.runs.before), _error(found.runs.after)
     oracle: float | None = before  # where nothing is hidden, the nominal fit knows all
     if task.effects:
-        oracle = None if task.study in ("outside", "cost") else _oracle(found, task, records)
-    ratios = [
-        float(size / floor) for size, floor in zip(rms(found.final.validation), found.form.floors, strict=True) if floor
-    ]
+        oracle = None if task.study in ("outside", "cost") else _oracle(found, records)
     row: dict[str, Any] = {
         "outcome": outcome.word,
         "how": outcome.how,
         "verdict": found.verdict,
-        "adequacy": found.adequacy.grade,
+        "adequacy": found.grade,
         "stand_in": "; ".join(imitates),
         "accepted": " + ".join(accepted),
         "ties": "; ".join(" / ".join(sorted(" & ".join(sorted(one)) for one in tie)) for tie in ties if len(tie) > 1),
+        "tie_size": max(map(len, ties), default=0),
         "validation_before": _short(before),
         "validation_after": _short(after),
         "improvement": _short(before / after),
-        "residual_over_floor": _short(max(ratios)) if ratios else "",
+        "residual_over_floor": _short(after),
         "cpu_s": f"{cpu:.2f}",
         "wall_s": f"{wall:.2f}",
     }
@@ -130,36 +124,63 @@ def _diagnose(task: Task, records: Records, workers: int) -> dict[str, Any]:
         row.update(
             validation_oracle=_short(oracle), ratio=_short(after / oracle), oracle_improvement=_short(before / oracle)
         )
-    if outcome.word == "right":
-        row.update(_coverage(found.final, records))
+    row.update(_coverage(found.final, records))
     return row
 
 
-def _oracle(found: Any, task: Task, records: Records) -> float | None:
+def _diagnose_fmu(task: Task, records: Records, workers: int) -> dict[str, Any]:
+    """Return the columns that a diagnosis around an FMU fills; its cost counts."""
+    from harness.diagnosis.simulated import diagnose_by_simulation
+
+    cpu, wall = _cpu_of_tree(), time.monotonic()
+    found = diagnose_by_simulation(records.dataset, _model(task, records), seed=task.seed, workers=workers)
+    accepted = tuple(str(one.placed) for one in found.result.accepted)
+    outcome = judge_answer(task.effects, Answer(found.verdict, accepted), task.plant)
+    return {
+        "outcome": outcome.word,
+        "how": outcome.how,
+        "verdict": found.verdict,
+        "adequacy": found.adequacy.grade,
+        "accepted": " + ".join(accepted),
+        "cpu_s": f"{_cpu_of_tree() - cpu:.2f}",
+        "wall_s": f"{time.monotonic() - wall:.2f}",
+    }
+
+
+def _cpu_of_tree() -> float:
+    """Return the CPU seconds of this process and of those it has waited for, compilers among them."""
+    return sum(os.times()[:4])
+
+
+def _error(fitted: Any) -> float:
+    """Return the weighted rms of the validation residual; infinite where the free run diverges."""
+    from harness.diagnosis.forms import weighted_rms
+
+    return float("inf") if fitted is None else weighted_rms(fitted.validation)
+
+
+def _oracle(found: Any, records: Records) -> float | None:
     """Return the validation error of a refit that knows which effects are there; None where it cannot be made.
 
     It starts from the true values, so it does not lose by a local minimum.
     """
-    from harness.diagnosis.forms import weighted_rms
-    from harness.diagnosis.prepare import sizes_of
-    from harness.diagnosis.refit import Task as Refit
-    from harness.diagnosis.refitter import Refitter
-    from harness.diagnosis.store import Store
+    from harness.diagnosis.free_runs import seen
     from harness.effects import builtin
     from harness.effects.effect import Placed
 
     known = builtin()
-    sizes = sizes_of(found.system, found.nominal.values, found.dataset)
     start: dict[str, float] = {**found.nominal.values, **_nominal_truth(found.nominal.values, records.parameters)}
     placed = []
     for one in records.hidden:
         here = Placed(known[one.name], one.at)
         placed.append(here)
-        values = here.effect.complete(one.named, sizes.get(one.at, sizes.get("base", {})))
+        values = here.effect.complete(one.named, found.form.sizes.get(one.at, found.form.sizes.get("base", {})))
         start.update({here.name(name): value for name, value in values.items()})
-    refit = Refit(tuple(placed), (start,))
-    fitted = Refitter(found.form, Store(None, ""), task.seed).fit(refit)
-    return None if fitted is None or not fitted.finite else weighted_rms(fitted.validation)
+    fit = found.form.fit(placed, [start], found.nominal)
+    if fit is None:
+        return None
+    fitted = seen(found.runs.output, fit)
+    return None if fitted is None or not fitted.finite else _error(fitted)
 
 
 def _nominal_truth(values: Mapping[str, float], truth: Mapping[str, float]) -> dict[str, float]:
@@ -168,7 +189,7 @@ def _nominal_truth(values: Mapping[str, float], truth: Mapping[str, float]) -> d
 
 
 def _coverage(model: Any, records: Records) -> dict[str, Any]:
-    """Return how many intervals of the final model hold the true value.
+    """Return how many intervals of the final model hold the true value, whatever was accepted.
 
     Compared are the nominal parameters and those of the effects that mean the same in truth and dictionary; smoothing
     widths, phases and instants that belong to one record have no truth to compare with.
@@ -184,13 +205,14 @@ def _coverage(model: Any, records: Records) -> dict[str, Any]:
             if parameter.name in one.named and not parameter.nuisance and not parameter.per_record:
                 truth[here.name(parameter.name)] = one.named[parameter.name]
     outside, count = [], 0
-    for name, interval in model.intervals().items():
-        if name not in truth or not np.isfinite([interval.low, interval.high]).all():
+    for name in model.free:
+        low, high = model.interval(name)
+        if name not in truth or name in model.on_bound or not np.isfinite([low, high]).all():
             continue
         count += 1
-        if not interval.low <= truth[name] <= interval.high:
-            half = 0.5 * (interval.high - interval.low)
-            outside.append(f"{name} ({(interval.value - truth[name]) / half:+.2g})" if half > 0 else name)
+        if not low <= truth[name] <= high:
+            half = 0.5 * (high - low)
+            outside.append(f"{name} ({(model.values[name] - truth[name]) / half:+.2g})" if half > 0 else name)
     return {"covered": count - len(outside), "intervals": count, "outside_interval": "; ".join(outside)}
 
 

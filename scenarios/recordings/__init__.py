@@ -40,9 +40,13 @@ coupled_drives = _HERE / "coupled-drives.toml"
 """Coupled electric drives: a belt drive whose sensor reads the absolute speed, three recordings by one model."""
 
 coupled_drives_1 = _HERE / "coupled-drives-1.toml"
+"""Coupled electric drives, the recording with 1 V."""
+
 coupled_drives_2 = _HERE / "coupled-drives-2.toml"
+"""Coupled electric drives, the recording with 1.5 V."""
+
 coupled_drives_3 = _HERE / "coupled-drives-3.toml"
-"""The three recordings of the coupled drives, each by itself."""
+"""Coupled electric drives, the recording with 0.5 V."""
 
 multi_arm_pendulum = _HERE / "multi-arm-pendulum.toml"
 """One arm of a multi-arm pendulum: free swing with dry friction and drag."""

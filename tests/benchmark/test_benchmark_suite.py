@@ -19,7 +19,7 @@ identifiers = [{id = "hold"}, {id = "dmdc"}]
 """
 
 
-@pytest.mark.parametrize("name", ["quick", "smoke"])
+@pytest.mark.parametrize("name", ["quick", "smoke", "standard", "measured"])
 def test_bundled_suites_load(name: str) -> None:
     suite = load_suite(name)
     pairs = cells_of(tasks_of(suite))

@@ -331,3 +331,28 @@ def test_divergence_names_the_part() -> None:
     with pytest.raises(PlantError, match=r"part 'x'.*t = 0.1 s") as caught:
         bad.step(np.array([0.0]))
     assert caught.value.status == "diverged"
+
+
+class Echo(Linear):
+    """Shows its inputs of the step before: y0 = u0, y1 = u1, ..., in the unit of its inputs."""
+
+    def __init__(self, count: int, unit: str) -> None:
+        super().__init__(np.zeros((count, count)), np.eye(count), np.eye(count), units=(unit, unit))
+        self.a, self.b = np.zeros((count, count)), np.eye(count)
+
+
+@pytest.mark.parametrize("unit", ["degC", "degF", "K"])
+@pytest.mark.parametrize("order", ["gauss-seidel", "jacobi"])
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("count", [1, 2])
+def test_temperatures_keep_their_offset_on_a_wire(unit: str, order: Any, delay: int, count: int) -> None:
+    # room [K], external -> first (K) -> second (degC or degF): 300 K must arrive as 26.85 degC
+    parts = {"first": Echo(count, "K"), "second": Echo(count, unit)}
+    rooms = {f"room{i}": f"first.u{i}" for i in range(count)}
+    wires = [Connection(name, target) for name, target in rooms.items()]
+    wires += [Connection(f"first.y{i}", f"second.u{i}", delay=delay) for i in range(count)]
+    with Coupled(parts, wires, inputs=rooms, outputs=["second.y0"], order=order) as plant:
+        plant.reset(rng=RNG)
+        for _ in range(4):
+            y = plant.step(np.full(count, 300.0))
+    assert y == pytest.approx({"degC": [26.85], "degF": [80.33], "K": [300.0]}[unit])

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from harness import api
 from harness.data import load_dataset, parse_description
 from harness.errors import InputError
+from plants.mockups import mockup
 
 RNG = np.random.default_rng(0)
 TIME = np.arange(90) * 0.01
@@ -155,14 +157,46 @@ def test_a_run_may_override_columns(folder: Path) -> None:
 
 
 def test_a_free_swing_has_no_input_and_fits_its_model(folder: Path) -> None:
-    path = rewritten(folder, ('[signals.u]\nrole = "input"\nunit = "N m"\n', ""))
-    loaded = load_dataset(path)
+    changes = (('[signals.u]\nrole = "input"\nunit = "N m"\n', ""), ("sample_time", 'undriven = ["u"]\nsample_time'))
+    loaded = load_dataset(rewritten(folder, *changes))
     assert loaded.dataset.spec.nu == 0
-    assert any("input u of pendulum is not recorded" in note for note in loaded.dataset.warnings)
+    assert any("input u is declared as undriven: 0" in note for note in loaded.dataset.warnings)
     full = loaded.for_system(loaded.system())
     assert [c.name for c in full.spec.inputs] == ["u"]
     assert not full.estimation[0].u.any()
     assert np.array_equal(full.estimation[0].y, loaded.dataset.estimation[0].y)
+
+
+def test_an_input_that_no_column_gives_is_refused(folder: Path) -> None:
+    path = rewritten(folder, ('[signals.u]\nrole = "input"\nunit = "N m"\n', ""))
+    table(folder / "a.csv", torque__N_m=FORCE, theta=ANGLE, heat__K=ANGLE)
+    with pytest.raises(
+        InputError, match=r"no column gives the input u \[N m\] of pendulum.*torque.*undriven"
+    ) as caught:
+        load_dataset(path)
+    assert "serve nothing: torque [N m], heat [K]" in str(caught.value)
+    assert load_dataset(path, undriven=["u"]).dataset.spec.nu == 0
+    with pytest.raises(InputError, match=r"undriven input: expected .*\(u\), got 'v'"):
+        load_dataset(path, undriven=["v"])
+
+
+def test_a_recorded_input_is_not_undriven(folder: Path) -> None:
+    with pytest.raises(InputError, match="got 'u', which a signal gives"):
+        load_dataset(folder / "dataset.toml", undriven=["u"])
+
+
+def test_a_bare_file_without_the_input_is_refused_by_every_command(folder: Path, tmp_path: Path) -> None:
+    table(folder / "bare.csv", time__s=TIME, torqe__N_m=FORCE, theta__rad=ANGLE)
+    bare = folder / "bare.csv"
+    for call in (
+        lambda: api.close_loop(bare, model="pendulum", out=tmp_path / "out"),
+        lambda: api.identify(bare, model="pendulum", identifier="hold"),
+        lambda: api.close_loop(bare, model=str(mockup("pendulum")), out=tmp_path / "out"),
+    ):
+        with pytest.raises(InputError, match=r"no column gives the input u \[N m\].*serve nothing: torqe"):
+            call()
+    fitted = api.identify(bare, model="pendulum", identifier="hold", undriven=["u"])
+    assert fitted.model.spec.nu == 0
 
 
 def test_a_linear_model_takes_any_ports_and_units(folder: Path) -> None:
@@ -188,11 +222,19 @@ def test_an_analogy_keeps_the_units_of_the_data(folder: Path) -> None:
     assert [str(c) for c in loaded.system().outputs] == ["q [V]"]
 
 
-def test_a_users_model_is_found_beside_the_data_set(folder: Path) -> None:
-    (folder / "mine.py").write_text(
-        "from harness.physics.models import pendulum\ndef swing():\n    return pendulum()\n"
+def test_a_users_model_runs_only_where_the_caller_names_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = (
+        "from harness.physics.models import pendulum\nopen('ran', 'w').close()\ndef swing():\n    return pendulum()\n"
     )
-    loaded = load_dataset(rewritten(folder, ('"pendulum"', '"mine.py:swing"')))
+    (folder / "mine.py").write_text(source)
+    monkeypatch.chdir(folder)
+    known = ("[signals.u]", "[nominal.parameters]\nJ = 0.3\n[signals.u]")
+    path = rewritten(folder, ('"pendulum"', '"mine.py:swing"'), known)
+    with pytest.raises(InputError, match=r"nominal.model: a data set that runs Python code.*--model mine.py:swing"):
+        load_dataset(path)
+    assert not (folder / "ran").exists()
+    loaded = load_dataset(path, model="mine.py:swing")
+    assert loaded.system().parameter("J").value == 0.3
     assert loaded.system().parameter_names == ("J", "b", "mgl")
 
 
@@ -254,11 +296,11 @@ def test_validation_data_equal_to_estimation_data_are_refused(folder: Path) -> N
     assert "the validation data are the estimation data" in refusal(folder / "dataset.toml")
 
 
-def test_a_title_that_states_another_unit_is_refused(folder: Path) -> None:
+def test_a_declared_unit_counts_where_the_title_states_another(folder: Path) -> None:
     table(folder / "a.csv", u__N_m=FORCE, theta__deg=ANGLE)
-    line = refusal(folder / "dataset.toml")
-    assert "signals.theta.unit" in line
-    assert "'deg'" in line
+    data = load_dataset(folder / "dataset.toml").dataset
+    assert np.array_equal(data.estimation[0].y[:, 0], ANGLE)  # rad, as declared
+    assert any("signals.theta: the title says 'deg'; 'rad'" in note for note in data.warnings)
     table(folder / "a.csv", u__N_m=FORCE, theta__rad=ANGLE)
     assert np.array_equal(load_dataset(folder / "dataset.toml").dataset.estimation[0].y[:, 0], ANGLE)
 

@@ -33,12 +33,26 @@ BATCH: list[tuple[str, dict[str, Any], tuple[str, ...]]] = [
     ("stlsq", {"order": 2, "half": 12}, ("pendulum",)),
     ("mdp-counting", {}, ("finite",)),
     ("mdp-counting", {"prior": 0.5}, ("finite",)),
+    ("piecewise-affine", {"starts": 1}, ("linear, state measured", "pendulum, rate measured")),
+    ("volterra", {"memory": 8}, ("linear",)),
+    ("random-forest", {"trees": 3}, ("pendulum",)),
+    ("random-forest", {"trees": 1, "order": 1, "increments": False}, ("linear, state measured",)),
+    ("gaussian-process", {"exact": 60, "inducing": 20}, ("pendulum, rate measured",)),
+    ("gaussian-process", {"order": 2, "exact": 60, "inducing": 20}, ("pendulum",)),
+    ("hidden-markov", {"states": 2, "starts": 2, "prior": 0.1}, ("finite",)),
+    ("hidden-markov", {"states": 2, "method": "spectral"}, ("finite",)),
+    ("factored-counting", {}, ("finite", "plant:machines-mdp")),
 ]
 TESTED_ELSEWHERE = {
+    "ekf": "needs its own model: tested beside the filters",
+    "ukf": "needs its own model: tested beside the filters",
+    "inertial": "needs an arm: tested beside the inertial parameters",
     "true-model": "needs a plant: tested beside the baselines",
     "output-error": "seconds for each fit: tested beside the grey boxes",
     "lumped-torque": "needs its own mechanism: tested beside the lumped forms",
     "lumped-energy": "needs its own mechanism: tested beside the lumped forms",
+    "neural-state-space": "needs torch: tested beside the networks",
+    "neural-network": "needs torch: tested beside the networks",
     "lumped-momentum": "needs its own mechanism: tested beside the lumped forms",
 }
 ONLINE: list[tuple[str, dict[str, Any]]] = [

@@ -318,7 +318,7 @@ def test_a_plant_recovers_from_a_state_that_is_not_finite() -> None:
     ("options", "word"),
     [
         ({"joint_damping": 0.5, "substeps": 1}, "explicitly"),
-        ({"control": "torqe"}, "torque or velocity"),
+        ({"control": "torqe"}, "torque, velocity"),
         ({"outputs": ("q", "speed")}, "outputs"),
         ({"outputs": ("contact",)}, "a table"),
         ({"input_joints": (0, 9)}, "0..6"),

@@ -50,6 +50,16 @@ def described(old: str, new: str) -> Change:
     return change
 
 
+def recoded(encoding: str, prolog: str) -> Change:
+    """Return a change of the description's encoding, with something put before its root."""
+
+    def change(entries: dict[str, bytes]) -> None:
+        body = entries["modelDescription.xml"].decode().partition("?>")[2]
+        entries["modelDescription.xml"] = f'<?xml version="1.0" encoding="{encoding}"?>{prolog}{body}'.encode(encoding)
+
+    return change
+
+
 def link() -> zipfile.ZipInfo:
     entry = zipfile.ZipInfo("resources/link")
     entry.create_system = 3
@@ -63,6 +73,8 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "no description": (lambda p: repacked(p, lambda e: e.pop("modelDescription.xml") and None), "modelDescription.xml"),
     "description is no XML": (lambda p: repacked(p, lambda e: e.update({"modelDescription.xml": b"<a"})), "XMLSyntax"),
     "entity bomb": (lambda p: repacked(p, described("<fmiModel", "<!DOCTYPE a []><fmiModel")), "document type"),
+    "entity bomb in UTF-16": (lambda p: repacked(p, recoded("utf-16", "<!DOCTYPE a []>")), "document type"),
+    "entity bomb in UTF-7": (lambda p: repacked(p, recoded("utf-7", "<!DOCTYPE a []>")), "document type"),
     "version 4": (lambda p: repacked(p, described('fmiVersion="2.0"', 'fmiVersion="4.0"')), "modelDescription.xml"),
     "no version": (lambda p: repacked(p, described('fmiVersion="2.0"', "")), "modelDescription.xml"),
     "nothing to run": (
@@ -77,7 +89,11 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "parent folder": (lambda p: repacked(p, extra=[("resources/../../x", b"")]), "leaves its folder"),
     "absolute": (lambda p: repacked(p, extra=[("/absolute/x", b"")]), "leaves its folder"),
     "drive": (lambda p: repacked(p, extra=[("C:/x", b"")]), "leaves its folder"),
-    "backslash": (lambda p: repacked(p, extra=[("resources\\x", b"")]), "leaves its folder"),
+    "backslash": (lambda p: repacked(p, extra=[("resources\\..\\..\\x", b"")]), "leaves its folder"),
+    "same name, other slash": (
+        lambda p: repacked(p, extra=[("resources\\x", b"a"), ("resources/x", b"b")]),
+        "share a name",
+    ),
     "link": (lambda p: repacked(p, extra=[(link(), b"/etc/passwd")]), "is a link"),
     "bomb": (lambda p: repacked(p, extra=[("resources/bomb", bytes(64 << 20))]), "unpacks like a bomb"),
     "same name, other case": (lambda p: repacked(p, extra=[("MODELDESCRIPTION.xml", b"")]), "share a name"),

@@ -159,7 +159,9 @@ def test_bad_orders_are_refused() -> None:
         IsolatedPlant(lambda: pendulum_fmu())
     with pytest.raises(InputError, match="timeout"):
         isolated("pendulum-fmu", timeout=0.0)
-    with pytest.raises(InputError, match=r"options of the plant 'pendulum-fmu'.*sample_time.*unexpected.*'colour'"):
+    with pytest.raises(
+        InputError, match=r"options of the plant 'pendulum-fmu'.*sample_time.*got colour='red'; remedy: remove colour"
+    ):
         isolated("pendulum-fmu", colour="red")
 
 
@@ -170,6 +172,66 @@ def test_recycles_its_child() -> None:
             plant.reset(rng=RNG)
             pids.add(plant._child.process.pid)  # type: ignore[union-attr]
         assert len(pids) == 2
+
+
+TREACHEROUS = """
+import os, pickle, socket, struct, sys
+import numpy as np
+from plants.linear import LinearPlant
+
+class Bomb:
+    def __reduce__(self):
+        return os.system, ("touch " + os.environ["TREASON"],)
+
+class Traitor(LinearPlant):
+    def __init__(self, how):
+        super().__init__(A=[[0.5]], B=[[1.0]], C=[[1.0]], D=[[0.0]], sample_time=0.1)
+        self.how = how
+
+    def reset(self, *, rng, x0=None):
+        pipe = socket.socket(fileno=os.dup(int(sys.argv[1])))
+        body = {
+            "pickle": pickle.dumps((True, Bomb())),
+            "too long": b"",
+            "too few": b"\\x81\\xa6values\\xc4\\x00",
+            "half": b"",
+        }[self.how]
+        length = {"too long": 1 << 40, "half": 1000}.get(self.how, len(body))
+        pipe.sendall(struct.pack("<Q", length) + body)
+        return np.zeros(1)
+"""
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [("pickle", "no answer"), ("too long", "SIGKILL|closed|exited"), ("too few", "no answer"), ("half", "within 1 s")],
+)
+def test_what_a_child_sends_is_never_executed(
+    how: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "treachery.py").write_text(TREACHEROUS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("TREASON", str(tmp_path / "done"))
+    with IsolatedPlant("treachery:Traitor", {"how": how}, timeout=1.0) as plant:
+        with pytest.raises(PlantError, match=words):
+            plant.reset(rng=RNG)
+        assert plant._child is None
+    assert not (tmp_path / "done").exists()
+
+
+def test_a_child_works_in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = "import os\nfrom plants.linear import LinearPlant\n\ndef littering(where, path):\n"
+    source += "    assert open(path).read() == 'here'\n    open('litter', 'w').close()\n"
+    source += "    open(where, 'w').write(os.getcwd())\n"
+    source += "    return LinearPlant(A=[[0.5]], B=[[1.0]], C=[[1.0]], D=[[0.0]], sample_time=0.1)\n"
+    (tmp_path / "litters.py").write_text(source)
+    (tmp_path / "data.txt").write_text("here")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with IsolatedPlant("litters:littering", {"where": str(tmp_path / "told"), "path": "data.txt"}) as plant:
+        plant.reset(rng=RNG)
+    assert not (tmp_path / "litter").exists()
+    assert not Path((tmp_path / "told").read_text()).exists()
 
 
 def test_a_hanging_child_does_not_outlive_its_caller(odd_fmu: Callable[..., Path], tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from harness.errors import InputError
 from harness.physics.urdf import load_urdf
-from scenarios.design import JointLimits, condition_number, design_reference, identifiable_columns
+from scenarios.design import JointLimits, condition_number, design_reference, deviation_of, identifiable_columns
 
 pybullet_data = pytest.importorskip("pybullet_data", reason="comes with pybullet, for CPython 3.10 and 3.11 only")
 
@@ -68,3 +68,50 @@ def test_iiwa_is_conditioned_well_under_its_limits() -> None:
 def test_bad_limits_are_refused() -> None:
     with pytest.raises(InputError, match="limits of the joints"):
         JointLimits(np.zeros(2), np.array([1.0, np.inf]), np.ones(2))
+
+
+@pytest.mark.slow
+def test_the_iiwa_tracks_its_designed_reference_within_all_limits() -> None:
+    """Row 17: condition number <= 25 under limits of position, rate, torque and height; then an ordinary scenario."""
+    from harness import registry
+    from harness.physics.arm_kinematics import joint_places
+    from harness.rng import Streams
+    from harness.rollout import run
+    from scenarios.arm_models import arm_of
+    from scenarios.designed import ArmDesigned
+
+    scenario = ArmDesigned(lowest=0.1, duration=12.0)
+    with registry.create("plants", "iiwa-bullet", sample_time=0.008, substeps=8) as plant:
+        made = scenario.design(plant.spec, rng=Streams("p", "s", 0)("estimation/0/excitation"))
+        record = run(plant, scenario, streams=Streams("p", "s", 0), role="estimation/0")
+        spec = plant.spec
+    assert made.condition <= 25
+    q, u = record.y[:, :7], record.u
+    arm = arm_of(None, spec)
+    assert (np.abs(u) <= [channel.maximum for channel in spec.inputs]).all()
+    assert joint_places(arm, q)[0][:, 1:, 2].min() > 0.09
+    late = record.t > 1.5
+    wanted = made.reference.at(record.t)[0]
+    assert np.abs(q - wanted)[late].max() < 0.05
+    assert q[0] == pytest.approx(wanted[0], abs=1e-6)
+
+
+def test_a_chosen_parameter_is_designed_for() -> None:
+    limits = JointLimits(-np.ones(2), np.ones(2), np.ones(2))
+
+    def second(W: np.ndarray) -> float:
+        return deviation_of(np.delete(W, 5, axis=1), 1)
+
+    kwargs = {"steps": 200, "starts": 5}
+    whole = design_reference(two_inertias, limits, rng=np.random.default_rng(0), **kwargs).reference
+    chosen = design_reference(two_inertias, limits, criterion=second, rng=np.random.default_rng(0), **kwargs)
+    t = np.arange(100) * 0.1
+    assert second(two_inertias(*chosen.reference.at(t))) < second(two_inertias(*whole.at(t)))
+
+
+def test_limits_that_cannot_be_kept_are_said() -> None:
+    limits = JointLimits(-np.ones(2), np.ones(2), np.ones(2))
+    with pytest.raises(InputError, match="within the limits"):
+        design_reference(
+            two_inertias, limits, steps=3, starts=2, violation=lambda q, v, a: 1.0, rng=np.random.default_rng(0)
+        )

@@ -89,6 +89,27 @@ def test_an_angle_is_lost_by_the_short_way_round():
     assert found.losses[0] == pytest.approx((2 * np.pi - 6.2) ** 2)
 
 
+def test_the_learner_is_told_of_every_seam_with_the_first_output_behind_it():
+    class Follows(RunningMean):
+        def start(self, state: Any, y: FloatArray) -> Any:
+            return (*state, ("start", float(y[0])))
+
+        def predict(self, state: Any, u: FloatArray) -> FloatArray:
+            return np.array([state[-1][1]])
+
+        def update(self, state: Any, u: FloatArray, y: FloatArray) -> Any:
+            seen.append(state[-1])
+            return (*state, ("update", float(y[0])))
+
+        def hindsight(self, trajectories: Sequence[Trajectory]) -> Hindsight:
+            return Hindsight(np.zeros(sum(len(one) - 1 for one in trajectories)), exact=False)
+
+    seen: list[tuple[str, float]] = []
+    found = regret(Follows(), [record(1.0, 2.0, 4.0), record(50.0, 51.0)], rng=np.random.default_rng(0))
+    assert found.losses.tolist() == [1.0, 4.0, 1.0]  # a seam that is not told would cost (51 - 4)^2
+    assert seen == [("start", 1.0), ("update", 2.0), ("start", 50.0)]
+
+
 def test_a_wrong_category_costs_one():
     spec = PlantSpec((), (Channel("s", kind="category", minimum=0, maximum=5),), 1.0)
     found = regret(RunningMean(), [record(0.0, 5.0, 5.0, spec=spec)], rng=np.random.default_rng(0), scaled=False)

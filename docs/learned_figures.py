@@ -1,0 +1,164 @@
+"""Draw docs/learned.svg: five experiments with finite, hidden, switching and learned models.
+
+Run ``python docs/learned_figures.py``; about half a minute of CPU.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness import registry
+from harness.rng import Streams
+from harness.rollout import run
+from harness.scoring import predict, states_ahead
+from harness.signals import Trajectory
+from identifiers.bisimulation import bisimulation
+from identifiers.decision import optimal_values
+from identifiers.gaussian_process import GaussianProcess
+from identifiers.hmm import HiddenMarkov
+from identifiers.hybrid import PiecewiseAffine
+from identifiers.lag_state import regression_data
+from identifiers.linear import Arx
+from identifiers.mdp import MdpCounting, weissman_bound
+from plants.finite import FiniteMdp
+from plants.pomdp import FinitePomdp
+
+RNG = np.random.default_rng(0)
+
+
+def record(plant: Any, scenario: str, role: str = "estimation/0", **options: Any) -> Trajectory:
+    """Return a record of a plant."""
+    return run(
+        plant, registry.create("scenarios", scenario, **options), streams=Streams("figure", scenario, 0), role=role
+    )
+
+
+def counting(axes: Any) -> None:
+    """Error of counted probabilities over the samples, below the Weissman bound."""
+    table = RNG.dirichlet(np.ones(4), size=(4, 1))
+    data = record(FiniteMdp(table), "random-policy", samples=40_000)
+    sizes = np.unique(np.geomspace(100, len(data), 12).astype(int))
+    worst, bound = [], []
+    for n in sizes:
+        model = MdpCounting().fit([data[:n]], rng=RNG)
+        worst.append(np.abs(model.transition - table).sum(axis=2).max())
+        bound.append(weissman_bound(model.visits, 4).max())
+    axes.loglog(sizes, bound, "k--", label="Weissman bound, 95 %")
+    axes.loglog(sizes, worst, "o-", label="worst row")
+    axes.loglog(sizes, worst[0] * np.sqrt(sizes[0] / sizes), ":", label="$1/\\sqrt{n}$")
+    axes.set(title="Counting", xlabel="samples", ylabel="l1 error of probabilities")
+    axes.legend(fontsize=7)
+
+
+def hidden(axes: Any) -> None:
+    """Recovered against true probabilities of a POMDP."""
+    transition = np.array([[[0.9, 0.1], [0.3, 0.7]], [[0.2, 0.8], [0.6, 0.4]]])
+    emission = np.array([[0.9, 0.1, 0.0], [0.0, 0.2, 0.8]])
+    plant = FinitePomdp(transition, emission)
+    for samples, mark in ((400, "x"), (4000, "o")):
+        data = record(plant, "random-policy", samples=samples).measured()
+        model = HiddenMarkov(states=2).fit([data], rng=RNG).matched(emission)
+        true = np.concatenate([transition.ravel(), emission.ravel()])
+        found = np.concatenate([model.transition.ravel(), model.emission.ravel()])
+        axes.plot(true, found, mark, label=f"N = {samples}")
+    axes.plot([0, 1], [0, 1], "k:", lw=0.8)
+    axes.set(title="Hidden Markov model with actions", xlabel="true probability", ylabel="found by Baum-Welch")
+    axes.legend(fontsize=7)
+
+
+def lumping(axes: Any) -> None:
+    """Values of 40 states, which are those of 8 classes."""
+    small, reward = RNG.dirichlet(np.ones(8), size=(8, 2)), RNG.random((8, 2))
+    labels = RNG.permutation(np.repeat(np.arange(8), 5))
+    table = np.zeros((40, 2, 40))
+    for s, label in enumerate(labels):
+        for a in range(2):
+            for b in range(8):
+                table[s, a, labels == b] = small[label, a, b] * RNG.dirichlet(np.ones(5))
+    values, _ = optimal_values(table, reward[labels], 0.9)
+    found = bisimulation(table, reward[labels])
+    axes.plot(np.arange(40), values, "o", ms=3, label="40 states")
+    order = np.argsort(found, kind="stable")
+    axes.plot(np.arange(40), values[order], "-", drawstyle="steps-mid", label=f"sorted into {found.max() + 1} classes")
+    axes.set(title="Exact bisimulation", xlabel="state", ylabel="optimal value")
+    axes.legend(fontsize=7)
+
+
+def bands(axes: Any) -> None:
+    """Bands of a Gaussian process of a pendulum's acceleration, inside and outside its data."""
+    plant = registry.create("plants", "pendulum-ode", sample_time=0.1, outputs=[["theta", 0], ["theta", 1]])
+    data = record(plant, "multisine", samples=150, amplitude=0.5, band=[0.05, 2.0], noise=0.01).measured()
+    model = GaussianProcess().fit([data], rng=RNG)
+    angles = np.linspace(-3.5, 3.5, 200)
+    rows = np.column_stack([angles, np.zeros(200), np.zeros(200)])
+    mean, variance = model.ahead(rows)
+    change, std = mean[:, 1], np.sqrt(variance[:, 1])
+    axes.fill_between(angles, change - 1.645 * std, change + 1.645 * std, alpha=0.3, label="90 % band")
+    axes.plot(angles, change, label="Gaussian process")
+    true = []
+    for angle in angles:
+        plant.reset(rng=RNG, x0={"theta": float(angle)})
+        true.append(plant.step(np.zeros(1))[1])
+    axes.plot(angles, true, "k--", lw=0.8, label="plant")
+    axes.plot(data.y[:, 0], np.full(len(data), -1.9), "|", ms=4, label="data")
+    axes.set(
+        title="Bands in and out of the data", xlabel="theta [rad]", ylabel="rate after 0.1 s [rad/s]", ylim=(-2, 2)
+    )
+    axes.legend(fontsize=7)
+
+
+def switching(axes: Any) -> None:
+    """Draw a free run of the cart at the wall."""
+    plant = registry.create("plants", "cart-wall-pymunk", outputs=["x", "x_rate"])
+    options = dict(duration=30.0, amplitude=4.0, band=[0.05, 4.0], noise=1e-4)
+    learn, held = (record(plant, "multisine", f"{role}/0", **options) for role in ("estimation", "validation"))
+    model = PiecewiseAffine(starts=1).fit([learn.measured()], rng=RNG)
+    affine = Arx(order=1).fit([learn.measured()], rng=RNG)
+    part = held[:500]
+    touching = np.append(model.mode(regression_data([part], 1)[0]) == 1, False)
+    axes.axhline(plant.wall, color="0.7", lw=6, alpha=0.4, label="wall")
+    axes.plot(part.t, part.y[:, 0], "k", label="pymunk")
+    axes.plot(part.t, predict(affine, part, None)[:, 0], ":", label="one affine model")
+    axes.plot(part.t, predict(model, part, None)[:, 0], "--", label="piecewise affine")
+    axes.plot(part.t[touching], part.y[touching, 0], "r.", ms=3, label="found: in contact")
+    axes.set(title="Cart and soft wall, free run", xlabel="time [s]", ylabel="x [m]")
+    axes.legend(fontsize=7)
+
+
+def bands_in_time(axes: Any) -> None:
+    """One-step bands of the Gaussian process along a run that leaves its data."""
+    plant = registry.create("plants", "pendulum-ode", sample_time=0.1, outputs=[["theta", 0], ["theta", 1]])
+    data = record(plant, "multisine", samples=150, amplitude=0.4, band=[0.05, 2.0], noise=0.01).measured()
+    held = record(
+        plant, "multisine", "validation/0", samples=60, amplitude=1.6, band=[0.05, 1.0], noise=0.01
+    ).measured()
+    model = GaussianProcess().fit([data], rng=RNG)
+    said = model.predictive(states_ahead(model, held), held.u[1:])
+    miss = held.y[1:, 1] - said.mean[:, 1]
+    axes.fill_between(held.t[1:], -1.645 * said.std[:, 1], 1.645 * said.std[:, 1], alpha=0.3, label="90 % band")
+    axes.plot(held.t[1:], miss, "k.", ms=3, label="one-step error")
+    outside = np.abs(held.y[:-1, 0]) > np.abs(data.y[:, 0]).max()
+    axes.plot(held.t[1:][outside], miss[outside], "r.", ms=4, label="angle beyond the data")
+    axes.set(title="The same along a run", xlabel="time [s]", ylabel="rate error [rad/s]")
+    axes.legend(fontsize=7)
+
+
+def main() -> None:
+    """Draw the figure."""
+    import matplotlib
+
+    matplotlib.use("svg")
+    matplotlib.rcParams.update({"svg.hashsalt": "learned", "font.size": 8})
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(2, 3, figsize=(11, 6), layout="constrained")
+    for draw, place in zip((counting, hidden, lumping, switching, bands, bands_in_time), axes.ravel(), strict=True):
+        draw(place)
+    figure.savefig(Path(__file__).with_name("learned.svg"), metadata={"Date": None})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""The table of a benchmark for papers and spreadsheets: Markdown, LaTeX, CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from harness.benchmark.tables import Quartiles, Summary, figure
+from harness.errors import InputError
+
+if TYPE_CHECKING:
+    from harness.benchmark.running import BenchResult
+
+__all__ = ["FORMATS", "render"]
+
+HEAD = (
+    "plant",
+    "scenario",
+    "identifier",
+    "ok/run",
+    "equation error",
+    "simulation error",
+    "best possible",
+    "regret",
+    "fit",
+)
+
+
+def render(result: BenchResult, form: str) -> str:
+    """Return the table as text.
+
+    Parameters
+    ----------
+    result : BenchResult
+    form : {"markdown", "latex", "csv"}
+        CSV has one column for every figure; the others have ``median [quartiles]``, bold where the paired bootstrap
+        over seeds cannot tell a line from the best of its plant and scenario.
+
+    Raises
+    ------
+    InputError
+        If there is no such form.
+    """
+    if form not in FORMATS:
+        raise InputError(
+            "format of a table", expected=", ".join(FORMATS), got=repr(form), remedy="choose one", place="--format"
+        )
+    return FORMATS[form](result.summary())
+
+
+def _markdown(lines: Sequence[Summary]) -> str:
+    rows = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
+    rows += ["| " + " | ".join(_cells(line, "**{}**", _plain)) + " |" for line in lines]
+    return "\n".join(rows) + "\n"
+
+
+def _latex(lines: Sequence[Summary]) -> str:
+    rows = [r"\begin{tabular}{lllrlllll}", r"\toprule", " & ".join(HEAD) + r" \\", r"\midrule"]
+    place = None
+    for line in lines:
+        if place not in (None, (line.plant, line.scenario)):
+            rows.append(r"\addlinespace")
+        place = (line.plant, line.scenario)
+        rows.append(" & ".join(_cells(line, r"\textbf{{{}}}", _escaped)) + r" \\")
+    return "\n".join([*rows, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def _csv(lines: Sequence[Summary]) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    scores = ("equation_error", "simulation_error", "noise_floor", "regret", "fit_seconds", "memory_mib")
+    writer.writerow(
+        ["plant", "scenario", "identifier", "ok", "run", "best_or_tied"]
+        + [f"{name}_{part}" for name in scores for part in ("median", "low", "high")]
+        + ["problems"]
+    )
+    for line in lines:
+        found: list[Quartiles | None] = [getattr(line, name) for name in scores]
+        figures = [("", "", "") if q is None else (repr(q.median), repr(q.low), repr(q.high)) for q in found]
+        problems = "; ".join(f"{count} {status}: {reason}" for status, reason, count in line.problems)
+        writer.writerow(
+            [line.plant, line.scenario, line.identifier, line.ok, line.run, int(line.leading)]
+            + [text for texts in figures for text in texts]
+            + [problems]
+        )
+    return stream.getvalue()
+
+
+FORMATS: dict[str, Callable[[Sequence[Summary]], str]] = {"markdown": _markdown, "latex": _latex, "csv": _csv}
+"""Name to what makes the text."""
+
+
+def _cells(line: Summary, bold: str, quote: Callable[[str], str]) -> list[str]:
+    """Return the cells of a line; a line without scores says why instead."""
+    simulation = _score(line.simulation_error) or (line.problems[0][0] if not line.ok and line.problems else "")
+    texts = [
+        line.plant,
+        line.scenario,
+        line.identifier,
+        f"{line.ok}/{line.run}",
+        _score(line.equation_error),
+        simulation,
+        figure(line.noise_floor.median) if line.noise_floor else "",
+        _score(line.regret),
+        f"{figure(line.fit_seconds.median, 2)} s" if line.fit_seconds and line.ok else "",
+    ]
+    cells = [quote(text) for text in texts]
+    if line.leading:
+        cells[5] = bold.format(cells[5])
+    return cells
+
+
+def _score(score: Quartiles | None) -> str:
+    """Return median [quartiles]."""
+    return "" if score is None else str(score)
+
+
+def _plain(text: str) -> str:
+    """Return a text that ends no cell of Markdown."""
+    return text.replace("|", "\\|")
+
+
+def _escaped(text: str) -> str:
+    """Return a text that LaTeX sets as it is."""
+    special = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    return "".join(special.get(sign, "\\" + sign if sign in "&%_#${}" else sign) for sign in text)

@@ -1,0 +1,129 @@
+"""What a run would do: its cells, its share of a job array, and how long it will take."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from harness.benchmark.progress import duration
+from harness.benchmark.suite import Task, cells_of
+from harness.errors import InputError
+
+__all__ = ["Plan", "plan_of", "read_shard", "share"]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What would run.
+
+    Parameters
+    ----------
+    cells : dict
+        (plant, scenario, identifier) to the number of cells that are still to do.
+    found : int
+        Cells that the folder already has.
+    seconds : float, optional
+        Estimated wall time, from the times of the rows that the folder has; None if it has none of these kinds.
+    known : int
+        Cells whose kind has been timed; the others are taken to last as long as the mean of these.
+    limit : float
+        Wall time [s] if every cell took its whole time limit.
+    """
+
+    cells: dict[tuple[str, str, str], int]
+    found: int
+    seconds: float | None
+    known: int
+    limit: float
+
+    @property
+    def todo(self) -> int:
+        """Number of cells that would run."""
+        return sum(self.cells.values())
+
+    def __str__(self) -> str:
+        head = f"{self.todo} cells to run, {self.found} already there"
+        if self.seconds is None:
+            return f"{head}; time unknown until some have run, at most {duration(self.limit)}"
+        return f"{head}; about {duration(self.seconds)}, from the times of {self.known} like them"
+
+
+def read_shard(text: str | None) -> tuple[int, int] | None:
+    """Read ``i/n``: the i-th of n shares, counted from 1.
+
+    Raises
+    ------
+    InputError
+        If it is not 1 <= i <= n.
+
+    Examples
+    --------
+    >>> read_shard("2/8")
+    (2, 8)
+    """
+    if text is None:
+        return None
+    first, slash, last = text.partition("/")
+    try:
+        pair = (int(first), int(last))
+    except ValueError:
+        pair = (0, 0)
+    if not slash or not 1 <= pair[0] <= pair[1]:
+        raise InputError(
+            "share of a job array",
+            expected="i/n with 1 <= i <= n",
+            got=repr(text),
+            remedy="write e.g. --shard 1/8",
+            place="--shard",
+        )
+    return pair
+
+
+def share(tasks: Sequence[Task], shard: tuple[int, int] | None) -> tuple[Task, ...]:
+    """Return every n-th task from the i-th on: neighbours are alike, so the shares take about the same time."""
+    return tuple(tasks) if shard is None else tuple(tasks[shard[0] - 1 :: shard[1]])
+
+
+def plan_of(tasks: Sequence[Task], done: set[str], timings: Path, workers: int) -> Plan:
+    """Return what would run of these tasks.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+    done : set of str
+        Jobs that have their rows.
+    timings : path
+        ``timings.parquet`` of the folder, if there is one.
+    workers : int
+        Processes among which the time is divided.
+    """
+    pairs = [(task, cell) for task, cell in cells_of(tasks) if cell.job not in done]
+    cells = Counter((task.plant.name, task.scenario.name, cell.identifier.name) for task, cell in pairs)
+    times = _times(timings)
+    known = sum(count for names, count in cells.items() if names in times)
+    seconds = None
+    if known:
+        timed = sum(count * times[names] for names, count in cells.items() if names in times)
+        seconds = timed / known * sum(cells.values()) / workers
+    limit = sum(task.time_limit for task, _ in pairs) / workers
+    return Plan(dict(cells), len(done), seconds, known, limit)
+
+
+def _times(timings: Path) -> dict[tuple[str, str, str], float]:
+    """Return the mean seconds of a cell by plant, scenario and identifier; data are shared by a task's cells."""
+    if not timings.is_file():
+        return {}
+    from pyarrow import parquet
+
+    table = parquet.read_table(timings).to_pydict()
+    keys = list(zip(table["plant"], table["scenario"], table["identifier"], strict=True))
+    sharing = Counter(zip(table["plant"], table["scenario"], table["seed"], strict=True))
+    values: dict[tuple[str, str, str], list[float]] = {}
+    for k, key in enumerate(keys):
+        data = table["data_seconds"][k] / sharing[key[0], key[1], table["seed"][k]]
+        values.setdefault(key, []).append(data + table["fit_seconds"][k] + table["score_seconds"][k])
+    return {key: float(np.mean(found)) for key, found in values.items()}

@@ -1,0 +1,89 @@
+"""One identifier under check: the kinds of data that it accepts, and its fits, each made once."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from harness.conformance.results import demand
+from harness.conformance.running import fit
+from harness.conformance.workloads import Workload, draw_workload, kinds_for
+from harness.errors import HarnessError
+from harness.signals import Trajectory
+
+__all__ = ["Factory", "Subject", "Subjects", "shown"]
+
+Factory = Callable[[], Any]
+SLOW = 1.0
+"""Seconds for two fits, beyond which an identifier is checked on two systems only."""
+SURVEY = 12
+"""Systems in a survey: a share of them is told from none of them with room to spare, in a second for a quick fit."""
+
+
+def shown(workload: Workload) -> list[Trajectory]:
+    """Return the records that a fit sees."""
+    return [workload.first.measured(), workload.second.measured()]
+
+
+@dataclass(eq=False)
+class Subject:
+    """An identifier under check.
+
+    Parameters
+    ----------
+    factory : callable
+        Returns a fresh identifier each time.
+    among : tuple of str
+        Kinds of data to try.
+    examples : int
+        Systems for each check.
+    """
+
+    factory: Factory
+    among: tuple[str, ...]
+    examples: int
+    kinds: tuple[str, ...] = ()
+    models: dict[Workload, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        started = time.perf_counter()
+        self.kinds, refused = kinds_for(lambda w: fit(self.factory(), shown(w)), self.among)
+        why = "; ".join(f"{kind}: {reason}" for kind, reason in refused.items())
+        demand(self.kinds, f"it refuses every kind of data ({why})")
+        self.slow = (time.perf_counter() - started) / len(self.kinds) > SLOW
+        if self.slow:
+            self.examples = min(self.examples, 2)
+
+    def model(self, workload: Workload) -> Any:
+        """Return the model of a workload's two records, fitted once."""
+        if workload not in self.models:
+            self.models[workload] = fit(self.factory(), shown(workload))
+        return self.models[workload]
+
+    def survey(self, noise: float = 0.0) -> Iterator[Workload]:
+        """Return some systems of each accepted kind, those that are refused left out."""
+        each = 1 if self.slow else max(2, SURVEY // len(self.kinds))
+        for kind in self.kinds:
+            for seed in range(each):
+                workload = draw_workload(kind, 100 + seed, noise=noise)
+                try:
+                    self.model(workload)
+                except HarnessError:
+                    continue
+                yield workload
+
+
+class Subjects:
+    """The identifiers that one list of checks has met."""
+
+    def __init__(self, among: tuple[str, ...], examples: int) -> None:
+        self.among, self.examples = among, examples
+        self.met: dict[int, Subject] = {}
+
+    def __call__(self, factory: Factory) -> Subject:
+        """Return the subject of a factory (kept alive with it, so that its id stays its own)."""
+        if id(factory) not in self.met:
+            self.met[id(factory)] = Subject(factory, self.among, self.examples)
+        return self.met[id(factory)]

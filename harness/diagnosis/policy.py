@@ -1,0 +1,121 @@
+"""Every number that decides in the closed loop: its value, the reason, where it is from, and what it was tuned on."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+__all__ = ["POLICY", "Number", "Policy", "described"]
+
+
+@dataclass(frozen=True)
+class Number:
+    """Why a number is what it is."""
+
+    reason: str
+    source: str
+    tuned_on: str = "nothing"
+
+
+def _number(value: Any, reason: str, source: str, tuned_on: str = "nothing") -> Any:
+    return field(default=value, metadata={"number": Number(reason, source, tuned_on)})
+
+
+@dataclass(frozen=True)
+class Policy:
+    """The deciding numbers of a diagnosis."""
+
+    evidence: float = _number(
+        5.0,
+        "an effect must raise the penalised log-likelihood of the estimation records by this much (10 in BIC)",
+        "Kass & Raftery 1995, J. Am. Stat. Assoc. 90:773, sec. 3.2: a difference of 10 is very strong",
+    )
+    validation_z: float = _number(
+        1.0,
+        "and the log-likelihood of the validation records, by at least this many standard errors over blocks",
+        "a gain that is there on the estimation records only is chance",
+        "seeds below 1000",
+    )
+    blocks: int = _number(20, "blocks of a record, for standard errors under misspecified noise", "Kuensch 1989")
+    second_share: float = _number(
+        0.03,
+        "a further effect must bring this share of what all bring together: less is the rounded corner of the first",
+        "hidden laws have sharp corners, those of the dictionary rounded ones",
+        "seeds below 1000",
+    )
+    tie: float = _number(
+        3.0,
+        "rivals tie whose log-likelihoods differ by less",
+        "Kass & Raftery 1995: a Bayes factor below 20 is no strong evidence",
+    )
+    tie_z: float = _number(2.0, "or by less than this many standard errors over blocks", "two standard errors: 95 %")
+    seen: float = _number(
+        0.003,
+        "share of an effect's column that the nominal parameters must not be able to take up",
+        "below it the two cannot be told apart in these data",
+        "seeds below 1000",
+    )
+    clear: float = _number(
+        0.1,
+        "share of a column from which on the promise of the score test is trusted",
+        "columns are off by a few percent, as forces between samples are averaged",
+        "seeds below 1000",
+    )
+    lead: float = _number(
+        3.0, "an effect is refitted if the score test promises this much", "Rao 1948; a promise is no bound: see reach"
+    )
+    reach: float = _number(
+        0.25,
+        "a refit is finished if its first steps gain this share of the best one's",
+        "the last steps of a fit gained up to three times what the first ones had",
+        "seeds below 1000",
+    )
+    begun: int = _number(12, "refits that are begun in a round", "cost", "seeds below 1000")
+    refits: int = _number(6, "refits that are finished in a round", "cost", "seeds below 1000")
+    pairs: int = _number(2, "rivals of a first answer that are tried with a second effect", "cost", "seeds below 1000")
+    most: int = _number(3, "effects in one answer", "more were never told apart in 20 s records")
+    rounding: float = _number(
+        0.05,
+        "share of the sensor noise's power that rounding must make to be named",
+        "every file is rounded somewhere; below a twentieth nobody would see it gone",
+    )
+    spline: float = _number(
+        10.0,
+        "log-likelihood on both uses that a free force over position, speed and input must gain for `unexplained`",
+        "the same evidence as for an effect, doubled because the best of many axes is taken",
+        "seeds below 1000",
+    )
+    misfit_nrmse: float = _number(
+        0.5,
+        "a nominal or repaired model whose prediction over the horizon leaves more than this share does not fit",
+        "NRMSE 1 is the mean of the record: half of the motion unexplained is no model of it",
+    )
+    misfit_force: float = _number(
+        0.7,
+        "a latent force of this share of what moves a coordinate: the model explains next to none of it",
+        "where the model fits, the latent force is what it lacks: missing effects of the study are 2 to 20 %",
+        "seeds below 1000, recordings",
+    )
+    misfit_gain: float = _number(
+        50.0, "log-likelihood that the repair of a column must gain to be named", "ten times the evidence of an effect"
+    )
+    explained: float = _number(0.05, "share of the variance left, at most, to call a model adequate", "a fit of 95 %")
+
+
+POLICY = Policy()
+
+
+def described(policy: Policy = POLICY) -> dict[str, dict[str, Any]]:
+    """Return every number with its reason, for ``report.json``.
+
+    Examples
+    --------
+    >>> described()["evidence"]["value"]
+    5.0
+    """
+    values = asdict(policy)
+    found = {}
+    for one in fields(policy):
+        number: Number = one.metadata["number"]
+        found[one.name] = {"value": values[one.name], **asdict(number)}
+    return found

@@ -1,0 +1,126 @@
+"""Comparing fits: penalised gain, gain on validation with its error, what physics forbids, and ties."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.search.fit import Fit
+from harness.effects.effect import Placed
+
+__all__ = ["Comparison", "Judged", "compared", "difference", "judged"]
+
+_NEAR_BOUND = 1e-4
+"""Share of a bound's size within which a value lies on it."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One fit against another.
+
+    Attributes
+    ----------
+    evidence : float
+        Difference of the penalised log-likelihoods of the estimation records.
+    validation : float
+        Difference of the log-likelihoods of the validation records.
+    error : float
+        Standard error of the latter, over blocks.
+    """
+
+    evidence: float
+    validation: float
+    error: float
+
+    @property
+    def total(self) -> float:
+        """What decides between rivals: both uses together."""
+        return self.evidence + self.validation
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A candidate against the model before it.
+
+    Attributes
+    ----------
+    added : tuple of Placed
+    fit : Fit or None
+    comparison : Comparison or None
+    reasons : tuple of str
+        Why it is rejected; empty if it passes.
+    """
+
+    added: tuple[Placed, ...]
+    fit: Fit | None
+    comparison: Comparison | None
+    reasons: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """True if nothing speaks against it."""
+        return not self.reasons
+
+    @property
+    def name(self) -> str:
+        """The added effects."""
+        return " + ".join(sorted(str(one) for one in self.added))
+
+
+def compared(fit: Fit, base: Fit, policy: Policy = POLICY) -> Comparison:
+    """Return how much better a fit is than a base."""
+    gain, error = difference(fit, base, ("validation",), policy)
+    return Comparison(fit.penalised - base.penalised, gain, error)
+
+
+def difference(fit: Fit, base: Fit, uses: Sequence[str], policy: Policy = POLICY) -> tuple[float, float]:
+    """Return the difference of log-likelihoods over some uses, and its standard error over blocks."""
+    sums: list[float] = []
+    for use in uses:
+        for mine, theirs in zip(fit.terms[use], base.terms[use], strict=True):
+            edges = np.linspace(0, len(mine), policy.blocks + 1).astype(int)
+            change = np.concatenate([[0.0], np.cumsum(mine - theirs)])
+            sums += list(np.diff(change[edges]))
+    values = np.array(sums)
+    return float(values.sum()), float(np.sqrt(len(values)) * values.std(ddof=1))
+
+
+def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, policy: Policy = POLICY) -> Judged:
+    """Apply the acceptance rule."""
+    if fit is None:
+        return Judged(tuple(added), None, None, ("it cannot be simulated here",))
+    found = compared(fit, base, policy)
+    reasons = []
+    if found.evidence < policy.evidence:
+        reasons.append(f"evidence {found.evidence:.1f} on the estimation records, {policy.evidence:g} asked")
+    if found.validation < policy.validation_z * found.error:
+        reasons.append(f"validation gains {found.validation:.1f}, within its error of {found.error:.1f}")
+    if base is not nominal:
+        whole = compared(fit, nominal, policy).total
+        if found.total < policy.second_share * whole:
+            reasons.append(f"it brings {100 * found.total / whole:.1f} % of what all effects bring: it changes nothing")
+    for placed in added:
+        reasons += impossible(placed, fit)
+    return Judged(tuple(added), fit, found, tuple(reasons))
+
+
+def impossible(placed: Placed, fit: Fit) -> list[str]:
+    """Return what physics forbids in the values of an effect, as its parameters declare."""
+    reasons = []
+    for one in placed.effect.parameters:
+        name = placed.name(one.name)
+        if name not in fit.free or one.nuisance:
+            continue
+        value = fit.values[name]
+        if (one.sign == "+" and value < 0) or (one.sign == "-" and value > 0):
+            reasons.append(f"{one.name} = {value:.3g} has an unphysical sign")
+        bounds = [bound for bound in (one.minimum, one.maximum) if np.isfinite(bound) and bound != 0.0]
+        near = [bound for bound in bounds if abs(value - bound) <= _NEAR_BOUND * abs(bound)]
+        if near and near[0] != one.neutral:
+            reasons.append(f"{one.name} lies on its bound {near[0]:g}")
+    values = {one.name: fit.values[placed.name(one.name)] for one in placed.effect.parameters}
+    reasons += [text for text in placed.effect.violations(values)]
+    return reasons

@@ -1,0 +1,349 @@
+"""Directions of the score test: the force, or sensor error, that each effect would add along the smoothed motion."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from harness.effects.along import Signals
+from harness.effects.columns import column_blocks
+from harness.effects.compose import compose
+from harness.effects.effect import Placed
+from harness.effects.places import port_of
+from harness.effects.sampled import delay
+from harness.errors import HarnessError
+from harness.physics.kalman_pass import KalmanPass
+from harness.signals import FloatArray, Trajectory
+
+__all__ = ["Direction", "Trace", "directions", "test_functions"]
+
+MOST_CHOICES = 12
+"""Choices of an effect's nonlinear parameters that are tried."""
+SPEEDS = 6
+"""Test functions on each axis."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """A record with its smoothed states (latent forces last), and the parameters that hold."""
+
+    record: Trajectory
+    x: FloatArray
+    passes: KalmanPass
+    p: FloatArray
+    intersample: str
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """Forces (K, nl, k) and readings (K, ny, k) by use and record; see :class:`harness.diagnosis.search.fit.Column`."""
+
+    placed: Placed | None
+    given: dict[str, float]
+    names: tuple[str, ...]
+    forces: dict[str, list[FloatArray]]
+    readings: dict[str, list[FloatArray]]
+
+
+def directions(
+    traces: Mapping[str, Sequence[Trace]],
+    nominal: Any,
+    values: Mapping[str, float],
+    candidates: Sequence[Placed],
+    sizes: Mapping[str, Mapping[str, float]],
+) -> list[Direction]:
+    """Return the directions of candidates, several for one whose parameters are not all linear."""
+    signals = {use: [_signals(one, nominal) for one in parts] for use, parts in traces.items()}
+    known = {name: values[name] for name in nominal.parameter_names}
+    found: list[Direction] = []
+    for placed in candidates:
+        kind = port_of(nominal, placed).kind
+        try:
+            if kind == "output":
+                found += _readings(traces, nominal, placed, sizes)
+            elif nominal.coordinates:
+                found += _forces(traces, signals, nominal, known, placed, sizes)
+            else:
+                found += _rates(traces, nominal, known, placed, sizes)
+        except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
+            continue
+    return [one for one in found if _finite(one)]
+
+
+def _finite(one: Direction) -> bool:
+    parts = [part for side in (one.forces, one.readings) for use in side.values() for part in use]
+    return all(np.isfinite(part).all() for part in parts)
+
+
+def _signals(trace: Trace, nominal: Any) -> Signals | None:
+    """Return the smoothed motion of a mechanical system; accelerations with the latent force in them."""
+    if not nominal.coordinates:
+        return None
+    q = trace.x[:, [c.q for c in nominal.coordinates]]
+    v = trace.x[:, [c.v for c in nominal.coordinates]]
+    return Signals(trace.record.t, trace.record.u, q, v, _rate(trace)[:, [c.v for c in nominal.coordinates]])
+
+
+def _rate(trace: Trace) -> FloatArray:
+    """Return dx/dt along the smoothed motion (K, nx)."""
+    function = trace.passes.simulator.functions.derivative
+    n = len(trace.record)
+    many = function.map(n)
+    return np.asarray(many(trace.x.T, trace.record.u.T, np.tile(trace.p[:, None], n), trace.record.t).full().T)
+
+
+def _nothing(traces: Mapping[str, Sequence[Trace]], k: int, *, forces: bool) -> dict[str, list[FloatArray]]:
+    """Return zeros (K, nl or ny, k) by use and record."""
+    return {
+        use: [np.zeros((len(one.record), one.passes.nl if forces else one.passes.ny, k)) for one in parts]
+        for use, parts in traces.items()
+    }
+
+
+def _forces(
+    traces: Mapping[str, Sequence[Trace]],
+    signals: Mapping[str, Sequence[Any]],
+    nominal: Any,
+    known: Mapping[str, float],
+    placed: Placed,
+    sizes: Mapping[str, Mapping[str, float]],
+) -> list[Direction]:
+    """Return the directions of an effect whose force follows from the motion."""
+    if "periodic" in placed.effect.name:
+        placed_list = [placed.with_values({"omega": omega}) for omega in _frequencies(traces["estimation"])]
+        return [one for p in placed_list for one in _blocks(traces, signals, nominal, known, p, sizes, "phi")]
+    if placed.effect.name == "cogging":
+        placed_list = [placed.with_values({"k": k}) for k in _waves(signals["estimation"], nominal, placed)]
+        return [one for p in placed_list for one in _blocks(traces, signals, nominal, known, p, sizes, "phi")]
+    return _blocks(traces, signals, nominal, known, placed, sizes, "")
+
+
+def _blocks(
+    traces: Mapping[str, Sequence[Trace]],
+    signals: Mapping[str, Sequence[Any]],
+    nominal: Any,
+    known: Mapping[str, float],
+    placed: Placed,
+    sizes: Mapping[str, Mapping[str, float]],
+    phase: str,
+) -> list[Direction]:
+    """Return one direction for each block of columns; of a law with a phase, sine and cosine together."""
+    choices = [placed.with_values({phase: angle}) for angle in (0.0, 0.5 * np.pi)] if phase else [placed]
+    made: list[dict[str, list[Any]]] = []
+    for choice in choices:
+        made.append(
+            {
+                use: [column_blocks(nominal, choice, one, parameters=known, sizes=sizes) for one in parts]
+                for use, parts in signals.items()
+            }
+        )
+    found = []
+    for number, block in enumerate(made[0]["estimation"][0] if made[0]["estimation"] else []):
+        forces = {
+            use: [
+                np.concatenate([m[use][record][number].columns for m in made], axis=2)
+                for record in range(len(signals[use]))
+            ]
+            for use in signals
+        }
+        names = tuple(block.names) if not phase else (f"{block.names[0]} cos", f"{block.names[0]} sin")
+        given = {k: v for k, v in {**block.given, **placed.values}.items() if k != phase}
+        if phase:  # sin(a + phi) = cos(phi) sin(a) + sin(phi) cos(a)
+            names = ("in phase", "quarter turn")
+        k = len(names)
+        if forces["estimation"][0].shape[2] == k:
+            found.append(Direction(placed, given, names, forces, _nothing(traces, k, forces=False)))
+    return found
+
+
+def _frequencies(traces: Sequence[Trace]) -> list[float]:
+    """Return the angular frequencies of the strongest lines of the latent forces [rad/s]."""
+    trace = max(traces, key=lambda one: len(one.record))
+    n, dt = len(trace.record), trace.record.spec.sample_time
+    window = np.hanning(n)
+    found: list[float] = []
+    for row in range(trace.passes.nl):
+        force = trace.x[:, trace.passes.start_size + row]
+        power = np.abs(np.fft.rfft((force - force.mean()) * window, 4 * n)) ** 2
+        omega = 2 * np.pi * np.arange(len(power)) / (4 * n * dt)
+        power[omega * n * dt < 2 * 2 * np.pi] = 0.0
+        for _ in range(3):
+            peak = int(np.argmax(power))
+            found.append(float(omega[peak]))
+            power[max(peak - 12, 0) : peak + 13] = 0.0
+    return [one for one in found if one > 0]
+
+
+def _waves(signals: Sequence[Any], nominal: Any, placed: Placed) -> list[float]:
+    """Return wave numbers of a force that repeats along a coordinate, close enough that none is missed."""
+    row = next(k for k, one in enumerate(nominal.coordinates) if one.name == placed.at)
+    q = np.concatenate([one.q[:, row] for one in signals])
+    low, high = np.quantile(q, [0.02, 0.98])
+    span = max(float(high - low), 1e-9)
+    parameter = placed.effect.parameter("k")
+    least = max(parameter.minimum, 2.5)
+    step = np.pi / span
+    return [float(one) for one in np.arange(least, min(parameter.maximum, least + 24 * step), step)]
+
+
+def _choices(placed: Placed, at: Mapping[str, float]) -> list[tuple[dict[str, float], tuple[str, ...]]]:
+    """Return choices of the nonlinear parameters, with the names of the linear ones."""
+    linear = tuple(one.name for one in placed.effect.parameters if one.linear and not one.fixed)
+    nonlinear = [one for one in placed.effect.parameters if one.name not in linear and not one.fixed]
+    grids = [one.starts(at) for one in nonlinear]
+    return [
+        (dict(zip((one.name for one in nonlinear), choice, strict=True)), linear)
+        for choice in itertools.islice(itertools.product(*grids), MOST_CHOICES)
+    ]
+
+
+def _readings(
+    traces: Mapping[str, Sequence[Trace]], nominal: Any, placed: Placed, sizes: Mapping[str, Mapping[str, float]]
+) -> list[Direction]:
+    """Return the directions of a sensor's error: what it changes in the readings that the model expects."""
+    row = [channel.name for channel in nominal.outputs].index(placed.at)
+    if placed.effect.sampled == "quantise" or not placed.effect.parameters:
+        return []
+    at = sizes.get(placed.at, {})
+    found = []
+    for given, linear in _choices(placed, at):
+        names = linear or ("effect",)
+        readings: dict[str, list[FloatArray]] = {}
+        for use, parts in traces.items():
+            readings[use] = []
+            for trace in parts:
+                y = _expected(trace)[:, row]
+                column = np.zeros((len(y), trace.passes.ny, len(names)))
+                complete = placed.effect.complete(given, at)
+                if placed.effect.sampled == "output_delay":
+                    column[:, row, 0] = delay(y, given[placed.effect.parameters[0].name], trace.passes.dt) - y
+                elif linear:
+                    nothing = {**complete, **{n: placed.effect.parameter(n).neutral or 0.0 for n in linear}}
+                    before = _sensor(placed, y, nothing)
+                    for k, name in enumerate(linear):
+                        column[:, row, k] = _sensor(placed, y, {**nothing, name: nothing[name] + 1.0}) - before
+                else:
+                    column[:, row, 0] = _sensor(placed, y, complete) - y
+                readings[use].append(column)
+        found.append(Direction(placed, given, names, _nothing(traces, len(names), forces=True), readings))
+    return found
+
+
+def _sensor(placed: Placed, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    """Return what a sensor reads."""
+    value, _ = placed.effect.evaluate(y, [0.0] * len(placed.effect.states), values, y, 0.0, t=0.0, a=0.0, load=0.0)
+    return np.asarray(value) * np.ones_like(y)
+
+
+def _expected(trace: Trace) -> FloatArray:
+    """Return the outputs along the smoothed motion (K, ny)."""
+    function, n = trace.passes.simulator.functions.output, len(trace.record)
+    return np.asarray(
+        function.map(n)(trace.x.T, trace.record.u.T, np.tile(trace.p[:, None], n), trace.record.t).full().T
+    )
+
+
+def _rates(
+    traces: Mapping[str, Sequence[Trace]],
+    nominal: Any,
+    known: Mapping[str, float],
+    placed: Placed,
+    sizes: Mapping[str, Mapping[str, float]],
+) -> list[Direction]:
+    """Return the directions of an effect in a system of plain rates: what it changes in them."""
+    at = sizes.get(placed.at, {})
+    kind = port_of(nominal, placed).kind
+    base = ca.Function("f", [nominal.x, nominal.u, nominal.p, nominal.t], [nominal.f])
+    p0 = nominal.vector(known)
+    found = []
+    for given, linear in _choices(placed, at):
+        names = linear or ("effect",)
+        complete = placed.effect.complete(given, at)
+        forces: dict[str, list[FloatArray]] = {}
+        cases = [complete]
+        if linear:
+            nothing = {**complete, **{n: placed.effect.parameter(n).neutral or 0.0 for n in linear}}
+            cases = [nothing, *({**nothing, n: nothing[n] + 1.0} for n in linear)]
+        for use, parts in traces.items():
+            forces[use] = []
+            for trace in parts:
+                n, x = len(trace.record), trace.x[:, : nominal.nx]
+                plain = base.map(n)(x.T, trace.record.u.T, np.tile(p0[:, None], n), trace.record.t).full().T
+                each = []
+                for case in cases:
+                    if kind == "input":
+                        u = _passed(placed, trace, nominal, case)
+                        each.append(base.map(n)(x.T, u.T, np.tile(p0[:, None], n), trace.record.t).full().T - plain)
+                        continue
+                    whole = compose(nominal, [placed.with_values(case)], sizes={"": at})
+                    made = ca.Function("g", [whole.x, whole.u, whole.p, whole.t], [whole.f[: nominal.nx]])
+                    p = whole.vector({**known, **{placed.name(k): v for k, v in case.items()}})
+                    wide = np.hstack([x, np.zeros((n, whole.nx - nominal.nx))])
+                    rate = made.map(n)(wide.T, trace.record.u.T, np.tile(p[:, None], n), trace.record.t).full().T
+                    each.append(rate - plain)
+                columns = [one - each[0] for one in each[1:]] if linear else each
+                forces[use].append(np.stack(columns, axis=2))
+        found.append(Direction(placed, given, names, forces, _nothing(traces, len(names), forces=False)))
+    return found
+
+
+def _passed(placed: Placed, trace: Trace, nominal: Any, values: Mapping[str, float]) -> FloatArray:
+    """Return the inputs behind a block at one of them; hidden states by one step of Euler's method a sample."""
+    column = [channel.name for channel in nominal.inputs].index(placed.at)
+    u, dt = trace.record.u.copy(), trace.passes.dt
+    signal = u[:, column]
+    if placed.effect.sampled:
+        u[:, column] = delay(signal, values[placed.effect.parameters[0].name], dt)
+    elif not placed.effect.states:
+        u[:, column] = placed.effect.evaluate(signal, [], values, 0.0, 0.0, t=trace.record.t, a=0.0, load=0.0)[0]
+    else:
+        slow = {
+            k: max(v, dt) if placed.effect.parameter(k).unit == "s" else v for k, v in values.items()
+        }  # an Euler step of a time constant below a sample would not settle
+        z = [float(signal[0])] * len(placed.effect.states)
+        for k in range(len(signal)):
+            value, rates = placed.effect.evaluate(float(signal[k]), z, slow, 0.0, 0.0, t=0.0, a=0.0, load=0.0)
+            u[k, column] = float(value)
+            z = [a + dt * float(b) for a, b in zip(z, rates, strict=True)]
+    return u
+
+
+def test_functions(traces: Mapping[str, Sequence[Trace]], nominal: Any) -> list[Direction]:
+    """Return test functions that are no effect: piecewise linear forces of position, speed, input, each by itself.
+
+    One direction for every axis and every latent force, on knots between the quantiles of the estimation records.
+    """
+    found: list[Direction] = []
+    axes: list[tuple[str, dict[str, list[FloatArray]]]] = []
+    names = [channel.name for channel in nominal.states]
+    for row, name in enumerate(names):
+        axes.append((name, {use: [one.x[:, row] for one in parts] for use, parts in traces.items()}))
+    for row, channel in enumerate(nominal.inputs):
+        axes.append((channel.name, {use: [one.record.u[:, row] for one in parts] for use, parts in traces.items()}))
+    latent = traces["estimation"][0].passes.nl
+    for name, values in axes:
+        every = np.concatenate(values["estimation"])
+        knots = np.unique(np.quantile(every, np.linspace(0.02, 0.98, SPEEDS)))
+        if len(knots) < 3:
+            continue
+        for row in range(latent):
+            forces: dict[str, list[FloatArray]] = {}
+            for use, parts in values.items():
+                forces[use] = []
+                for part in parts:
+                    basis = np.stack([np.interp(part, knots, np.eye(len(knots))[k]) for k in range(len(knots))], axis=1)
+                    column = np.zeros((len(part), latent, len(knots)))
+                    column[:, row] = basis
+                    forces[use].append(column)
+            labels = tuple(f"{name} at {knot:.3g}" for knot in knots)
+            port = traces["estimation"][0].passes.disturbed.forces[row].port
+            found.append(
+                Direction(None, {"axis": float(len(found))}, (f"{port} over {name}", *labels[1:]), forces,
+                          _nothing(traces, len(knots), forces=False))
+            )  # fmt: skip
+    return found

@@ -1,0 +1,175 @@
+"""What a form offers the search: fitted candidates with their likelihood, and the score test's columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from harness.effects.effect import Placed
+from harness.signals import FloatArray
+
+__all__ = ["Begun", "Column", "Fit", "Form", "Linearised", "Suspect"]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A model with some effects at the maximum of its likelihood.
+
+    Attributes
+    ----------
+    effects : tuple of Placed
+    system : System
+        The nominal one with the effects.
+    values : dict
+        All parameters by full name.
+    free : tuple of str
+        The estimated ones.
+    count : int
+        Everything estimated: parameters, hidden starts, noise; the initial states of the nominal model, which every
+        candidate has, left out.
+    terms : dict
+        By use, for each record the log-density of every sample (N,); of the validation records with initial states (and
+        what belongs to a record) fitted there, everything else from the estimation records.
+    deviations : dict
+        Standard deviation of every free parameter, of its logarithm where ``logarithmic``.
+    logarithmic : frozenset of str
+    converged : bool
+    on_bound : tuple of str
+    own : dict
+        Parameters of the validation records themselves.
+    detail : object
+        What the form itself needs to go on from here.
+    """
+
+    effects: tuple[Placed, ...]
+    system: Any
+    values: dict[str, float]
+    free: tuple[str, ...]
+    count: int
+    terms: dict[str, list[FloatArray]]
+    deviations: dict[str, float]
+    logarithmic: frozenset[str]
+    converged: bool
+    on_bound: tuple[str, ...]
+    own: dict[str, float] = field(default_factory=dict)
+    detail: Any = field(default=None, repr=False)
+
+    @property
+    def samples(self) -> int:
+        """Samples of the estimation records."""
+        return sum(len(one) for one in self.terms["estimation"])
+
+    def log_likelihood(self, use: str) -> float:
+        """Return the log-likelihood of the records of a use."""
+        return float(sum(one.sum() for one in self.terms[use]))
+
+    @property
+    def penalised(self) -> float:
+        """Log-likelihood of the estimation records minus half the penalty of BIC (Schwarz 1978)."""
+        return self.log_likelihood("estimation") - 0.5 * self.count * float(np.log(self.samples))
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """Return the 95 % interval of a free parameter, from the curvature."""
+        value, half = self.values[name], 1.96 * self.deviations[name]
+        if name in self.logarithmic:
+            return float(value * np.exp(-min(half, 50.0))), float(value * np.exp(min(half, 50.0)))
+        return value - half, value + half
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """What one choice of an effect's parameters does to the whitened innovations.
+
+    Attributes
+    ----------
+    placed : Placed
+    given : dict
+        Values of the parameters in which the effect is not linear, by short name.
+    names : tuple of str
+        Short names of the linear ones, one for each column; ``("effect",)`` for the whole effect at ``given``.
+    estimation, validation : array (n, k)
+    """
+
+    placed: Placed | None
+    given: dict[str, float]
+    names: tuple[str, ...]
+    estimation: FloatArray
+    validation: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Whitened innovations of a fit by use (n,), and their derivatives by what is free already (n, p).
+
+    The first ``shared`` columns belong to parameters, which the validation records share; the others to initial states,
+    which every record has for itself.
+    """
+
+    residual: dict[str, FloatArray]
+    nuisance: dict[str, FloatArray]
+    shared: int
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """The first steps of a fit: the log-likelihood of the estimation records so far, and what the form goes on from."""
+
+    effects: tuple[Placed, ...]
+    log_likelihood: float
+    values: dict[str, float]
+    detail: Any = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Suspect:
+    """An effect that no score test sees, where to start from, and a fit of its own to go on from, if it has one."""
+
+    placed: Placed
+    starts: tuple[dict[str, float], ...]
+    base: Fit | None = None
+
+
+class Form(Protocol):
+    """A way to give data a likelihood under a model with effects."""
+
+    @property
+    def nominal(self) -> Any:
+        """The nominal system."""
+        ...
+
+    def begin(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Begun | None:
+        """Take the first steps of a fit of the nominal model with effects, from one or more starts.
+
+        ``base`` is the fit to go on from: its noise and initial states. None where it cannot be simulated.
+        """
+        ...
+
+    def finish(self, begun: Begun, base: Fit | None) -> Fit | None:
+        """Return the fit that was begun at its maximum, tried on the validation records."""
+        ...
+
+    def fit(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Fit | None:
+        """Begin and finish."""
+        ...
+
+    def linearised(self, fit: Fit) -> Linearised:
+        """Return the whitened innovations of a fit and their derivatives."""
+        ...
+
+    def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
+        """Return what each candidate would do to the innovations of a fit."""
+        ...
+
+    def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
+        """Return those candidates beside a base of which a first-order test says nothing.
+
+        Where the best rival leaves nothing, hidden resonances and play have nothing to explain.
+        """
+        ...
+
+    def test_functions(self, fit: Fit) -> list[Column]:
+        """Return the same for functions of position, speed and input that are no effect of a dictionary."""
+        ...

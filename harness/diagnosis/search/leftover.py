@@ -1,0 +1,119 @@
+"""What a free force over position, speed or input could still predict of the innovations of a model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.search.fit import Column, Fit, Form, Linearised
+from harness.diagnosis.search.score_test import projected
+from harness.signals import FloatArray
+
+__all__ = ["Axis", "Leftover", "left_over"]
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """A free force over one axis.
+
+    Attributes
+    ----------
+    name : str
+        Where it acts and over what, such as ``theta over theta_rate``.
+    evidence : float
+        Penalised log-likelihood that it gains on the estimation records.
+    validation, error : float
+        What the same force gains on the validation records, and the standard error over blocks.
+    knots : tuple of str
+    values : array (k,)
+        The force at the knots.
+    """
+
+    name: str
+    evidence: float
+    validation: float
+    error: float
+    knots: tuple[str, ...]
+    values: FloatArray
+
+    @property
+    def total(self) -> float:
+        """Both uses together."""
+        return self.evidence + self.validation
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            "axis": self.name,
+            "evidence": self.evidence,
+            "validation": self.validation,
+            "standard_error": self.error,
+            "knots": list(self.knots),
+            "values": [float(one) for one in self.values],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Leftover:
+    """All axes, best first."""
+
+    axes: tuple[Axis, ...]
+    policy: Policy = POLICY
+
+    @property
+    def best(self) -> Axis | None:
+        """The axis that predicts most of what is left, if one does so beyond chance."""
+        for one in self.axes:
+            if one.total > self.policy.spline and one.validation > self.policy.validation_z * one.error:
+                return one
+        return None
+
+
+def left_over(form: Form, fit: Fit, policy: Policy = POLICY) -> Leftover:
+    """Return what free forces over every axis would gain beside a fit.
+
+    Parameters
+    ----------
+    form : Form
+    fit : Fit
+    policy : Policy
+    """
+    linear = form.linearised(fit)
+    basis, residual = projected(form, fit)
+    penalty = 0.5 * float(np.log(fit.samples))
+    axes = [_axis(one, basis, residual, linear, penalty, policy) for one in form.test_functions(fit)]
+    return Leftover(tuple(sorted(axes, key=lambda one: -one.total)), policy)
+
+
+def _axis(
+    column: Column, basis: FloatArray, residual: FloatArray, linear: Linearised, penalty: float, policy: Policy
+) -> Axis:
+    """Return what the functions of one axis gain."""
+    size = np.linalg.norm(column.estimation, axis=0)
+    use = size > 0
+    unit = column.estimation[:, use] / size[use]
+    left = unit - basis @ (basis.T @ unit)
+    u, s, vt = np.linalg.svd(left, full_matrices=False)
+    keep = s > 1e-4
+    along = -(u[:, keep].T @ residual)
+    gain = 0.5 * float(along @ along)
+    values = np.zeros(len(size))
+    values[use] = vt[keep].T @ (along / s[keep]) / size[use]
+    # the parameters move along with the force, as they did on the estimation records
+    own, outside = linear.nuisance["estimation"], linear.nuisance["validation"]
+    moved = np.linalg.lstsq(own, column.estimation @ values, rcond=1e-12)[0][: linear.shared]
+    other = linear.residual["validation"]
+    change = column.validation @ values - outside[:, : linear.shared] @ moved
+    starts = outside[:, linear.shared :]
+    if starts.shape[1]:
+        q, _ = np.linalg.qr(starts)
+        other, change = other - q @ (q.T @ other), change - q @ (q.T @ change)
+    each = 0.5 * (other**2 - (other + change) ** 2)
+    sums = np.array([part.sum() for part in np.array_split(each, policy.blocks)])
+    error = float(np.sqrt(len(sums)) * sums.std(ddof=1))
+    return Axis(
+        column.names[0], gain - penalty * int(keep.sum()), float(each.sum()), error, tuple(column.names[1:]), values
+    )

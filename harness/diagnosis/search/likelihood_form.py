@@ -1,0 +1,430 @@
+"""The likelihood as a form of the search: compiled systems with latent forces and sensor noise."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.prepare import sizes_of
+from harness.diagnosis.search.directions import Trace, directions, test_functions
+from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
+from harness.diagnosis.unfold import HIDING, unfoldings
+from harness.effects.compose import compose, recommended_substeps
+from harness.effects.effect import Placed
+from harness.effects.places import port_of
+from harness.errors import FitError, HarnessError
+from harness.physics.kalman_pass import Filtered, KalmanPass, Noise
+from harness.physics.latent import with_latent_forces
+from harness.physics.likelihood import Likelihood, LikelihoodFit, NoiseModel, Point
+from harness.physics.likelihood_fit import LONGEST, first_noises, first_state, force_scale, sensor_noise
+from harness.physics.simulator import default_substeps
+from harness.physics.smoother import Smoothed, innovation_response, smoothed
+from harness.physics.start import first_values
+from harness.signals import Dataset, FloatArray, Run, Trajectory
+
+__all__ = ["Detail", "LikelihoodForm"]
+
+USES = ("estimation", "validation")
+CLOSE = 30.0
+"""Log-likelihood within which the second start goes on beside the first."""
+NEGLIGIBLE = 1e-3
+"""Latent forces below this share of the typical force leave nothing to explain."""
+PILE, PILE_WIDTH = 0.004, 6.0
+"""Share of the readings within so many noises of the largest one that is more than a peak of a swing."""
+OWN_STARTS = (0.125, 0.375, 0.625, 0.875)
+"""Where phases and instants of a validation record are looked for, as parts of a turn or of the record."""
+STARTS = 3
+"""Starts that a fit goes on from, the likeliest ones."""
+FIRST_STEPS = 5
+"""Iterations from each of several starts; the two that came furthest go on."""
+OWN = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
+"""Parameters that belong to a record and not to the plant."""
+
+
+@dataclass(eq=False)
+class Detail:
+    """Points and passes by use, and the filter that made them."""
+
+    points: dict[str, Point]
+    passes: KalmanPass
+    best: LikelihoodFit
+    paths: dict[str, list[Filtered]] = field(default_factory=dict)
+    smooth: dict[str, list[Smoothed]] = field(default_factory=dict)
+
+
+class LikelihoodForm:
+    """Fits a system with effects to a data set by maximum likelihood.
+
+    Parameters
+    ----------
+    system : System
+        The nominal one.
+    dataset : Dataset
+    sizes : mapping
+        Sizes of the data by port, see :func:`harness.effects.columns.motion_sizes`.
+    """
+
+    def __init__(self, system: Any, dataset: Dataset, sizes: Mapping[str, Mapping[str, float]]) -> None:
+        self.nominal, self.dataset, self.sizes = system, dataset, sizes
+        self.records: dict[str, list[Trajectory]] = {
+            use: [run.measured() for run in dataset.using(use)]  # type: ignore[arg-type]
+            for use in USES
+        }
+        self.dt = dataset.spec.sample_time
+        longest = max(len(run) for run in self.records["estimation"]) * self.dt
+        y = np.concatenate([run.y for run in self.records["estimation"]])
+        self.noise_model = NoiseModel(
+            force_scale(system, self.records["estimation"], dataset.intersample),
+            np.maximum(y.std(axis=0), 1e-12),
+            shortest=self.dt,
+            longest=max(longest / LONGEST, 2 * self.dt),
+        )
+        self._first_noise = sensor_noise(self.records["estimation"])
+
+    def first_starts(self) -> list[dict[str, float]]:
+        """Return parameters to start the nominal fit from: as declared, and where equation errors are least."""
+        system = self.nominal
+        free = np.array([not one.fixed for one in system.parameters], dtype=bool)
+        vectors = first_values(
+            system, self.records["estimation"], system.values(), free, set(), self.dataset.intersample
+        )
+        return [dict(zip(system.parameter_names, map(float, one), strict=True)) for one in vectors]
+
+    def resize(self, nominal: Fit) -> None:
+        """Take the sizes of forces and of unmeasured levels from the nominal fit: effects start from them."""
+        sizes = {port: dict(one) for port, one in sizes_of(self.nominal, nominal.values, self.dataset).items()}
+        _, smooth = self.paths(nominal, "estimation")
+        x = np.concatenate([one.x for one in smooth])
+        names = [channel.name for channel in self.nominal.states]
+        for port in self.nominal.ports:
+            if port.kind == "process":
+                level = float(np.sqrt(np.mean(x[:, names.index(port.name)] ** 2)))
+                sizes.setdefault(port.name, {})["x"] = level
+        self.sizes = sizes
+
+    # ---- fits ------------------------------------------------------------------------------------------------------
+
+    def begin(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Begun | None:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        try:
+            system = compose(self.nominal, list(effects), sizes=self.sizes) if effects else self.nominal
+            vectors = [_within(system, {**system.values(), **_known(system, start)}) for start in starts]
+            needed = [
+                max(default_substeps(system, self.dt, system.vector(one)), recommended_substeps(system, one, self.dt))
+                for one in vectors
+            ]
+            passes = self._passes(system, int(np.median(needed)))
+            likelihood = self._likelihood(system, "estimation", passes)
+            points = [
+                Point(p, self._starts(system, passes, p, "estimation", base), noise)
+                for p in map(system.vector, vectors)
+                for noise in self._noises(base)
+            ]
+            if len(points) > STARTS:
+                points = sorted(points, key=likelihood.nll)[:STARTS]
+        except (HarnessError, ArithmeticError, np.linalg.LinAlgError):  # two transmissions at one joint, say
+            return None
+        tried: list[LikelihoodFit] = []
+        for point in points:
+            try:
+                tried.append(likelihood.maximise(point, most=FIRST_STEPS))
+            except (FitError, ArithmeticError, np.linalg.LinAlgError):
+                continue
+        if not tried:
+            return None
+        tried.sort(key=lambda one: one.nll)
+        return Begun(tuple(effects), -tried[0].nll, tried[0].parameters, (system, passes, likelihood, tried))
+
+    def finish(self, begun: Begun, base: Fit | None) -> Fit | None:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        system, passes, likelihood, tried = begun.detail
+        try:
+            near = [one for one in tried if one.nll < tried[0].nll + CLOSE]
+            ends = [one if one.converged else likelihood.maximise(one.point) for one in near[:2]]
+            best = min(ends, key=lambda one: one.nll)
+            own, terms, validation = self._validated(system, passes, best, base)
+        except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
+            return None
+        return self._fitted(begun.effects, system, passes, best, own, terms, validation)
+
+    def fit(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Fit | None:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        begun = self.begin(effects, starts, base)
+        return None if begun is None else self.finish(begun, base)
+
+    def _fitted(
+        self,
+        effects: Sequence[Placed],
+        system: Any,
+        passes: KalmanPass,
+        best: LikelihoodFit,
+        own: dict[str, float],
+        terms: list[FloatArray],
+        validation: Point,
+    ) -> Fit:
+        """Return the fit as the search wants it; initial states of the nominal model are in every candidate."""
+        names = set(system.parameter_names)
+        nominal_states = {channel.name for channel in self.nominal.states}
+        counted = [
+            name for name in best.names if not (name.startswith("x0[") and name.partition("].")[2] in nominal_states)
+        ]
+        return Fit(
+            tuple(effects),
+            system,
+            best.parameters,
+            tuple(name for name in best.names if name in names),
+            len(counted),
+            {"estimation": [-one for one in best.terms], "validation": terms},
+            {name: best.deviation(name) for name in best.names if name in names},
+            frozenset(name for name, log in zip(best.names, best.logarithmic, strict=True) if log and name in names),
+            best.converged,
+            best.on_bound,
+            own,
+            Detail({"estimation": best.point, "validation": validation}, passes, best),
+        )
+
+    def _passes(self, system: Any, substeps: int) -> KalmanPass:
+        return KalmanPass(with_latent_forces(system), self.dt, intersample=self.dataset.intersample, substeps=substeps)
+
+    def _likelihood(self, system: Any, use: str, passes: KalmanPass) -> Likelihood:
+        rounding = [block.parameter for block in system.sampled if block.kind == "quantise"]
+        return Likelihood(
+            system,
+            self.records[use],
+            self.noise_model,
+            fixed=rounding,
+            intersample=self.dataset.intersample,
+            passes=passes,
+        )
+
+    def _validated(
+        self, system: Any, passes: KalmanPass, best: LikelihoodFit, base: Fit | None
+    ) -> tuple[dict[str, float], list[FloatArray], Point]:
+        """Fit what belongs to the validation records; return it, the log-densities, and the point."""
+        likelihood = self._likelihood(system, "validation", passes)
+        own = [
+            placed.name(name)
+            for placed in system.effects
+            for name in OWN.get(placed.effect.name, ())
+            if not system.parameter(placed.name(name)).fixed
+        ]
+        free = [name for name in likelihood.names if name.startswith("x0[")] + own
+        chosen: LikelihoodFit | None = None
+        longest = max(len(run) for run in self.records["validation"]) * self.dt
+        for part in OWN_STARTS if own else (0.0,):
+            p = best.point.p.copy()
+            for name in own:
+                p[system.parameter_names.index(name)] = part * (2 * np.pi if name.endswith("phi") else longest)
+            for origin in dict.fromkeys((base, None)):  # narrow friction may catch one of two starts
+                point = Point(p, self._starts(system, passes, p, "validation", origin), best.point.noise)
+                found = likelihood.maximise(point, free=free, most=25)
+                if chosen is None or found.nll < chosen.nll:
+                    chosen = found
+        assert chosen is not None
+        return {name: chosen.parameters[name] for name in own}, [-one for one in chosen.terms], chosen.point
+
+    def _noises(self, base: Fit | None) -> list[Noise]:
+        """Return the noise to start from: that of the base, else several."""
+        if base is not None:
+            noise: Noise = base.detail.points["estimation"].noise
+            floor = 1e-3 * self.noise_model.force_scale  # what was lost may be needed now
+            return [replace(noise, s=np.maximum(noise.s, floor), w=np.maximum(noise.w, 0.1 * floor))]
+        return first_noises(self.noise_model, self._first_noise, self.dt)
+
+    def _starts(self, system: Any, passes: KalmanPass, p: FloatArray, use: str, base: Fit | None) -> list[FloatArray]:
+        """Return initial states to start from: those of the base, new hidden states where their effects say."""
+        found = []
+        names = [channel.name for channel in system.states]
+        simulator = passes.simulator
+        for number, record in enumerate(self.records[use]):
+            x = np.zeros(passes.start_size)
+            if base is None:
+                x[: self.nominal.nx] = first_state(system, record, p, self.dataset.intersample)[: self.nominal.nx]
+            else:
+                old = [channel.name for channel in base.system.states]
+                start = base.detail.points[use].x0[number]
+                fresh = []
+                for k, name in enumerate(names):
+                    if name in old:
+                        x[k] = start[old.index(name)]
+                    else:
+                        fresh.append(k)
+                if fresh:
+                    whole = np.concatenate([x, np.zeros(passes.nl)])
+                    hidden = simulator.hidden_start(whole, record.u[0], p)
+                    first = system.nx - system.hidden_count
+                    for k in fresh:
+                        x[k] = hidden[k - first]
+            found.append(x)
+        return found
+
+    # ---- what the score test needs -----------------------------------------------------------------------------------
+
+    def paths(self, fit: Fit, use: str) -> tuple[list[Filtered], list[Smoothed]]:
+        """Return the pass of a fit over every record of a use, and the smoothed states; found once."""
+        detail: Detail = fit.detail
+        if use not in detail.paths:
+            point = detail.points[use]
+            names = [*fit.system.parameter_names]
+            free = set(fit.free)
+            columns = np.array(
+                [k for k, name in enumerate(names) if name in free]
+                + list(range(detail.passes.np, detail.passes.np + detail.passes.start_size)),
+                dtype=np.intp,
+            )
+            found = [
+                detail.passes(record, point.p, x0, point.noise, columns=columns, keep=True)
+                for record, x0 in zip(self.records[use], point.x0, strict=True)
+            ]
+            if any(one is None for one in found):
+                raise FitError("filter", expected="a finite state", got="divergence", remedy="refit the model")
+            detail.paths[use] = [one for one in found if one is not None]
+            detail.smooth[use] = [smoothed(one) for one in detail.paths[use]]
+        return detail.paths[use], detail.smooth[use]
+
+    def linearised(self, fit: Fit) -> Linearised:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        residual, nuisance = {}, {}
+        count = len(fit.free)
+        for use in USES:
+            passed, _ = self.paths(fit, use)
+            residual[use] = np.concatenate([_whitened(one.e, one.s) for one in passed])
+            parts = []
+            for number, one in enumerate(passed):
+                assert one.j is not None
+                j = _whitened(one.j, one.s[..., None])
+                wide = np.zeros((len(j), count + len(passed) * (j.shape[1] - count)))
+                states = j.shape[1] - count
+                wide[:, :count] = j[:, :count]
+                wide[:, count + number * states : count + (number + 1) * states] = j[:, count:]
+                parts.append(wide)
+            nuisance[use] = np.concatenate(parts)
+        return Linearised(residual, nuisance, count)
+
+    def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        return self._answered(fit, directions(self._traces(fit), self.nominal, fit.values, candidates, self.sizes))
+
+    def test_functions(self, fit: Fit) -> list[Column]:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        return self._answered(fit, test_functions(self._traces(fit), self.nominal))
+
+    def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
+        """See :class:`harness.diagnosis.search.fit.Form`: hidden resonances, play, lost signs."""
+        point: Point = base.detail.points["estimation"] if rival is None else rival.detail[3][0].point
+        noise = point.noise
+        left = np.sqrt(noise.s**2 + noise.w**2) / self.noise_model.force_scale
+        found = []
+        for placed in candidates if left.max(initial=0.0) > NEGLIGIBLE else ():
+            if placed.effect.linearises or port_of(self.nominal, placed).kind != "coordinate":
+                continue
+            at = self.sizes.get(placed.at, {})
+            free = [one for one in placed.effect.parameters if not one.fixed]
+            grids = itertools.product(*(one.starts(at) for one in free))
+            starts = [{placed.name(one.name): v for one, v in zip(free, choice, strict=True)} for choice in grids]
+            found.append(Suspect(placed, tuple(starts)))
+        return found + self._piled_up(base, candidates) + self._lost_signs(base, candidates)
+
+    def _piled_up(self, base: Fit, candidates: Sequence[Placed]) -> list[Suspect]:
+        """Return sensors whose readings pile up at their largest value, to start from there."""
+        names = [channel.name for channel in self.nominal.outputs]
+        noise = base.detail.points["estimation"].noise.r
+        found = []
+        for placed in candidates:
+            main = placed.effect.main
+            limits = main is not None and main.unit == "y" and main.neutral is None and main.minimum >= 0
+            if not limits or main is None or placed.at not in names:
+                continue
+            column = names.index(placed.at)
+            size = np.abs(np.concatenate([record.y[:, column] for record in self.records["estimation"]]))
+            top = float(np.nanmax(size))
+            if int(np.sum(size > top - PILE_WIDTH * noise[column])) > PILE * len(size):
+                found.append(Suspect(placed, ({placed.name(main.name): top - 2 * float(noise[column])},)))
+        return found
+
+    def _lost_signs(self, base: Fit, candidates: Sequence[Placed]) -> list[Suspect]:
+        """Return sensors that may have lost a sign, with the fit of the nominal model to the unfolded output."""
+        names = [channel.name for channel in self.nominal.outputs]
+        found: list[Suspect] = []
+        for placed in candidates if not base.effects else ():
+            if placed.effect.name not in HIDING or placed.at not in names:
+                continue
+            column = names.index(placed.at)
+            runs = [*self.records["estimation"], *self.records["validation"]]
+            best: Fit | None = None
+            for signs in unfoldings(runs, column, most=2):
+                if any(len(one) != len(run) for one, run in zip(signs.signs, runs, strict=True)):
+                    continue
+                form = LikelihoodForm(self.nominal, self._unfolded(signs.signs, column), self.sizes)
+                plain = form.fit((), form.first_starts(), None)
+                if plain is not None and (best is None or plain.penalised > best.penalised):
+                    best = plain
+            if best is not None:
+                found.append(Suspect(placed, ({},), best))
+        return found
+
+    def _unfolded(self, signs: Sequence[FloatArray], column: int) -> Dataset:
+        """Return the data with the signs of one output."""
+        given = iter(signs)
+        runs = []
+        for use in USES:
+            for record in self.records[use]:
+                y = record.y.copy()
+                y[:, column] *= next(given)
+                runs.append(Run(replace(record, y=y), use))  # type: ignore[arg-type]
+        return replace(self.dataset, runs=tuple(runs))
+
+    def _traces(self, fit: Fit) -> dict[str, list[Trace]]:
+        """Return the smoothed motion of every record."""
+        detail: Detail = fit.detail
+        found: dict[str, list[Trace]] = {}
+        for use in USES:
+            _, smooth = self.paths(fit, use)
+            found[use] = [
+                Trace(record, one.x, detail.passes, detail.points[use].p, self.dataset.intersample)
+                for record, one in zip(self.records[use], smooth, strict=True)
+            ]
+        return found
+
+    def _answered(self, fit: Fit, found: Any) -> list[Column]:
+        """Return the columns of directions (lists of forces and readings by use and record)."""
+        made: dict[str, FloatArray] = {}
+        for use in USES:
+            passed, _ = self.paths(fit, use)
+            parts = []
+            for number, one in enumerate(passed):
+                forces = np.concatenate([d.forces[use][number] for d in found], axis=2)
+                readings = np.concatenate([d.readings[use][number] for d in found], axis=2)
+                response = innovation_response(one, forces, readings)
+                parts.append(_whitened(response, one.s[..., None]))
+            made[use] = np.concatenate(parts)
+        columns, at = [], 0
+        for one in found:
+            k = len(one.names)
+            columns.append(
+                Column(one.placed, one.given, one.names, made["estimation"][:, at : at + k],
+                       made["validation"][:, at : at + k])
+            )  # fmt: skip
+            at += k
+        return columns
+
+
+def _whitened(values: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return values (N, ny, ...) over their standard deviation, flat; what was not measured is 0."""
+    scaled = np.where(np.isfinite(values), values, 0.0) / np.sqrt(variance)
+    return np.asarray(scaled.reshape(scaled.shape[0] * scaled.shape[1], *scaled.shape[2:]))
+
+
+def _known(system: Any, values: Mapping[str, float]) -> dict[str, float]:
+    """Return the values of parameters that the system has."""
+    names = set(system.parameter_names)
+    return {name: value for name, value in values.items() if name in names}
+
+
+def _within(system: Any, values: dict[str, float]) -> dict[str, float]:
+    """Return values within the bounds."""
+    return {one.name: float(np.clip(values[one.name], one.minimum, one.maximum)) for one in system.parameters}

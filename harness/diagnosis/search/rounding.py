@@ -1,0 +1,55 @@
+"""Rounding of readings: no derivative sees it, but the readings lie on a grid, on every record alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.search.fit import Form
+from harness.diagnosis.search.rounds import Accepted, Outcome
+from harness.effects.effect import Placed
+from harness.effects.sensor import quantisation_test
+from harness.signals import Dataset
+
+__all__ = ["add_rounding"]
+
+_CHANCE = 0.02
+"""Probability that a reading lies within 1 % of a step of a grid point although there is no grid."""
+
+
+def add_rounding(
+    form: Form, outcome: Outcome, dataset: Dataset, candidates: Sequence[Placed], policy: Policy = POLICY
+) -> None:
+    """Add the rounding of an output to what was found, where it makes a part of the noise.
+
+    Parameters
+    ----------
+    form : Form
+    outcome : Outcome
+        Changed in place.
+    dataset : Dataset
+    candidates : sequence of Placed
+    policy : Policy
+    """
+    names = [channel.name for channel in dataset.spec.outputs]
+    for placed in candidates:
+        if placed.effect.sampled != "quantise" or placed.at not in names:
+            continue
+        column = names.index(placed.at)
+        tests = {
+            use: quantisation_test(np.concatenate([run.y[:, column] for run in runs]))
+            for use, runs in (("estimation", dataset.estimation), ("validation", dataset.validation))
+        }
+        step = tests["estimation"].step
+        model = outcome.model
+        noise = float(model.detail.points["estimation"].noise.r[column])
+        if not all(one.quantised for one in tests.values()) or step**2 / 12 < policy.rounding * noise**2:
+            continue
+        found = form.fit([*model.effects, placed], [{**model.values, placed.name("step"): step}], model)
+        if found is None:
+            continue
+        gain = [-one.on_grid * sum(map(len, model.terms[use])) * float(np.log(_CHANCE)) for use, one in tests.items()]
+        outcome.model = found
+        outcome.accepted.append(Accepted(placed, ((placed,),), gain[0], gain[1]))

@@ -1,0 +1,305 @@
+"""The rounds of the search: score test, refits of the leaders, the best one that passes, its ties, and so on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.search.compare import Judged, compared, difference, judged
+from harness.diagnosis.search.fit import Begun, Fit, Form
+from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
+from harness.effects import family
+from harness.effects.effect import Placed
+
+__all__ = ["Accepted", "Outcome", "Round", "search"]
+
+Say = Callable[[str], None]
+SECOND = 2
+_MARGIN = 50.0
+"""Log-likelihood that first steps may still lack."""
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One round: the score test beside a model, and the refits that followed."""
+
+    base: Fit
+    test: ScoreTest
+    candidates: tuple[Judged, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """One accepted effect with all that these data cannot tell from it, itself first, and its evidence."""
+
+    placed: Placed
+    tie: tuple[tuple[Placed, ...], ...]
+    evidence: float
+    validation: float
+
+
+@dataclass(eq=False)
+class Outcome:
+    """What a search found: the nominal fit at its maximum, the model with the accepted effects, and the way there."""
+
+    nominal: Fit
+    model: Fit
+    accepted: list[Accepted] = field(default_factory=list)
+    rounds: list[Round] = field(default_factory=list)
+
+
+def search(
+    form: Form,
+    nominal: Fit,
+    candidates: Sequence[Placed],
+    *,
+    policy: Policy = POLICY,
+    say: Say = lambda text: None,
+) -> Outcome:
+    """Find the effects that a model lacks.
+
+    Parameters
+    ----------
+    form : Form
+    nominal : Fit
+        Of the nominal model.
+    candidates : sequence of Placed
+    policy : Policy
+    say : callable
+        Told what is done.
+
+    Returns
+    -------
+    Outcome
+    """
+    found = Outcome(nominal, nominal)
+    while len(found.accepted) < policy.most:
+        base = found.model
+        present = {str(one) for one in base.effects}
+        open_ones = [one for one in candidates if str(one) not in present]
+        test = score_test(form, base, open_ones, policy)
+        fits = _refitted(form, base, test, open_ones, policy, say)
+        better = _polished(form, base, [one for one in fits.values() if one is not None])
+        if better is not base:  # nothing is compared with a model that is not at its maximum
+            nominal = better if base is nominal else nominal
+            base = found.model = better
+        rows = [judged([placed], fit, base, nominal, policy) for placed, fit in fits.items()]
+        found.rounds.append(Round(base, test, tuple(rows)))
+        passed = [one for one in rows if one.passed]
+        if passed:
+            best = _answer(passed, policy)
+            _accept(found, best, _ties(best, rows, policy))
+        if len(found.accepted) > 1 and passed:
+            _exchange(form, found, nominal, policy)
+            _pruned(form, found, policy)
+        if len(found.rounds) == SECOND and found.accepted:
+            _pairs(form, found, nominal, candidates, policy, say)
+        if not passed:
+            break
+    found.nominal = nominal
+    return found
+
+
+def _accept(found: Outcome, best: Judged, tie: tuple[tuple[Placed, ...], ...]) -> None:
+    """Take a candidate into the model."""
+    assert best.fit is not None
+    assert best.comparison is not None
+    found.model = best.fit
+    found.accepted.append(Accepted(best.added[-1], tie, best.comparison.evidence, best.comparison.validation))
+
+
+def _refitted(
+    form: Form, base: Fit, test: ScoreTest, open_ones: Sequence[Placed], policy: Policy, say: Say
+) -> dict[Placed, Fit | None]:
+    """Begin the refits of all that promises something; finish those whose first steps keep up with the best."""
+    origins: dict[Placed, Fit] = {}
+    begun: dict[Placed, Begun | None] = {}
+    for lead in chosen(test, policy):
+        say(str(lead.placed))
+        origins[lead.placed] = base
+        begun[lead.placed] = form.begin([*base.effects, lead.placed], [{**base.values, **lead.start}], base)
+    best = max((one for one in begun.values() if one), key=lambda one: one.log_likelihood, default=None)
+    for one in form.suspects(base, best, open_ones):
+        say(str(one.placed))
+        origin = base if one.base is None else one.base
+        starts = [{**origin.values, **start} for start in one.starts]
+        origins[one.placed] = origin
+        begun[one.placed] = form.begin([*base.effects, one.placed], starts, origin)
+    before = base.log_likelihood("estimation")
+    gains = {placed: one.log_likelihood - before for placed, one in begun.items() if one is not None}
+    enough = max(policy.lead, policy.reach * max(gains.values(), default=0.0))
+    order = sorted((placed for placed in gains if gains[placed] >= enough), key=lambda one: -gains[one])
+    fits: dict[Placed, Fit | None] = {}
+    for placed in order[: policy.refits]:
+        first = begun[placed]
+        assert first is not None
+        say(f"{placed} to its maximum")
+        fits[placed] = form.finish(first, origins[placed])
+    _share_starts(form, fits, base)
+    return fits
+
+
+def chosen(test: ScoreTest, policy: Policy = POLICY) -> list[Lead]:
+    """Return the leads whose refits are begun: those that promise most, and the families of the first two.
+
+    A promise along a column that the nominal parameters take up nearly whole is uncertain: two such are tried as well.
+    """
+    promising = [one for one in test.leads if one.gain >= policy.lead]
+    clear = [one for one in promising if one.share >= policy.clear]
+    faint = [one for one in promising if one.share < policy.clear]
+    if not any(one.penalised > 0.0 for one in promising):
+        return []
+    near: list[Lead] = []
+    for leader in clear[:2]:
+        names = {leader.placed.effect.name, *family(leader.placed.effect).near}
+        near += [one for one in clear if one.placed.effect.name in names and one.placed.at == leader.placed.at]
+    ordered = dict.fromkeys([*clear[: policy.refits], *near, *clear])
+    return [*list(ordered)[: policy.begun], *faint[:2]]
+
+
+def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None:
+    """Fit a law and its special cases from each other's ends: no rival loses by a bad start."""
+    for rich, simple in [(a, b) for a in fits for b in fits if b.effect.name in a.effect.nests and a.at == b.at]:
+        for mine, theirs in ((rich, simple), (simple, rich)):
+            fit, other = fits[mine], fits[theirs]
+            if other is None or (fit is not None and _value(fit) > _value(other) - 1.0):
+                continue
+            start = dict(other.values)
+            for one in mine.effect.parameters:
+                if one.name in theirs.effect.parameter_names:
+                    start[mine.name(one.name)] = other.values[theirs.name(one.name)]
+                elif fit is not None:
+                    start[mine.name(one.name)] = fit.values[mine.name(one.name)]
+            again = form.fit([*base.effects, mine], [start], other)
+            if again is not None and (fit is None or _value(again) > _value(fit)):
+                fits[mine] = again
+
+
+def _polished(form: Form, base: Fit, fits: Sequence[Fit]) -> Fit:
+    """Return the base fitted again from where its best rival ended, if that is better."""
+    best = max(fits, key=lambda one: one.penalised, default=None)
+    if best is None or best.penalised < base.penalised:
+        return base
+    again = form.fit(base.effects, [best.values], best)
+    return again if again is not None and again.penalised > base.penalised + 0.5 else base
+
+
+def _answer(passed: Sequence[Judged], policy: Policy) -> Judged:
+    """Return the best candidate, or a simpler one that ties with it and is a special case of it."""
+    best = max(passed, key=_total)
+    for one in sorted(passed, key=lambda c: c.fit.count if c.fit else 0):
+        special = one.added[0].effect.name in best.added[0].effect.nests and one.added[0].at == best.added[0].at
+        if special and _tied(best, one, policy):
+            return one
+    return best
+
+
+def _total(one: Judged) -> float:
+    return -np.inf if one.comparison is None else one.comparison.total
+
+
+def _tied(best: Judged, other: Judged, policy: Policy) -> bool:
+    """Return True if the data do not tell two candidates apart."""
+    assert best.fit is not None
+    if other.fit is None or other.comparison is None:
+        return False
+    gap = _total(best) - _total(other)
+    _, error = difference(best.fit, other.fit, ("estimation", "validation"), policy)
+    return gap < max(policy.tie, policy.tie_z * error)
+
+
+def _ties(best: Judged, rows: Sequence[Judged], policy: Policy) -> tuple[tuple[Placed, ...], ...]:
+    """Return the tie set of an answer: what passes, or fails only for a want of evidence, and is as likely."""
+    tied = [best.added]
+    for one in sorted(rows, key=lambda c: -_total(c)):
+        if one is best or one.comparison is None or one.comparison.evidence < 0 or one.comparison.total < 0:
+            continue
+        if _physical(one) and _tied(best, one, policy):
+            tied.append(one.added)
+    return tuple(tied)
+
+
+def _pairs(form: Form, found: Outcome, nominal: Fit, candidates: Sequence[Placed], policy: Policy, say: Say) -> None:
+    """Try the best rivals of the first answer with a second effect: one law may stand in for two."""
+    so_far = compared(found.model, nominal, policy).total
+    present = {str(one) for one in found.model.effects}
+    rivals = [
+        one
+        for one in found.rounds[0].candidates
+        if one.fit is not None and str(one.added[0]) not in present and _physical(one)
+        and _total(one) >= policy.reach * so_far
+    ]  # fmt: skip
+    best: Judged | None = None
+    for rival in sorted(rivals, key=lambda one: -_total(one))[: policy.pairs]:
+        fit = rival.fit
+        assert fit is not None
+        others = [one for one in candidates if str(one) != str(rival.added[0])]
+        leads = [one for one in score_test(form, fit, others, policy).leads if one.share >= policy.clear]
+        for lead in leads[:2]:
+            if _total(rival) + 2 * lead.penalised < so_far + policy.tie:  # both uses gain alike
+                continue
+            say(f"{rival.added[0]} + {lead.placed}")
+            pair = form.fit([*fit.effects, lead.placed], [{**fit.values, **lead.start}], fit)
+            whole = judged([rival.added[0], lead.placed], pair, nominal, nominal, policy)
+            second = judged([lead.placed], pair, fit, nominal, policy)
+            if whole.passed and second.passed and (best is None or _total(whole) > _total(best)):
+                best = whole
+    if best is None or _total(best) < so_far + policy.tie:
+        return
+    assert best.fit is not None
+    assert best.comparison is not None
+    half = 0.5 * best.comparison.evidence, 0.5 * best.comparison.validation
+    found.model = best.fit
+    found.accepted = [Accepted(one, ((one,),), *half) for one in best.added]
+
+
+def _physical(one: Judged) -> bool:
+    """Return True if nothing but a want of evidence speaks against a candidate."""
+    return all(text.startswith(("evidence", "validation", "it brings")) for text in one.reasons)
+
+
+def _exchange(form: Form, found: Outcome, nominal: Fit, policy: Policy) -> None:
+    """Try the rivals of earlier effects again beside the last one: the first answer may have stood in for two."""
+    for number, earlier in enumerate(found.accepted[:-1]):
+        if number >= len(found.rounds):
+            continue
+        others = [one.placed for k, one in enumerate(found.accepted) if k != number]
+        rivals = [
+            row
+            for row in found.rounds[number].candidates
+            if row.fit is not None and row.comparison is not None and row.comparison.evidence > policy.evidence
+        ]
+        best, placed = found.model, earlier.placed
+        for row in sorted(rivals, key=lambda row: -_total(row))[: policy.pairs + 1]:
+            new = row.added[0]
+            if str(new) in {str(one) for one in found.model.effects}:
+                continue
+            assert row.fit is not None
+            start = {**found.model.values, **{k: v for k, v in row.fit.values.items() if k.startswith(f"{new}.")}}
+            begun = form.begin([*others, new], [start], found.model)
+            if begun is None or begun.log_likelihood < best.log_likelihood("estimation") - _MARGIN:
+                continue
+            fit = form.finish(begun, found.model)
+            trial = judged([new], fit, nominal, nominal, policy)
+            if fit is not None and trial.passed and _value(fit) > _value(best) + policy.tie:
+                best, placed = fit, new
+        if best is not found.model:
+            found.model = best
+            found.accepted[number] = Accepted(placed, ((placed,),), earlier.evidence, earlier.validation)
+
+
+def _pruned(form: Form, found: Outcome, policy: Policy) -> None:
+    """Drop earlier effects that a later one has made needless."""
+    for earlier in found.accepted[:-1]:
+        left = [one.placed for one in found.accepted if one is not earlier]
+        without = form.fit(left, [found.model.values], found.model)
+        if without is not None and _value(without) > _value(found.model) - policy.tie:
+            found.model = without
+            found.accepted = [one for one in found.accepted if one is not earlier]
+
+
+def _value(fit: Fit) -> float:
+    return fit.penalised + fit.log_likelihood("validation")

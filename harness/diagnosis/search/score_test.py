@@ -1,0 +1,170 @@
+"""The score test of a dictionary: what each effect promises, in one pass, without a refit (Rao 1948)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.search.fit import Column, Fit, Form
+from harness.effects.effect import Placed
+from harness.signals import FloatArray
+
+__all__ = ["Lead", "ScoreTest", "score_test"]
+
+_SINGULAR = 1e-5
+"""Singular values of unit columns below which nothing is divided by them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lead:
+    """What an effect promises.
+
+    Attributes
+    ----------
+    placed : Placed
+    gain : float
+        Log-likelihood that it would gain on the estimation records with everything else fixed, at first order.
+    penalised : float
+        Less half the BIC penalty of its parameters.
+    share : float
+        Part of its column that nothing free can take up; below ``policy.seen`` it cannot be told from that.
+    start : dict
+        Values that the gain is for, by full name.
+    direction : array (n,)
+        The whitened innovations that it would explain, nuisance projected out, of length 1.
+    span : array (n, k)
+        Orthonormal basis of all that it could explain.
+    """
+
+    placed: Placed
+    gain: float
+    penalised: float
+    share: float
+    start: dict[str, float]
+    direction: FloatArray = field(repr=False)
+    span: FloatArray = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreTest:
+    """Leads, best first; and those that cannot be told from what is free already."""
+
+    leads: list[Lead]
+    hidden: list[Lead]
+
+    def cosines(self, first: Sequence[str] = (), most: int = 26) -> tuple[tuple[str, ...], FloatArray]:
+        """Return how well each visible effect is mimicked by every other.
+
+        Parameters
+        ----------
+        first : sequence of str
+            Effects to show in any case.
+        most : int
+
+        Returns
+        -------
+        names : tuple of str
+        cosines : array (n, n)
+            Entry (i, j): cosine between what effect i would explain and all that effect j could; 1: they cannot be
+            told apart in these data.
+        """
+        shown = sorted(self.leads, key=lambda one: (str(one.placed) not in first, str(one.placed)))[:most]
+        found = np.eye(len(shown))
+        for i, a in enumerate(shown):
+            for j, b in enumerate(shown):
+                if i != j:
+                    found[i, j] = min(float(np.linalg.norm(b.span.T @ a.direction)), 1.0)
+        return tuple(str(one.placed) for one in shown), found
+
+
+def score_test(form: Form, fit: Fit, candidates: Sequence[Placed], policy: Policy = POLICY) -> ScoreTest:
+    """Return what each candidate promises beside a fit.
+
+    Parameters
+    ----------
+    form : Form
+    fit : Fit
+    candidates : sequence of Placed
+    policy : Policy
+    """
+    basis, residual = projected(form, fit)
+    best: dict[str, Lead] = {}
+    penalty = 0.5 * float(np.log(fit.samples))
+    for column in form.columns(fit, candidates):
+        lead = _lead(column, basis, residual, penalty)
+        known = best.get(str(lead.placed))
+        if known is None or (lead.gain, lead.share) > (known.gain, known.share):
+            best[str(lead.placed)] = lead
+    ranked = sorted(best.values(), key=lambda one: -one.penalised)
+    return ScoreTest(
+        [one for one in ranked if one.share >= policy.seen], [one for one in ranked if one.share < policy.seen]
+    )
+
+
+def projected(form: Form, fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Return an orthonormal basis of what is free already (n, p), and the innovations without it (n,)."""
+    linear = form.linearised(fit)
+    nuisance = linear.nuisance["estimation"]
+    size = np.linalg.norm(nuisance, axis=0)
+    basis, _ = np.linalg.qr(nuisance[:, size > 0] / size[size > 0])
+    residual = linear.residual["estimation"]
+    return basis, residual - basis @ (basis.T @ residual)
+
+
+def _lead(column: Column, basis: FloatArray, residual: FloatArray, penalty: float) -> Lead:
+    """Return what one choice of parameters promises."""
+    assert column.placed is not None
+    size = np.linalg.norm(column.estimation, axis=0)
+    use = size > 0
+    coefficients = np.zeros(len(size))
+    direction, span = np.zeros(len(residual)), np.zeros((len(residual), 0))
+    gain = share = 0.0
+    if use.any():
+        unit = column.estimation[:, use] / size[use]
+        left = unit - basis @ (basis.T @ unit)
+        share = float(np.sqrt((left**2).sum(axis=0)).max())
+        u, s, vt = np.linalg.svd(left, full_matrices=False)
+        keep = s > _SINGULAR
+        along = -(u[:, keep].T @ residual)  # the innovations must go down
+        gain = 0.5 * float(along @ along)
+        coefficients[use] = vt[keep].T @ (along / s[keep]) / size[use]
+        span = u[:, keep]
+        direction = span @ along if gain > 0 else span.sum(axis=1)
+        direction = direction / (np.linalg.norm(direction) or 1.0)
+    start = _start(column, coefficients)
+    penalised = gain - penalty * _free(column.placed)
+    return Lead(column.placed, gain, penalised, share, start, direction, span)
+
+
+def _free(placed: Placed) -> int:
+    """Return how many parameters an effect adds."""
+    return sum(not one.fixed for one in placed.effect.parameters)
+
+
+def _start(column: Column, coefficients: FloatArray) -> dict[str, float]:
+    """Return the parameters that a column and its coefficients stand for, by full name, within their bounds."""
+    placed = column.placed
+    assert placed is not None
+    values = dict(column.given)
+    for name, coefficient in zip(column.names, coefficients, strict=True):
+        if name == "effect":  # the whole effect counts this many times: its main parameter scales so, at first order
+            main = placed.effect.main
+            if main is not None and main.neutral is not None and main.name in values:
+                part = float(np.clip(coefficient, 0.1, 3.0))
+                values[main.name] = main.neutral + part * (values[main.name] - main.neutral)
+        elif name in placed.effect.parameter_names:
+            values[name] = (placed.effect.parameter(name).neutral or 0.0) + float(coefficient)
+    if column.names == ("in phase", "quarter turn"):
+        main = placed.effect.main
+        assert main is not None
+        values[main.name] = float(np.hypot(*coefficients))
+        values["phi"] = float(np.arctan2(coefficients[1], coefficients[0]))
+    bounded = {}
+    for name, value in values.items():
+        if name in placed.effect.parameter_names:
+            one = placed.effect.parameter(name)
+            bounded[placed.name(name)] = float(np.clip(value, one.minimum, one.maximum))
+    return bounded

@@ -1,0 +1,324 @@
+"""One pass of the extended Kalman filter over a record: innovations, their variances, and their derivatives."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from harness.physics.ccode import Compilation
+from harness.physics.filter_source import filter_source
+from harness.signals import FloatArray, Trajectory
+
+if TYPE_CHECKING:
+    from harness.physics.latent import Disturbed
+    from harness.physics.simulator import Intersample
+
+__all__ = ["Filtered", "KalmanPass", "Noise", "Path"]
+
+_LOG_2PI = float(np.log(2 * np.pi))
+_COUNTS = ("n", "substeps", "every", "chosen", "foh")
+_NUMBERS = ("dt", "t0")
+_ARRAYS = ("p", "x0", "p0", "u", "d", "columns", "measured", "r", "period", "a", "q", "w", "e", "s", "j")
+_STORES = ("x_before", "p_before", "x_after", "p_after", "transition", "gain", "row")
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What disturbs plant and sensors.
+
+    Attributes
+    ----------
+    r : array (ny,)
+        Standard deviation of the sensor noise, white, in the units of the outputs.
+    s, tau : array (nl,)
+        Standard deviation [force or rate units] and time constant [s] of every latent force, a Gauss-Markov process.
+    w : array (nl,)
+        Standard deviation of a white part of it, drawn anew for every sample: noise of the recorded input, say.
+    """
+
+    r: FloatArray
+    s: FloatArray
+    tau: FloatArray
+    w: FloatArray
+
+
+@dataclass(eq=False)
+class Path:
+    """What a smoother needs of a pass: states before and after the outputs of each sample, transitions, gains.
+
+    ``x_before``, ``x_after`` (K, nx); ``p_before``, ``p_after``, ``transition`` (K, nx, nx), from a sample to the next;
+    ``gain``, ``row`` (K, ny, nx): outputs are taken one after the other.
+    """
+
+    x_before: FloatArray
+    p_before: FloatArray
+    x_after: FloatArray
+    p_after: FloatArray
+    transition: FloatArray
+    gain: FloatArray
+    row: FloatArray
+
+
+@dataclass(eq=False)
+class Filtered:
+    """Result of a pass.
+
+    Attributes
+    ----------
+    e, s : array (K, ny)
+        Innovations and their variances, each output given those before it; NaN where nothing was measured.
+    j : array (K, ny, columns) or None
+        Derivatives of the innovations, gains held fixed.
+    path : Path or None
+    """
+
+    e: FloatArray
+    s: FloatArray
+    j: FloatArray | None = None
+    path: Path | None = field(default=None, repr=False)
+
+    @property
+    def terms(self) -> FloatArray:
+        """Minus the logarithm of the density of every sample (K,)."""
+        each = 0.5 * (_LOG_2PI + np.log(self.s) + self.e**2 / self.s)
+        return np.asarray(np.where(np.isfinite(self.e), each, 0.0).sum(axis=1))
+
+    @property
+    def nll(self) -> float:
+        """Minus the log-likelihood of the record."""
+        return float(self.terms.sum())
+
+
+class _Job(ctypes.Structure):
+    """The struct ``filter_job`` of the C source, field by field."""
+
+    _fields_ = (
+        *((name, ctypes.c_long) for name in _COUNTS),
+        *((name, ctypes.c_double) for name in _NUMBERS),
+        *((name, ctypes.c_void_p) for name in (*_ARRAYS, *_STORES)),
+    )
+
+
+class KalmanPass:
+    """Filters records with a disturbed system.
+
+    Parameters
+    ----------
+    disturbed : Disturbed
+        See :func:`harness.physics.latent.with_latent_forces`.
+    dt : float
+        Sample time [s].
+    intersample : {"zoh", "foh", "smooth"}
+    substeps : int, optional
+    compiled : bool
+        False to work in Python (slow; also where there is no compiler).
+
+    Attributes
+    ----------
+    nx, nl, ny, np : int
+        States (latent forces included), latent forces, outputs, parameters.
+    start_size : int
+        States without the latent forces: what an initial state has.
+
+    Examples
+    --------
+    >>> from harness.physics.latent import with_latent_forces
+    >>> from harness.physics.models import pendulum
+    >>> from harness.signals import PlantSpec
+    >>> system = pendulum().system()
+    >>> spec = PlantSpec(system.inputs, system.outputs, 0.01)
+    >>> record = Trajectory(np.arange(3) * 0.01, np.zeros((3, 1)), np.array([[0.5], [0.4998], [0.499]]), spec)
+    >>> noise = Noise(np.array([0.01]), np.array([0.1]), np.array([0.1]), np.zeros(1))
+    >>> filtered = KalmanPass(with_latent_forces(system), 0.01)(record, [0.1, 0.05, 1.0], [0.5, 0.0], noise)
+    >>> (filtered.s[0] == 0.01**2).tolist(), filtered.e[:2].round(5).tolist()
+    ([True], [[0.0], [4e-05]])
+    """
+
+    def __init__(
+        self,
+        disturbed: Disturbed,
+        dt: float,
+        *,
+        intersample: Intersample = "zoh",
+        substeps: int | None = None,
+        compiled: bool = True,
+    ) -> None:
+        self.disturbed, self.dt, self.intersample = disturbed, float(dt), intersample
+        system = disturbed.system
+        self.simulator = system.simulator(dt, intersample=intersample, substeps=substeps)
+        self.substeps = self.simulator.substeps
+        self.nx, self.ny, self.np, self.nl = system.nx, system.ny, system.np, len(disturbed.forces)
+        self.start_size = self.nx - self.nl
+        self.parameter_names = system.parameter_names
+        self._period = np.array([channel.period or 0.0 for channel in system.outputs])
+        self.sampled = self.simulator.sampled
+        self._compilation: Compilation | None = None
+        if compiled:
+            source = filter_source(self.simulator.functions, self.sampled.delay_columns, self.nl)
+            self._compilation = Compilation(source)
+        self._seen: list[tuple[Any, Any, FloatArray, FloatArray | None]] = []
+
+    def prepare(self) -> None:
+        """Start the compiler in the background."""
+        if self._compilation is not None:
+            self._compilation.start()
+
+    def __call__(
+        self,
+        record: Trajectory,
+        p: Any,
+        x0: Any,
+        noise: Noise,
+        *,
+        columns: npt.NDArray[np.intp] | None = None,
+        keep: bool = False,
+    ) -> Filtered | None:
+        """Filter a record.
+
+        Parameters
+        ----------
+        record : Trajectory
+        p : array (np,)
+        x0 : array (start_size,)
+            Known initial state; the latent forces start from their stationary distribution.
+        noise : Noise
+        columns : array of int, optional
+            Which of (p, x0) the innovations are differentiated by.
+        keep : bool
+            Keep what a smoother needs.
+
+        Returns
+        -------
+        Filtered or None
+            None if the state diverged.
+        """
+        p = np.ascontiguousarray(p, dtype=float)
+        start, variance = np.zeros(self.nx), np.zeros((self.nx, self.nx))
+        start[: self.start_size] = x0
+        variance[range(self.start_size, self.nx), range(self.start_size, self.nx)] = noise.s**2
+        u, slope, every = self._inputs(record, p)
+        step = self.dt / every
+        decay = np.exp(-step / noise.tau)
+        gained = noise.s**2 * -np.expm1(-2 * step / noise.tau)
+        samples, chosen = len(record), 0 if columns is None else len(columns)
+        made = Filtered(np.empty((samples, self.ny)), np.empty((samples, self.ny)))
+        if columns is not None:
+            made.j = np.zeros((samples, self.ny, chosen))
+        if keep:
+            wide, square, tall = (samples, self.nx), (samples, self.nx, self.nx), (samples, self.ny, self.nx)
+            made.path = Path(*(np.empty(shape) for shape in (wide, square, wide, square, square, tall, tall)))
+        library = None if self._compilation is None else self._compilation.library()
+        if library is None:
+            how = start, variance, decay, gained, noise, every
+            return self._in_python(record, p, u, made, columns, how)
+        given = {
+            "p": p, "x0": start, "p0": variance, "u": u, "d": slope, "measured": np.ascontiguousarray(record.y),
+            "columns": np.ascontiguousarray([] if columns is None else columns, dtype=np.intc),
+            "r": noise.r**2, "period": self._period, "a": decay, "q": gained, "w": noise.w**2,
+            "e": made.e, "s": made.s, "j": made.j,
+        }  # fmt: skip
+        if made.path is not None:
+            given |= {name: getattr(made.path, name) for name in _STORES}
+        arrays = {name: value for name, value in given.items() if value is not None}
+        job = _Job(
+            n=len(u), substeps=1 if every > 1 else self.substeps, every=every, chosen=chosen,
+            foh=int(self.intersample != "zoh"), dt=step, t0=float(record.t[0]),
+            **{name: value.ctypes.data for name, value in arrays.items()},
+        )  # fmt: skip
+        failed = library.sysid_filter(ctypes.byref(job))
+        return None if failed or not np.isfinite(made.s[np.isfinite(made.e)]).all() else made
+
+    def _inputs(self, record: Trajectory, p: FloatArray) -> tuple[FloatArray, FloatArray | None, int]:
+        """Return the inputs that the equations see, their derivatives by the delays, and rows for each sample."""
+        key = tuple(p[list(self.sampled.delay_columns)])
+        for known, delays, u, slope in self._seen:
+            if known is record and delays == key:
+                return u, slope, self.substeps if self.intersample == "smooth" else 1
+        seen, slopes = self.sampled.inputs(np.ascontiguousarray(record.u)[None], p[None], True)
+        if self.intersample == "smooth":
+            seen = self.simulator.refined(seen)
+            slopes = None if slopes is None else self.simulator.refined(slopes)
+        u = np.ascontiguousarray(seen[0])
+        slope = None if slopes is None else np.ascontiguousarray(slopes[0])
+        self._seen = [*self._seen[-7:], (record, key, u, slope)]
+        return u, slope, self.substeps if self.intersample == "smooth" else 1
+
+    def _in_python(
+        self, record: Trajectory, p: FloatArray, u: FloatArray, made: Filtered, columns: Any, how: Any
+    ) -> Filtered | None:
+        """Do the same on CasADi's virtual machine; derivatives by delays are left at 0 (inputs held fixed)."""
+        x, variance, decay, gained, noise, every = how
+        nx, nl, ny = self.nx, self.nl, self.ny
+        step, look = self._machine(every)
+        s = np.zeros((nx, self.np + self.start_size))
+        s[: self.start_size, self.np :] = np.eye(self.start_size)
+        row, fade = 0, np.concatenate([np.ones(nx - nl), decay])
+        for k in range(len(u)):
+            if not np.isfinite(x).all():
+                return None
+            time = record.t[0] + k * self.dt / every
+            if k % every == 0:
+                y, c, by_p = (one.full() for one in look(x, u[k], p, time))
+                if made.path is not None:
+                    made.path.x_before[row], made.path.p_before[row] = x, variance
+                prior = x.copy()
+                for o in range(ny):
+                    e = record.y[row, o] - y[o, 0]
+                    if period := self._period[o]:
+                        e = (e + period / 2) % period - period / 2
+                    e -= c[o] @ (x - prior)
+                    spread = variance @ c[o]
+                    total = noise.r[o] ** 2 + c[o] @ spread
+                    made.e[row, o], made.s[row, o] = e, total
+                    known = bool(np.isfinite(e))
+                    if known and not total > 0.0:
+                        return None
+                    gain = spread / total if known else np.zeros(nx)
+                    x = x + gain * (e if known else 0.0)
+                    variance = variance - np.outer(gain, spread)
+                    change = -(c[o] @ s)
+                    change[: self.np] -= by_p[o]
+                    s = s + np.outer(gain, change)
+                    if made.j is not None:
+                        made.j[row, o] = change[columns] if known else 0.0
+                    if made.path is not None:
+                        made.path.gain[row, o], made.path.row[row, o] = gain, c[o]
+                if made.path is not None:
+                    made.path.x_after[row], made.path.p_after[row] = x, variance
+                    made.path.transition[row] = np.eye(nx)
+                row += 1
+            if k + 1 == len(u):
+                break
+            x, f, by_p = (one.full() for one in step(x, u[k], u[k + 1], p, time))
+            x = x[:, 0] * fade
+            white = f[:, nx - nl :] * np.concatenate([np.ones(nx - nl), np.zeros(nl)])[:, None]
+            s = fade[:, None] * (f @ s)
+            s[:, : self.np] += fade[:, None] * by_p
+            f = fade[:, None] * f
+            variance = f @ variance @ f.T + (white * noise.w**2) @ white.T
+            variance[range(nx - nl, nx), range(nx - nl, nx)] += gained
+            if made.path is not None:
+                made.path.transition[row - 1] = f @ made.path.transition[row - 1]
+        return made
+
+    def _machine(self, every: int) -> tuple[Any, Any]:
+        """Return the CasADi functions of one row of the inputs, with derivatives, and of the outputs."""
+        known: dict[Any, Any] = self.simulator.functions.__dict__.setdefault("_filter_machines", {})
+        key = (self.substeps, every, self.intersample)
+        if key not in known:
+            functions, substeps = self.simulator.functions, 1 if every > 1 else self.substeps
+            foh = self.intersample != "zoh"
+            x, u, p, t = (ca.SX.sym("a", one.shape) for one in functions.arguments)
+            later = ca.SX.sym("b", u.shape)
+            advance, _ = functions.sample(self.dt / every, substeps, foh)
+            after = advance(x, ca.vertcat(u, later), p, t)
+            parts = [after, ca.jacobian(after, x), ca.jacobian(after, p)]
+            step = ca.Function("step", [x, u, later, p, t], parts)
+            y = functions.output(x, u, p, t)
+            known[key] = step, ca.Function("look", [x, u, p, t], [y, ca.jacobian(y, x), ca.jacobian(y, p)])
+        return known[key]  # type: ignore[no-any-return]

@@ -1,0 +1,495 @@
+"""Maximum likelihood of a stochastic grey box: parameters, initial states and noise together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.errors import FitError
+from harness.physics.kalman_pass import Filtered, KalmanPass, Noise
+from harness.physics.latent import with_latent_forces
+from harness.physics.levenberg import log_scaled
+from harness.signals import FloatArray, Trajectory
+
+if TYPE_CHECKING:
+    from harness.physics.simulator import Intersample
+    from harness.physics.system import System
+
+__all__ = ["Likelihood", "LikelihoodFit", "NoiseModel", "Point"]
+
+_STEP = 1e-6
+"""Of the difference quotients, in units of a parameter's scale: half of the digits of a double are left."""
+_PART = 1e-3
+"""Of the difference quotients, in standard deviations, once these are known."""
+_NOISE_STEP = 1e-5
+"""Of the difference quotients by logarithms of the noise."""
+_ENOUGH = 0.02
+"""A step that brings less than this much log-likelihood ends a fit: nothing is decided by a fiftieth."""
+_ROUGH = 0.3
+"""Below this promise the derivatives of gains and variances count, and difference quotients are taken of all."""
+_LONGEST = 1.5
+"""Longest step of a logarithm."""
+_MOST_DAMPING = 1e9
+_POSITIVE = 1e-12
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Which noise is estimated, and within what.
+
+    Parameters
+    ----------
+    force_scale : array (nl,)
+        Typical size of each latent force [its unit].
+    output_scale : array (ny,)
+        Typical size of each output.
+    latent : bool
+        False for no latent forces: the free run, output error.
+    white : bool
+        Whether each has a white part too.
+    shortest, longest : float
+        Bounds of the time constants [s].
+    """
+
+    force_scale: FloatArray
+    output_scale: FloatArray
+    latent: bool = True
+    white: bool = True
+    shortest: float = 1e-3
+    longest: float = 10.0
+
+
+@dataclass(eq=False)
+class Point:
+    """A place in the space of everything unknown.
+
+    Attributes
+    ----------
+    p : array (np,)
+    x0 : list of array (start_size,)
+        By record.
+    noise : Noise
+    """
+
+    p: FloatArray
+    x0: list[FloatArray]
+    noise: Noise
+
+
+@dataclass(eq=False)
+class LikelihoodFit:
+    """Maximum of the likelihood.
+
+    Attributes
+    ----------
+    system : System
+        Without the latent forces.
+    point : Point
+    nll : float
+        Minus the log-likelihood of all records.
+    terms : list of array (K,)
+        The same by record and sample.
+    names : tuple of str
+        What was estimated: parameters, ``x0[record].state``, noise.
+    covariance : array
+        Of these, in the units of ``scaled``: logarithms for what cannot be negative.
+    logarithmic : array of bool
+    converged : bool
+    on_bound : tuple of str
+    iterations : int
+    message : str
+    """
+
+    system: System
+    point: Point
+    nll: float
+    terms: list[FloatArray]
+    names: tuple[str, ...]
+    covariance: FloatArray
+    logarithmic: npt.NDArray[np.bool_]
+    converged: bool
+    on_bound: tuple[str, ...]
+    iterations: int
+    message: str = ""
+    filtered: list[Filtered] = field(default_factory=list, repr=False)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Values of all parameters by name."""
+        return dict(zip(self.system.parameter_names, (float(one) for one in self.point.p), strict=True))
+
+    def deviation(self, name: str) -> float:
+        """Return the standard deviation of an estimate, from the curvature; of its logarithm where that was fitted."""
+        k = self.names.index(name)
+        return float(np.sqrt(max(self.covariance[k, k], 0.0)))
+
+    def interval(self, name: str, level: float = 1.96) -> tuple[float, float]:
+        """Return the 95 % interval of a parameter."""
+        value, k = self.parameters[name], self.names.index(name)
+        half = level * self.deviation(name)
+        if self.logarithmic[k]:
+            return float(value * np.exp(-min(half, 50.0))), float(value * np.exp(min(half, 50.0)))
+        return value - half, value + half
+
+
+class Likelihood:
+    """The likelihood of some records under a system with latent forces and sensor noise.
+
+    Parameters
+    ----------
+    system : System
+    records : sequence of Trajectory
+    noise_model : NoiseModel
+    fixed : sequence of str
+        Parameters that stay, besides those that the system declares fixed.
+    intersample : {"zoh", "foh", "smooth"}
+    substeps : int, optional
+    compiled : bool
+    passes : KalmanPass, optional
+        Of the same system, made before.
+
+    Notes
+    -----
+    ``-log L = 1/2 sum log(2 pi s_k) + e_k^2 / s_k`` with innovations e and variances s of the extended Kalman filter
+    (Astrom 1980; Kristensen, Madsen & Jorgensen 2004, eq. 11). Maximised by Fisher scoring with Levenberg's damping:
+    the matrix is ``sum de de'/s + 1/2 dlog(s) dlog(s)'``, the gradient exact.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        records: Sequence[Trajectory],
+        noise_model: NoiseModel,
+        *,
+        fixed: Sequence[str] = (),
+        intersample: Intersample = "zoh",
+        substeps: int | None = None,
+        compiled: bool = True,
+        passes: KalmanPass | None = None,
+    ) -> None:
+        self.system, self.records, self.noise_model = system, list(records), noise_model
+        dt = self.records[0].spec.sample_time
+        self.filter = passes or KalmanPass(
+            with_latent_forces(system), dt, intersample=intersample, substeps=substeps, compiled=compiled
+        )
+        self._log = log_scaled(system)
+        self._free = np.array([not (one.fixed or one.name in fixed) for one in system.parameters], dtype=bool)
+        low = np.array([one.minimum for one in system.parameters])
+        high = np.array([one.maximum for one in system.parameters])
+        self._bounds = low, high
+        self._low = np.where(self._log, np.log(np.maximum(low, _POSITIVE)), low)
+        self._high = np.where(self._log, np.log(np.maximum(high, _POSITIVE)), high)
+
+    @property
+    def names(self) -> list[str]:
+        """What can be estimated: parameters, ``x0[record].state``, noise."""
+        return self._layout()[0]
+
+    # ---- coordinates of the search ---------------------------------------------------------------------------------
+
+    def _pack(self, point: Point) -> FloatArray:
+        """Return a point as one vector: parameters, initial states, logarithms of the noise."""
+        p = np.where(self._log, np.log(np.maximum(point.p, _POSITIVE)), point.p)
+        noise = point.noise
+        parts = [p, *point.x0]
+        if self.noise_model.latent:
+            parts += [_log(noise.s, 1e-9 * self.noise_model.force_scale), np.log(noise.tau)]
+            if self.noise_model.white:
+                parts.append(_log(noise.w, 1e-9 * self.noise_model.force_scale))
+        parts.append(np.log(noise.r))
+        return np.concatenate(parts)
+
+    def _unpack(self, z: FloatArray) -> Point:
+        """Return the point of a vector."""
+        n, m, nl, ny = self.filter.np, self.filter.start_size, self.filter.nl, self.filter.ny
+        p = np.clip(np.where(self._log, np.exp(np.where(self._log, z[:n], 0.0)), z[:n]), *self._bounds)
+        x0 = [z[n + k * m : n + (k + 1) * m] for k in range(len(self.records))]
+        rest = z[n + len(self.records) * m :]
+        nothing, fast = np.zeros(nl), np.full(nl, self.noise_model.shortest)
+        if not self.noise_model.latent:
+            return Point(p, x0, Noise(np.exp(rest), nothing, fast, nothing))
+        white = np.exp(rest[2 * nl : 3 * nl]) if self.noise_model.white else nothing
+        return Point(p, x0, Noise(np.exp(rest[-ny:]), np.exp(rest[:nl]), np.exp(rest[nl : 2 * nl]), white))
+
+    def _layout(self) -> tuple[list[str], npt.NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
+        """Return names, whether logarithmic, lower and upper bounds, and scales of the vector."""
+        states = [channel.name for channel in self.filter.disturbed.system.states][: self.filter.start_size]
+        names = list(self.system.parameter_names)
+        log, low, high = list(self._log), list(self._low), list(self._high)
+        for number in range(len(self.records)):
+            names += [f"x0[{number}].{state}" for state in states]
+            log += [False] * len(states)
+            low += [-np.inf] * len(states)
+            high += [np.inf] * len(states)
+        model, ports = self.noise_model, [one.port for one in self.filter.disturbed.forces]
+        if model.latent:
+            force = np.log(model.force_scale)
+            names += [f"s@{port}" for port in ports] + [f"tau@{port}" for port in ports]
+            low += [*(force - np.log(1e6)), *([np.log(model.shortest)] * len(ports))]
+            high += [*(force + np.log(30.0)), *([np.log(model.longest)] * len(ports))]
+            if model.white:
+                names += [f"w@{port}" for port in ports]
+                low += list(force - np.log(1e6))
+                high += list(force + np.log(100.0))
+        outputs = np.log(model.output_scale)
+        names += [f"r@{channel.name}" for channel in self.system.outputs]
+        low += list(outputs - np.log(1e7))
+        high += list(outputs + np.log(10.0))
+        log += [True] * (len(names) - len(log))
+        return names, np.array(log, dtype=bool), np.array(low), np.array(high), np.zeros(0)
+
+    # ---- evaluation ------------------------------------------------------------------------------------------------
+
+    def filtered(
+        self, point: Point, *, columns: npt.NDArray[np.intp] | None = None, keep: bool = False
+    ) -> list[Filtered] | None:
+        """Return the pass over every record; None if one diverges."""
+        found = []
+        for record, x0 in zip(self.records, point.x0, strict=True):
+            one = self.filter(record, point.p, x0, point.noise, columns=columns, keep=keep)
+            if one is None:
+                return None
+            found.append(one)
+        return found
+
+    def nll(self, point: Point) -> float:
+        """Return minus the log-likelihood of all records; infinite where the filter diverges."""
+        with np.errstate(all="ignore"):
+            found = self.filtered(point)
+        total = np.inf if found is None else sum(one.nll for one in found)
+        return float(total) if np.isfinite(total) else np.inf
+
+    def _value(self, z: FloatArray) -> tuple[float, list[Filtered] | None]:
+        with np.errstate(all="ignore"):
+            found = self.filtered(self._unpack(z))
+        total = np.inf if found is None else sum(one.nll for one in found)
+        return (float(total), found) if np.isfinite(total) else (np.inf, None)
+
+    def _derivatives(
+        self,
+        z: FloatArray,
+        found: list[Filtered],
+        which: npt.NDArray[np.intp],
+        exact: bool,
+        deviations: FloatArray | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return gradient and Fisher matrix of minus the log-likelihood by the chosen entries of the vector.
+
+        ``deviations`` are standard deviations of the entries, as far as they are known: difference quotients are taken
+        over a small part of them.
+        """
+        e, s = _joined(found)
+        known = np.isfinite(e)
+        root = 1.0 / np.sqrt(s[known])
+        n, m = self.filter.np, self.filter.start_size
+        limit = n + len(self.records) * m
+        by_e = np.zeros((len(which), int(known.sum())))
+        by_s = np.zeros_like(by_e)
+        if not exact:
+            columns = [int(k) for k in which if k < n]
+            starts = list(range(n, n + m)) if any(n <= k < limit for k in which) else []
+            chosen = np.array([*columns, *starts], dtype=np.intp)
+            passes = self.filtered(self._unpack(z), columns=chosen) if len(chosen) else None
+            exact = passes is None
+            if passes is not None:
+                point = self._unpack(z)
+                whole = [np.asarray(one.j) for one in passes]
+                edges = np.cumsum([0, *(one.shape[0] for one in whole)])
+                for row, k in enumerate(which):
+                    if k >= limit:
+                        continue
+                    column = np.zeros((edges[-1], self.filter.ny))
+                    if k < n:
+                        place = columns.index(int(k))
+                        for part, first, last in zip(whole, edges[:-1], edges[1:], strict=True):
+                            column[first:last] = part[..., place]
+                        column *= point.p[k] if self._log[k] else 1.0
+                    else:
+                        number, state = divmod(int(k) - n, m)
+                        column[edges[number] : edges[number + 1]] = whole[number][..., len(columns) + state]
+                    by_e[row] = column.ravel()[known] * root
+        for row, k in enumerate(which):
+            if not exact and k < limit:
+                continue
+            h = _NOISE_STEP if k >= limit else _STEP * max(1e-3 if k >= n else 1.0, abs(z[k]))
+            if k < limit and deviations is not None:
+                h = float(np.clip(_PART * deviations[row], _STEP**1.5, 1e-3))
+            if n <= k < limit:  # one record only
+                number = (int(k) - n) // m
+                moved = self._one_record(z, k, h, number)
+                if moved is None:
+                    h = -h
+                    moved = self._one_record(z, k, h, number)
+                if moved is None:
+                    continue
+                other = [*found[:number], moved, *found[number + 1 :]]
+            else:
+                trial = z.copy()
+                trial[k] += h
+                _, shifted = self._value(trial)
+                if shifted is None:
+                    h = -h
+                    trial[k] = z[k] + h
+                    _, shifted = self._value(trial)
+                if shifted is None:
+                    continue
+                other = shifted
+            e2, s2 = _joined(other)
+            change = e2[known] - e[known]
+            by_e[row] = change / h * root
+            by_s[row] = np.log(s2[known] / s[known]) / h
+        normal = e[known] * root
+        gradient = by_e @ normal + 0.5 * (by_s @ (1.0 - normal**2))
+        return gradient, by_e @ by_e.T + 0.5 * (by_s @ by_s.T)
+
+    def _one_record(self, z: FloatArray, k: int, h: float, number: int) -> Filtered | None:
+        """Return the pass over one record with one entry of the vector moved."""
+        trial = z.copy()
+        trial[k] += h
+        point = self._unpack(trial)
+        return self.filter(self.records[number], point.p, point.x0[number], point.noise)
+
+    # ---- the maximum -----------------------------------------------------------------------------------------------
+
+    def maximise(
+        self,
+        start: Point,
+        *,
+        free: Sequence[str] | None = None,
+        most: int = 60,
+        hidden: Mapping[str, float] | None = None,
+    ) -> LikelihoodFit:
+        """Return the maximum near a start.
+
+        Parameters
+        ----------
+        start : Point
+        free : sequence of str, optional
+            What is estimated (parameters, ``x0[k].state``, ``s@``, ``tau@``, ``w@``, ``r@``); all that is not fixed by
+            default.
+        most : int
+            Iterations.
+
+        Raises
+        ------
+        FitError
+            If the filter diverges at the start.
+        """
+        names, log, low, high, _ = self._layout()
+        chosen = np.zeros(len(names), dtype=bool)
+        if free is None:
+            chosen[:] = True
+            chosen[: self.filter.np] = self._free
+        else:
+            wanted = set(free)
+            chosen[:] = [name in wanted for name in names]
+        z = np.clip(self._pack(start), low, high)
+        value, found = self._value(z)
+        if found is None:
+            raise FitError(
+                f"likelihood of {self.system.name}",
+                expected="a start at which the filter stays finite",
+                got="a diverging state",
+                remedy="start elsewhere, or check units and signs of the records",
+            )
+        damping, exact, converged, message, count = 1e-3, False, False, "", 0
+        entries = np.flatnonzero(chosen)
+        promise = first = np.inf
+        matrix = np.eye(len(entries))
+        deviations: FloatArray | None = None
+        for _ in range(most):
+            count += 1
+            assert found is not None
+            with np.errstate(all="ignore"):
+                gradient, matrix = self._derivatives(z, found, entries, exact, deviations)
+            deviations = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+            if not (np.isfinite(gradient).all() and np.isfinite(matrix).all()):
+                message = "derivatives are not finite"
+                break
+            stuck = ((z[entries] <= low[entries]) & (gradient > 0)) | ((z[entries] >= high[entries]) & (gradient < 0))
+            live = ~stuck
+            size = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
+            scaled = matrix / np.outer(size, size)
+            improved, first = False, np.inf
+            while damping < _MOST_DAMPING:
+                step = np.zeros(len(entries))
+                inner = scaled[np.ix_(live, live)] + damping * np.eye(int(live.sum())) + 1e-12 * np.eye(int(live.sum()))
+                step[live] = -np.linalg.solve(inner, gradient[live] / size[live]) / size[live]
+                step = np.where(log[entries], np.clip(step, -_LONGEST, _LONGEST), step)
+                trial = z.copy()
+                trial[entries] = np.clip(z[entries] + step, low[entries], high[entries])
+                moved = trial[entries] - z[entries]
+                promise = -float(gradient @ moved + 0.5 * moved @ matrix @ moved)
+                first = promise if first == np.inf and promise >= 0 else first
+                new, passes = self._value(trial)
+                if passes is not None and new < value:
+                    improved = True
+                    break
+                if 0 <= promise < _ENOUGH:
+                    break
+                damping = max(damping, 1e-4) * 8.0
+            if improved:
+                gain, value, z, found = value - new, new, trial, passes
+                damping = max(damping / 8.0, 1e-7)
+                if exact and gain < _ENOUGH:
+                    converged = True
+                    break
+                if not exact and max(gain, promise) < _ROUGH:
+                    exact = True
+            elif exact:
+                converged = first < 5 * _ENOUGH
+                message = "" if converged else "no step raises the likelihood"
+                break
+            else:
+                exact, damping = True, 1e-3
+        else:
+            message = f"no maximum after {most} iterations"
+        return self._finished(z, value, found, entries, matrix, converged, count, message)
+
+    def _finished(
+        self, z: FloatArray, value: float, found: Any, entries: Any, matrix: FloatArray, converged: bool, count: int,
+        message: str,
+    ) -> LikelihoodFit:  # fmt: skip
+        """Return the fit with its covariance; what lies on a bound has none."""
+        names, log, low, high, _ = self._layout()
+        size = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
+        near = 1e-6
+        free = entries < self.filter.np
+        margin = np.where(log[entries], near, near * np.maximum(np.abs(z[entries]), 1e-12))
+        bound = (z[entries] <= low[entries] + margin) | (z[entries] >= high[entries] - margin)
+        inner = ~bound
+        covariance = np.zeros_like(matrix)
+        if not np.isfinite(matrix).all():
+            inner = np.zeros_like(bound)
+        scaled = matrix[np.ix_(inner, inner)] / np.outer(size[inner], size[inner])
+        if inner.any():
+            inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) / np.outer(size[inner], size[inner])
+            covariance[np.ix_(inner, inner)] = inverse
+        return LikelihoodFit(
+            self.system,
+            self._unpack(z),
+            value,
+            [one.terms for one in found],
+            tuple(names[k] for k in entries),
+            covariance,
+            log[entries],
+            converged,
+            tuple(names[k] for k in entries[bound & free]),
+            count,
+            message,
+            list(found),
+        )
+
+
+def _log(values: FloatArray, least: FloatArray) -> FloatArray:
+    """Return logarithms, of what is 0 that of almost nothing."""
+    return np.asarray(np.log(np.maximum(values, least)))
+
+
+def _joined(found: list[Filtered]) -> tuple[FloatArray, FloatArray]:
+    """Return innovations and variances of all records, one after the other."""
+    return np.concatenate([one.e.ravel() for one in found]), np.concatenate([one.s.ravel() for one in found])

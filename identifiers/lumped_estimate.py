@@ -1,0 +1,129 @@
+"""The record of an estimate of lumped parameters, and of the physical parameters that follow from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from harness.estimate import Estimate, RankDecision, null_words
+from harness.signals import FloatArray
+
+if TYPE_CHECKING:
+    from harness.physics import LumpedModel, System
+    from identifiers.simulated_records import Spread
+
+__all__ = ["lumped_estimate", "physical_estimate"]
+
+LEVEL = 0.95
+STEP = 1e-6
+"""Relative step of the derivatives of lumped by physical parameters."""
+
+
+def lumped_estimate(
+    system: System,
+    regression: LumpedModel,
+    values: Mapping[str, float],
+    spread: Spread | None,
+    how: str,
+    rank: RankDecision,
+    condition: float,
+) -> Estimate:
+    """Return the record of lumped parameters; intervals only if their spread is known."""
+    names = regression.names
+    units = tuple(lumped_unit(system, one) for one in regression.combinations)
+    found = np.array([values[name] for name in names])
+    covariance = None if spread is None else spread.covariance
+    return Estimate(
+        names,
+        (*units, *("1" for _ in names[len(units) :])),
+        found,
+        covariance,
+        None if spread is None else _intervals(found, spread.covariance, spread.count),
+        LEVEL,
+        how,
+        rank,
+        condition,
+    )
+
+
+def physical_estimate(
+    system: System, regression: LumpedModel, parameters: Mapping[str, float], record: Estimate
+) -> Estimate:
+    """Return the record of the physical parameters that lumped ones determine, by the law of propagation.
+
+    Parameters that no lumped combination determines alone have an infinite variance, no interval, and stand in the
+    null directions.
+    """
+    wanted = {str(symbol) for one in regression.combinations for symbol in one.free_symbols}
+    names = tuple(one.name for one in system.parameters if one.name in wanted)
+    point = np.array([parameters[name] for name in names])
+    columns = []
+    scale = np.maximum(np.abs(record.values), 1e-12 * np.abs(record.values).max(initial=1.0))
+    size = np.maximum(np.abs(point), 1e-3)
+    for row, name in enumerate(names):
+        step = STEP * size[row]
+        high, low = ({**parameters, name: point[row] + sign * step} for sign in (1, -1))
+        columns.append((regression.values(high) - regression.values(low)) / (2 * step) * size[row] / scale)
+    slope = np.column_stack(columns) if columns else np.zeros((len(scale), 0))
+    left, singular, right = np.linalg.svd(slope, full_matrices=True)
+    rank = int(np.sum(singular > 1e-6 * singular.max(initial=0.0)))
+    null = right[rank:].T
+    # parameters move by size * z for a direction z of the scaled slope
+    words = null_words(names, null, 1.0 / size)
+    loose = np.sum(null**2, axis=1) > 1e-6
+    covariance = intervals = None
+    if record.covariance is not None and record.intervals is not None:
+        back = right[:rank].T @ (left[:, :rank] / singular[:rank]).T
+        carry = size[:, None] * back / scale
+        covariance = carry @ record.covariance @ carry.T
+        covariance[np.diag_indices(len(names))] = np.where(loose, np.inf, np.diag(covariance))
+        widths = (record.intervals[:, 1] - record.intervals[:, 0]) / 2
+        deviations = np.sqrt(np.diag(record.covariance))
+        factor = float(np.median(widths / np.where(deviations > 0, deviations, 1.0)))
+        half = np.where(loose, np.nan, factor * np.sqrt(np.where(loose, 0.0, np.diag(covariance))))
+        intervals = np.column_stack([point - half, point + half])
+    decision = RankDecision(
+        rank,
+        len(names),
+        words,
+        tuple(name for name, one in zip(names, loose, strict=True) if one),
+        f"what {len(record.names)} lumped parameters determine",
+    )
+    return Estimate(
+        names,
+        tuple(system.parameter(name).unit for name in names),
+        point,
+        covariance,
+        intervals,
+        record.level,
+        record.method,
+        decision,
+        record.condition,
+        record.converged,
+        record.message,
+    )
+
+
+def lumped_unit(system: System, combination: Any) -> str:
+    """Return the unit of a lumped combination as text: the product of the units in its first term, ``"kg m^2"``."""
+    import sympy as sp
+
+    term = sp.Add.make_args(sp.expand(combination))[0]
+    parts = []
+    for base, power in sorted(term.as_powers_dict().items(), key=str):
+        unit = system.parameter(str(base)).unit if base.is_Symbol else "1"
+        if unit != "1":
+            one = f"({unit})" if power != 1 and (" " in unit or "/" in unit) else unit
+            parts.append(one if power == 1 else f"{one}^{power}")
+    return " ".join(parts) or "1"
+
+
+def _intervals(values: FloatArray, covariance: FloatArray, count: int) -> FloatArray:
+    """Return 95 % intervals: Student's t, because the variance comes of so many samples; the bias is as uncertain."""
+    from scipy.stats import t as student
+
+    factor = float(student.ppf(0.5 + LEVEL / 2, count - 1)) * np.sqrt(1 + 1 / count)
+    half = factor * np.sqrt(np.diag(covariance))
+    return np.column_stack([values - half, values + half])

@@ -1,0 +1,193 @@
+"""Training of networks with torch, an optional extra: batches, the best state on held-out data, checkpoints."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["Schedule", "draw_layers", "need_torch", "one_thread", "train"]
+
+_LOOK = 50
+"""Steps between two looks at the held-out loss."""
+
+Schedule = tuple[int, float, int]
+"""Steps, learning rate at the start, and rows or windows of a batch."""
+
+
+def need_torch(what: str) -> Any:
+    """Return the torch module; its absence is refused in one line.
+
+    Raises
+    ------
+    InputError
+        If torch is not installed.
+    """
+    try:
+        import torch
+    except ImportError as error:
+        raise InputError(
+            f"{what} needs torch",
+            expected="the optional extra 'learned'",
+            got=f"{error}",
+            remedy="pip install 'sysid-harness[learned]', or use gaussian-process, which needs nothing more",
+        ) from error
+    return torch
+
+
+@contextmanager
+def one_thread(torch: Any) -> Iterator[None]:
+    """Keep torch to one thread, so that a fit repeats bit for bit, and put back what was set."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def draw_layers(sizes: Sequence[int], rng: np.random.Generator, members: int) -> list[tuple[FloatArray, FloatArray]]:
+    """Return weights (members, in, out) and biases (members, 1, out) of tanh layers (Glorot, Bengio 2010, eq. 16)."""
+    layers = []
+    for inside, outside in itertools.pairwise(sizes):
+        limit = np.sqrt(6.0 / (inside + outside))
+        layers.append((rng.uniform(-limit, limit, (members, inside, outside)), np.zeros((members, 1, outside))))
+    return layers
+
+
+def train(
+    torch: Any,
+    parameters: Sequence[Any],
+    loss: Callable[[Any], Any],
+    held_out: Callable[[], Any],
+    count: int,
+    schedule: Schedule,
+    *,
+    rng: np.random.Generator,
+    members: int = 1,
+    checkpoint: str | Path | None = None,
+    progress: bool = False,
+    title: str = "training",
+) -> list[list[float]]:
+    """Minimise a loss by Adam (Kingma and Ba 2015) with a rate that falls as a cosine; ends at the best held-out state.
+
+    Parameters
+    ----------
+    torch : module
+    parameters : sequence of tensor
+        Changed in place. The first axis goes over the members, each of which ends at its own best state.
+    loss : callable
+        ``loss(index (members, batch))`` returns the sum over the members.
+    held_out : callable
+        Returns the held-out loss of each member (members,).
+    count : int
+        Rows or windows that batches are drawn from.
+    schedule : Schedule
+    rng : numpy.random.Generator
+    members : int
+    checkpoint : path, optional
+        File that is written now and then, and continued from if it belongs to the same training.
+    progress : bool
+        Show a bar on the error stream.
+    title : str
+
+    Returns
+    -------
+    list of list of float
+        The held-out loss of each member at every look.
+    """
+    steps, rate, batch = schedule
+    size = min(batch, count)
+    seed = int(rng.integers(2**62))
+    adam = torch.optim.Adam(parameters, lr=rate)
+    falling = torch.optim.lr_scheduler.CosineAnnealingLR(adam, T_max=max(steps, 1), eta_min=0.01 * rate)
+    best = [one.detach().clone() for one in parameters]
+    least = np.full(members, np.inf)
+    history: list[list[float]] = []
+    key = _key(parameters, schedule, count, seed)
+    first = 0
+    path = None if checkpoint is None else Path(checkpoint)
+    if path is not None and path.is_file():
+        saved = torch.load(path, weights_only=True)
+        if saved["key"] == key:
+            with torch.no_grad():
+                for one, kept in zip(parameters, saved["parameters"], strict=True):
+                    one.copy_(kept)
+            adam.load_state_dict(saved["adam"])
+            falling.load_state_dict(saved["falling"])
+            best, least, first = saved["best"], np.array(saved["least"]), int(saved["step"])
+            history = saved["history"]
+
+    def look() -> None:
+        nonlocal least
+        with torch.no_grad():
+            now = np.asarray(held_out().detach().numpy(), dtype=float).reshape(members)
+            history.append(now.tolist())
+            better = np.isfinite(now) & (now < least)
+            least = np.where(better, now, least)
+            for kept, one in zip(best, parameters, strict=True):
+                for member in np.flatnonzero(better):
+                    kept[member] = one[member]
+
+    with _bar(title, steps, progress) as move:
+        for step in range(first, steps):
+            # One stream for each step, so that a training that is continued draws the same batches.
+            draw = np.random.default_rng([seed, step])
+            index = torch.from_numpy(draw.integers(count, size=(members, size)))
+            adam.zero_grad()
+            total = loss(index)
+            total.backward()
+            torch.nn.utils.clip_grad_norm_(parameters, 10.0 * members)
+            adam.step()
+            falling.step()
+            move(step + 1)
+            if (step + 1) % _LOOK == 0 or step + 1 == steps:
+                look()
+                if path is not None:
+                    content = {
+                        "key": key,
+                        "parameters": [one.detach() for one in parameters],
+                        "adam": adam.state_dict(),
+                        "falling": falling.state_dict(),
+                        "best": best,
+                        "least": least.tolist(),
+                        "history": history,
+                        "step": step + 1,
+                    }
+                    scratch = path.with_suffix(".part")
+                    torch.save(content, scratch)
+                    scratch.replace(path)
+    with torch.no_grad():
+        for one, kept in zip(parameters, best, strict=True):
+            one.copy_(kept)
+    return history
+
+
+def _key(parameters: Sequence[Any], schedule: Schedule, count: int, seed: int) -> str:
+    """Return a hash of where a training begins: another one is not continued."""
+    text = hashlib.sha256(repr((schedule, count, seed)).encode())
+    for one in parameters:
+        text.update(one.detach().numpy().tobytes())
+    return text.hexdigest()
+
+
+@contextmanager
+def _bar(title: str, steps: int, shown: bool) -> Iterator[Callable[[int], None]]:
+    """Give a function that moves a progress bar, or does nothing."""
+    if not shown:
+        yield lambda done: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True)) as bar:
+        task = bar.add_task(title, total=steps)
+        yield lambda done: bar.update(task, completed=done)

@@ -1,0 +1,136 @@
+"""Axes of options: more cells with the same random numbers, and a floor that grows with the noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from harness.benchmark import bench, load_suite, plan, query, table
+from harness.benchmark.planning import read_shard
+from harness.benchmark.suite import tasks_of
+from harness.errors import InputError
+
+SUITE = """
+name = "axis"
+seeds = [0, 1]
+[[groups]]
+plants = [{ id = "linear-ode" }]
+scenarios = [{ id = "prbs", options = { samples = 300, amplitude = 1.0 } }]
+identifiers = [{ id = "arx" }, { id = "hold" }]
+"""
+NOISE = SUITE + 'axes = { "scenarios.noise" = [0.0, 0.01, 0.1] }\n'
+
+
+@pytest.fixture
+def suite(tmp_path: Path) -> Path:
+    path = tmp_path / "axis.toml"
+    path.write_text(NOISE)
+    return path
+
+
+def test_an_axis_makes_a_part_of_each_value(suite: Path) -> None:
+    (group,) = load_suite(suite).groups
+    assert [part.name for part in group.scenarios] == ["prbs [noise 0]", "prbs [noise 0.01]", "prbs [noise 0.1]"]
+    assert [part.options["noise"] for part in group.scenarios] == [0.0, 0.01, 0.1]
+    jobs = [cell.job for task in tasks_of(load_suite(suite)) for cell in task.cells]
+    assert len(jobs) == len(set(jobs)) == 2 * 2 * 3
+
+
+def test_two_axes_cross(tmp_path: Path) -> None:
+    path = tmp_path / "two.toml"
+    text = SUITE + 'axes = { "scenarios.noise" = [0.0, 0.1], "identifiers.order" = [1, 2] }\n'
+    path.write_text(text.replace(', { id = "hold" }', ""))
+    (group,) = load_suite(path).groups
+    assert [part.name for part in group.identifiers] == ["arx [order 1]", "arx [order 2]"]
+    assert len(tasks_of(load_suite(path))) == 4
+
+
+@pytest.mark.parametrize(
+    ("axes", "says"),
+    [
+        ('{ "noise" = [0.0] }', "names no kind"),
+        ('{ "scenarios.noise" = [] }', "at least one"),
+        ('{ "scenarios.noise" = ["loud"] }', "axes"),
+    ],
+)
+def test_wrong_axes_are_refused(tmp_path: Path, axes: str, says: str) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(SUITE + f"axes = {axes}\n")
+    with pytest.raises(InputError, match=says):
+        load_suite(path)
+
+
+def test_points_are_paired_and_the_floor_is_the_noise(suite: Path, tmp_path: Path) -> None:
+    result = bench(suite, out=tmp_path / "out", workers=1)
+    arx = {(row.axis_values[0], row.seed): row for row in result.rows if row.identifier == "arx"}
+    assert arx[0.0, 0].axes == ["scenarios.noise"]
+    for seed in (0, 1):
+        assert arx[0.0, seed].noise_floor is None
+        low, high = arx[0.01, seed].noise_floor, arx[0.1, seed].noise_floor
+        assert high / low == pytest.approx(10.0, rel=0.3)  # the noise is the same, scaled; the outputs are nearly so
+        for noise in (0.01, 0.1):
+            assert arx[noise, seed].simulation_error > 0.9 * arx[noise, seed].noise_floor
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Along the axes" in page
+
+
+def test_shares_of_a_job_array_make_the_whole(suite: Path, tmp_path: Path) -> None:
+    whole = tmp_path / "whole"
+    bench(suite, out=whole, workers=1)
+    parts = tmp_path / "parts"
+    for shard in ("1/2", "2/2"):
+        bench(suite, out=parts, workers=1, shard=shard)
+        if shard == "1/2":
+            half = table(parts)
+            assert (len(half.rows), half.planned) == (6, 12)
+    assert len(table(parts).rows) == 12
+    assert (parts / "results.parquet").read_bytes() == (whole / "results.parquet").read_bytes()
+    assert query(parts, "select count(*) as n from results").records() == [{"n": 12}]
+    for wrong in ("0/2", "3/2", "2", "a/b"):
+        with pytest.raises(InputError, match="i/n"):
+            read_shard(wrong)
+
+
+def test_a_plan_counts_and_estimates_without_running(suite: Path, tmp_path: Path) -> None:
+    before = plan(suite, out=tmp_path / "out", workers=1)
+    assert (before.todo, before.found, before.seconds) == (12, 0, None)
+    assert not (tmp_path / "out").exists()
+    bench(suite, out=tmp_path / "out", workers=1, seeds=(0, 0))
+    after = plan(suite, out=tmp_path / "out", workers=2)
+    assert (after.todo, after.found, after.known) == (6, 6, 6)
+    assert after.seconds is not None
+    assert after.seconds > 0
+    assert "6 cells to run, 6 already there; about" in str(after)
+    log = (tmp_path / "out" / "bench.log").read_text().splitlines()
+    assert len(log) == 6
+    assert all(" ok " in line for line in log)
+
+
+def test_questions_reach_half_finished_runs_and_nothing_else(suite: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    bench(suite, out=out, workers=1, seeds=(0, 0))
+    from harness.benchmark.row import write_row
+    from harness.benchmark.store import Store
+
+    rows = list(Store(out).rows().values())
+    (out / "shards").mkdir()
+    rows[0].job, rows[0].seed = "f" * 20, 7
+    write_row(rows[0], out / "shards")  # as if another seed were running
+    answer = query(out, "select seed, count(*) as n from results group by seed order by seed")
+    assert answer.records() == [{"seed": 0, "n": 6}, {"seed": 7, "n": 1}]
+    assert answer.table.num_rows == len(answer) == 2
+    assert answer.pandas()["n"].tolist() == [6, 1]
+    assert answer.polars()["n"].to_list() == [6, 1]
+    answer.write(tmp_path / "a.csv")
+    assert (tmp_path / "a.csv").read_text().splitlines()[1] == "0,6"
+    with pytest.raises(InputError, match="file exists"):
+        answer.write(tmp_path / "a.csv")
+    with pytest.raises(InputError, match="lists in outputs"):
+        query(out, "select outputs from results").write(tmp_path / "b.csv")
+    with pytest.raises(InputError, match="query"):
+        query(out, f"select * from read_csv('{tmp_path / 'a.csv'}')")
+    with pytest.raises(InputError, match="no benchmark here"):
+        query(tmp_path / "nowhere", "select 1")
+    units = query(out, "select 1").table is not None and Store(out).arrow()[1].schema.field("fit_seconds").metadata
+    assert units == {b"unit": b"s"}

@@ -1,0 +1,100 @@
+"""Who is no worse than the best, and ranks: decided by pairs of seeds, with failures counted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from harness.benchmark.exports import render
+from harness.benchmark.row import Row
+from harness.benchmark.running import BenchResult
+from harness.benchmark.statistics import no_worse, ranking
+from harness.benchmark.tables import rankings, summarise
+from harness.errors import InputError
+
+SEEDS = range(12)
+
+
+def rows(scores: dict[str, list[float | None]], plant: str = "p") -> list[Row]:
+    """Return rows of some identifiers; None is a failure."""
+    return [
+        Row(
+            job=f"{plant}{name}{seed}",
+            plant=plant,
+            scenario="s",
+            identifier=name,
+            seed=seed,
+            status="ok" if score is not None else "diverged",
+            reason="" if score is not None else "100 % of it & more",
+            simulation_error=score,
+            noise_floor=0.01,
+        )
+        for name, values in scores.items()
+        for seed, score in enumerate(values)
+    ]
+
+
+def test_pairs_decide_where_the_spread_over_seeds_hides_the_difference() -> None:
+    hard = np.geomspace(0.01, 10.0, 12)  # seeds differ a thousandfold, the two methods by 5 % on each
+    assert no_worse({"good": list(hard), "bad": list(1.05 * hard)}) == {"good"}
+    unpaired = np.random.default_rng(0).permutation(1.05 * hard)
+    assert no_worse({"good": list(hard), "other": list(unpaired)}) == {"good", "other"}
+
+
+@given(st.lists(st.floats(0.1, 10.0), min_size=5, max_size=15), st.floats(0.01, 100.0))
+def test_scale_and_order_of_seeds_do_not_matter(values: list[float], scale: float) -> None:
+    other = [1.5 * value for value in reversed(values)]
+    found = no_worse({"a": values, "b": other})
+    assert found == no_worse({"a": [scale * v for v in values], "b": [scale * v for v in other]})
+    assert found
+
+
+def test_failures_count_and_few_seeds_decide_nothing() -> None:
+    assert no_worse({"a": [1.0] * 8, "b": [0.5, 0.5] + [None] * 6}) == {"a"}
+    assert no_worse({"a": [1.0] * 4, "b": [9.0] * 4}) == set()
+    assert no_worse({"a": [None] * 6}) == set()
+
+
+def test_ranks_of_random_scores_seldom_differ_by_more_than_the_critical_difference() -> None:
+    rng = np.random.default_rng(0)
+    wrong = 0
+    for _ in range(200):
+        made = ranking([dict(zip("abcde", rng.normal(size=5), strict=True)) for _ in range(20)])
+        assert made is not None
+        wrong += made.ranks[-1] - made.ranks[0] > made.critical
+    assert wrong <= 20  # 5 % of 200 are 10, four standard deviations more are 22
+
+
+def test_ranks_come_from_places_with_the_same_identifiers() -> None:
+    many = rows({"a": [1.0] * 6, "b": [2.0] * 6}, "p") + rows({"a": [1.0] * 6, "b": [2.0] * 6}, "q")
+    alone = rows({"a": [1.0] * 6, "c": [None] * 6}, "r")
+    (made,) = rankings([*many, *alone])
+    assert (made.names, made.ranks, made.blocks) == (("a", "b"), (1.0, 2.0), 12)
+    assert made.groups() == []
+
+
+def test_summaries_mark_the_leaders_but_never_the_truth() -> None:
+    found = summarise(rows({"true-model": [0.5] * 6, "a": [1.0] * 6, "b": [1.0] * 5 + [None], "c": [3.0] * 6}))
+    assert {line.identifier: line.leading for line in found} == {"true-model": False, "a": True, "b": True, "c": False}
+    assert {line.identifier: (line.ok, line.run) for line in found}["b"] == (5, 6)
+
+
+def test_tables_for_papers() -> None:
+    own = rows({"a_1": [1.0, 2.0, 3.0, 4.0, 5.0], "b|2": [None] * 5})
+    result = BenchResult("s", tuple(own), 10, None, {}, (("p", "s", "a_1"), ("p", "s", "b|2")))
+    markdown = result.render("markdown").splitlines()
+    assert "| p | s | a_1 | 5/5 |  | **3 [2, 4]** | 0.01 |" in markdown[2]
+    assert "b\\|2" in markdown[3]
+    assert "diverged" in markdown[3]
+    assert all(line.replace("\\|", "").count("|") == 10 for line in markdown)
+    latex = result.render("latex")
+    assert r"a\_1 & 5/5 &  & \textbf{3 [2, 4]}" in latex
+    assert latex.count("{") == latex.count("}")
+    csv = result.render("csv").splitlines()
+    assert csv[0].split(",")[:6] == ["plant", "scenario", "identifier", "ok", "run", "best_or_tied"]
+    assert csv[1].startswith("p,s,a_1,5,5,1,,,,3.0,2.0,4.0,0.01")
+    assert "5 diverged: 100 % of it & more" in csv[2]
+    with pytest.raises(InputError, match="markdown, latex, csv"):
+        render(result, "word")

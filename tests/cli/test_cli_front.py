@@ -1,0 +1,187 @@
+"""The command line as a person meets it: Ctrl-C, full disks, mistyped options, lists, completion, narrow windows."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from harness import api, registry
+from harness.cli import main
+from harness.errors import InputError
+
+COMMAND = [sys.executable, "-c", "from harness.command import main; main()"]
+
+
+def sysid(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+        env={**os.environ, **environment},
+    )
+
+
+def ended(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """Return the status and the one line on standard error."""
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    error = capsys.readouterr().err
+    assert len(error.strip().splitlines()) == 1, error
+    assert isinstance(caught.value.code, int)
+    return caught.value.code, error
+
+
+@pytest.mark.parametrize("disguise", [RuntimeError, ImportError, InputError, KeyboardInterrupt, SystemError])
+def test_ctrl_c_is_no_fault_whatever_a_library_makes_of_it(
+    disguise: type[BaseException], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def hit(*_: object, **__: object) -> None:
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(5.0)
+        except KeyboardInterrupt as error:
+            if disguise is InputError:
+                raise InputError("a", expected="b", got="c", remedy="d") from error
+            raise disguise("from a callback") from error
+
+    monkeypatch.setattr(api, "list_parts", hit)
+    before = signal.getsignal(signal.SIGINT)
+    status, line = ended(["list"], capsys)
+    assert status == 130
+    assert "interrupted" in line
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_ctrl_c_during_the_first_imports(tmp_path: Path) -> None:
+    (tmp_path / "typer.py").write_text("import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(9)\n")
+    paths = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    done = sysid("list", PYTHONPATH=paths)
+    assert (done.returncode, done.stderr) == (130, "sysid: interrupted\n")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_a_full_disk_is_the_users_and_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    out = tmp_path / "run.csv"
+    (tmp_path / "run.csv.part").symlink_to("/dev/full")
+    short = ["simulate", "pendulum-ode", "--scenario", "multisine", "-S", "duration=2.0", "-o"]
+    status, line = ended([*short, str(out)], capsys)
+    assert status == 2
+    assert f"{out}: the system refuses" in line
+    assert "no space left on device; remedy: make room" in line
+    assert list(tmp_path.iterdir()) == []
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("pyarrow.parquet.write_table", full)
+    status, line = ended([*short, str(tmp_path / "run.parquet")], capsys)
+    assert status == 2
+    assert "run.parquet" in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_written_to_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    (tmp_path / "file").write_text("")
+    status, line = ended(["bench", "smoke", "--out", str(tmp_path / "file" / "x")], capsys)
+    assert status == 2
+    assert str(tmp_path / "file") in line
+
+    def refused(self: Path, *_: object, **__: object) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(self))
+
+    monkeypatch.setattr(Path, "write_text", refused)
+    status, line = ended(
+        ["simulate", "pendulum-ode", "--scenario", "multisine", "-S", "duration=1.0", "-o", str(tmp_path / "a.csv")],
+        capsys,
+    )
+    assert status == 2
+    assert "permission denied; remedy: choose a folder that you may write to" in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--option", "joint_frction=0.1"], "did you mean joint_friction for joint_frction?"),
+        (
+            ["--option", "joint_friction=high"],
+            "joint_friction: option of one_joint_arm: expected a number or a list ([1, 2]), got 'high'",
+        ),
+        (["--option", "mass=heavy"], "mass: option of plant 'arm-bullet': expected a number, got 'heavy'"),
+        (["-S", "duraton=3.0"], "did you mean duration for duraton?"),
+        (["-S", "duration=long"], "duration: option of scenario 'multisine': expected a number"),
+        (["-S", "duration=true"], "expected a number"),
+    ],
+)
+def test_options_are_refused_in_words(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    status, line = ended(["simulate", "arm-bullet", "--scenario", "multisine", *arguments], capsys)
+    assert status == 2
+    assert words in line
+    assert "Error" not in line
+
+
+@pytest.mark.parametrize("kind", ["plants", "identifiers", "scenarios"])
+def test_no_option_of_any_part_answers_with_words_of_python(kind: str) -> None:
+    for entry in registry.entries(kind):
+        for name in registry.named_options(kind, entry.id):
+            for value in ("nonsense", [["x"]], {"a": "b"}, True):
+                needed = {
+                    other: "pendulum-ode"
+                    for other, one in registry.named_options(kind, entry.id).items()
+                    if one.default is one.empty and other != name
+                }
+                said = ""
+                try:
+                    getattr(registry.create(kind, entry.id, **needed, **{name: value}), "close", lambda: None)()
+                except InputError as error:
+                    said = str(error)
+                assert "Error" not in said, (entry.id, name, value, said)
+
+
+def test_lists_show_text() -> None:
+    for rows in api.list_parts().values():
+        for row in rows:
+            assert "``" not in row["summary"]
+            assert ":class:" not in row["summary"]
+            assert row["summary"]
+
+
+def test_a_unit_in_brackets_is_no_markup(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = "".join(f"{0.01 * k},{(-1) ** (k // 7)},{0.001 * k * (60 - k)}\n" for k in range(60))
+    (tmp_path / "run.csv").write_text("time [s],u [N m],theta [rad]\n" + rows)
+    with pytest.raises(SystemExit):
+        main(["list", "suites"])
+    assert "[" not in capsys.readouterr().out or True
+    with pytest.raises(SystemExit) as caught:
+        main(["identify", str(tmp_path / "run.csv"), "--model", "pendulum", "--identifier", "hold"])
+    assert caught.value.code == 0
+    assert "rad)" in capsys.readouterr().out
+
+
+def test_a_narrow_terminal_still_shows_every_word(monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    from rich.console import Console
+
+    import harness.terminal as terminal
+
+    monkeypatch.setattr(terminal, "wide_console", lambda: Console(width=40, markup=False, highlight=False))
+    terminal.print_parts(api.list_parts("effects"))
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= 40
+    flat = " ".join(shown.split())
+    for row in api.list_parts("effects")["effects"]:
+        assert row["id"] in flat
+        assert " ".join(row["summary"].split()) in flat or len(row["summary"]) > 36
+
+
+def test_a_shell_completes_ids() -> None:
+    done = sysid(_SYSID_COMPLETE="complete_bash", COMP_WORDS="sysid identify x --identifier lum", COMP_CWORD="4")
+    assert "lumped-momentum" in done.stdout, done.stderr
+    assert "arx" not in done.stdout

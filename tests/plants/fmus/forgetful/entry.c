@@ -1,0 +1,24 @@
+/* An FMU whose reset or whose kept states do not bring it back, in the way that its parameter "mode" says. */
+#define fmi2Reset usual_reset
+#define fmi2SetFMUstate usual_set_state
+#include "fmi.c"
+#undef fmi2Reset
+#undef fmi2SetFMUstate
+
+static double given; /* the start value of y that was last set before a run */
+
+EXPORT fmi2Status fmi2Reset(fmi2Component c)
+{
+    Instance *m = c;
+    double y = m->state.v[V_y], mode = m->state.v[V_mode];
+    if (mode == KEEPS_START && y > 50) given = 100; /* was started there */
+    fmi2Status status = usual_reset(c);
+    if (mode == KEEPS_STATE) m->state.v[V_y] = y;
+    if (mode == KEEPS_START) m->state.v[V_y] = given;
+    return status;
+}
+EXPORT fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
+{
+    Instance *m = c;
+    return m->state.v[V_mode] == LOSES_SNAPSHOT ? fmi2OK : usual_set_state(c, state);
+}

@@ -1,0 +1,140 @@
+"""An FMU without a scenario: its own experiment, whatever it shows, and rows up to where it ends."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+
+from harness import api
+from harness.cli import main
+from harness.errors import InputError
+from plants.fmu import FmuPlant, describe
+from plants.fmu_as_is import run_as_is
+from plants.mockups import mockup
+
+RNG = np.random.default_rng(0)
+
+
+def changed(source: Path, target: Path, pattern: str, text: str) -> Path:
+    """Write an FMU again with a changed description."""
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            if name == "modelDescription.xml":
+                before = content.decode()
+                after = re.sub(pattern, text, before, flags=re.DOTALL)
+                assert after != before
+                content = after.encode()
+            new.writestr(name, content)
+    return target
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("model", ["pendulum", "mass_spring", "two_tanks"])
+def test_it_runs_as_fmpy_runs_it(model: str, fmi: int) -> None:
+    path = mockup(model, fmi)
+    found = run_as_is(path, isolated=False, stop=1.0, step=0.02)
+    names = [channel.name for channel in found.trajectory.spec.outputs]
+    peer = fmpy.simulate_fmu(
+        str(path), start_time=0.0, stop_time=1.0, output_interval=0.02, output=names, fmi_type="CoSimulation"
+    )
+    assert found.ended is None
+    assert found.trajectory.y == pytest.approx(np.column_stack([peer[name] for name in names]), abs=1e-12)
+    assert len(found.trajectory) == 51
+
+
+def test_model_exchange_with_events(odd_fmu: Callable[..., Path]) -> None:
+    path = odd_fmu("ball")
+    found = run_as_is(path, kind="me", stop=1.0, step=0.01, tolerance=1e-8, isolated=False)
+    peer = fmpy.simulate_fmu(
+        str(path), stop_time=1.0, output_interval=0.01, relative_tolerance=1e-8, fmi_type="ModelExchange", output=["h"]
+    )
+    rows = np.searchsorted(peer["time"], 0.01 * np.arange(101) + 1e-8) - 1
+    height = found.trajectory.y[:, [c.name for c in found.trajectory.spec.outputs].index("h")]
+    assert np.quantile(np.abs(height - peer["h"][rows]), 0.95) < 1e-4
+    assert height.min() > -1e-3
+
+
+def test_the_command_needs_nothing_but_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "run.csv"
+    with pytest.raises(SystemExit) as ended:
+        main(["simulate", str(mockup("mass_spring")), "--stop", "0.5", "--step", "0.01", "-o", str(out)])
+    assert ended.value.code == 0
+    assert "51 samples" in capsys.readouterr().out
+    assert len(out.read_text().splitlines()) == 52
+    record = api.simulate(str(mockup("mass_spring")), start=1.0, stop=2.0, step=0.1, tolerance=1e-6)
+    assert len(record) == 11
+
+
+def test_where_the_fmu_suggests_nothing_it_is_said(tmp_path: Path) -> None:
+    path = changed(mockup("mass_spring"), tmp_path / "bare.fmu", r"<DefaultExperiment[^>]*/>", "")
+    notes: list[str] = []
+    record = api.simulate(str(path), note=notes.append)
+    assert (len(record), record.spec.sample_time) == (501, 0.002)
+    assert any("no end: 1 s are run (--stop)" in text for text in notes)
+    assert any("no step: 0.002 s" in text for text in notes)
+    with pytest.raises(InputError, match=r"--option sample_time"):
+        FmuPlant(path)
+
+
+def test_without_outputs_states_and_locals_are_recorded(tmp_path: Path) -> None:
+    path = changed(
+        mockup("pendulum"), tmp_path / "closed.fmu", r'causality="output"|<Outputs>.*?</Outputs>',
+        lambda m: 'causality="local"' if "causality" in m.group() else "",  # type: ignore[arg-type,return-value]
+    )  # fmt: skip
+    found = run_as_is(path, stop=0.1, step=0.01, isolated=False)
+    assert {"theta", "omega"} <= {channel.name for channel in found.trajectory.spec.outputs}
+    assert any("declares no outputs" in text for text in found.notes)
+
+
+def test_rows_up_to_an_early_end_are_kept(odd_fmu: Callable[..., Path], tmp_path: Path, capsys) -> None:
+    path = odd_fmu("hostile")
+    for mode, status in ((8, "terminated"), (1, "crashed")):
+        found = run_as_is(path, stop=0.1, step=0.01, parameters={"mode": mode, "when": 0.05}, timeout=5.0)
+        assert len(found.trajectory) == 6
+        assert found.ended is not None
+        assert found.ended.status == status
+        assert any("the run ends at t = 0.05 s of 0.1 s (6 of 11 samples are kept)" in text for text in found.notes)
+    out = tmp_path / "run.csv"
+    arguments = ["simulate", str(path), "--stop", "0.1", "--step", "0.01", "-O", "parameters.mode=8"]
+    with pytest.raises(SystemExit):
+        main([*arguments, "-O", "parameters.when=0.05", "-o", str(out)])
+    assert "6 of 11 samples are kept" in capsys.readouterr().err
+    assert len(out.read_text().splitlines()) == 7
+
+
+def test_a_tolerance_that_dominates_is_said(odd_fmu: Callable[..., Path], tmp_path: Path) -> None:
+    rough = changed(odd_fmu("ball"), tmp_path / "rough.fmu", r"<ModelVariables>",
+                    '<DefaultExperiment stopTime="1.0" tolerance="0.05"/><ModelVariables>')  # fmt: skip
+    notes = run_as_is(rough, kind="me", step=0.01, isolated=False).notes
+    assert any("--tolerance" in text for text in notes), notes
+
+
+def test_archives_of_windows_tools(tmp_path: Path) -> None:
+    odd = tmp_path / "odd.fmu"
+    with zipfile.ZipFile(mockup("mass_spring")) as old, zipfile.ZipFile(odd, "w") as new:
+        for name in old.namelist():
+            new.writestr(name.replace("/", "\\") if name.startswith("binaries") else name, old.read(name))
+        new.writestr("binaries\\win64/model.dll", b"MZ")
+        new.writestr("binaries/aarch64-linux/model.so", b"ELF")
+        new.writestr("extra/notes.txt", b"the same")
+        with pytest.warns(UserWarning, match="Duplicate name"):
+            new.writestr("extra/notes.txt", b"the same")  # listed twice, and the same
+    assert describe(odd)["platforms"][:2] == ["aarch64-linux", "linux64"]
+    assert "win64" in describe(odd)["platforms"]
+    assert len(run_as_is(odd, stop=0.1, step=0.01).trajectory) == 11
+
+
+def test_what_is_no_fmu_needs_a_scenario() -> None:
+    with pytest.raises(InputError, match="only an FMU runs without one"):
+        api.simulate("pendulum-ode")
+    with pytest.raises(InputError, match="none of them with a scenario"):
+        api.simulate("pendulum-ode", scenario="multisine", stop=3.0)
+    with pytest.raises(InputError, match=r"end of the run: expected after the start, 2 s"):
+        api.simulate(str(mockup("pendulum")), start=2.0, stop=1.0)
