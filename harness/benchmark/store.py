@@ -135,7 +135,7 @@ class Store:
         }
         if order:
             content["order"] = list(order)
-        _replace_text(self.manifest, json.dumps(content, indent=1))
+        _write_text(self.manifest, json.dumps(content, indent=1))
         return found
 
     def shares(self) -> list[Store]:
@@ -169,8 +169,8 @@ class Store:
         rows = {job: row for share in shares for job, row in share.rows().items()}
         planned = len(first["order"])
         whole = {key: first[key] for key in ("format", "suite", "description", "versions")}
-        _replace_text(self.manifest, json.dumps({**whole, "planned": planned, "cells": cells}, indent=1))
-        self._write([rows[cell[0]] for cell in cells if cell[0] in rows])
+        _write_text(self.manifest, json.dumps({**whole, "planned": planned, "cells": cells}, indent=1))
+        self.write([rows[cell[0]] for cell in cells if cell[0] in rows])
 
     def read_manifest(self) -> dict[str, Any]:
         """Return what was asked for.
@@ -228,7 +228,7 @@ class Store:
             return list(found.values())  # they lie in the suite's order already
         order = [cell[0] for cell in self.read_manifest()["cells"]]
         rows = [found[job] for job in order if job in found]
-        self._write(rows)
+        self.write(rows)
         if finished:
             shutil.rmtree(self.shards, ignore_errors=True)
         return rows
@@ -247,7 +247,7 @@ class Store:
         results, timings, curves = _columns()
         return [_table(results, rows), _table(timings, rows), _table(curves, [row for row in rows if row.curve_steps])]
 
-    def _write(self, rows: Sequence[Row]) -> None:
+    def write(self, rows: Sequence[Row]) -> None:
         """Write the three tables."""
         results, timings, curves = _columns()
         _write_rows(self.timings, timings, rows)
@@ -334,7 +334,7 @@ def _arrow_type(name: str) -> Any:
     return pa.float64()
 
 
-def _replace_text(path: Path, text: str) -> None:
+def _write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all."""
     scratch = path.with_name(path.name + ".part")
     scratch.write_text(text + "\n", encoding="utf-8")

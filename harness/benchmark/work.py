@@ -11,7 +11,7 @@ import faulthandler
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -48,6 +48,8 @@ def do_task(task: Task, shards: str | Path) -> None:
     """Do all cells of a task and write their shards."""
     folder = Path(shards)
     at = position_file(folder, task)
+    _stand(at, AT_DATA)
+    _preload(task)
     with watch_file(folder, task).open("w") as watch:
         _stand(at, AT_DATA)
         started = time.perf_counter()
@@ -74,6 +76,20 @@ def do_task(task: Task, shards: str | Path) -> None:
             write_row(row, folder)
     at.unlink(missing_ok=True)
     watch_file(folder, task).unlink(missing_ok=True)
+
+
+def _preload(task: Task) -> None:
+    """Import what the task needs, so that no cell pays for it: a first import takes seconds where cores are busy.
+
+    A part that does not load says so when it is made.
+    """
+    wanted = [("scenarios", task.scenario.id), ("plants", task.plant.id)]
+    wanted += [("identifiers", cell.identifier.id) for cell in task.cells]
+    for kind, id in dict.fromkeys(wanted):
+        with suppress(Exception, SystemExit):
+            registry.load(kind, id)
+    import harness.rollout
+    import harness.scoring  # noqa: F401
 
 
 def _stand(at: Path, where: str) -> None:

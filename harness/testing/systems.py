@@ -1,4 +1,4 @@
-"""Hypothesis strategies for users' own tests: channels, plant specs, trajectories, linear systems, Markov processes."""
+"""Strategies of systems: channels, plant specs, trajectories, linear systems, Markov processes."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from hypothesis.extra.numpy import arrays
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
 __all__ = [
+    "TEMPERS",
     "FiniteProcess",
     "LinearSystem",
     "channels",
