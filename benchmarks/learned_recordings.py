@@ -1,7 +1,7 @@
 """Learned models on two public recordings, beside the named physics of the closed loop.
 
-Run ``SYSID_HARNESS_DATA=... python benchmarks/learned_recordings.py [silverbox|cascaded-tanks] [steps]``. Prints the
-rms of the free run on every run of the recording, the initial state estimated from the first 50 samples, and the CPU
+Run ``SYSID_HARNESS_DATA=... python benchmarks/learned_recordings.py [silverbox|cascaded-tanks]``. Prints the rms
+of the free run on every run of the recording, the initial state estimated from the first 50 samples, and the CPU
 time of the fit. Named physics (``sysid close-loop``): Silverbox 0.31 mV on the test multisine, tanks 0.244 V.
 """
 
@@ -19,26 +19,25 @@ from harness.scoring import simulation_error
 CASES = {
     "silverbox": [
         ("arx", {"order": 4}),
-        ("neural-state-space", {"order": 3, "hidden": 16, "window": 60, "direct": True, "batch": 128}),
+        ("neural-state-space", {"order": 3, "hidden": 16, "window": 60, "direct": True, "steps": 2500}),
     ],
     "cascaded-tanks": [
         ("arx", {"order": 3}),
         ("gaussian-process", {"order": 2}),
-        ("neural-state-space", {"order": 2, "hidden": 12, "window": 200, "batch": 32}),
+        ("neural-state-space", {"order": 5, "hidden": 16, "window": 80, "batch": 32, "rate": 1e-2, "steps": 800}),
     ],
 }
 FIRST = 50
 
 
-def compare(name: str, steps: int) -> None:
+def compare(name: str) -> None:
     """Print the table of one recording."""
     data = load_dataset(registry.dataset_path(name)).dataset
     learn = [one.measured() for one in data.estimation]
     print(f"{data.name}: {sum(map(len, learn))} samples to learn from")
     for identifier, options in CASES[name]:
-        more = {"steps": steps} if identifier.startswith("neural") else {}
         started = time.process_time()
-        model = registry.create("identifiers", identifier, **options, **more).fit(learn, rng=np.random.default_rng(0))
+        model = registry.create("identifiers", identifier, **options).fit(learn, rng=np.random.default_rng(0))
         spent = time.process_time() - started
         errors = [
             f"{run.label or run.use} {1e3 * simulation_error(model, run.trajectory, initial_samples=FIRST).rms[0]:.2f}"
@@ -50,6 +49,5 @@ def compare(name: str, steps: int) -> None:
 
 if __name__ == "__main__":
     chosen = [name for name in sys.argv[1:] if name in CASES] or list(CASES)
-    count = next((int(one) for one in sys.argv[1:] if one.isdigit()), 2000)
     for case in chosen:
-        compare(case, count)
+        compare(case)

@@ -1,7 +1,19 @@
-"""The contracts of sysid-harness, and everything that is neither a plant, an identifier nor a scenario."""
+"""Co-simulation test harness for system identification that closes the loop with measured data.
+
+What most people need is here, loaded when it is used::
+
+    import harness
+
+    record = harness.simulate("pendulum-ode", scenario="multisine")
+    report = harness.close_loop("log.csv", model="pendulum", out="report")
+
+The rooms behind it are packages of their own: ``harness.physics``, ``harness.effects``, ``harness.cosim``,
+``harness.export``, ...
+"""
 
 from __future__ import annotations
 
+from importlib import import_module as _import_module
 from importlib.util import find_spec as _find_spec
 from pathlib import Path as _Path
 
@@ -22,3 +34,52 @@ def _check_siblings() -> None:
 
 
 _check_siblings()
+
+_HOMES = {
+    "Channel": "signals",
+    "PlantSpec": "signals",
+    "Trajectory": "signals",
+    "Run": "signals",
+    "Dataset": "signals",
+    "Experiment": "protocols",
+    "Streams": "rng",
+    "run": "rollout",
+    "predict": "scoring",
+    "equation_error": "scoring",
+    "simulation_error": "scoring",
+    "regret": "scoring",
+    "load_dataset": "data",
+    "create": "registry",
+    "effect": "effects",
+    "load_model": "physics",
+    "simulate": "api",
+    "identify": "api",
+    "close_loop": "api",
+    "isolability": "api",
+    "bench": "api",
+    "export_fmu": "api",
+    "compare": "api",
+    "spectrum": "api",
+    "check": "api",
+    "list_parts": "api",
+    "errors": "",
+    "testing": "",
+}
+_RENAMED = {"export_fmu": "export"}
+
+__all__ = [*sorted(_HOMES)]
+
+
+def __getattr__(name: str) -> object:
+    """Load what is asked for."""
+    home = _HOMES.get(name)
+    if home is None:
+        raise AttributeError(f"module 'harness' has no attribute {name!r}")
+    found = _import_module(f"harness.{home or name}")
+    value: object = found if not home else getattr(found, _RENAMED.get(name, name))
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -5,6 +5,7 @@ The heavy rooms are imported inside the calls, so that asking for help stays fas
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +23,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory, Use
 if TYPE_CHECKING:
     from harness.benchmark import Answer, BenchResult
     from harness.benchmark.planning import Plan
+    from harness.comparison import Comparison, Spectrum
     from harness.conformance import CheckResult
     from harness.data import Nominal
     from harness.diagnosis import Report
@@ -35,7 +37,9 @@ __all__ = [
     "bench",
     "check",
     "close_loop",
+    "compare",
     "describe_fmu",
+    "describe_part",
     "export",
     "identify",
     "isolability",
@@ -43,6 +47,7 @@ __all__ = [
     "plan_bench",
     "query",
     "simulate",
+    "spectrum",
     "study",
     "table",
 ]
@@ -82,6 +87,55 @@ def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
         ]
         for name in ((kind,) if kind is not None else LISTED)
     }
+
+
+def describe_part(id: str) -> dict[str, Any] | None:
+    """Return what a registered part is and which options it takes; None if there is none of this id.
+
+    Returns
+    -------
+    dict or None
+        ``kind``, ``id``, ``distribution``, ``text`` (its docstring) and ``options``: rows with name, default, meaning.
+
+    Examples
+    --------
+    >>> [row["name"] for row in describe_part("hold")["options"]], describe_part("prbs")["kind"]
+    ([], 'scenarios')
+    """
+    for kind in ("plants", "identifiers", "scenarios", "effects", "models"):
+        for entry in registry.entries(kind):
+            if entry.id == id:
+                made = registry.load(kind, id)
+                text = inspect.getdoc(made) or entry.summary
+                options = [] if kind == "effects" else registry.named_options(kind, id).values()
+                rows = [
+                    {
+                        "name": one.name,
+                        "default": "needed" if one.default is one.empty else _default(one.default),
+                        "meaning": _meaning(text, one.name),
+                    }
+                    for one in options
+                ]
+                about = text.partition("\nExamples\n")[0].partition("\nParameters\n")[0].strip()
+                return {
+                    "kind": kind,
+                    "id": id,
+                    "distribution": entry.distribution,
+                    "text": _plain(about if kind != "effects" else entry.summary),
+                    "options": rows,
+                }
+    return None
+
+
+def _default(value: Any) -> str:
+    """Return a default as one writes it."""
+    return "(its own)" if "factory" in repr(value) else repr(value)
+
+
+def _meaning(text: str, name: str) -> str:
+    """Return what a docstring says of a parameter."""
+    found = re.search(rf"^(?:\w+, )*{re.escape(name)}(?:, \w+)* : [^\n]*\n((?:[ ]+[^\n]*\n?)+)", text, re.MULTILINE)
+    return _plain(" ".join(found[1].split())) if found else ""
 
 
 def _plain(text: str) -> str:
@@ -253,6 +307,30 @@ class Identified:
     warnings: tuple[str, ...]
     probability: dict[Use, list[ProbabilityScore]] = field(default_factory=dict)
     """One step ahead, of a model that predicts distributions; empty for others."""
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        """Return use, run, output, NRMSE one step ahead and in free run, rms in free run."""
+        return [
+            (use, str(run), channel.name, *(f"{s.nrmse[k]:.4g}" for s in pair), f"{pair[1].rms[k]:.3g} {channel.unit}")
+            for use in self.equation_error
+            for run, pair in enumerate(zip(self.equation_error[use], self.simulation_error[use], strict=True))
+            for k, channel in enumerate(self.model.spec.outputs)
+        ]
+
+    def __repr__(self) -> str:
+        rows = [f"{use} {run} {name} {free}" for use, run, name, _, free, _ in self._rows()]
+        return f"<Identified {type(self.model).__name__}: NRMSE in free run: {', '.join(rows)}>"
+
+    def _repr_html_(self) -> str:
+        from harness.display import page, table
+
+        titles = ["use", "run", "output", "NRMSE one step ahead", "NRMSE in free run", "rms in free run"]
+        parts = [table(titles, self._rows())]
+        if values := getattr(self.model, "parameters", None):
+            spread = getattr(self.model, "deviations", {})
+            shown = [(n, f"{v:.6g}", f"{spread[n]:.2g}" if n in spread else "") for n, v in values.items()]
+            parts.append(table(["parameter", "value", "standard deviation"], shown))
+        return page(f"{type(self.model).__name__}: {self.model.spec}", *parts)
 
 
 def identify(
@@ -495,6 +573,102 @@ def export(
     for path in (target, *second):
         _refuse_overwrite(path, force=force)
     return room.export(source, out=out, fmi=cast(Any, fmi))
+
+
+def compare(
+    models: Sequence[str | Path],
+    dataset: Any,
+    *,
+    model: str | None = None,
+    validation: Any = None,
+    undriven: Sequence[str] = (),
+    out: str | Path | None = None,
+    trust: bool = False,
+    force: bool = False,
+) -> Comparison:
+    """Put stored models side by side on one data set: fit, residuals, frequency responses.
+
+    Parameters
+    ----------
+    models : sequence of path
+        Files that ``identify`` wrote, or folders that ``close_loop`` wrote.
+    dataset : path or table
+        As for ``identify``.
+    model, validation, undriven
+        As for ``identify``.
+    out : path, optional
+        HTML page to write.
+    trust : bool
+        Let a stored model run the Python file that it names.
+    force : bool
+        Overwrite ``out`` if it exists.
+
+    Raises
+    ------
+    InputError
+        If a file is no model, or a model does not speak the language of the data.
+    """
+    from harness import comparison as room
+    from harness.comparison.models import read_model
+    from harness.data import load_dataset
+    from harness.data.whole_files import whole_file
+
+    if out is not None:
+        _refuse_overwrite(Path(out), force=force)
+    found = {str(path): read_model(path, trust=trust) for path in models}
+    data = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven).dataset
+    result = room.compare(found, data)
+    if out is not None:
+        with whole_file(out) as scratch:
+            scratch.write_text(result.html(), encoding="utf-8")
+    return result
+
+
+def spectrum(
+    dataset: Any,
+    *,
+    model: str | None = None,
+    undriven: Sequence[str] = (),
+    segment: int | None = None,
+    out: str | Path | None = None,
+    force: bool = False,
+) -> Spectrum:
+    """Return the frequency response that the estimation records of a data set show.
+
+    Parameters
+    ----------
+    dataset : path or table
+        As for ``identify``.
+    model, undriven
+        As for ``identify``.
+    segment : int, optional
+        Samples of a segment of Welch's method.
+    out : path, optional
+        Picture to write: ``.svg``, ``.png`` or ``.pdf``.
+    force : bool
+        Overwrite ``out`` if it exists.
+
+    Raises
+    ------
+    InputError
+        If the records have no input, or are too short.
+    """
+    from harness import comparison as room
+    from harness.data import load_dataset
+    from harness.data.whole_files import whole_file
+
+    if out is not None:
+        _refuse_overwrite(Path(out), force=force)
+        if Path(out).suffix not in (".svg", ".png", ".pdf"):
+            raise InputError(
+                "output file", expected="a name that ends in .svg, .png or .pdf", got=str(out), remedy="rename it"
+            )
+    data = load_dataset(registry.dataset_path(dataset), model=model, undriven=undriven).dataset
+    found = room.spectrum([one.measured() for one in data.estimation], segment=segment)
+    if out is not None:
+        with whole_file(out) as scratch:
+            found.plot().savefig(scratch, format=Path(out).suffix[1:])
+    return found
 
 
 def check(name: str) -> list[CheckResult]:

@@ -28,6 +28,7 @@ from harness.terminal import (
     print_json,
     print_parts,
     print_planned,
+    print_rows,
     progress_bar,
     say,
     seed_range,
@@ -61,7 +62,7 @@ Undriven = Annotated[
 
 @app.command(name="list")
 def list_command(
-    what: Annotated[str | None, typer.Argument(help=f"{' | '.join(api.LISTED)} | FILE.fmu")] = None,
+    what: Annotated[str | None, typer.Argument(help=f"{' | '.join(api.LISTED)} | ID | FILE.fmu")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Show what is registered, or what is in an FMU."""
@@ -71,6 +72,13 @@ def list_command(
             print_json(description)
         else:
             print_fmu(description)
+        return
+    if what is not None and what not in api.LISTED and (part := api.describe_part(what)) is not None:
+        if as_json:
+            print_json(part)
+            return
+        say(f"{part['id']} ({part['kind'][:-1]} of {part['distribution']}): {part['text']}")
+        print_rows(part["options"])
         return
     parts = api.list_parts(what)
     if as_json:
@@ -246,6 +254,61 @@ def identify(
         say(f"wrote {out}")
 
 
+@app.command()
+def compare(
+    files: Annotated[list[str], typer.Argument(metavar="MODEL... DATASET", help="model.json files, then the data set")],
+    model: ModelName = None,
+    validation: Validation = None,
+    undriven: Undriven = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="page.html")] = None,
+    trust: Annotated[bool, typer.Option("--trust", help="run the Python file that a model.json names")] = False,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Put stored models side by side on one data set: fit, residuals, frequency responses."""
+    if len(files) < 2:
+        raise InputError(
+            "what to compare", expected="MODEL... DATASET", got=" ".join(files), remedy="give a model and a data set"
+        )
+    found = api.compare(
+        files[:-1],
+        files[-1],
+        model=model,
+        validation=validation,
+        undriven=undriven or (),
+        out=out,
+        trust=trust,
+        force=force,
+    )
+    if as_json:
+        print_json(found.rows())
+    else:
+        print_rows(found.rows())
+    if out is not None:
+        say(f"wrote {out}")
+
+
+@app.command()
+def spectrum(
+    dataset: Annotated[str, typer.Argument(metavar="DATASET", help="dataset.toml, CSV, Parquet, or a recording")],
+    model: ModelName = None,
+    undriven: Undriven = None,
+    segment: Annotated[int | None, typer.Option(min=16, help="samples of a segment of Welch's method")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Show the frequency response in the data, with bands and coherence."""
+    found = api.spectrum(dataset, model=model, undriven=undriven or (), segment=segment, out=out, force=force)
+    if as_json:
+        print_json(found.rows(64))
+    else:
+        say(f"{found.averages:.0f} averages; deviation is one standard deviation of the magnitude")
+        print_rows(found.rows())
+    if out is not None:
+        say(f"wrote {out}")
+
+
 @app.command(name="close-loop")
 def close_loop(
     dataset: Annotated[str, typer.Argument(metavar="DATASET|RECORDING", help="see sysid list recordings")],
@@ -390,6 +453,20 @@ def check(
             got=f"{len(failed)} failed ({', '.join(failed)})",
             remedy="see the reasons above",
         )
+
+
+@app.command()
+def new(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="identifier | plant | scenario | effect | model")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="its id, such as soft-friction")],
+    folder: Annotated[Path, typer.Option(help="where sysid-NAME/ is made")] = Path("."),
+) -> None:
+    """Begin a plug-in: a distribution of its own that works and passes its checks."""
+    from harness.scaffold import new as begin
+
+    for path in begin(kind, name, folder=folder):
+        say(f"wrote {path}")
+    say(f"now: cd {folder / f'sysid-{name}'} && pip install -e . && sysid check {name}")
 
 
 @app.callback(invoke_without_command=True)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from importlib import import_module
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -233,6 +234,19 @@ class Trajectory:
     def __str__(self) -> str:
         return f"{len(self)} samples over {self.duration:g} s: {self.spec}"
 
+    def __repr__(self) -> str:
+        return f"<Trajectory: {self}>"
+
+    def _repr_html_(self) -> str:
+        display = import_module("harness.display")
+        lines = [(channel, self.u[:, k]) for k, channel in enumerate(self.spec.inputs)]
+        lines += [(channel, self.y[:, k]) for k, channel in enumerate(self.spec.outputs)]
+        return str(display.page(str(self), *(display.drawing(values, str(channel)) for channel, values in lines)))
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw inputs and outputs over time; returns the matplotlib figure (see :mod:`harness.plots`)."""
+        return import_module("harness.plots").plot_trajectory(self, axes)
+
     @property
     def duration(self) -> float:
         """Seconds from the first sample to the last."""
@@ -336,6 +350,20 @@ class Dataset:
 
     def __iter__(self) -> Iterator[Run]:
         return iter(self.runs)
+
+    def __str__(self) -> str:
+        uses = [f"{len(self.using(use))} {use}" for use in ("estimation", "validation", "test") if self.using(use)]
+        return f"{self.name}: {', '.join(uses)} runs, {self.spec}"
+
+    def __repr__(self) -> str:
+        return f"<Dataset {self}>"
+
+    def _repr_html_(self) -> str:
+        display = import_module("harness.display")
+        rows = [(k, r.use, r.label, len(r.trajectory), f"{r.trajectory.duration:g}") for k, r in enumerate(self.runs)]
+        runs = display.table(["run", "use", "label", "samples", "seconds"], rows)
+        notes = display.table(["what was noticed"], [[text] for text in self.warnings]) if self.warnings else ""
+        return str(display.page(str(self), runs, notes))
 
 
 def residual(outputs: Sequence[Channel], measured: FloatArray, predicted: FloatArray) -> FloatArray:

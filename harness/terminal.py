@@ -35,6 +35,7 @@ __all__ = [
     "print_json",
     "print_parts",
     "print_planned",
+    "print_rows",
     "progress_bar",
     "say",
     "seed_range",
@@ -245,6 +246,22 @@ def print_planned(found: Planned) -> None:
         say(f"cannot be told apart: {one} and {other} ({cosine:.3f})")
     for hidden in found.hidden:
         say(f"not visible: {hidden['name']}@{hidden['at']}: {hidden['reason']}")
+
+
+def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print rows of one shape as a table."""
+    from rich.table import Table
+
+    shown = Table(box=None, padding=(0, 2, 0, 0))
+    for name in rows[0] if rows else ():
+        shown.add_column(name.replace("_", " "), overflow="fold")
+    words = {True: "yes", False: "no"}
+    for row in rows:
+        cells = [
+            words[v] if isinstance(v, bool) else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()
+        ]
+        shown.add_row(*cells)
+    wide_console().print(shown)
 
 
 def print_identified(fitted: Identified, identifier: str) -> None:

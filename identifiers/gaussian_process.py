@@ -19,6 +19,9 @@ __all__ = ["GaussianProcess", "GaussianProcessModel", "Kernel", "Posterior"]
 _JITTER = 1e-10
 """Relative to the prior variance; keeps Cholesky factors of noise-free data real, and sets the least noise with it."""
 
+_NO_SLOPE = -16.0
+"""Logarithm of the linear term's size where there is none: 1e-7 standard deviations of the targets."""
+
 _CANDIDATES = 4000
 """Samples among which inducing points are chosen."""
 
@@ -28,10 +31,9 @@ _BLOCK = 2048
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """Squared exponential with a length for each regressor, plus a linear term: ``sf^2 exp(-r^2/2) + sl^2 (1 + x x')``.
+    """Squared exponential with a length for each regressor, and a line: ``sf^2 exp(-r^2/2) + sl^2 (1 + x x')``.
 
-    Rasmussen and Williams 2006, *Gaussian Processes for Machine Learning*, eq. 5.1 with 4.15's linear kernel beside it,
-    so that far from the data the function is affine and not zero.
+    Rasmussen and Williams 2006, *Gaussian Processes for Machine Learning*, eq. 5.1 and, for the line, sec. 4.2.2.
 
     Parameters
     ----------
@@ -181,11 +183,15 @@ class GaussianProcess:
         Samples up to which the process is exact.
     inducing : int
         Inducing points beyond that.
+    affine : bool
+        Add a linear term to the kernel. Free runs then leave the data on straight lines instead of turning back to the
+        mean, but the bands hardly widen there: what is nearly affine where it was seen is taken for affine everywhere.
     """
 
     order: int = 1
     exact: int = 500
     inducing: int = 200
+    affine: bool = False
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> GaussianProcessModel:
         """Return the model; lengths and noise stand in its notes, in the units of the data."""
@@ -200,6 +206,8 @@ class GaussianProcess:
         records, spec = usable(trajectories, samples=self.order + 2, what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
+        # Samples are drawn by row: in whatever order records come, they make the same model.
+        records.sort(key=lambda one: (len(one), one.y.tobytes()))
         rows, later = regression_data(records, self.order)
         if len(rows) < rows.shape[1] + 3:
             raise FitError(
@@ -216,7 +224,7 @@ class GaussianProcess:
         pool = np.sort(rng.choice(len(x), size=min(len(x), _CANDIDATES), replace=False))
         posteriors = []
         for column in range(spec.ny):
-            kernel = _likeliest(x[few], y[few, column])
+            kernel = _likeliest(x[few], y[few, column], self.affine)
             if whole:
                 posteriors.append(_exact(kernel, x, y[:, column]))
             else:
@@ -231,16 +239,17 @@ class GaussianProcess:
         return GaussianProcessModel(spec, self.order, scaling, tuple(posteriors), notes=notes)
 
 
-def _likeliest(x: FloatArray, y: FloatArray) -> Kernel:
+def _likeliest(x: FloatArray, y: FloatArray, affine: bool) -> Kernel:
     """Return the kernel with the largest marginal likelihood, from a smooth and from a rough start."""
     from scipy.optimize import minimize
 
     p = x.shape[1]
     best: tuple[float, FloatArray] | None = None
     # Lengths beyond 1e4 standard deviations make no difference; noise below 1e-5 of the targets is rounding.
-    bounds = [(np.log(1e-2), np.log(1e4))] * p + [(-9.0, 7.0), (-9.0, 7.0), (np.log(1e-5), np.log(3.0))]
+    slopes = (-9.0, 7.0) if affine else (_NO_SLOPE, _NO_SLOPE)
+    bounds = [(np.log(1e-2), np.log(1e4))] * p + [(-9.0, 7.0), slopes, (np.log(1e-5), np.log(3.0))]
     for length, noise in ((3.0, 0.05), (1.0, 0.3)):
-        start = np.log(np.concatenate([np.full(p, length), [1.0, 0.5, noise]]))
+        start = np.log(np.concatenate([np.full(p, length), [1.0, 0.5 if affine else np.exp(_NO_SLOPE), noise]]))
         found = minimize(
             _evidence, start, args=(x, y), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 80}
         )

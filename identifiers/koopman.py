@@ -15,9 +15,10 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.arx import solution_notes
 from identifiers.excitation import Columns, refuse_feedback
+from identifiers.normal import NormalEquations
 from identifiers.records import moving, real_signals, usable
 from identifiers.regression import solve
-from identifiers.sparse import NormalEquations, eliminate
+from identifiers.sparse import eliminate
 
 __all__ = ["Dictionary", "Edmdc", "KoopmanModel", "register_functions", "registered"]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,38 +14,17 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.derivatives import Derivative, derivative_rows, measured_motion, unwrapped
 from identifiers.excitation import refuse_feedback_of_records
 from identifiers.library import Library
+from identifiers.normal import NormalEquations, scaled_equations, solved
 from identifiers.observers import alpha_beta_gains, best_gain
 from identifiers.records import moving, real_signals, usable
+from identifiers.selection import best_subset, ensemble, lasso
 from identifiers.sparse_model import SparseModel
 
 __all__ = ["NormalEquations", "SparseModel", "Stlsq", "eliminate", "stlsq"]
 
 Time = Literal["continuous", "discrete"]
-Blocks = Iterable[tuple[FloatArray, FloatArray]]
 
 _BLOCK = 8192
-_POOR = 1e-12  # squared condition number beyond which the Gram matrix has lost all digits
-
-
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
-    """``gram`` (p, p), ``right`` (p, m), ``square`` (m,) of a regression, summed over ``rows`` rows in blocks."""
-
-    gram: FloatArray
-    right: FloatArray
-    square: FloatArray
-    rows: int
-
-    @classmethod
-    def of(cls, blocks: Blocks, p: int, m: int) -> NormalEquations:
-        """Return the sums over blocks ``(Phi (p, n), target (m, n))``; memory stays that of one block."""
-        gram, right, square, rows = np.zeros((p, p)), np.zeros((p, m)), np.zeros(m), 0
-        for phi, target in blocks:
-            gram += phi @ phi.T
-            right += phi @ target.T
-            square += np.einsum("ij,ij->i", target, target)
-            rows += phi.shape[1]
-        return cls(gram, right, square, rows)
 
 
 def stlsq(
@@ -74,7 +53,7 @@ def stlsq(
     >>> stlsq(one, 0.01)[0].ravel().round(12).tolist()
     [0.0, 2.0, 0.0]
     """
-    gram, right, size = _scaled(equations)
+    gram, right, size = scaled_equations(equations)
     p, m = right.shape
     limit = threshold * np.sqrt(equations.square)
     coefficients, support = np.zeros((p, m)), np.zeros((p, m), dtype=bool)
@@ -84,7 +63,7 @@ def stlsq(
             if not keep.any():
                 break
             part = gram[np.ix_(keep, keep)] + ridge * np.eye(int(keep.sum()))
-            own = _solved(part, right[keep, column])
+            own = solved(part, right[keep, column])
             # columns have unit length: a coefficient is the length of its term's contribution
             smaller = keep.copy()
             smaller[keep] = np.abs(own) > limit[column]
@@ -92,7 +71,7 @@ def stlsq(
                 break
             keep = smaller
         if keep.any():
-            coefficients[keep, column] = _solved(gram[np.ix_(keep, keep)], right[keep, column])
+            coefficients[keep, column] = solved(gram[np.ix_(keep, keep)], right[keep, column])
         support[:, column] = keep
     return coefficients / size[:, None], support
 
@@ -119,7 +98,7 @@ def eliminate(equations: NormalEquations, threshold: float) -> tuple[FloatArray,
     >>> eliminate(one, 0.01)[0].ravel().round(9).tolist()
     [0.0, 2.0, 0.0]
     """
-    gram, right, size = _scaled(equations)
+    gram, right, size = scaled_equations(equations)
     p, m = right.shape
     coefficients, support = np.zeros((p, m)), np.zeros((p, m), dtype=bool)
     start = _independent(gram)
@@ -143,16 +122,9 @@ def eliminate(equations: NormalEquations, threshold: float) -> tuple[FloatArray,
             inverse = inverse[np.ix_(rest, rest)] - np.outer(row, inverse[cheapest, rest])
             keep = [keep[i] for i in rest]
         if keep:
-            coefficients[keep, column] = _solved(gram[np.ix_(keep, keep)], right[keep, column])
+            coefficients[keep, column] = solved(gram[np.ix_(keep, keep)], right[keep, column])
         support[keep, column] = True
     return coefficients / size[:, None], support
-
-
-def _scaled(equations: NormalEquations) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return Gram matrix and right-hand side of columns scaled to unit length, and their lengths."""
-    size = np.sqrt(np.diag(equations.gram))
-    size = np.where(size > 0, size, 1.0)
-    return equations.gram / np.outer(size, size), equations.right / size[:, None], size
 
 
 def _independent(gram: FloatArray) -> list[int]:
@@ -169,14 +141,6 @@ def _independent(gram: FloatArray) -> list[int]:
             factor[k, :k], factor[k, k] = row, np.sqrt(rest)
             kept.append(j)
     return kept
-
-
-def _solved(gram: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the least-norm solution of normal equations with unit diagonal."""
-    values, vectors = np.linalg.eigh(gram)
-    good = values > _POOR * values[-1]
-    found: FloatArray = vectors[:, good] @ ((vectors[:, good].T @ right) / values[good])
-    return found
 
 
 @dataclass(frozen=True)
@@ -204,9 +168,14 @@ class Stlsq:
         Sines and cosines of so many multiples of every angle (a periodic output).
     trigonometric : bool
         Sines and cosines of every output, periodic or not.
-    rule : {"eliminate", "threshold"}
+    rule : {"eliminate", "threshold", "lasso", "subset"}
         Terms leave one by one, always the one that is missed least (:func:`eliminate`), which bears nearly dependent
-        functions; or all those below the threshold at once, the classical rule (:func:`stlsq`).
+        functions; or all those below the threshold at once, the classical rule (:func:`stlsq`); or the model of least
+        extended BIC on the LASSO path (:func:`identifiers.selection.lasso`); or the best subset of up to 12 terms
+        (:func:`identifiers.selection.best_subset`). The last two take no threshold.
+    ensemble : int
+        Repeat the choice on so many bootstrap samples of stretches of the records and keep what most of them choose;
+        the notes hold the inclusion probability of every term that any chose. 0: choose once, from all data.
     ridge : float
         Tikhonov weight of the classical rule while terms are dropped; the last fit is without it.
     iterations : int
@@ -234,7 +203,8 @@ class Stlsq:
     time: Time = "continuous"
     harmonics: int = 1
     trigonometric: bool = False
-    rule: Literal["eliminate", "threshold"] = "eliminate"
+    rule: Literal["eliminate", "threshold", "lasso", "subset"] = "eliminate"
+    ensemble: int = 0
     ridge: float = 1e-6
     iterations: int = 20
     least_excitation: float = 2.0
@@ -248,8 +218,8 @@ class Stlsq:
         moving(records, what)
         refuse_feedback_of_records(records, self.order or 1, self.least_excitation, what)
         if self.time == "discrete" or self.order is not None or _rates_measured(spec):
-            return self._fitted(records, spec, self.order or 1, what)
-        models = [self._fitted(records, spec, order, what) for order in (1, 2)]
+            return self._fitted(records, spec, self.order or 1, what, rng)
+        models = [self._fitted(records, spec, order, what, rng) for order in (1, 2)]
         errors = [_ahead_error(model, records) for model in models]
         best = 0 if errors[0] <= 1.05 * errors[1] else 1
         notes = {**models[best].notes, "order_error": {"1": _json(errors[0]), "2": _json(errors[1])}}
@@ -267,7 +237,8 @@ class Stlsq:
             and self.time in ("continuous", "discrete")
             and (self.half is None or self.half >= 2)
             and self.ridge >= 0
-            and self.rule in ("eliminate", "threshold")
+            and self.rule in ("eliminate", "threshold", "lasso", "subset")
+            and self.ensemble >= 0
         )
         if not fine:
             raise FitError(
@@ -304,10 +275,27 @@ class Stlsq:
                 high = min(low + _BLOCK, len(record) - 1)
                 yield functions(np.hstack([y[low:high], record.u[low:high]]).T), y[low + 1 : high + 1].T
 
-    def _fitted(self, records: Sequence[Trajectory], spec: PlantSpec, order: int, what: str) -> SparseModel:
+    def _choose(self, equations: NormalEquations) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Return coefficients and support by the rule."""
+        if self.rule == "threshold":
+            return stlsq(equations, self.threshold, ridge=self.ridge, iterations=self.iterations)
+        if self.rule == "lasso":
+            return lasso(equations)
+        if self.rule == "subset":
+            return best_subset(equations)
+        return eliminate(equations, self.threshold)
+
+    def _fitted(
+        self, records: Sequence[Trajectory], spec: PlantSpec, order: int, what: str, rng: np.random.Generator
+    ) -> SparseModel:
         """Return the model of one order."""
         library = self._library(spec, order)
-        equations = NormalEquations.of(self._blocks(records, library, order), len(library), spec.ny)
+        blocks = self._blocks(records, library, order)
+        pieces = [] if not self.ensemble else NormalEquations.in_pieces(blocks, len(library), spec.ny)
+        if pieces:
+            equations = NormalEquations.sum(pieces, np.ones(len(pieces), dtype=int))
+        else:
+            equations = NormalEquations.of(blocks, len(library), spec.ny)
         if equations.rows < len(library):
             raise FitError(
                 f"{what}: fewer equations than functions",
@@ -317,10 +305,16 @@ class Stlsq:
             )
         if not (np.isfinite(equations.gram).all() and np.isfinite(equations.right).all()):
             raise FitError(f"{what}: functions overflow", expected="finite", got="inf", remedy="scale the signals")
-        if self.rule == "threshold":
-            coefficients, support = stlsq(equations, self.threshold, ridge=self.ridge, iterations=self.iterations)
+        inclusion: dict[str, list[dict[str, float]]] = {}
+        if pieces:
+            found = ensemble(pieces, self._choose, self.ensemble, rng)
+            coefficients, support = found.coefficients, found.support
+            inclusion["inclusion"] = [
+                {name: float(share) for name, share in zip(library.names, column, strict=True) if share > 0}
+                for column in found.inclusion.T
+            ]
         else:
-            coefficients, support = eliminate(equations, self.threshold)
+            coefficients, support = self._choose(equations)
         scaled = np.sqrt(np.clip(np.diag(equations.gram), 1e-300, None))
         values = np.linalg.eigvalsh(equations.gram / np.outer(scaled, scaled))
         lost = equations.square - 2 * np.einsum("ij,ij->j", coefficients, equations.right)
@@ -331,6 +325,7 @@ class Stlsq:
             "condition": float(np.sqrt(values[-1] / max(values[0], 1e-32))),
             "residual": (np.sqrt(np.clip(lost, 0, None)) / np.sqrt(np.clip(equations.square, 1e-300, None))).tolist(),
             "rows": equations.rows,
+            **inclusion,
         }
         model = SparseModel(
             spec, library, coefficients.T, order, self.time, _range(records, order), _identity(spec, order), notes=notes

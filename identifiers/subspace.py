@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
 from harness.errors import FitError
 from harness.lqr import spectral_radius
+from harness.scoring import simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.excitation import feedback_of
 from identifiers.filters import stationary_gain
@@ -26,6 +27,10 @@ __all__ = ["HoKalman", "markov_parameters", "observer_markov", "realize"]
 
 # Outputs are not told apart by noise below this fraction of their size.
 _QUIET = 1e-6
+# Memories of the observer that are tried.
+OBSERVERS = (2, 4, 6, 8, 12, 20, 30)
+# An observer must have so many equations for each parameter, and beat the direct estimate by more than chance does.
+_ROWS, _NEAR = 10, 1.01
 
 
 def realize(
@@ -109,9 +114,11 @@ class HoKalman:
         State dimension; by default from the largest gap of the Hankel singular values.
     rows : int, optional
         Block rows of the Hankel matrix.
-    observer : int, optional
+    observer : int or "auto", optional
         Memory of an observer through which the Markov parameters are estimated (OKID), instead of directly: the
-        response need not have died away, and the model gets the filter gain of the noise in the data.
+        response need not have died away, and the model gets the filter gain of the noise in the data. ``"auto"`` takes
+        the memory, or the direct estimate, whose model simulates held-out records best (the last third of them, or of
+        each where there are less than three); the direct one where it is within 1 %.
     offset : bool
         Fit a constant output too.
     direct : bool
@@ -136,7 +143,7 @@ class HoKalman:
     markov: int = 100
     order: int | None = None
     rows: int | None = None
-    observer: int | None = None
+    observer: int | Literal["auto"] | None = None
     offset: bool = True
     direct: bool = False
     stable: bool = False
@@ -148,6 +155,8 @@ class HoKalman:
         real_signals(spec, what)
         if spec.nu == 0:
             raise FitError(f"{what}: no input", expected="an input", got="none", remedy="use dmdc for free motion")
+        if self.observer == "auto":
+            return self._chosen(records, what, rng)
         if self.markov < 3 or (self.observer is not None and self.observer < 1):
             raise FitError(
                 f"{what}: options",
@@ -192,6 +201,37 @@ class HoKalman:
         d = response[0] if self.direct else np.zeros((spec.ny, spec.nu))
         model = LinearModel(spec, a, b, c, d, gain, np.zeros(a.shape[0]), level, notes=notes)
         return model.in_units(scaling)
+
+    def _chosen(self, records: Sequence[Trajectory], what: str, rng: np.random.Generator) -> LinearModel:
+        """Return the model whose memory of the observer simulates held-out data best."""
+        if len(records) >= 3:
+            few = 2 * len(records) // 3
+            learn, judge = list(records[:few]), list(records[few:])
+        else:
+            learn = [one[: 2 * len(one) // 3] for one in records]
+            judge = [one[2 * len(one) // 3 :] for one in records]
+        errors: dict[str, float] = {}
+        refused: FitError | None = None
+        spec = records[0].spec
+        for observer in (None, *OBSERVERS):
+            if observer is not None and _ROWS * observer * (spec.ny + spec.nu) > sum(map(len, learn)):
+                break
+            try:
+                model = replace(self, observer=observer).fit(learn, rng=rng)
+            except FitError as error:
+                refused = error
+                continue
+            wrong = np.array([simulation_error(model, one).nrmse for one in judge])
+            wanting = float(np.sqrt(np.mean(wrong**2)))
+            errors["direct" if observer is None else str(observer)] = wanting if np.isfinite(wanting) else 1e300
+        if not errors:
+            assert refused is not None
+            raise refused
+        best = min(errors, key=lambda name: errors[name])
+        if errors.get("direct", np.inf) <= _NEAR * errors[best]:
+            best = "direct"
+        model = replace(self, observer=None if best == "direct" else int(best)).fit(records, rng=rng)
+        return replace(model, notes={**model.notes, "observer": best, "observer_error": errors})
 
 
 def observer_markov(

@@ -152,8 +152,8 @@ def run_as_is(
         notes.append(f"the run ends at t = {at:g} s of {end:g} s ({len(rows)} of {count} samples are kept): {ended}")
     elif kind == "me" and tolerance is None and wanted is not None:
         notes += _dominated(made, starts, rows, wanted)
-    time = np.arange(len(rows)) * spec.sample_time
-    inputs = np.tile(starts, (len(rows), 1))
+    time: FloatArray = np.arange(len(rows), dtype=np.float64) * spec.sample_time
+    inputs: FloatArray = np.tile(starts, (len(rows), 1))
     return AsIs(Trajectory(time, inputs, rows, spec), first, tuple(notes), ended)
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from harness.errors import InputError
-from harness.signals import PlantSpec
+from harness.signals import FloatArray, PlantSpec
 
 if TYPE_CHECKING:
     from harness.physics.urdf import Arm
 
-__all__ = ["arm_of"]
+__all__ = ["arm_of", "damping_of"]
 
 
 def arm_of(urdf: str | Path | None, spec: PlantSpec) -> Arm:
@@ -25,7 +25,7 @@ def arm_of(urdf: str | Path | None, spec: PlantSpec) -> Arm:
     """
     from harness.physics.urdf import load_urdf
 
-    path = urdf if urdf is not None else _iiwa_urdf(spec)
+    path = _path(urdf, spec)
     arm = load_urdf(path)
     if arm.n != spec.nu:
         raise InputError(
@@ -37,6 +37,17 @@ def arm_of(urdf: str | Path | None, spec: PlantSpec) -> Arm:
             place="urdf",
         )
     return arm
+
+
+def damping_of(urdf: str | Path | None, spec: PlantSpec) -> FloatArray:
+    """Return the damping (n,) that the URDF of :func:`arm_of` states."""
+    from harness.physics.arm import load_arm
+
+    return load_arm(_path(urdf, spec)).damping
+
+
+def _path(urdf: str | Path | None, spec: PlantSpec) -> Path:
+    return Path(urdf) if urdf is not None else _iiwa_urdf(spec)
 
 
 def _iiwa_urdf(spec: PlantSpec) -> Path:

@@ -77,7 +77,7 @@ class ArmTracking(Conditions):
                 remedy="use an arm, or an open-loop scenario",
             )
         n = self.length(spec)
-        reference, posture = self._reference(n, spec, positions, rng=streams(f"{role}/excitation"))
+        reference, posture = self._planned(n, spec, positions, rng=streams(f"{role}/excitation"))
         law = self.law(spec)
         controller = _Tracking(spec, positions, rates if len(rates) == spec.nu else [], reference, law, self.cutoff)
         excitation = np.zeros((n, spec.nu))
@@ -106,10 +106,14 @@ class ArmTracking(Conditions):
             return self.inverse_dynamics
         return arm_of(self.urdf, spec).inverse_dynamics
 
-    def _reference(
+    def _planned(
         self, n: int, spec: PlantSpec, positions: list[int], *, rng: np.random.Generator
     ) -> tuple[FloatArray, FloatArray | None]:
-        """Return position, rate and acceleration about the start, (3, n, joints), and a start that is wanted."""
+        """Return the reference about the start, (3, n, joints), and the posture to start from if one is wanted."""
+        return self._reference(n, spec, positions, rng=rng), None
+
+    def _reference(self, n: int, spec: PlantSpec, positions: list[int], *, rng: np.random.Generator) -> FloatArray:
+        """Return position, rate and acceleration about the start, shape (3, n, joints)."""
         channels = tuple(spec.outputs[i] for i in positions)
         peaks = per_channel(self.amplitude, channels, "amplitude")
         if not 0 < self.band[0] <= self.band[1] or self.lines < 1 or self.fade <= 0:
@@ -119,7 +123,7 @@ class ArmTracking(Conditions):
                 got=f"band {self.band}, lines {self.lines}, fade {self.fade}",
                 remedy="correct the options",
             )
-        t = np.arange(n) * spec.sample_time
+        t: FloatArray = np.arange(n, dtype=np.float64) * spec.sample_time
         omega = 2 * np.pi * np.linspace(self.band[0], self.band[1], self.lines)
         moves = np.zeros((3, n, len(positions)))
         for joint, peak in enumerate(peaks):
@@ -129,7 +133,7 @@ class ArmTracking(Conditions):
             moves[0, :, joint] = np.sin(angle) @ shares
             moves[1, :, joint] = np.cos(angle) @ (shares * omega)
             moves[2, :, joint] = -np.sin(angle) @ (shares * omega**2)
-        return self.faded(t, moves), None
+        return self.faded(t, moves)
 
     def faded(self, t: FloatArray, moves: FloatArray) -> FloatArray:
         """Return position, rate and acceleration (3, N, joints) about the start, faded in smoothly."""

@@ -31,6 +31,9 @@ Criterion = Callable[[FloatArray], float]
 FORBIDDEN = 1e9
 """Cost of a reference that breaks a limit, before the size of the breach: above any condition number in doubles."""
 
+PROMISING = 4
+"""Starts that are searched from before one is chosen."""
+
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
@@ -253,16 +256,24 @@ def design_reference(
 
     trials = [draw() for _ in range(max(1, starts))]
     costs = [cost(raw) for raw in trials]
-    best, value = trials[int(np.argmin(costs))], min(costs)
-    first, size = value, 0.3
-    for _ in range(steps):
-        mask = rng.random(best.shape) < 0.3
-        trial = best + size * mask * rng.standard_normal(best.shape) * half[:, None]
-        new = cost(trial)
-        if new < value:
-            best, value, size = trial, new, size * 1.22
-        else:
-            size = max(size * 0.951, 1e-3)
+    order = np.argsort(costs)
+    first = costs[int(order[0])]
+
+    def searched(best: FloatArray, value: float, size: float, count: int) -> tuple[float, FloatArray, float]:
+        for _ in range(count):
+            mask = rng.random(best.shape) < 0.3
+            trial = best + size * mask * rng.standard_normal(best.shape) * half[:, None]
+            new = cost(trial)
+            if new < value:
+                best, value, size = trial, new, size * 1.22
+            else:
+                size = max(size * 0.951, 1e-3)
+        return value, best, size
+
+    # A few of the best starts go some way, because the search ends where it began; the best of them goes on.
+    few = [searched(trials[k], costs[k], 0.3, steps // (2 * PROMISING)) for k in order[:PROMISING]]
+    value, best, size = min(few, key=lambda one: one[0])
+    value, best, _ = searched(best, value, size, steps - len(few) * (steps // (2 * PROMISING)))
     if value >= FORBIDDEN:
         raise InputError(
             "design of an experiment",

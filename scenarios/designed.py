@@ -8,8 +8,8 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.signals import FloatArray, PlantSpec
-from scenarios.arm_models import arm_of
-from scenarios.closed_loop import ArmComputedTorque
+from scenarios.arm_models import arm_of, damping_of
+from scenarios.closed_loop import ArmComputedTorque, InverseDynamics
 from scenarios.design import Design, JointLimits, design_reference
 
 __all__ = ["ArmDesigned"]
@@ -46,7 +46,7 @@ class ArmDesigned(ArmComputedTorque):
     margin: float = 0.95
     lowest: float | None = None
     starts: int = 20
-    steps: int = 600
+    steps: int = 2000
 
     def design(self, spec: PlantSpec, *, rng: np.random.Generator) -> Design:
         """Return the designed reference and its condition number."""
@@ -83,7 +83,15 @@ class ArmDesigned(ArmComputedTorque):
             rng=rng,
         )
 
-    def _reference(
+    def model(self, spec: PlantSpec) -> InverseDynamics:
+        """Return the inverse dynamics of the controller, with the damping that the URDF states: wrists are light."""
+        rigid = super().model(spec)
+        if self.inverse_dynamics is not None:
+            return rigid
+        damping = damping_of(self.urdf, spec)
+        return lambda q, v, a: rigid(q, v, a) + damping * v
+
+    def _planned(
         self, n: int, spec: PlantSpec, positions: list[int], *, rng: np.random.Generator
     ) -> tuple[FloatArray, FloatArray | None]:
         """Return position, rate and acceleration about the first posture, (3, n, joints), and that posture."""

@@ -73,6 +73,7 @@ class SignalSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     scale: float = 1.0
     offset: float = 0.0
     noise: float | None = None
+    categories: int | None = None
 
 
 class TimeSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

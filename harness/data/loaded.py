@@ -74,6 +74,12 @@ class LoadedDataset:
         model = "no nominal model" if self.nominal is None else f"nominal model {self.nominal.model}"
         return f"{self.dataset.name}: {self.dataset.spec}; {', '.join(uses)} runs; {model}"
 
+    def __repr__(self) -> str:
+        return f"<LoadedDataset {self}>"
+
+    def _repr_html_(self) -> str:
+        return self.dataset._repr_html_()
+
     def system(self) -> System:
         """Return the nominal model, measured as these data are, with what is known of its parameters.
 

@@ -195,6 +195,8 @@ class Plan:
         self.units[name] = unit
         if signal.role == "reference":
             return Channel(name, _si(unit, place))
+        if signal.categories is not None:
+            return self._category(name, label)
         if self.ports is None:
             return Channel(label, _si(unit, place))
         port = self.ports.find(self.port(name), signal.role)
@@ -212,6 +214,23 @@ class Plan:
         if signal.derivative:
             return Channel(label, target)
         return replace(port, name=label)
+
+    def _category(self, name: str, label: str) -> Channel:
+        """Return the channel of a signal whose numbers are names: 0 .. categories - 1."""
+        count, place = self.signal(name).categories, f"signals.{name}.categories"
+        if count is None or count < 2:
+            raise InputError(
+                "categories", expected="their number, at least 2", got=str(count), remedy="correct it", place=place
+            )
+        if self.ports is not None:
+            raise InputError(
+                "categories under a nominal model",
+                expected="a real signal",
+                got=f"{count} categories",
+                remedy="remove the nominal model, or the key",
+                place=place,
+            )
+        return Channel(label, "1", 0, count - 1, kind="category")
 
 
 def _si(unit: str, place: str) -> str:

@@ -48,6 +48,10 @@ def check_run(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> li
         raise InputError(
             "one sample", expected="a record over time", got="1 row", remedy="check rows and discard, or the export"
         )
+    for values, channels in ((trajectory.u, spec.inputs), (trajectory.y, spec.outputs)):
+        for column, channel in enumerate(channels):
+            if channel.kind == "category":
+                _refuse_other_categories(channel, values[:, column])
     still = [not np.ptp(trajectory.y[:, i]) for i in range(spec.ny)]
     if all(still):
         idle = bool(spec.nu) and not np.ptp(trajectory.u, axis=0).any()
@@ -61,7 +65,7 @@ def check_run(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> li
     for i, channel in enumerate(spec.outputs):
         if still[i]:
             notes.append(f"output {channel.name} never moves ({trajectory.y[0, i]:g} {channel.unit})")
-        else:
+        elif channel.kind != "category":
             notes += stuck(channel, trajectory.y[:, i], spec.sample_time)
             notes += saturated(channel, trajectory.y[:, i])
             notes += _out_of_range(channel, trajectory.y[:, i])
@@ -76,6 +80,19 @@ def check_run(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> li
         _refuse_whirling(channel, trajectory.y[:, i])
     notes += swapped_in_and_out(trajectory)
     return notes
+
+
+def _refuse_other_categories(channel: Channel, values: FloatArray) -> None:
+    """Refuse numbers that are no categories of a channel."""
+    wrong = (values != np.round(values)) | (values < 0) | (values > channel.maximum)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(
+            f"category of {channel.name}",
+            expected=f"an integer in 0 .. {channel.maximum:g}",
+            got=f"{values[row]:g} in row {row} of the run",
+            remedy="number the categories from 0 on, and give their number in categories",
+        )
 
 
 def check_runs(runs: Sequence[Run]) -> list[str]:

@@ -170,6 +170,7 @@ def load_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any, load: Any) -
     formula="F = -[1 + a cos(q + phi)] Fc sgn(v), sgn(v) = tanh(v/w)",
     family=("coulomb_friction", "load_dependent_friction", "cogging"),
     nests=("coulomb_friction",),
+    requires={"the level 1 + a cos(q + phi) is nowhere negative": lambda p: abs(p["a"]) <= 1.0},
     angles=True,
     experiment="slow full turns in both directions: the height of the force loop depends on the angle",
 )

@@ -404,7 +404,8 @@ class Likelihood:
         for _ in range(most):
             count += 1
             assert found is not None
-            gradient, matrix = self._derivatives(z, found, entries, exact, deviations)
+            with np.errstate(all="ignore"):
+                gradient, matrix = self._derivatives(z, found, entries, exact, deviations)
             deviations = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
             if not (np.isfinite(gradient).all() and np.isfinite(matrix).all()):
                 message = "derivatives are not finite"
@@ -462,6 +463,8 @@ class Likelihood:
         bound = (z[entries] <= low[entries] + margin) | (z[entries] >= high[entries] - margin)
         inner = ~bound
         covariance = np.zeros_like(matrix)
+        if not np.isfinite(matrix).all():
+            inner = np.zeros_like(bound)
         scaled = matrix[np.ix_(inner, inner)] / np.outer(size[inner], size[inner])
         if inner.any():
             inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) / np.outer(size[inner], size[inner])

@@ -1,6 +1,6 @@
 """Scores: equation error, simulation error, regret of online identifiers, and what a model is worth for control."""
 
-from harness.scoring.control import ControlScore, control_score, linearise
+from harness.scoring.control import ControlRegret, ControlScore, control_regret, control_score, linearise
 from harness.scoring.prediction import (
     Score,
     equation_error,
@@ -11,14 +11,19 @@ from harness.scoring.prediction import (
     states_ahead,
 )
 from harness.scoring.regret import Regret, regret
+from harness.scoring.rounds import Round, interleaved
 
 __all__ = [
+    "ControlRegret",
     "ControlScore",
     "Regret",
+    "Round",
     "Score",
+    "control_regret",
     "control_score",
     "equation_error",
     "errors",
+    "interleaved",
     "linearise",
     "predict",
     "regret",

@@ -17,7 +17,15 @@ from harness.lqr import kalman_gain, lqr_gain, reachable, spectral_radius, stabi
 from harness.protocols import Identifier
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
-__all__ = ["ControlRegret", "ControlScore", "LinearPlantModel", "control_regret", "control_score", "linearise"]
+__all__ = [
+    "ControlRegret",
+    "ControlScore",
+    "LinearPlantModel",
+    "control_regret",
+    "control_score",
+    "in_states",
+    "linearise",
+]
 
 # Variance of the sensors against what a unit disturbance at the inputs does to them within the first samples.
 _SENSOR = 1e-4
@@ -298,7 +306,7 @@ def control_regret(
             record = Trajectory(np.arange(float(k)), inputs[:k], states[:k], spec)
             try:
                 model: Any = identifier.fit([record], rng=rng)
-                new = lqr_gain(*_in_states(model), q, r)
+                new = lqr_gain(*in_states(model), q, r)
             except FitError:
                 new = None
             if new is not None:
@@ -311,8 +319,14 @@ def control_regret(
     return ControlRegret(costs, optimal, tuple(designs))
 
 
-def _in_states(model: Any) -> tuple[FloatArray, FloatArray]:
-    """Return A and B of a model whose outputs are the states, in those."""
+def in_states(model: Any) -> tuple[FloatArray, FloatArray]:
+    """Return A and B of a model whose outputs are the states, in the coordinates of the outputs.
+
+    Raises
+    ------
+    FitError
+        If it has other states than those that are measured.
+    """
     c = np.asarray(model.c_matrix)
     if c.shape[0] != c.shape[1]:
         raise FitError(

@@ -47,6 +47,20 @@ class Score:
     initial_state: str
     samples: int
 
+    def __repr__(self) -> str:
+        how = "free run" if self.horizon is None else f"horizon {self.horizon:g} s"
+        nrmse = ", ".join(f"{value:.4g}" for value in self.nrmse)
+        return f"<Score: NRMSE {nrmse}; {how}, {self.samples} samples, initial state {self.initial_state}>"
+
+    def _repr_html_(self) -> str:
+        from harness.display import page, table
+
+        rows = [
+            (k, f"{rms:.4g}", f"{nrmse:.4g}", f"{fit:.2f}")
+            for k, (rms, nrmse, fit) in enumerate(zip(self.rms, self.nrmse, self.fit_percent, strict=True))
+        ]
+        return page(repr(self).strip("<>"), table(["output", "rms", "NRMSE", "fit %"], rows))
+
     @property
     def fit_percent(self) -> FloatArray:
         """Fit of each output, ``100 (1 - NRMSE)`` (ny,)."""

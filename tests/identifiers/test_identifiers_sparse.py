@@ -9,7 +9,9 @@ from harness.errors import FitError, InputError
 from harness.scoring import simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.library import Library
-from identifiers.sparse import NormalEquations, Stlsq, eliminate, stlsq
+from identifiers.normal import NormalEquations
+from identifiers.selection import best_subset, ensemble, lasso, lasso_path
+from identifiers.sparse import Stlsq, eliminate, stlsq
 
 RNG = np.random.default_rng(0)
 LORENZ = PlantSpec((), tuple(Channel(name) for name in "xyz"), 0.005)
@@ -163,3 +165,92 @@ def test_library_names_values_and_source_agree():
     names: dict = {}
     exec(library.source(coefficients), names)
     assert np.array(names["value"](np.sin, np.cos, *values.T)).T == pytest.approx(rows @ coefficients.T)
+
+
+# ---- LASSO, best subset, ensembles ----
+
+
+def planted(seed: int, *, p: int = 20, n: int = 400, noise: float = 0.1):
+    """Return five of twenty correlated columns plus noise, and the columns."""
+    rng = np.random.default_rng(seed)
+    phi = rng.normal(size=(p, n))
+    phi[1:] += 0.5 * phi[:-1]
+    true = np.zeros(p)
+    true[[2, 5, 7, 11, 18]] = [1.0, -2.0, 0.5, 1.5, -1.0]
+    return phi, true @ phi + noise * rng.normal(size=n), true
+
+
+@pytest.mark.parametrize(
+    "rule", [lasso, best_subset, lambda e: eliminate(e, 0.05)], ids=["lasso", "subset", "eliminate"]
+)
+def test_every_rule_finds_five_of_twenty(rule):
+    """Item 16: exact support 5 of 20."""
+    exact = 0
+    for seed in range(10):
+        phi, y, true = planted(seed)
+        coefficients, support = rule(NormalEquations.of([(phi, y[None])], 20, 1))
+        exact += bool(np.array_equal(support[:, 0], true != 0))
+        assert np.abs(coefficients[:, 0] - true).max() < 0.06
+    assert exact >= 8
+
+
+def test_the_lasso_path_satisfies_its_optimality_conditions():
+    phi, y, _ = planted(0)
+    length = np.linalg.norm(phi, axis=1)
+    scaled = phi / length[:, None]
+    gram, right = scaled @ scaled.T, scaled @ y
+    penalties = np.abs(right).max() * np.array([1.0, 0.5, 0.1, 0.01])
+    for penalty, own in zip(penalties, lasso_path(gram, right, penalties), strict=True):
+        slope = right - gram @ own
+        assert np.all(np.abs(slope) <= penalty * (1 + 1e-5))
+        assert slope[own != 0] == pytest.approx(penalty * np.sign(own[own != 0]), rel=1e-5)
+
+
+def test_best_subset_is_the_best_of_all(monkeypatch):
+    from itertools import combinations
+    from math import comb
+
+    import identifiers.selection as room
+
+    phi, y, _ = planted(3, n=60, noise=2.0)
+    phi = phi[:9]
+    equations = NormalEquations.of([(phi, y[None])], 9, 1)
+
+    def bic(keep):
+        rows = phi[list(keep)]
+        lost = np.sum((y - np.linalg.lstsq(rows.T, y)[0] @ rows) ** 2) if keep else np.sum(y**2)
+        return 60 * np.log(lost) + len(keep) * np.log(60) + 2 * np.log(comb(9, len(keep)))
+
+    best = min((keep for k in range(10) for keep in combinations(range(9), k)), key=bic)
+    assert np.flatnonzero(best_subset(equations)[1][:, 0]).tolist() == list(best)
+    monkeypatch.setattr(room, "_EXHAUSTIVE", 0)
+    exchanged = np.flatnonzero(best_subset(equations)[1][:, 0]).tolist()
+    assert bic(exchanged) <= bic(best) + 2.0
+
+
+def test_an_ensemble_says_how_sure_each_term_is():
+    phi, y, true = planted(1, n=600, noise=1.5)
+    pieces = NormalEquations.in_pieces([(phi, y[None])], 20, 1)
+    whole = NormalEquations.of([(phi, y[None])], 20, 1)
+    again = NormalEquations.sum(pieces, np.ones(len(pieces), dtype=int))
+    assert again.gram == pytest.approx(whole.gram)
+    assert again.rows == whole.rows == 600
+    found = ensemble(pieces, best_subset, 40, np.random.default_rng(0))
+    share = found.inclusion[:, 0]
+    assert share[[2, 5, 11, 18]].min() > 0.9
+    assert share[true == 0].mean() < 0.3
+    assert np.array_equal(found.support[:, 0], share >= 0.5)
+
+
+@pytest.mark.parametrize("rule", ["lasso", "subset"])
+def test_a_swing_is_identified_by_every_rule_with_inclusion_probabilities(rule):
+    rng = np.random.default_rng(0)
+    u, x = np.repeat(rng.normal(size=(80, 1)), 5, axis=0), np.zeros((400, 2))
+    for k in range(399):
+        x[k + 1] = x[k] + 0.1 * np.array([x[k, 1], -x[k, 0] - 0.2 * x[k, 1] + u[k, 0] - 0.3 * x[k, 0] ** 3])
+    spec = PlantSpec((Channel("u"),), (Channel("q"), Channel("v")), 0.1)
+    data = Trajectory(np.arange(400) * 0.1, u, x + 1e-4 * rng.normal(size=x.shape), spec)
+    model = Stlsq(time="discrete", degree=3, rule=rule, ensemble=10).fit([data], rng=np.random.default_rng(1))
+    assert set(model.support[1]) == {"q", "v", "u", "q^3"}
+    assert model.notes["inclusion"][1]["q^3"] == 1.0
+    assert simulation_error(model, data).nrmse.max() < 0.02

@@ -80,7 +80,7 @@ def test_the_iiwa_tracks_its_designed_reference_within_all_limits() -> None:
     from scenarios.arm_models import arm_of
     from scenarios.designed import ArmDesigned
 
-    scenario = ArmDesigned(lowest=0.1, steps=500, duration=12.0)
+    scenario = ArmDesigned(lowest=0.1, duration=12.0)
     with registry.create("plants", "iiwa-bullet", sample_time=0.008, substeps=8) as plant:
         made = scenario.design(plant.spec, rng=Streams("p", "s", 0)("estimation/0/excitation"))
         record = run(plant, scenario, streams=Streams("p", "s", 0), role="estimation/0")

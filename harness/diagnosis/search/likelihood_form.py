@@ -20,19 +20,15 @@ from harness.errors import FitError, HarnessError
 from harness.physics.kalman_pass import Filtered, KalmanPass, Noise
 from harness.physics.latent import with_latent_forces
 from harness.physics.likelihood import Likelihood, LikelihoodFit, NoiseModel, Point
+from harness.physics.likelihood_fit import LONGEST, first_noises, first_state, force_scale, sensor_noise
 from harness.physics.simulator import default_substeps
 from harness.physics.smoother import Smoothed, innovation_response, smoothed
 from harness.physics.start import first_values
-from harness.physics.windows import data_states
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
 __all__ = ["Detail", "LikelihoodForm"]
 
 USES = ("estimation", "validation")
-SHARES = (0.02, 0.3)
-"""Latent forces that a first fit starts from, as shares of the typical force."""
-FADES_AFTER = 20.0
-"""Samples after which the latent force of a first fit has faded."""
 CLOSE = 30.0
 """Log-likelihood within which the second start goes on beside the first."""
 NEGLIGIBLE = 1e-3
@@ -82,12 +78,12 @@ class LikelihoodForm:
         longest = max(len(run) for run in self.records["estimation"]) * self.dt
         y = np.concatenate([run.y for run in self.records["estimation"]])
         self.noise_model = NoiseModel(
-            self._force_scale(),
+            force_scale(system, self.records["estimation"], dataset.intersample),
             np.maximum(y.std(axis=0), 1e-12),
             shortest=self.dt,
-            longest=longest / 5,
+            longest=max(longest / LONGEST, 2 * self.dt),
         )
-        self._first_noise = _sensor_noise(self.records["estimation"])
+        self._first_noise = sensor_noise(self.records["estimation"])
 
     def first_starts(self) -> list[dict[str, float]]:
         """Return parameters to start the nominal fit from: as declared, and where equation errors are least."""
@@ -223,10 +219,11 @@ class LikelihoodForm:
             p = best.point.p.copy()
             for name in own:
                 p[system.parameter_names.index(name)] = part * (2 * np.pi if name.endswith("phi") else longest)
-            point = Point(p, self._starts(system, passes, p, "validation", base), best.point.noise)
-            found = likelihood.maximise(point, free=free, most=25)
-            if chosen is None or found.nll < chosen.nll:
-                chosen = found
+            for origin in dict.fromkeys((base, None)):  # narrow friction may catch one of two starts
+                point = Point(p, self._starts(system, passes, p, "validation", origin), best.point.noise)
+                found = likelihood.maximise(point, free=free, most=25)
+                if chosen is None or found.nll < chosen.nll:
+                    chosen = found
         assert chosen is not None
         return {name: chosen.parameters[name] for name in own}, [-one for one in chosen.terms], chosen.point
 
@@ -236,9 +233,7 @@ class LikelihoodForm:
             noise: Noise = base.detail.points["estimation"].noise
             floor = 1e-3 * self.noise_model.force_scale  # what was lost may be needed now
             return [replace(noise, s=np.maximum(noise.s, floor), w=np.maximum(noise.w, 0.1 * floor))]
-        scale = self.noise_model.force_scale
-        tau = np.full(len(scale), float(np.clip(FADES_AFTER * self.dt, self.dt, self.noise_model.longest)))
-        return [Noise(self._first_noise, share * scale, tau, 0.01 * scale) for share in SHARES]
+        return first_noises(self.noise_model, self._first_noise, self.dt)
 
     def _starts(self, system: Any, passes: KalmanPass, p: FloatArray, use: str, base: Fit | None) -> list[FloatArray]:
         """Return initial states to start from: those of the base, new hidden states where their effects say."""
@@ -248,8 +243,7 @@ class LikelihoodForm:
         for number, record in enumerate(self.records[use]):
             x = np.zeros(passes.start_size)
             if base is None:
-                plain = system.simulator(self.dt, intersample=self.dataset.intersample)
-                x[: self.nominal.nx] = data_states(plain, record[: min(len(record), 400)], p)[0][0][: self.nominal.nx]
+                x[: self.nominal.nx] = first_state(system, record, p, self.dataset.intersample)[: self.nominal.nx]
             else:
                 old = [channel.name for channel in base.system.states]
                 start = base.detail.points[use].x0[number]
@@ -267,17 +261,6 @@ class LikelihoodForm:
                         x[k] = hidden[k - first]
             found.append(x)
         return found
-
-    def _force_scale(self) -> FloatArray:
-        """Return the typical size of the force on every equation of motion, or of every rate."""
-        if self.nominal.coordinates:
-            return np.array([max(self.sizes.get(c.name, {}).get("F", 1.0), 1e-12) for c in self.nominal.coordinates])
-        simulator = self.nominal.simulator(self.dt, intersample=self.dataset.intersample)
-        p = self.nominal.vector()
-        rates = [np.gradient(data_states(simulator, run, p)[0], self.dt, axis=0) for run in self.records["estimation"]]
-        size = np.sqrt(np.mean(np.concatenate(rates) ** 2, axis=0))[: self.nominal.nx]
-        usual = float(size.max()) or 1.0
-        return np.asarray(np.where(size > 1e-9 * usual, size, usual))
 
     # ---- what the score test needs -----------------------------------------------------------------------------------
 
@@ -445,12 +428,3 @@ def _known(system: Any, values: Mapping[str, float]) -> dict[str, float]:
 def _within(system: Any, values: dict[str, float]) -> dict[str, float]:
     """Return values within the bounds."""
     return {one.name: float(np.clip(values[one.name], one.minimum, one.maximum)) for one in system.parameters}
-
-
-def _sensor_noise(records: Sequence[Trajectory]) -> FloatArray:
-    """Return a first guess of the sensor noise: 4th differences, but at least a millionth of the signal."""
-    weights = np.sqrt(70.0)
-    y = [np.diff(run.y, n=4, axis=0) for run in records]
-    found = 1.4826 * np.median(np.abs(np.concatenate(y)), axis=0) / weights
-    spread = np.concatenate([run.y for run in records]).std(axis=0)
-    return np.asarray(np.clip(found, 1e-6 * spread + 1e-15, None))

@@ -17,6 +17,7 @@ from harness.effects.effect import Placed
 __all__ = ["Accepted", "Outcome", "Round", "search"]
 
 Say = Callable[[str], None]
+SECOND = 2
 _MARGIN = 50.0
 """Log-likelihood that first steps may still lack."""
 
@@ -88,15 +89,16 @@ def search(
         rows = [judged([placed], fit, base, nominal, policy) for placed, fit in fits.items()]
         found.rounds.append(Round(base, test, tuple(rows)))
         passed = [one for one in rows if one.passed]
-        if not passed:
-            break
-        best = _answer(passed, policy)
-        _accept(found, best, _ties(best, rows, policy))
-        if len(found.accepted) == 1:
-            _pairs(form, found, rows, nominal, candidates, policy, say)
-        else:
+        if passed:
+            best = _answer(passed, policy)
+            _accept(found, best, _ties(best, rows, policy))
+        if len(found.accepted) > 1 and passed:
             _exchange(form, found, nominal, policy)
             _pruned(form, found, policy)
+        if len(found.rounds) == SECOND and found.accepted:
+            _pairs(form, found, nominal, candidates, policy, say)
+        if not passed:
+            break
     found.nominal = nominal
     return found
 
@@ -163,7 +165,7 @@ def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None
     for rich, simple in [(a, b) for a in fits for b in fits if b.effect.name in a.effect.nests and a.at == b.at]:
         for mine, theirs in ((rich, simple), (simple, rich)):
             fit, other = fits[mine], fits[theirs]
-            if other is None or (fit is not None and fit.penalised > other.penalised - 1.0):
+            if other is None or (fit is not None and _value(fit) > _value(other) - 1.0):
                 continue
             start = dict(other.values)
             for one in mine.effect.parameters:
@@ -172,7 +174,7 @@ def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None
                 elif fit is not None:
                     start[mine.name(one.name)] = fit.values[mine.name(one.name)]
             again = form.fit([*base.effects, mine], [start], other)
-            if again is not None and (fit is None or again.penalised > fit.penalised):
+            if again is not None and (fit is None or _value(again) > _value(fit)):
                 fits[mine] = again
 
 
@@ -220,43 +222,38 @@ def _ties(best: Judged, rows: Sequence[Judged], policy: Policy) -> tuple[tuple[P
     return tuple(tied)
 
 
-def _pairs(
-    form: Form,
-    found: Outcome,
-    rows: Sequence[Judged],
-    nominal: Fit,
-    candidates: Sequence[Placed],
-    policy: Policy,
-    say: Say,
-) -> None:
-    """Try the best rivals of a first answer with a second effect: one law may stand in for two."""
-    answer = found.accepted[0]
-    alone = compared(found.model, nominal, policy).total
-    best: tuple[float, Judged, Placed] | None = None
-    rivals = [one for one in rows if one.fit is not None and one.added[0] is not answer.placed and _physical(one)]
+def _pairs(form: Form, found: Outcome, nominal: Fit, candidates: Sequence[Placed], policy: Policy, say: Say) -> None:
+    """Try the best rivals of the first answer with a second effect: one law may stand in for two."""
+    so_far = compared(found.model, nominal, policy).total
+    present = {str(one) for one in found.model.effects}
+    rivals = [
+        one
+        for one in found.rounds[0].candidates
+        if one.fit is not None and str(one.added[0]) not in present and _physical(one)
+        and _total(one) >= policy.reach * so_far
+    ]  # fmt: skip
+    best: Judged | None = None
     for rival in sorted(rivals, key=lambda one: -_total(one))[: policy.pairs]:
         fit = rival.fit
-        if fit is None or _total(rival) < policy.reach * alone:
-            continue
-        present = str(rival.added[0])
-        leads = score_test(form, fit, [one for one in candidates if str(one) != present], policy).leads
-        for lead in [one for one in leads if one.share >= policy.clear][:2]:
-            if _total(rival) + 2 * lead.penalised < alone + policy.tie:  # both uses gain alike
+        assert fit is not None
+        others = [one for one in candidates if str(one) != str(rival.added[0])]
+        leads = [one for one in score_test(form, fit, others, policy).leads if one.share >= policy.clear]
+        for lead in leads[:2]:
+            if _total(rival) + 2 * lead.penalised < so_far + policy.tie:  # both uses gain alike
                 continue
             say(f"{rival.added[0]} + {lead.placed}")
             pair = form.fit([*fit.effects, lead.placed], [{**fit.values, **lead.start}], fit)
             whole = judged([rival.added[0], lead.placed], pair, nominal, nominal, policy)
             second = judged([lead.placed], pair, fit, nominal, policy)
-            if whole.passed and second.passed and (best is None or _total(whole) > best[0]):
-                best = _total(whole), whole, rival.added[0]
-    if best is None or best[0] < alone + policy.tie:
+            if whole.passed and second.passed and (best is None or _total(whole) > _total(best)):
+                best = whole
+    if best is None or _total(best) < so_far + policy.tie:
         return
-    _, whole, first = best
-    assert whole.fit is not None
-    assert whole.comparison is not None
-    half = 0.5 * whole.comparison.evidence, 0.5 * whole.comparison.validation
-    found.model = whole.fit
-    found.accepted = [Accepted(one, ((one,),), *half) for one in (first, whole.added[1])]
+    assert best.fit is not None
+    assert best.comparison is not None
+    half = 0.5 * best.comparison.evidence, 0.5 * best.comparison.validation
+    found.model = best.fit
+    found.accepted = [Accepted(one, ((one,),), *half) for one in best.added]
 
 
 def _physical(one: Judged) -> bool:

@@ -1,0 +1,252 @@
+"""Models side by side on one data set: fit, residuals, frequency responses, one page."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness import registry
+from harness.comparison.residuals import LAGS, Correlation, correlations
+from harness.comparison.spectra import Spectrum, spectrum
+from harness.display import table
+from harness.errors import HarnessError, InputError
+from harness.protocols import Model
+from harness.scoring import Score, equation_error, predict, simulation_error
+from harness.signals import Dataset, FloatArray, Use, residual
+
+__all__ = ["Compared", "Comparison", "compare", "read_model"]
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One model on one data set: scores by use, and what its one-step residuals still hold.
+
+    Parameters
+    ----------
+    one_step, free_run : dict
+        Scores by use of the data.
+    residuals : dict
+        By output name: correlations on the first validation record (the first estimation record without one).
+    """
+
+    name: str
+    model: Model
+    one_step: dict[Use, list[Score]]
+    free_run: dict[Use, list[Score]]
+    residuals: dict[str, Correlation]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What :func:`compare` returns."""
+
+    dataset: Dataset
+    models: tuple[Compared, ...]
+    spectrum: Spectrum | None
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one row for each model, use and output: fit in per cent, and whether the residual is white."""
+        found = []
+        for one in self.models:
+            for use in one.one_step:
+                for k, channel in enumerate(self.dataset.spec.outputs):
+                    steps = [score.fit_percent[k] for score in one.one_step[use]]
+                    runs = [score.fit_percent[k] for score in one.free_run[use]]
+                    held = one.residuals[channel.name]
+                    found.append(
+                        {
+                            "model": one.name,
+                            "use": use,
+                            "output": channel.name,
+                            "fit_one_step": float(np.mean(steps)),
+                            "fit_free_run": float(np.mean(runs)),
+                            "white": held.white,
+                            "independent": held.independent,
+                        }
+                    )
+        return found
+
+    def __repr__(self) -> str:
+        return f"<Comparison of {', '.join(one.name for one in self.models)} on {self.dataset.name}>"
+
+    def _table(self) -> str:
+        titles = ["model", "use", "output", "fit one step %", "fit free run %", "residual white", "free of the input"]
+        words = {True: "yes", False: "no"}
+        rows = [
+            (
+                *(r[key] for key in ("model", "use", "output")),
+                *(f"{r[key]:.2f}" for key in ("fit_one_step", "fit_free_run")),
+                *(words[r[key]] for key in ("white", "independent")),
+            )
+            for r in self.rows()
+        ]
+        return table(titles, rows)
+
+    def _repr_html_(self) -> str:
+        return self._table()
+
+    def html(self) -> str:
+        """Return the page: table, residual correlations, Bode diagrams with the bands of the data."""
+        figures = [_picture(_residual_figure(self)), *([_picture(_bode_figure(self))] if self.spectrum else [])]
+        names = ", ".join(escape(one.name) for one in self.models)
+        style = "body{font:15px sans-serif;max-width:60em;margin:2em auto;padding:0 1em}td,th{padding:.2em .7em;"
+        style += "text-align:left}img{max-width:100%}div{overflow-x:auto}"
+        return (
+            f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+            f"<title>{names}</title><style>{style}</style><h1>{names} on {escape(self.dataset.name)}</h1>"
+            f"<div>{self._table()}</div><p>Residuals are those of one-step predictions; the shaded regions hold 99 % "
+            f"of the lags of a white residual that is independent of the input.</p>{''.join(figures)}</html>"
+        )
+
+
+def read_model(path: str | Path, *, trust: bool = False) -> Model:
+    """Return a model that ``sysid identify -o`` or ``close-loop`` stored.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or is no model, or names Python code and is not trusted.
+    """
+    from harness.data.ports import runs_python
+
+    path = Path(path)
+    path = path / "model.json" if path.is_dir() else path
+    try:
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
+        kind = content["kind"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            "not a model",
+            expected="model.json of sysid identify -o, or a folder of sysid close-loop",
+            got=f"{type(error).__name__}: {error}",
+            remedy="give the file that sysid identify -o wrote",
+            file=path,
+        ) from error
+    if not trust and isinstance(content.get("model"), str) and runs_python(content["model"]):
+        raise InputError(
+            "a stored model that runs Python code",
+            expected="a model that runs no file, or --trust",
+            got=repr(content["model"]),
+            remedy="if you trust that file, give --trust (in Python trust=True)",
+            file=path,
+            place="model",
+        )
+    known = [entry.id for entry in registry.entries("model_readers")]
+    if kind not in known:
+        raise InputError(
+            "a model that cannot be compared",
+            expected=f"one of {', '.join(known)}",
+            got=repr(kind),
+            remedy="fit another",
+            file=path,
+        )
+    model: Model = registry.load("model_readers", kind).from_dict(content)
+    return model
+
+
+def compare(models: Mapping[str, Model], dataset: Dataset) -> Comparison:
+    """Score models on one data set, and look at what their residuals still hold.
+
+    Parameters
+    ----------
+    models : mapping
+        By name.
+    dataset : Dataset
+
+    Raises
+    ------
+    InputError
+        If a model does not speak the language of the data.
+    """
+    uses: list[Use] = [use for use in ("estimation", "validation", "test") if dataset.using(use)]
+    judged = (dataset.validation or dataset.estimation)[0].measured()
+    found = []
+    for name, model in models.items():
+        try:
+            steps = {use: [equation_error(model, one) for one in dataset.using(use)] for use in uses}
+            runs = {use: [simulation_error(model, one) for one in dataset.using(use)] for use in uses}
+            guess = predict(model, judged, horizon=1)
+        except InputError as error:
+            raise error.located(place=name) from error
+        miss = residual(dataset.spec.outputs, judged.y, np.asarray(guess))[model.burn_in :]
+        kept = np.isfinite(miss).all(axis=1)
+        held = {
+            channel.name: correlations(miss[kept, k], judged.u[model.burn_in :][kept])
+            for k, channel in enumerate(dataset.spec.outputs)
+        }
+        found.append(Compared(name, model, steps, runs, held))
+    try:
+        shown: Spectrum | None = spectrum([one.measured() for one in dataset.estimation])
+    except HarnessError:
+        shown = None  # without an input, or too short: the page goes without
+    return Comparison(dataset, tuple(found), shown)
+
+
+def _residual_figure(found: Comparison) -> Any:
+    """Draw the correlations of every model's residuals."""
+    from matplotlib.figure import Figure
+
+    outputs = [channel.name for channel in found.dataset.spec.outputs]
+    nu = found.dataset.spec.nu
+    figure = Figure(figsize=(10, 1.9 * len(found.models) * len(outputs) + 0.4), layout="constrained")
+    axes = figure.subplots(len(found.models) * len(outputs), 1 + nu, squeeze=False)
+    row = 0
+    for one in found.models:
+        for output in outputs:
+            held = one.residuals[output]
+            axes[row, 0].axhspan(-held.auto_bound, held.auto_bound, color="#dddddd")
+            axes[row, 0].vlines(np.arange(1, LAGS + 1), 0, held.auto[1:], linewidth=2)
+            axes[row, 0].set_title(f"{one.name}: residual of {output} with itself", fontsize=9)
+            for column in range(nu):
+                bound = held.cross_bound[column]
+                axes[row, 1 + column].axhspan(-bound, bound, color="#dddddd")
+                axes[row, 1 + column].vlines(np.arange(-LAGS, LAGS + 1), 0, held.cross[column], linewidth=2)
+                name = found.dataset.spec.inputs[column].name
+                axes[row, 1 + column].set_title(f"{one.name}: residual of {output} with {name}", fontsize=9)
+            row += 1
+    for axis in axes[-1]:
+        axis.set_xlabel("lag [samples]", fontsize=9)
+    return figure
+
+
+def _bode_figure(found: Comparison) -> Any:
+    """Draw what the data show, with its band, and the response of each linear model."""
+    assert found.spectrum is not None
+    figure = found.spectrum.plot()
+    f = found.spectrum.frequency[1:]
+    for one in found.models:
+        answer = _response(one.model, f, found.dataset.spec.sample_time)
+        if answer is not None:
+            for row in range(answer.shape[1]):
+                for column in range(answer.shape[2]):
+                    figure.axes[0].loglog(f, np.abs(answer[:, row, column]), "--", linewidth=1.2, label=one.name)
+                    figure.axes[1].semilogx(
+                        f, np.degrees(np.unwrap(np.angle(answer[:, row, column]))), "--", linewidth=1.2
+                    )
+    figure.axes[0].legend(fontsize=8)
+    return figure
+
+
+def _response(model: Model, frequency: FloatArray, sample_time: float) -> Any:
+    """Return the frequency response (F, ny, nu) of a linear model; None of any other."""
+    parts = [getattr(model, name, None) for name in ("a_matrix", "b_matrix", "c_matrix", "d_matrix")]
+    if any(part is None for part in parts):
+        return None
+    a, b, c, d = (np.asarray(part, dtype=float) for part in parts)
+    z = np.exp(2j * np.pi * frequency * sample_time)
+    return np.array([c @ np.linalg.solve(one * np.eye(len(a)) - a, b) + d for one in z])
+
+
+def _picture(figure: Any) -> str:
+    """Return a figure inlined as SVG."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="svg")
+    return f'<p><img alt="" src="data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"></p>'

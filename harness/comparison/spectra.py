@@ -1,0 +1,199 @@
+"""Frequency responses from records: Welch's averages with coherence and bands, and the empirical transfer function."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.errors import InputError
+from harness.signals import FloatArray, PlantSpec, Trajectory
+
+__all__ = ["Spectrum", "spectrum"]
+
+ComplexArray = npt.NDArray[np.complex128]
+
+OVERLAP = 9.0 / 11.0
+"""Independent averages for each segment at half overlap (Welch 1967, eq. 12: a variance 11/9 times larger)."""
+LEAST = 8
+"""Averages below which bands and coherence say nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Frequency response of a plant as its records show it.
+
+    Parameters
+    ----------
+    spec : PlantSpec
+    frequency : array (F,)
+        [Hz].
+    response : array (F, ny, nu)
+        Output over input, complex, in their units.
+    deviation : array (F, ny, nu)
+        Standard deviation of its magnitude (Bendat and Piersol 2010, eq. 9.90).
+    coherence : array (F, ny)
+        Share of each output that the inputs together explain (multiple coherence), 0 to 1.
+    averages : float
+        Independent averages.
+    etfe : array (F2, ny, nu) or None
+        Empirical transfer function of the longest record (Ljung 1999, eq. 6.24), of plants with one input.
+    etfe_frequency : array (F2,)
+        [Hz].
+    """
+
+    spec: PlantSpec
+    frequency: FloatArray
+    response: ComplexArray
+    deviation: FloatArray
+    coherence: FloatArray
+    averages: float
+    etfe: ComplexArray | None
+    etfe_frequency: FloatArray
+
+    def __repr__(self) -> str:
+        low, high = self.frequency[1], self.frequency[-1]
+        return f"<Spectrum {self.spec}: {low:.3g} to {high:.3g} Hz, {self.averages:.0f} averages>"
+
+    def rows(self, count: int = 16) -> list[dict[str, float | str]]:
+        """Return the response at some frequencies, evenly on a logarithmic scale: magnitude, phase, band, coherence."""
+        wanted = np.geomspace(self.frequency[1], self.frequency[-1], count)
+        picked = np.unique([int(np.argmin(np.abs(self.frequency - one))) for one in wanted])
+        found: list[dict[str, float | str]] = []
+        for k in picked:
+            for row, output in enumerate(self.spec.outputs):
+                for column, source in enumerate(self.spec.inputs):
+                    value = self.response[k, row, column]
+                    found.append(
+                        {
+                            "frequency": float(self.frequency[k]),
+                            "input": source.name,
+                            "output": output.name,
+                            "magnitude": float(abs(value)),
+                            "phase": float(np.degrees(np.angle(value))),
+                            "deviation": float(self.deviation[k, row, column]),
+                            "coherence": float(self.coherence[k, row]),
+                        }
+                    )
+        return found
+
+    def plot(self) -> Any:
+        """Draw magnitude with a band of two standard deviations, phase and coherence; returns the figure."""
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(8, 7), layout="constrained")
+        axes = figure.subplots(3, 1, sharex=True)
+        f = self.frequency[1:]
+        for row, output in enumerate(self.spec.outputs):
+            for column, source in enumerate(self.spec.inputs):
+                value, spread = self.response[1:, row, column], 2 * self.deviation[1:, row, column]
+                size = np.abs(value)
+                (line,) = axes[0].loglog(f, size, linewidth=0.9, label=f"{output.name} / {source.name}")
+                axes[0].fill_between(
+                    f, np.maximum(size - spread, size * 1e-3), size + spread, alpha=0.25, color=line.get_color()
+                )
+                axes[1].semilogx(f, np.degrees(np.unwrap(np.angle(value))), linewidth=0.9)
+            axes[2].semilogx(f, self.coherence[1:, row], linewidth=0.9, label=output.name)
+        for axis, label in zip(axes, ("magnitude", "phase [deg]", "coherence"), strict=True):
+            axis.set_ylabel(label)
+        axes[0].legend(fontsize=8)
+        axes[2].set_ylim(0, 1.02)
+        axes[2].set_xlabel("frequency [Hz]")
+        return figure
+
+
+def spectrum(records: Sequence[Trajectory], *, segment: int | None = None) -> Spectrum:
+    """Return the frequency response that records show, by Welch's method with a Hann window and half overlap.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+        No segment crosses from one to the next.
+    segment : int, optional
+        Samples of a segment; by default a power of two that leaves about 32 averages.
+
+    Raises
+    ------
+    InputError
+        If there is no input, an input never moves, or the records are too short for 8 averages.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel
+    >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 0.1)
+    >>> u = np.random.default_rng(0).normal(size=4000)
+    >>> y = 2.0 * u
+    >>> found = spectrum([Trajectory(np.arange(4000) * 0.1, u[:, None], y[:, None], spec)])
+    >>> bool(np.abs(found.response - 2.0).max() < 1e-9), bool(found.coherence.min() > 0.999)
+    (True, True)
+    """
+    if not records or records[0].spec.nu == 0:
+        raise InputError(
+            "a frequency response", expected="a record with an input", got="none", remedy="record the input as well"
+        )
+    spec = records[0].spec
+    total = sum(len(one) for one in records)
+    n = segment or int(2 ** np.clip(np.floor(np.log2(max(total / 16, 2))), 4, 13))
+    for column, channel in enumerate(spec.inputs):
+        if not any(np.ptp(one.u[:, column]) for one in records):
+            raise InputError(
+                f"input {channel.name} never moves", expected="excitation", got="a constant", remedy="excite it"
+            )
+    window = np.hanning(n + 1)[:-1]
+    suu, syu, syy, count = _averaged(records, n, window)
+    averages = OVERLAP * count if count > 1 else float(count)
+    if averages < max(LEAST, spec.nu + 1):
+        raise InputError(
+            "records too short for a spectrum",
+            expected=f"at least {LEAST} averages over segments of {n} samples",
+            got=f"{averages:.1f} from {total} samples",
+            remedy="record longer, or give a shorter segment (--segment)",
+        )
+    power = np.real(np.trace(suu, axis1=1, axis2=2))[:, None, None] / spec.nu
+    inverse = np.linalg.inv(suu + 1e-12 * power * np.eye(spec.nu))
+    response: ComplexArray = syu @ inverse
+    explained = np.real(np.einsum("fij,fij->fi", syu @ inverse, np.conj(syu)))
+    coherence: FloatArray = np.clip(explained / np.maximum(syy, 1e-300), 0.0, 1.0)
+    noise = np.maximum(syy - explained, 0.0) / max(averages - spec.nu, 1.0)
+    own = np.real(np.einsum("fii->fi", inverse))
+    deviation: FloatArray = np.sqrt(noise[:, :, None] * own[:, None, :] / 2.0)
+    frequency: FloatArray = np.asarray(np.fft.rfftfreq(n, spec.sample_time), dtype=np.float64)
+    longest = max(records, key=len)
+    etfe, etfe_frequency = _etfe(longest) if spec.nu == 1 else (None, np.zeros(0))
+    return Spectrum(spec, frequency, response, deviation, coherence, averages, etfe, etfe_frequency)
+
+
+def _averaged(
+    records: Sequence[Trajectory], n: int, window: FloatArray
+) -> tuple[ComplexArray, ComplexArray, FloatArray, int]:
+    """Return the averages of U U*, Y U* and |Y|^2 over all segments, and their number."""
+    spec, bins = records[0].spec, n // 2 + 1
+    suu: ComplexArray = np.zeros((bins, spec.nu, spec.nu), dtype=np.complex128)
+    syu: ComplexArray = np.zeros((bins, spec.ny, spec.nu), dtype=np.complex128)
+    syy = np.zeros((bins, spec.ny))
+    count = 0
+    for record in records:
+        u0, y0 = record.u - record.u.mean(axis=0), record.y - record.y.mean(axis=0)
+        for start in range(0, len(record) - n + 1, max(n // 2, 1)):
+            u = np.fft.rfft(window[:, None] * u0[start : start + n], axis=0)
+            y = np.fft.rfft(window[:, None] * y0[start : start + n], axis=0)
+            suu += u[:, :, None] * np.conj(u[:, None, :])
+            syu += y[:, :, None] * np.conj(u[:, None, :])
+            syy += np.abs(y) ** 2
+            count += 1
+    scale = max(count, 1)
+    suu /= scale
+    syu /= scale
+    return suu, syu, syy / scale, count
+
+
+def _etfe(record: Trajectory) -> tuple[ComplexArray, FloatArray]:
+    """Return Y / U of one record where the input has power, and the frequencies [Hz]."""
+    u = np.fft.rfft(record.u[:, 0] - record.u[:, 0].mean())
+    y = np.fft.rfft(record.y - record.y.mean(axis=0), axis=0)
+    frequency = np.fft.rfftfreq(len(record), record.spec.sample_time)
+    strong = np.abs(u) > 1e-3 * np.abs(u).max()
+    return (y[strong] / u[strong, None])[:, :, None], frequency[strong]

@@ -1,0 +1,83 @@
+"""Normal equations of a regression, summed in blocks, and their solution."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.signals import FloatArray
+
+__all__ = ["Blocks", "NormalEquations", "scaled_equations", "solved"]
+
+Blocks = Iterable[tuple[FloatArray, FloatArray]]
+# Squared condition number beyond which the Gram matrix has lost all digits.
+_POOR = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """``gram`` (p, p), ``right`` (p, m), ``square`` (m,) of a regression, summed over ``rows`` rows in blocks."""
+
+    gram: FloatArray
+    right: FloatArray
+    square: FloatArray
+    rows: int
+
+    @classmethod
+    def of(cls, blocks: Blocks, p: int, m: int) -> NormalEquations:
+        """Return the sums over blocks ``(Phi (p, n), target (m, n))``; memory stays that of one block."""
+        gram, right, square, rows = np.zeros((p, p)), np.zeros((p, m)), np.zeros(m), 0
+        for phi, target in blocks:
+            gram += phi @ phi.T
+            right += phi @ target.T
+            square += np.einsum("ij,ij->i", target, target)
+            rows += phi.shape[1]
+        return cls(gram, right, square, rows)
+
+    @classmethod
+    def sum(cls, pieces: Sequence[NormalEquations], weights: npt.NDArray[np.int_]) -> NormalEquations:
+        """Return the sum of pieces, each counted so many times."""
+        used = [(one, int(weight)) for one, weight in zip(pieces, weights, strict=True) if weight]
+        gram, right, square = (np.zeros_like(getattr(pieces[0], name)) for name in ("gram", "right", "square"))
+        rows = 0
+        for one, weight in used:
+            gram += weight * one.gram
+            right += weight * one.right
+            square += weight * one.square
+            rows += weight * one.rows
+        return cls(gram, right, square, rows)
+
+    @classmethod
+    def in_pieces(cls, blocks: Blocks, p: int, m: int, count: int = 20, size: int = 64) -> list[NormalEquations]:
+        """Return the sums of stretches of ``size`` rows dealt out to ``count`` pieces; their sum is :meth:`of`."""
+        parts: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in range(count)]
+        sums = [cls(np.zeros((p, p)), np.zeros((p, m)), np.zeros(m), 0) for _ in range(count)]
+        place = 0
+        for phi, target in blocks:
+            for start in range(0, phi.shape[1], size):
+                parts[place % count].append((phi[:, start : start + size], target[:, start : start + size]))
+                place += 1
+            for index, waiting in enumerate(parts):
+                if waiting:
+                    both = (np.hstack([one[0] for one in waiting]), np.hstack([one[1] for one in waiting]))
+                    sums[index] = cls.sum([sums[index], cls.of([both], p, m)], np.ones(2, dtype=int))
+                    waiting.clear()
+        return [one for one in sums if one.rows]
+
+
+def scaled_equations(equations: NormalEquations) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return Gram matrix and right-hand side of columns scaled to unit length, and their lengths."""
+    size = np.sqrt(np.diag(equations.gram))
+    size = np.where(size > 0, size, 1.0)
+    return equations.gram / np.outer(size, size), equations.right / size[:, None], size
+
+
+def solved(gram: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the least-norm solution of normal equations with unit diagonal."""
+    values, vectors = np.linalg.eigh(gram)
+    good = values > _POOR * values[-1]
+    found: FloatArray = vectors[:, good] @ ((vectors[:, good].T @ right) / values[good])
+    return found

@@ -1,0 +1,145 @@
+"""Models side by side, and what the data themselves show of a plant."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from harness import api
+from harness.cli import main
+from harness.comparison import correlations, spectrum
+from harness.errors import InputError
+from harness.signals import Channel, PlantSpec, Trajectory
+
+DT = 0.05
+SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), DT)
+B, A = [0.0, 0.4, 0.1], [1.0, -1.3, 0.6]
+
+
+def record(seed: int, n: int = 6000, noise: float = 0.05) -> Trajectory:
+    """Return a record of a known second-order system."""
+    rng = np.random.default_rng(seed)
+    u = rng.normal(size=n)
+    y = lfilter(B, A, u) + noise * rng.normal(size=n)
+    return Trajectory(np.arange(n) * DT, u[:, None], y[:, None], SPEC)
+
+
+def truth(frequency: np.ndarray) -> np.ndarray:
+    z = np.exp(-2j * np.pi * frequency * DT)
+    return np.polyval(B[::-1], z) / np.polyval(A[::-1], z)
+
+
+def test_the_spectrum_is_that_of_the_system_within_its_band() -> None:
+    found = spectrum([record(0), record(1)], segment=256)
+    inside = slice(2, -1)
+    exact = truth(found.frequency)
+    off = np.abs(np.abs(found.response[:, 0, 0]) - np.abs(exact))[inside]
+    band = found.deviation[inside, 0, 0] + 0.02 * np.abs(exact[inside])  # beside the leakage of a window
+    assert np.mean(off < 2 * band) > 0.93
+    assert found.coherence[inside].min() > 0.7
+    assert found.etfe is not None
+    assert np.median(np.abs(found.etfe[:, 0, 0] / truth(found.etfe_frequency))) == pytest.approx(1.0, abs=0.05)
+
+
+def test_bands_are_as_wide_as_estimates_scatter() -> None:
+    many = [spectrum([record(seed, 3000, 1.0)], segment=128) for seed in range(40)]
+    sizes = np.array([np.abs(one.response[:, 0, 0]) for one in many])
+    told = np.mean([one.deviation[:, 0, 0] for one in many], axis=0)
+    ratio = (sizes.std(axis=0) / told)[3:-3]
+    assert 0.8 < np.median(ratio) < 1.25
+
+
+def test_several_inputs_share_the_coherence_and_seams_are_not_crossed() -> None:
+    rng = np.random.default_rng(2)
+    spec = PlantSpec((Channel("a"), Channel("b")), (Channel("y"),), DT)
+    pieces = []
+    for jump in (0.0, 1000.0):  # a step between two records would fill every bin
+        u = rng.normal(size=(4000, 2))
+        y = 2.0 * u[:, 0] - 3.0 * u[:, 1] + jump
+        pieces.append(Trajectory(np.arange(4000) * DT, u, y[:, None], spec))
+    found = spectrum(pieces, segment=128)
+    assert np.abs(found.response[:, 0] - [2.0, -3.0]).max() < 1e-6
+    assert found.coherence.min() > 1 - 1e-9
+
+
+def test_what_cannot_be_a_spectrum_is_refused() -> None:
+    with pytest.raises(InputError, match="too short"):
+        spectrum([record(0, 100)], segment=64)
+    still = record(0)
+    with pytest.raises(InputError, match="never moves"):
+        spectrum([Trajectory(still.t, 0 * still.u, still.y, SPEC)])
+    with pytest.raises(InputError, match="a record with an input"):
+        spectrum([Trajectory(still.t, still.u[:, :0], still.y, PlantSpec((), SPEC.outputs, DT))])
+
+
+def test_white_residuals_are_called_so_as_often_as_they_should() -> None:
+    rng = np.random.default_rng(3)
+    found = [
+        correlations(rng.normal(size=800), lfilter([1], [1, -0.9], rng.normal(size=(800, 1)), axis=0))
+        for _ in range(200)
+    ]
+    assert np.mean([one.white for one in found]) > 0.9
+    assert np.mean([one.independent for one in found]) > 0.85
+    coloured = correlations(lfilter([1], [1, -0.5], rng.normal(size=800)), rng.normal(size=(800, 1)))
+    assert not coloured.white
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with data and two stored models, one of them too small."""
+    where = tmp_path_factory.mktemp("compared")
+    one = record(4, 2000)
+    rows = zip(one.t.tolist(), one.u[:, 0].tolist(), one.y[:, 0].tolist(), strict=True)
+    (where / "run.csv").write_text("time [s],u [V],y [m]\n" + "".join(f"{t!r},{u!r},{y!r}\n" for t, u, y in rows))
+    (where / "dataset.toml").write_text(
+        'name = "second order"\n[signals.u]\nrole = "input"\n[signals.y]\nrole = "output"\n'
+        '[[runs]]\nfile = "run.csv"\nrows = [0, 1500]\n'
+        '[[runs]]\nfile = "run.csv"\nrows = [1500, 2000]\nuse = "validation"\n'
+    )
+    for order in (1, 2):
+        api.identify(where / "dataset.toml", identifier="arx", options={"order": order}, out=where / f"arx{order}.json")
+    return where
+
+
+def test_the_better_model_is_seen(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = folder / "page.html"
+    files = [str(folder / name) for name in ("arx1.json", "arx2.json", "dataset.toml")]
+    with pytest.raises(SystemExit) as ended:
+        main(["compare", *files, "-o", str(page), "--json"])
+    assert ended.value.code == 0
+    rows = {
+        (Path(row["model"]).stem, row["use"]): row
+        for row in json.loads(capsys.readouterr().out.rpartition("]")[0] + "]")
+    }
+    assert rows["arx2", "validation"]["fit_free_run"] > 90 > rows["arx1", "validation"]["fit_free_run"]
+    assert not rows["arx1", "validation"]["independent"]
+    assert rows["arx2", "validation"]["independent"]
+    text = page.read_text()
+    assert text.count("data:image/svg+xml") == 2
+    assert "arx2.json" in text
+
+
+def test_a_model_of_other_signals_or_of_python_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stored = json.loads((folder / "arx1.json").read_text())
+    (folder / "odd.json").write_text(json.dumps({**stored, "model": "mine.py:evil"}))
+    with pytest.raises(InputError, match="runs Python code"):
+        api.compare([folder / "odd.json"], folder / "dataset.toml")
+    (folder / "none.json").write_text("{}")
+    with pytest.raises(InputError, match="not a model"):
+        api.compare([folder / "none.json"], folder / "dataset.toml")
+    with pytest.raises(SystemExit) as ended:
+        main(["compare", str(folder / "arx1.json")])
+    assert ended.value.code == 2
+    assert "MODEL... DATASET" in capsys.readouterr().err
+
+
+def test_spectrum_on_the_command_line(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["spectrum", str(folder / "dataset.toml"), "--segment", "64", "-o", str(folder / "bode.svg")])
+    assert ended.value.code == 0
+    assert "coherence" in capsys.readouterr().out
+    assert (folder / "bode.svg").read_text().startswith("<?xml")

@@ -1,0 +1,213 @@
+"""The stochastic grey box: the filter, its likelihood against other people's code, its limits, its maximum."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness.physics import fit_output_error
+from harness.physics.kalman_pass import KalmanPass, Noise
+from harness.physics.latent import with_latent_forces
+from harness.physics.likelihood import Likelihood, NoiseModel, Point
+from harness.physics.models import cart_pole, oscillator, pendulum
+from harness.physics.smoother import innovation_response, smoothed
+from harness.signals import PlantSpec, Trajectory
+
+DT = 0.01
+
+
+def record(system, p, x0, *, noise=1e-3, force=0.0, tau=0.1, n=1500, seed=0, dt=DT) -> Trajectory:
+    """A record of a system under a multisine, a Gauss-Markov force of this size and white sensor noise."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(n) * dt
+    u = 0.2 * (np.sin(2.1 * t) + np.sin(5.3 * t + 1) + 0.5 * np.sin(9.7 * t + 2))[:, None]
+    disturbance, fade = np.zeros((n, 1)), np.exp(-dt / tau)
+    for k in range(1, n):
+        disturbance[k] = fade * disturbance[k - 1] + force * np.sqrt(1 - fade**2) * rng.normal()
+    y = system.simulator(dt).rollout(p, x0, u + disturbance)
+    return Trajectory(t, u, y + noise * rng.normal(size=y.shape), PlantSpec(system.inputs, system.outputs, dt))
+
+
+def noise_model(system, **options) -> NoiseModel:
+    n = len(system.coordinates)
+    return NoiseModel(np.full(n, 1.0), np.full(system.ny, 0.3), shortest=DT, longest=3.0, **options)
+
+
+def some_noise(system, r=1e-3, s=0.05, tau=0.1, w=0.01) -> Noise:
+    n = len(system.coordinates)
+    return Noise(np.full(system.ny, r), np.full(n, s), np.full(n, tau), np.full(n, w))
+
+
+@pytest.mark.parametrize(("make", "intersample"), [(pendulum, "zoh"), (cart_pole, "foh"), (oscillator, "smooth")])
+def test_compiled_and_interpreted_passes_agree(make, intersample) -> None:
+    system = make().system()
+    data = record(system, system.vector(), np.full(system.nx, 0.1), n=60)
+    columns = np.arange(system.np + system.nx)
+    passes = [
+        KalmanPass(with_latent_forces(system), DT, intersample=intersample, compiled=how) for how in (True, False)
+    ]
+    fast, slow = (
+        one(data, system.vector(), np.full(system.nx, 0.1), some_noise(system), columns=columns, keep=True)
+        for one in passes
+    )
+    for name in ("e", "s", "j"):
+        np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), rtol=1e-9, atol=1e-13)
+    for name in ("x_before", "p_before", "x_after", "p_after", "gain"):
+        np.testing.assert_allclose(getattr(fast.path, name), getattr(slow.path, name), rtol=1e-8, atol=1e-13)
+
+
+def test_the_likelihood_of_a_linear_model_is_that_of_filterpy() -> None:
+    from filterpy.kalman import KalmanFilter
+
+    system = oscillator().system()
+    p, noise = np.array([1.0, 0.4, 9.0]), some_noise(system, r=0.02, s=0.5, tau=0.2, w=0.1)
+    data = record(system, p, [0.1, 0.0], noise=0.02, force=0.5, n=400)
+    ours = KalmanPass(with_latent_forces(system), DT)(data, p, [0.1, 0.0], noise)
+    # the discrete matrices from the simulator itself: states (q, v, d), input held
+    simulator = system.simulator(DT)
+    base = simulator.step([0, 0], [0], p)
+    columns = [simulator.step(e, [0], p) - base for e in np.eye(2)]
+    push = simulator.step([0, 0], [1], p) - base
+    fade = np.exp(-DT / 0.2)
+    theirs = KalmanFilter(3, 1, 1)
+    theirs.F = np.block([[np.stack(columns, axis=1), push[:, None]], [np.zeros((1, 2)), np.array([[fade]])]])
+    theirs.B = np.concatenate([push, [0.0]])[:, None]
+    white = 0.1**2 * np.outer(push, push)
+    theirs.Q = np.block([[white, np.zeros((2, 1))], [np.zeros((1, 2)), np.array([[0.5**2 * (1 - fade**2)]])]])
+    theirs.H, theirs.R = np.array([[1.0, 0.0, 0.0]]), np.array([[0.02**2]])
+    theirs.x, theirs.P = np.array([[0.1], [0.0], [0.0]]), np.diag([0.0, 0.0, 0.25])
+    total = 0.0
+    for k in range(len(data)):
+        if k:
+            theirs.predict(u=data.u[k - 1][:, None])
+        theirs.update(data.y[k])
+        variance = theirs.S[0, 0]
+        total += 0.5 * (np.log(2 * np.pi * variance) + theirs.y[0, 0] ** 2 / variance)
+    assert ours.nll == pytest.approx(total, rel=1e-9)
+
+
+def test_without_latent_force_it_is_the_output_error_fit() -> None:
+    system = pendulum().system()
+    data = record(system, system.vector(), [0.3, 0.0])
+    fit = fit_output_error(system, [data])
+    likelihood = Likelihood(system, [data], noise_model(system, latent=False))
+    found = likelihood.maximise(Point(1.1 * system.vector(), [np.array([0.3, 0.0])], some_noise(system)))
+    assert found.converged
+    for name, value in fit.parameters.items():
+        assert found.parameters[name] == pytest.approx(value, rel=1e-5)
+    assert found.point.noise.r[0] == pytest.approx(fit.rms[0], rel=1e-4)
+
+
+def test_with_a_large_latent_force_the_rates_alone_decide() -> None:
+    """The force takes up every error of the model, so the likelihood no longer sees a wrong stiffness over a second."""
+    system = oscillator().system()
+    p = np.array([1.0, 0.4, 9.0])
+    data = record(system, p, [0.1, 0.0], noise=1e-3, n=800)
+    passes = KalmanPass(with_latent_forces(system), DT)
+    small, large = some_noise(system, s=1e-6, w=0.0), some_noise(system, s=30.0, tau=0.5, w=0.0)
+    wrong = np.array([1.0, 0.4, 9.9])
+    loss = [passes(data, wrong, [0.1, 0.0], one).nll - passes(data, p, [0.1, 0.0], one).nll for one in (small, large)]
+    assert loss[0] > 1e4
+    assert loss[1] < 50.0
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    st.sampled_from([pendulum, cart_pole]),
+    st.floats(0.01, 0.3),
+    st.floats(0.03, 0.5),
+    st.integers(0, 1000),
+)
+def test_the_gradient_is_that_of_the_exact_likelihood(make, s, tau, seed) -> None:
+    system = make().system()
+    data = record(system, system.vector(), np.full(system.nx, 0.1), force=s, seed=seed, n=300)
+    likelihood = Likelihood(system, [data], noise_model(system))
+    point = Point(1.02 * system.vector(), [np.full(system.nx, 0.1)], some_noise(system, s=s, tau=tau))
+    z = likelihood._pack(point)
+    _, found = likelihood._value(z)
+    entries = np.arange(len(z))
+    gradient, matrix = likelihood._derivatives(z, found, entries, True)
+    for k in entries:
+        h = 1e-5
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = z.copy()
+            moved[k] += sign * h
+            ends.append(likelihood._value(moved)[0])
+        central = (ends[0] - ends[1]) / (2 * h)
+        assert gradient[k] == pytest.approx(central, rel=2e-3, abs=2e-3 * np.sqrt(matrix[k, k]) + 1e-2)
+
+
+def test_the_truth_is_recovered_with_its_noise() -> None:
+    system = pendulum().system()
+    truth = system.vector()
+    data = record(system, truth, [0.3, 0.0], force=0.05, tau=0.1, n=4000)
+    likelihood = Likelihood(system, [data], noise_model(system))
+    found = likelihood.maximise(Point(1.2 * truth, [np.array([0.3, 0.0])], some_noise(system, s=0.02)))
+    assert found.converged
+    for name, value in zip(system.parameter_names, truth, strict=True):
+        low, high = found.interval(name)
+        assert low - 0.5 * (high - low) < value < high + 0.5 * (high - low)
+        assert high - low < 0.5 * value
+    assert found.point.noise.r[0] == pytest.approx(1e-3, rel=0.1)
+    total = np.hypot(found.point.noise.s[0], found.point.noise.w[0])
+    assert total == pytest.approx(0.05, rel=0.5)
+
+
+def test_intervals_hold_the_truth_under_an_unmeasured_force() -> None:
+    """Thirty records, three parameters: a 95 % interval fails about 4 or 5 of 90 times; 14 or more has p < 1e-4."""
+    system = pendulum().system()
+    truth, outside = system.vector(), 0
+    for seed in range(30):
+        data = record(system, truth, [0.3, 0.0], force=0.05, seed=seed, n=1200)
+        likelihood = Likelihood(system, [data], noise_model(system))
+        found = likelihood.maximise(Point(truth, [np.array([0.3, 0.0])], some_noise(system, s=0.02)))
+        for name, value in zip(system.parameter_names, truth, strict=True):
+            low, high = found.interval(name)
+            outside += not low <= value <= high
+    assert outside < 14
+
+
+def test_several_records_add_up_and_nothing_crosses_the_seam() -> None:
+    system = pendulum().system()
+    parts = [record(system, system.vector(), [0.3, 0.0], seed=k, n=300) for k in range(2)]
+    likelihood = Likelihood(system, parts, noise_model(system))
+    starts = [np.array([0.3, 0.0]), np.array([0.3, 0.0])]
+    whole = likelihood.nll(Point(system.vector(), starts, some_noise(system)))
+    single = [
+        Likelihood(system, [one], noise_model(system)).nll(Point(system.vector(), starts[:1], some_noise(system)))
+        for one in parts
+    ]
+    assert whole == pytest.approx(sum(single), rel=1e-12)
+
+
+def test_the_smoothed_force_is_the_force() -> None:
+    system = pendulum().system()
+    rng = np.random.default_rng(3)
+    t = np.arange(2000) * DT
+    u, force = np.sin(2 * t)[:, None], 0.2 * np.sin(0.8 * t)[:, None]
+    y = system.simulator(DT).rollout(system.vector(), [0.1, 0.0], u + force)
+    data = Trajectory(t, u, y + 1e-4 * rng.normal(size=y.shape), PlantSpec(system.inputs, system.outputs, DT))
+    noise = some_noise(system, r=1e-4, s=0.15, tau=0.5, w=0.0)
+    passed = KalmanPass(with_latent_forces(system), DT)(data, system.vector(), [0.1, 0.0], noise, keep=True)
+    found = smoothed(passed)
+    error = found.x[:, 2] - force[:, 0]
+    assert np.sqrt(np.mean(error**2)) < 0.02
+    assert np.mean(np.abs(error) < 3 * found.deviation[:, 2]) > 0.95
+
+
+def test_the_response_of_the_innovations_is_that_of_a_changed_record() -> None:
+    """A linear plant, so the first order is everything: a force, and an offset of the sensor."""
+    system = oscillator().system()
+    p, noise = np.array([1.0, 0.4, 9.0]), some_noise(system, w=0.0)
+    data = record(system, p, [0.1, 0.0], n=300)
+    passes = KalmanPass(with_latent_forces(system), DT)
+    base = passes(data, p, [0.1, 0.0], noise, keep=True)
+    shifted = passes(Trajectory(data.t, data.u, data.y + 0.01, data.spec), p, [0.1, 0.0], noise)
+    reading = innovation_response(base, None, np.full((300, 1, 1), 0.01))
+    np.testing.assert_allclose(shifted.e - base.e, -reading[:, :, 0], atol=1e-12)
+    pushed = passes(Trajectory(data.t, data.u + 0.3, data.y, data.spec), p, [0.1, 0.0], noise)
+    force = innovation_response(base, np.full((300, 1, 1), 0.3), None)
+    np.testing.assert_allclose(pushed.e - base.e, force[:, :, 0], atol=1e-9)
