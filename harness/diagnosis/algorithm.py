@@ -73,14 +73,15 @@ class Diagnosis:
             return "model_does_not_fit"
         if self.outcome.accepted:
             return "effects_found"
-        return "unexplained" if self.leftover.best is not None else "nothing_missing"
+        left = self.leftover.best is not None or self.latent_share > self.policy.large
+        return "unexplained" if left else "nothing_missing"
 
     @property
     def grade(self) -> str:
         """How much of the motion the final model explains over the horizon, and whether more could be predicted."""
         if self.misfit:
             return "does_not_fit"
-        if self.leftover.best is not None:
+        if self.leftover.best is not None or self.latent_share > self.policy.large:
             return "proxy_or_incomplete"
         quiet = self.latent_share <= self.policy.disturbed
         return "explained" if quiet and self.runs.left <= self.policy.explained else "mostly_explained"

@@ -104,6 +104,12 @@ class Policy:
         "latent force over the typical force up to which a model is called adequate without reserve",
         "an effect of this size counts as one worth finding",
     )
+    large: float = _number(
+        0.2,
+        "latent force over the typical force beyond which it is no small disturbance, predictable or not",
+        "four times the size of an effect worth finding",
+        "laws outside the dictionary in the tests",
+    )
     explained: float = _number(0.05, "share of the variance left, at most, to call a model adequate", "a fit of 95 %")
 
 
