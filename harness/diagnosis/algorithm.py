@@ -82,7 +82,15 @@ class Diagnosis:
             return "does_not_fit"
         if self.leftover.best is not None:
             return "proxy_or_incomplete"
-        return "explained" if self.runs.left <= self.policy.explained else "mostly_explained"
+        quiet = self.latent_share <= self.policy.disturbed
+        return "explained" if quiet and self.runs.left <= self.policy.explained else "mostly_explained"
+
+    @property
+    def latent_share(self) -> float:
+        """Size of the latent force of the final model over the typical force, the largest of all ports."""
+        noise = self.final.detail.points["estimation"].noise
+        size = (noise.s**2 + noise.w**2) ** 0.5 / self.form.noise_model.force_scale
+        return float(size.max(initial=0.0))
 
     @functools.cached_property
     def stand_in(self) -> tuple[str, ...]:
