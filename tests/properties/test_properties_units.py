@@ -79,16 +79,19 @@ def test_units_of_any_channel_leave_scores_unchanged(case, system, seed, exponen
 def test_units_leave_scores_of_slow_identifiers_unchanged(name):
     spec = PlantSpec((Channel("u0"),), (Channel("y0"), Channel("y1")), 0.1)
     a, b = np.array([[0.8, 0.3], [-0.2, 0.7]]), np.array([[1.0], [0.5]])
-    hold((name, {}), LinearSystem(a, b, np.eye(2), spec), 0, [3, 0, -3, 2, 0])
+    # powers of two scale without rounding, on which the splits of a tree may hang
+    hold((name, {}), LinearSystem(a, b, np.eye(2), spec), 0, [3, 0, -3, 2, 0], base=8.0)
 
 
-def hold(case: tuple[str, dict[str, Any]], system: LinearSystem, seed: int, exponents: list[int]) -> None:
+def hold(
+    case: tuple[str, dict[str, Any]], system: LinearSystem, seed: int, exponents: list[int], base: float = 10.0
+) -> None:
     """Fit and score in two systems of units."""
     rng = np.random.default_rng(seed)
     fit = [simulate_linear(system, 200, rng=rng, noise=0.05) for _ in range(2)]
     held = simulate_linear(system, 150, rng=rng, noise=0.05)
-    inputs = 10.0 ** np.array(exponents[:2])[: system.spec.nu]
-    outputs = 10.0 ** np.array(exponents[2:])[: system.spec.ny]
+    inputs = base ** np.array(exponents[:2])[: system.spec.nu]
+    outputs = base ** np.array(exponents[2:])[: system.spec.ny]
     scores = []
     for i, o in ((np.ones_like(inputs), np.ones_like(outputs)), (inputs, outputs)):
         identifier = create("identifiers", case[0], **case[1])
