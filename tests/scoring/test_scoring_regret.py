@@ -105,7 +105,8 @@ def test_the_learner_is_told_of_every_seam_with_the_first_output_behind_it():
             return Hindsight(np.zeros(sum(len(one) - 1 for one in trajectories)), exact=False)
 
     seen: list[tuple[str, float]] = []
-    found = regret(Follows(), [record(1.0, 2.0, 4.0), record(50.0, 51.0)], rng=np.random.default_rng(0))
+    stream = [record(1.0, 2.0, 4.0), record(50.0, 51.0)]
+    found = regret(Follows(), stream, rng=np.random.default_rng(0), scaled=False)
     assert found.losses.tolist() == [1.0, 4.0, 1.0]  # a seam that is not told would cost (51 - 4)^2
     assert seen == [("start", 1.0), ("update", 2.0), ("start", 50.0)]
 
