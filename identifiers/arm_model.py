@@ -157,10 +157,11 @@ class ArmDynamics:
             If it is none.
         """
         try:
-            numbers = [
-                np.array(content[key], dtype=float) for key in ("inertial", "damping", "friction", "motor_inertia")
-            ]
-            return cls(spec_from_dict(content["spec"]), str(content["model"]), *numbers, dict(content.get("notes", {})))
+            names = ("inertial", "damping", "friction", "motor_inertia")
+            inertial, damping, friction, motor = (np.array(content[key], dtype=float) for key in names)
+            notes = dict(content.get("notes", {}))
+            spec, model = spec_from_dict(content["spec"]), str(content["model"])
+            return cls(spec, model, inertial, damping, friction, motor, notes)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 "description of an arm model",

@@ -135,6 +135,6 @@ def huber(rows: FloatArray, target: FloatArray, *, iterations: int = 50) -> tupl
         spread = 1.4826 * float(np.median(np.abs(rest)))
         if spread == 0.0 or (number and np.allclose(new, theta, rtol=1e-10, atol=1e-14)):
             return new / size, weights
-        theta = new
+        theta = np.asarray(new, dtype=np.float64)
         weights = np.minimum(1.0, HUBER * spread / np.maximum(np.abs(rest), 1e-300))
     return theta / size, weights

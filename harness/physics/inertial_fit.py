@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -113,8 +114,9 @@ def by_semidefinite_program(problem: Problem, *, objective: FloatArray | None = 
     FitError
         If the solver does not end at an optimum.
     """
-    import cvxpy as cp
+    import cvxpy
 
+    cp: Any = cvxpy  # its star imports hide its names from type checkers
     count, others = len(problem.bodies.prior), problem.side.size - problem.bodies.prior.size
     blocks = [cp.Variable((4, 4), symmetric=True) for _ in range(count)]
     free = cp.Variable(max(others, 1))
@@ -223,8 +225,13 @@ def by_log_cholesky(problem: Problem) -> FloatArray:
         guess = np.linalg.lstsq(problem.gram[10 * count :, 10 * count :], left, rcond=None)[0]
         start[10 * count :] = np.where(positive, np.log(np.maximum(guess, 1e-6)), guess)
     scale = max(abs(value_and_slope(start)[0]), 1.0)
-    found = minimize(
-        lambda z: tuple(one / scale for one in value_and_slope(z)),
+
+    def scaled(z: FloatArray) -> tuple[float, FloatArray]:
+        value, slope = value_and_slope(z)
+        return value / scale, slope / scale
+
+    found: Any = minimize(  # type: ignore[call-overload]
+        scaled,
         start,
         jac=True,
         hess=lambda z: curvature(z) / scale,

@@ -59,15 +59,9 @@ def bias_of(plant_id: str, model: str, scenario: str, seed: int, *, dither: floa
         system, data, sizes=sizes_of(system, values, data), horizon=1.0 if model == "cart-pole" else None,
         weights=np.full(system.ny, 1e-3), floors=[1e-3] * system.ny,
     )  # fmt: skip
-    fitted = fit_here(
-        form,
-        (),
-        [
-            values
-            if model == "cart-pole"
-            else dict(fit_output_error(system, list(data.estimation), horizon=2.0, continuation=()).parameters)
-        ],
-    )
+    if model != "cart-pole":
+        values = dict(fit_output_error(system, list(data.estimation), horizon=2.0, continuation=()).parameters)
+    fitted = fit_here(form, (), [values])
     return closed_loop_bias(form, fitted, list(data.estimation), [{"excitation": outside}])
 
 

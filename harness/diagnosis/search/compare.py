@@ -11,7 +11,7 @@ from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.fit import Fit
 from harness.effects.effect import Placed
 
-__all__ = ["Comparison", "Judged", "compared", "difference", "judged"]
+__all__ = ["Comparison", "Judged", "compared", "difference", "impossible", "judged", "violations"]
 
 _NEAR_BOUND = 1e-4
 """Share of a bound's size within which a value lies on it."""
@@ -123,6 +123,9 @@ def impossible(placed: Placed, fit: Fit) -> list[str]:
         near = [bound for bound in bounds if abs(value - bound) <= _NEAR_BOUND * abs(bound)]
         if near and near[0] != one.neutral:
             reasons.append(f"{one.name} lies on its bound {near[0]:g}")
-    values = {one.name: fit.values[placed.name(one.name)] for one in placed.effect.parameters}
-    reasons += [text for text in placed.effect.violations(values)]
-    return reasons
+    return reasons + violations(placed, fit)
+
+
+def violations(placed: Placed, fit: Fit) -> list[str]:
+    """Return which relations between the values of an effect, as its law asks for them, do not hold."""
+    return placed.effect.violations({one.name: fit.values[placed.name(one.name)] for one in placed.effect.parameters})

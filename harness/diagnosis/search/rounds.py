@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from harness.diagnosis.policy import POLICY, Policy
-from harness.diagnosis.search.compare import Judged, compared, difference, judged
+from harness.diagnosis.search.compare import Judged, compared, difference, judged, violations
 from harness.diagnosis.search.fit import Begun, Fit, Form
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
 from harness.effects import family
@@ -144,6 +144,7 @@ def _refitted(
         say(f"{placed} to its maximum")
         fits[placed] = form.finish(first, origins[placed])
     _share_starts(form, fits, base)
+    _lawful(form, fits, base, {one.placed: one.start for one in test.leads})
     return fits
 
 
@@ -181,6 +182,20 @@ def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None
             again = form.fit([*base.effects, mine], [start], other)
             if again is not None and (fit is None or _value(again) > _value(fit)):
                 fits[mine] = again
+
+
+def _lawful(form: Form, fits: dict[Placed, Fit | None], base: Fit, starts: Mapping[Placed, dict[str, float]]) -> None:
+    """Fit a law whose values its own physics forbids once more, from a special case of it and its first start."""
+    for rich, simple in [(a, b) for a in fits for b in fits if b.effect.name in a.effect.nests and a.at == b.at]:
+        fit, other = fits[rich], fits[simple]
+        if fit is None or other is None or rich not in starts or not violations(rich, fit):
+            continue
+        shared = {one.name for one in simple.effect.parameters if one.nuisance}
+        start = {**other.values, **starts[rich]}
+        start |= {rich.name(name): other.values[simple.name(name)] for name in shared}
+        again = form.fit([*base.effects, rich], [start], other)
+        if again is not None and not violations(rich, again):
+            fits[rich] = again
 
 
 def _polished(form: Form, base: Fit, fits: Sequence[Fit]) -> Fit:
