@@ -31,8 +31,8 @@ def beats_trivial(subject: Subject) -> None:
     """Demand that on one system at least a model predicts better than what needs none.
 
     Every output of some linear system must be predicted better than by the mean, by the last value and by the last two
-    outputs without any input (of identifiers that take no linear system only the mean is asked for); and every output of some system with several, better than by its mean
-    (else columns are exchanged).
+    outputs without any input (of identifiers that take no linear system only the mean is asked for); and every output
+    of some system with several, better than by its mean (else columns are exchanged).
     """
     ratios, several = [], []
     # White inputs, where they are taken: held ones hide that a model is a sample late. Angles sampled finely without
