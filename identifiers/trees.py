@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from harness.errors import InputError
+from harness.errors import FitError, InputError
 from harness.signals import FloatArray, Trajectory
 from harness.specs import spec_from_dict
 from identifiers.lag_state import LagModel, Scaling, regression_data
@@ -217,6 +217,13 @@ class RandomForest:
         real_signals(spec, what)
         moving(records, what, inputs=False)
         rows, later = regression_data(records, self.order)
+        if len(rows) < 2 * self.leaf:
+            raise FitError(
+                f"{what}: too few samples",
+                expected=f"{2 * self.leaf}, two leaves",
+                got=str(len(rows)),
+                remedy="record longer, or lower leaf",
+            )
         targets = later - rows[:, : spec.ny] if self.increments else later
         fitted = Scaling.of(rows, targets)
         if self.increments:
@@ -234,7 +241,8 @@ class RandomForest:
             total[out] += tree(x[out])
             seen[out] += 1
         judged = seen > 0
-        wrong = y[judged] - total[judged] / seen[judged, None]
+        # Samples that every tree drew cannot be judged; where none is left the spread of the targets stands in.
+        wrong = y[judged] - total[judged] / seen[judged, None] if judged.any() else y
         variance = (np.mean(wrong**2, axis=0) + 1e-18) * fitted.y_std**2
         notes = {"leaves": int(sum((tree.feature < 0).sum() for tree in grown)), "samples": len(x)}
         return ForestModel(spec, self.order, fitted, tuple(grown), variance, self.increments, notes=notes)

@@ -159,19 +159,24 @@ def _from_outputs(workload: Workload, data: Trajectory) -> FloatArray:
 
 
 def _most_frequent(workload: Workload, data: Trajectory) -> FloatArray:
-    """Return the category seen most often, everywhere."""
-    values, counts = np.unique(np.vstack([r.y for r in shown(workload)])[:, 0], return_counts=True)
-    return np.full_like(data.y, values[np.argmax(counts)])
+    """Return the category of each output seen most often, everywhere."""
+    columns = []
+    for seen in np.vstack([r.y for r in shown(workload)]).T:
+        values, counts = np.unique(seen, return_counts=True)
+        columns.append(np.full(len(data), values[np.argmax(counts)]))
+    return np.column_stack(columns)
 
 
 def _likely_successor(workload: Workload, data: Trajectory) -> FloatArray:
-    """Return the most frequent successor of each category, whatever the action."""
+    """Return the most frequent successor of each category of each output, whatever the action."""
     size = int(max(r.y.max() for r in (*shown(workload), data))) + 1
-    counts = np.zeros((size, size))
-    for record in shown(workload):
-        np.add.at(counts, (record.y[:-1, 0].astype(int), record.y[1:, 0].astype(int)), 1.0)
-    following = counts.argmax(axis=1)[data.y[:-1, 0].astype(int)].astype(float)
-    return np.vstack([data.y[:1], following[:, None]])
+    columns = []
+    for i in range(data.spec.ny):
+        counts = np.zeros((size, size))
+        for record in shown(workload):
+            np.add.at(counts, (record.y[:-1, i].astype(int), record.y[1:, i].astype(int)), 1.0)
+        columns.append(counts.argmax(axis=1)[data.y[:-1, i].astype(int)].astype(float))
+    return np.vstack([data.y[:1], np.column_stack(columns)])
 
 
 def _reacts(model: Any, data: Trajectory, column: int, steps: int = 25) -> bool:
