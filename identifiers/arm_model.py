@@ -157,10 +157,11 @@ class ArmDynamics:
             If it is none.
         """
         try:
-            numbers = [
+            bodies, damping, friction, motor = (
                 np.array(content[key], dtype=float) for key in ("inertial", "damping", "friction", "motor_inertia")
-            ]
-            return cls(spec_from_dict(content["spec"]), str(content["model"]), *numbers, dict(content.get("notes", {})))
+            )
+            spec, notes = spec_from_dict(content["spec"]), dict(content.get("notes", {}))
+            return cls(spec, str(content["model"]), bodies, damping, friction, motor, notes)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 "description of an arm model",
