@@ -74,7 +74,7 @@ def faults(folder: Path, cells: int = 2000) -> None:
     broken = ", ".join(
         f'{{ id = "odd", label = "{how}", options = {{ fail = "{how}" }} }}' for how in ("segfault", "kill", "hang")
     )
-    path = suite(folder, cells // 100, f"{quiet}, {broken}", limit=8.0)
+    path = suite(folder, cells // 100, f"{quiet}, {broken}", limit=20.0)
     result = bench(path, out=folder / "faults-local", workers=2)
     report("local", result.rows, cells)
     import distributed

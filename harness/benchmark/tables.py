@@ -171,7 +171,7 @@ def rich_table(result: BenchResult) -> Group:
         made.add_column(name, no_wrap=True, min_width=max((len(getattr(line, part)) for line in lines), default=0))
     made.add_column("ok", justify="right", no_wrap=True, min_width=5)
     for name in ("equation error", "simulation error", "floor", "regret"):
-        made.add_column(name, no_wrap=True)
+        made.add_column(name, no_wrap=True, min_width=7 if name == "floor" else None)
     place, row_of_place = ("", ""), 0
     for line in lines:
         row_of_place = row_of_place + 1 if place == (line.plant, line.scenario) else 0

@@ -30,17 +30,18 @@ START = 10
 def beats_trivial(subject: Subject) -> None:
     """Demand that on one system at least a model predicts better than what needs none.
 
-    Every output of some system with one output or more must be predicted better than by the mean, by the last value and
-    by the last two outputs without any input; and every output of some system with several, better than by its mean
+    Every output of some linear system must be predicted better than by the mean, by the last value and by the last two
+    outputs without any input (of identifiers that take no linear system only the mean is asked for); and every output of some system with several, better than by its mean
     (else columns are exchanged).
     """
     ratios, several = [], []
-    # white inputs, where they are taken: held ones hide that a model is a sample late
+    # White inputs, where they are taken: held ones hide that a model is a sample late. Angles sampled finely without
+    # noise go on almost as they went, which no forest of 240 samples beats: there the mean is what must be beaten.
     white = any(kind.startswith("linear") for kind in subject.kinds)
     for workload in subject.survey():
         model = subject.model(workload)
         if workload.kind.startswith("linear") or not white:
-            ratios.append(_against_trivial(model, workload))
+            ratios.append(_against_trivial(model, workload, mean_only=not white and not _finite(workload)))
         if workload.probe.spec.ny > 1:
             several.append(_against_trivial(model, workload, mean_only=True))
     demand(ratios, "every system of the survey is refused")
@@ -107,6 +108,11 @@ def initial_state_matters(subject: Subject) -> None:
         sum(verdicts) <= len(verdicts) / 2,
         "simulations start elsewhere than the record: initial_state makes no use of its first outputs",
     )
+
+
+def _finite(workload: Workload) -> bool:
+    """Return True if an output is a category."""
+    return any(channel.kind == "category" for channel in workload.probe.spec.outputs)
 
 
 def _against_trivial(model: Any, workload: Workload, *, mean_only: bool = False) -> float:

@@ -244,7 +244,7 @@ def _joint(
         dataset, model=str(arm), joint=k, wide=[(str(one.effect), one.values.tolist()) for one in wide.accepted],
         weights=form.weights.tolist(), parameters=arm.arm.parameters.tolist(), damping=arm.damping.tolist(),
     )  # fmt: skip
-    search = Search(form, None, candidates, form.sizes, Refitter(form, Store(folder, identity), seed), seed)
+    search = Search(form, candidates, form.sizes, Refitter(form, Store(folder, identity), seed), seed)
     result = _without_details(form, search.run(nominal), seed)
     return JointDiagnosis(k, form, nominal, result, _adequacy(form, result.model, seed), tuple(drowned))
 

@@ -21,7 +21,6 @@ from harness.diagnosis.accept import (
     on_bound,
 )
 from harness.diagnosis.forms import Fitted, Form, placed_name, rms
-from harness.diagnosis.momentum_form import MomentumForm
 from harness.diagnosis.per_record import PER_RECORD
 from harness.effects.effect import Placed
 from harness.rng import stream
@@ -133,8 +132,7 @@ def assess(
             continue
         delta = reference - bic(fitted.estimation, len(fitted.free), samples)
         draws = stream("diagnosis-bootstrap", placed_name(fitted.effects), seed)
-        white = isinstance(form, MomentumForm)
-        comparison = compare_blocks(before.validation, fitted.validation, rng=draws, white=white)
+        comparison = compare_blocks(before.validation, fitted.validation, rng=draws)
         # twentieths: the other conditions know how few independent samples there are, and this one asks for a sign only
         intervals = fitted.intervals(adapt=False)
         reasons: list[str] = []

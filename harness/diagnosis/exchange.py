@@ -79,7 +79,7 @@ def swapped(
                 for one, task, record in zip(tries, tasks, records, strict=True)
             ]
             models.append(((picked[place],), model))
-            judged = assess(search.form, before, models, surrogate_p=None, seed=search.seed, doubts=search.doubts)
+            judged = assess(search.form, before, models, surrogate_p=None, seed=search.seed)
             best = search.winner(judged)
             if best is None:
                 if before.finite and _worse(search, model, before):

@@ -20,7 +20,7 @@ from harness.errors import InputError
 from harness.physics.windows import Windows
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["checked", "choose_horizon", "forms", "nominal_fmu", "prefers_equations", "rough_values", "sizes_of"]
+__all__ = ["checked", "choose_horizon", "form", "nominal_fmu", "rough_values", "sizes_of"]
 
 SHORTEST = 50
 """Samples that a window has at least."""
@@ -97,11 +97,6 @@ def choose_horizon(system: FmuSystem, values: Mapping[str, float], dataset: Data
     return Horizon(float(f"{length:.2g}"), f"an error of the initial state grows {GROWTH:g} times in {shortest:.2g} s")
 
 
-def prefers_equations(system: FmuSystem, horizon: Horizon, floors: tuple[NoiseFloor, ...]) -> bool:
-    """Return False: an FMU shows no equations."""
-    return False
-
-
 def sizes_of(system: FmuSystem, values: Mapping[str, float], dataset: Dataset) -> dict[str, dict[str, float]]:
     """Return the rms sizes of the data at every port, positions and rates as the FMU simulates them."""
     runs, dt = dataset.estimation, dataset.spec.sample_time
@@ -123,7 +118,7 @@ def sizes_of(system: FmuSystem, values: Mapping[str, float], dataset: Dataset) -
     return result
 
 
-def forms(
+def form(
     system: FmuSystem,
     dataset: Dataset,
     *,
@@ -131,11 +126,10 @@ def forms(
     floors: tuple[NoiseFloor, ...],
     weights: FloatArray,
     sizes: Mapping[str, Mapping[str, float]],
-) -> tuple[FmuForm, None, None]:
-    """Return the simulation form; there is no form on equations."""
+) -> FmuForm:
+    """Return the simulation form."""
     known = [one.value for one in floors]
-    form = FmuForm(system, dataset, sizes=sizes, horizon=horizon.seconds, weights=weights, floors=known)
-    return form, None, None
+    return FmuForm(system, dataset, sizes=sizes, horizon=horizon.seconds, weights=weights, floors=known)
 
 
 def _plain(system: FmuSystem, dataset: Dataset, horizon: float | None) -> FmuForm:

@@ -76,15 +76,13 @@ def complements(candidates: Sequence[Placed], here: Round) -> list[tuple[Placed,
 def best_pair(search: Search, model: Fitted, here: Round) -> Candidate | None:
     """Return the best accepted pair, where no single effect was accepted.
 
-    Beside the nominal model these are the pairs that explain the momentum residual best, those of the best refits, and
-    complements; beside an effect that stands already, complements only.
+    Beside the nominal model these are the pairs of the best refits, and complements; beside an effect that stands
+    already, complements only.
     """
     probes = {str(one.placed): one for one in here.screen.probes}
     wanted = complements(search.candidates, here)
     if not model.effects:
-        likely = [] if here.weak is None else here.weak.pairs(8)
-        likely += list(combinations(short_of(here)[:4], 2))
-        wanted += _promising(here, likely)
+        wanted += _promising(here, list(combinations(short_of(here)[:4], 2)))
     if not wanted:
         return None
     distinct = {frozenset(map(str, pair)): pair for pair in wanted}.values()
@@ -95,9 +93,7 @@ def best_pair(search: Search, model: Fitted, here: Round) -> Candidate | None:
         return None
     search.say(f"refitting {len(pairs)} pairs")
     bar = Bar(model.effects, model.values, PAIR_PROMISE)
-    tasks = [
-        Task((*model.effects, *pair), starts_of(search, model, pair, probes, None, here.weak), bar) for pair in pairs
-    ]
+    tasks = [Task((*model.effects, *pair), starts_of(search, model, pair, probes), bar) for pair in pairs]
     judged = search.judge(model, tasks, pairs, here.p)
     for _ in range(2):  # two effects share a long valley: a pair that gains is fitted on from where it ended
         onward = {
@@ -118,9 +114,8 @@ def best_pair(search: Search, model: Fitted, here: Round) -> Candidate | None:
 
 
 def _promising(here: Round, pairs: Sequence[tuple[Placed, Placed]]) -> list[tuple[Placed, Placed]]:
-    """Return the pairs that could take away as much as a pair must, by either screen: at most six, best first."""
-    screens = [here.screen] + ([] if here.weak is None else [here.weak.screen])
-    shares = {frozenset(map(str, pair)): (max(one.share(*pair) for one in screens), pair) for pair in pairs}
+    """Return the pairs that could take away as much as a pair must, by the screen: at most six, best first."""
+    shares = {frozenset(map(str, pair)): (here.screen.share(*pair), pair) for pair in pairs}
     ranked = sorted(shares.values(), key=lambda one: -one[0])
     return [pair for share, pair in ranked if share >= PROMISING][:SHORT]
 

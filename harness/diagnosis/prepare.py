@@ -8,16 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import vanished
 from harness.diagnosis.motion import measured_coordinates, motion_band, smooth_motion
-from harness.diagnosis.noise import NoiseFloor
-from harness.diagnosis.output_form import OutputForm
 from harness.effects.columns import motion_sizes
 from harness.errors import InputError
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["Horizon", "checked", "choose_horizon", "prefers_equations", "rough_values", "short_window", "sizes_of"]
+__all__ = ["Horizon", "checked", "choose_horizon", "short_window", "sizes_of"]
 
 GROWTH = 20.0
 """By how much an error of the initial state may grow within a window."""
@@ -86,27 +83,6 @@ def checked(dataset: Dataset, system: Any) -> Dataset:
     return replace(dataset, runs=runs_of)
 
 
-def rough_values(system: Any, dataset: Dataset) -> dict[str, float]:
-    """Return nominal parameters fitted over short windows: good enough for poles and sizes."""
-    from harness.errors import FitError
-    from harness.physics.output_error import fit_output_error
-
-    dt = dataset.spec.sample_time
-    longest = max(len(run) for run in dataset.estimation) * dt
-    try:
-        found = fit_output_error(
-            system,
-            list(dataset.estimation),
-            horizon=max(min(longest / 10, 2.0 if dt < 0.1 else 25 * dt), 50 * dt),
-            continuation=(),
-            intersample=dataset.intersample,
-            max_iterations=40,
-        )
-    except FitError:
-        return dict(system.values())
-    return dict(found.parameters)
-
-
 def choose_horizon(system: Any, values: Mapping[str, float], dataset: Dataset) -> Horizon:
     """Decide from the nominal model whether whole records can be simulated, or windows.
 
@@ -148,20 +124,6 @@ def choose_horizon(system: Any, values: Mapping[str, float], dataset: Dataset) -
     return Horizon(None, "the nominal model is stable: whole records are simulated")
 
 
-def prefers_equations(system: Any, horizon: Horizon, floors: tuple[NoiseFloor, ...]) -> bool:
-    """Decide whether to judge by inverse dynamics.
-
-    That is so where every coordinate is measured and driven, the plant integrates or is unstable, and no white sensor
-    noise was found: then the forces are uncertain, not the positions.
-    """
-    import casadi as ca
-
-    if horizon.seconds is None or measured_coordinates(system) is None or not system.nu:
-        return False
-    driven = all(ca.depends_on(system.input_forces[one.force], system.u) for one in system.coordinates)
-    return driven and all(one.source in (None, "black_box") for one in floors)
-
-
 def short_window(dataset: Dataset) -> float:
     """Return a window [s] of four periods of the motion, 50 samples at least: short, yet longer than a start-up."""
     run, dt = max(dataset.estimation, key=len), dataset.spec.sample_time
@@ -196,31 +158,6 @@ def sizes_of(system: Any, values: Mapping[str, float], dataset: Dataset) -> dict
             force = float(np.sqrt(np.mean(u**2))) if u.size else 1.0
             result.setdefault(port.name, dict(common)).update(F=force, q=level, v=level, a=level)
     return result
-
-
-def forms(
-    system: Any,
-    dataset: Dataset,
-    *,
-    horizon: Horizon,
-    floors: tuple[NoiseFloor, ...],
-    weights: FloatArray,
-    sizes: Mapping[str, Mapping[str, float]],
-) -> tuple[OutputForm, EquationForm | None, EquationForm | None]:
-    """Return the simulation form, the strong and the weak equation form (None where the motion is not measured)."""
-    output = OutputForm(
-        system,
-        dataset,
-        sizes=sizes,
-        horizon=horizon.seconds,
-        weights=weights,
-        floors=[one.value for one in floors],
-    )
-    if measured_coordinates(system) is None:
-        return output, None, None
-    strong = EquationForm(system, dataset, sizes=sizes)
-    weak = EquationForm(system, dataset, sizes=sizes, shape="weak")
-    return output, strong, weak
 
 
 def _operating_points(system: Any, dataset: Dataset) -> FloatArray:

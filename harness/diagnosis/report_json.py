@@ -29,8 +29,7 @@ Keys of ``sysid-harness/close-loop/1``:
 ``disturbance``
     By output: what is left and cannot be predicted, where it exceeds the noise floor.
 ``candidates``
-    Every refit, with the reason it was rejected; then what the screens alone set aside. ``judge``: ``simulation``, or
-    ``momentum`` where a disturbed plant was also judged by the whitened balance of the measured motion.
+    Every refit, with the reason it was rejected; then what the screen alone set aside.
 ``closed_loop``, ``closed_loop_bias``
     By input, whether the residual is related to later inputs; and the Durbin-Wu-Hausman test of the bias that feedback
     puts on the parameters: ``statistic``, ``p``, ``parameters`` with the shift of each in its standard errors.
@@ -76,7 +75,7 @@ def report_data(found: SimulatedDiagnosis, references: Sequence[Mapping[str, Flo
     others = _other_horizons(found)
     errors = {
         name: {
-            "equation_error": equation_error(found.output, found.strong, model, found.dataset, inverse=found.inverse),
+            "equation_error": equation_error(found.output, None, model, found.dataset, inverse=False),
             "simulation_error": simulation_error(found.output, model, found.dataset, found.horizon.seconds, others),
             "residual_to_noise": _noise_ratios(found, model),
         }
@@ -120,7 +119,7 @@ def report_data(found: SimulatedDiagnosis, references: Sequence[Mapping[str, Flo
         "closed_loop": _closed_loop(found),
         "closed_loop_bias": _bias(found, references),
         "horizon": {"seconds": found.horizon.seconds, "reason": found.horizon.reason},
-        "form": "inverse dynamics" if found.inverse else "simulation",
+        "form": "simulation",
         "converged": {"nominal": found.nominal.converged, "same_minimum_twice": found.same_minimum},
         "warnings": list(dict.fromkeys(warnings)),
         "seconds": round(found.seconds, 2),
@@ -208,8 +207,7 @@ def _disturbance(found: SimulatedDiagnosis) -> dict[str, Any]:
         if not residual_tests.detect(ratio, acf, n):
             continue
         longest = max(model.validation, key=len)[:, j]
-        step = dt if not found.inverse else dt * _factor(found)
-        f, power = signal.welch(longest, 1 / step, nperseg=min(len(longest), 512))
+        f, power = signal.welch(longest, 1 / dt, nperseg=min(len(longest), 512))
         share = np.cumsum(power) / max(power.sum(), 1e-300)
         result[name] = {
             "rms": known(float(size[j])),
@@ -223,11 +221,6 @@ def _disturbance(found: SimulatedDiagnosis) -> dict[str, Any]:
     return result
 
 
-def _factor(found: SimulatedDiagnosis) -> int:
-    """Return the decimation of the force residual."""
-    return found.strong.motions["estimation"][0].factor if found.strong is not None else 1
-
-
 def _candidates(found: SimulatedDiagnosis) -> list[dict[str, Any]]:
     """Return one row for each refit of each round, then what the screens set aside."""
     accepted = {str(one.placed) for one in found.result.accepted}
@@ -235,7 +228,7 @@ def _candidates(found: SimulatedDiagnosis) -> list[dict[str, Any]]:
     rows = []
     for number, here in enumerate(found.result.rounds, start=1):
         for one in sorted(here.candidates, key=lambda c: -c.delta_bic):
-            rows.append(_row(one, number, here.judge, accepted, tied))
+            rows.append(_row(one, number, accepted, tied))
         refitted = {one.name for one in here.candidates}
         for probe in here.screen.probes:
             if str(probe.placed) in refitted:
@@ -249,7 +242,6 @@ def _candidates(found: SimulatedDiagnosis) -> list[dict[str, Any]]:
                     "name": probe.placed.effect.name,
                     "at": probe.placed.at,
                     "round": number,
-                    "judge": here.judge,
                     "refitted": False,
                     "accepted": False,
                     "reason": reason,
@@ -260,14 +252,14 @@ def _candidates(found: SimulatedDiagnosis) -> list[dict[str, Any]]:
         for name, reason in here.screen.failed.items():
             effect, _, at = name.partition("@")
             rows.append(
-                {"name": effect, "at": at, "round": number, "judge": here.judge, "refitted": False, "accepted": False,
+                {"name": effect, "at": at, "round": number, "refitted": False, "accepted": False,
                  "reason": reason, "screen_r2": None, "delta_bic": None}
             )  # fmt: skip
     return rows
 
 
-def _row(one: Candidate, number: int, judge: str, accepted: set[str], tied: set[str]) -> dict[str, Any]:
-    """Return the row of one refitted candidate; a whitened residual of momentum is no size of an output."""
+def _row(one: Candidate, number: int, accepted: set[str], tied: set[str]) -> dict[str, Any]:
+    """Return the row of one refitted candidate."""
     reason = "; ".join(one.judgement.reasons)
     if one.accepted and one.name not in accepted:
         reason = "tied with the answer, which is simpler" if one.name in tied else "another candidate explains more"
@@ -276,7 +268,6 @@ def _row(one: Candidate, number: int, judge: str, accepted: set[str], tied: set[
         "name": " + ".join(p.effect.name for p in one.added),
         "at": ", ".join(p.at for p in one.added),
         "round": number,
-        "judge": judge,
         "refitted": True,
         "converged": bool(fitted.converged) if fitted is not None else False,
         "accepted": one.name in accepted and one.accepted,
@@ -286,9 +277,7 @@ def _row(one: Candidate, number: int, judge: str, accepted: set[str], tied: set[
         "validation_gain": known(one.comparison.gain),
         "bootstrap_p": known(one.comparison.p),
         "main": {name: [known(i.value), known(i.low), known(i.high)] for name, i in one.main.items()},
-        "residual": known(float(rms(fitted.validation).max()))
-        if judge == "simulation" and fitted is not None and fitted.finite
-        else None,
+        "residual": known(float(rms(fitted.validation).max())) if fitted is not None and fitted.finite else None,
     }
 
 
@@ -301,15 +290,14 @@ def _tests(found: SimulatedDiagnosis, model: Fitted) -> dict[str, Any]:
             continue
         tests = [residual_tests.ljung_box(r), residual_tests.cusum_of_squares(r)[2]]
         record = max(found.dataset.validation, key=len)
-        if not found.inverse:
-            y = record.y[: r.size, j]
-            for k, channel in enumerate(found.dataset.spec.inputs):
-                u = record.u[: r.size, k]
-                if np.ptp(u) > 0:
-                    first = residual_tests.input_correlation(u, r)
-                    tests.append(residual_tests.Outcome(f"{first.name} ({channel.name})", *_three(first)))
-                    tests += list(residual_tests.higher_order(u, y, r))
-        dt = found.dataset.spec.sample_time * (_factor(found) if found.inverse else 1)
+        y = record.y[: r.size, j]
+        for k, channel in enumerate(found.dataset.spec.inputs):
+            u = record.u[: r.size, k]
+            if np.ptp(u) > 0:
+                first = residual_tests.input_correlation(u, r)
+                tests.append(residual_tests.Outcome(f"{first.name} ({channel.name})", *_three(first)))
+                tests += list(residual_tests.higher_order(u, y, r))
+        dt = found.dataset.spec.sample_time
         line = residual_tests.fisher_g(r, dt)
         result[name] = {
             "largest_autocorrelation": known(residual_tests.max_autocorrelation(r)),
@@ -377,14 +365,8 @@ def _closed_loop(found: SimulatedDiagnosis) -> dict[str, Any]:
     The residual of the final model is correlated with *later* inputs (Ljung, System Identification, section 13.4).
     """
     model, result = found.final, {}
-    if found.inverse and found.strong is not None:
-        motion = found.strong.motions["estimation"][0]
-        from harness.diagnosis.equation import decimated
-
-        u, r = decimated(motion.u, motion), model.estimation[0][:, 0]
-    else:
-        run = found.dataset.estimation[0]
-        u, r = run.u, model.estimation[0][:, 0]
+    run = found.dataset.estimation[0]
+    u, r = run.u, model.estimation[0][:, 0]
     n = min(len(u), len(r))
     for k, channel in enumerate(found.dataset.spec.inputs):
         if n < 100 or np.ptp(u[:n, k]) == 0 or not np.isfinite(r).all():

@@ -16,7 +16,6 @@ import numpy as np
 from harness.diagnosis.adequacy import hat_basis, joint_basis, rough
 from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, stacked
-from harness.diagnosis.momentum_form import MomentumForm
 from harness.diagnosis.motion import Motion
 from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.surrogates import orthonormal
@@ -101,7 +100,7 @@ def responses_of(form: Any, fitted: Fitted) -> tuple[Responses, dict[str, Family
         families, raw = _simulated_families(form, fitted)
         outside = _output_jacobian(form, fitted)
     inside = list(fitted.jacobian)
-    if isinstance(form, EquationForm) and not isinstance(form, MomentumForm):
+    if isinstance(form, EquationForm):
         # all parameters and all inputs scaled together leave no residual at all: that is no prediction
         inside = [np.concatenate(pair, axis=2) for pair in zip(inside, _pushes(form, "estimation"), strict=True)]
         outside = [np.concatenate(pair, axis=2) for pair in zip(outside, _pushes(form, "validation"), strict=True)]
@@ -160,7 +159,7 @@ def equation_families(form: EquationForm) -> list[Family]:
         q = axis(one.name, one.unit, lambda m, row=row: m.q[:, row])
         v = axis(f"{one.name}'", f"{one.unit}/s", lambda m, row=row: m.v[:, row])
         t = axis("time", "s", lambda m: m.t - m.t[0])
-        channels = [] if isinstance(form, MomentumForm) else list(enumerate(form.nominal.inputs))
+        channels = list(enumerate(form.nominal.inputs))
         inputs = [axis(channel.name, channel.unit, lambda m, k=k: m.u[:, k]) for k, channel in channels]
         families += families_at(f"force on {one.name}", q, v, t, inputs)
     return families

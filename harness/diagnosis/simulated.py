@@ -12,16 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis import fmu_prepare
 from harness.diagnosis.adequacy import Adequacy
-from harness.diagnosis.columns_check import check_columns
 from harness.diagnosis.confirm import far_above
 from harness.diagnosis.dictionary import placed
-from harness.diagnosis.disturbed import BALANCE, Balance, second_opinion
-from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.forms import Fitted, Form
 from harness.diagnosis.horizons import searched
 from harness.diagnosis.leftover import leftover
-from harness.diagnosis.momentum_form import MomentumForm
 from harness.diagnosis.noise import NoiseFloor, noise_floors
 from harness.diagnosis.nominal import fit_nominal, reweighed
 from harness.diagnosis.output_form import OutputForm
@@ -33,9 +30,7 @@ from harness.diagnosis.screens import Screen, sensitivity_screen
 from harness.diagnosis.store import Store, fingerprint
 from harness.diagnosis.stretches import polished, stretched
 from harness.diagnosis.subset import Search, SearchResult
-from harness.diagnosis.thinning import thinned_dataset
 from harness.effects.effect import Effect, Placed
-from harness.errors import FitError
 from harness.signals import Dataset
 from harness.workers import one_thread
 
@@ -55,8 +50,6 @@ class SimulatedDiagnosis:
     floors: tuple[NoiseFloor, ...]
     form: Form
     output: OutputForm
-    strong: EquationForm | None
-    inverse: bool
     nominal: Fitted
     same_minimum: bool
     result: SearchResult
@@ -92,7 +85,6 @@ def diagnose_by_simulation(
     progress: Progress | None = None,
     folder: Path | None = None,
     dictionary: Sequence[Effect] | None = None,
-    inverse_dynamics: bool | None = None,
     workers: int | None = None,
 ) -> SimulatedDiagnosis:
     """Run the algorithm and return all that it found, without writing a report.
@@ -111,8 +103,6 @@ def diagnose_by_simulation(
         Where finished refits are kept.
     dictionary : sequence of Effect, optional
         By default the built-in effects and those of installed plug-ins.
-    inverse_dynamics : bool, optional
-        Judge force residuals on measured motion instead of simulations; by default decided from the data.
     workers : int, optional
         Processes for refits; by default the number of cores, at most 4.
 
@@ -123,7 +113,7 @@ def diagnose_by_simulation(
     """
     count = min(os.cpu_count() or 1, 4) if workers is None else workers
     with one_thread(), RefitWorkers(count) as helpers:
-        return _diagnosed(dataset, system, seed, progress, folder, dictionary, inverse_dynamics, helpers)
+        return _diagnosed(dataset, system, seed, progress, folder, dictionary, helpers)
 
 
 def _diagnosed(
@@ -133,7 +123,6 @@ def _diagnosed(
     progress: Progress | None,
     folder: Path | None,
     dictionary: Sequence[Effect] | None,
-    inverse_dynamics: bool | None,
     helpers: RefitWorkers,
 ) -> SimulatedDiagnosis:
     """Do what :func:`diagnose_by_simulation` says."""
@@ -143,36 +132,25 @@ def _diagnosed(
         if progress is not None:
             progress(part, what)
 
-    ways = _ways(system)
-    whole = thinned_dataset(ways.checked(dataset, system), system)
+    whole = fmu_prepare.checked(dataset, system)
     dataset = stretched(whole)
     warnings = list(dataset.warnings)
     say(0.02, "first fit of the nominal model")
-    if hasattr(system, "coordinates") and hasattr(system, "f"):
-        warnings += check_columns(system, dataset)
-    values = ways.rough_values(system, dataset)
-    horizon = ways.choose_horizon(system, values, dataset)
+    values = fmu_prepare.rough_values(system, dataset)
+    horizon = fmu_prepare.choose_horizon(system, values, dataset)
     say(0.06, "noise floor")
     floors = noise_floors(dataset, horizon=horizon.seconds)
-    sizes: dict[str, dict[str, float]] = ways.sizes_of(system, values, dataset)
-    inverse = ways.prefers_equations(system, horizon, floors) if inverse_dynamics is None else inverse_dynamics
+    sizes: dict[str, dict[str, float]] = fmu_prepare.sizes_of(system, values, dataset)
     spread = np.std(np.concatenate([run.y for run in dataset.estimation]), axis=0)
     weights = np.array([one.value if one.value else max(0.1 * s, 1e-12) for one, s in zip(floors, spread, strict=True)])
-    output, strong, weak = ways.forms(system, dataset, horizon=horizon, floors=floors, weights=weights, sizes=sizes)
-    if inverse and strong is None:
-        raise FitError(
-            "inverse dynamics asked for",
-            expected="a measured position for every coordinate",
-            got=", ".join(channel.name for channel in system.outputs),
-            remedy="leave inverse_dynamics to the data",
-        )
-    form: Form = strong if inverse and strong is not None else output
+    output: OutputForm = fmu_prepare.form(system, dataset, horizon=horizon, floors=floors, weights=weights, sizes=sizes)
+    form: Form = output
     say(0.1, "nominal fit")
     nominal, same = fit_nominal(form, values, seed, floors)
     if not same:
         warnings.append("the nominal fit did not end in the same minimum from two starts")
     form, nominal, floors = reweighed(form, output, nominal, floors, warnings)
-    sizes = output.sizes
+    sizes = {port: dict(one) for port, one in output.sizes.items()}
     steps = iter(np.linspace(0.25, 0.8, 60))
 
     def _fraction() -> float:
@@ -188,41 +166,20 @@ def _diagnosed(
     stores: dict[tuple[str, float | None], Store] = {}  # what a second search needs again is there
 
     def search_of(one: Form) -> Search:
-        by_momentum = isinstance(one, MomentumForm)
-        key = (type(one).__name__, getattr(one, "horizon", horizon.seconds))
-        identity = fingerprint(dataset, model=str(system), parameters=str(system.parameters), horizon=key[1],
-                               inverse="balance" if by_momentum else inverse, weights=one.weights.tolist())  # fmt: skip
-        store = stores.setdefault(key, Store(folder, identity))
-        workers = None if by_momentum else helpers  # its refits take no time
-        refitter = Refitter(one, store, seed, workers, lambda name: say(_fraction(), f"refitted {name}"))
+        seconds = getattr(one, "horizon", horizon.seconds)
+        identity = fingerprint(dataset, model=str(system), parameters=str(system.parameters), horizon=seconds,
+                               weights=one.weights.tolist())  # fmt: skip
+        store = stores.setdefault((type(one).__name__, seconds), Store(folder, identity))
+        refitter = Refitter(one, store, seed, helpers, lambda name: say(_fraction(), f"refitted {name}"))
         judged = [placed for placed in candidates if one.judges(placed)]
-        return Search(
-            one, None if by_momentum else weak, judged, sizes, refitter, seed, lambda text: say(_fraction(), text)
-        )
+        return Search(one, judged, sizes, refitter, seed, lambda text: say(_fraction(), text))
 
     def graded(one: Form, found: SearchResult, others: Sequence[tuple[Form, Fitted]]) -> Any:
         say(0.82, "what is left, and whether it can be predicted")
-        detected = search_of(one).detected(found.model)
-        return leftover(one, found, others, weak, dataset, seed, detected=detected, balance=momentum,
-                        unbalanced=bool(large))  # fmt: skip
+        return leftover(one, found, others, dataset, seed, detected=search_of(one).detected(found.model))
 
     usual, usual_nominal = form, nominal
-    momentum: MomentumForm | None = None
-    balance = Balance(system, dataset, sizes, usual_nominal.values, floors, seed)
-    large = ""
     form, nominal, result = searched(form, nominal, search_of, size_of)
-    disturbed = far_above(usual, usual_nominal) and (form is not usual or far_above(usual, result.model))
-    if weak is not None and isinstance(usual, OutputForm) and isinstance(form, OutputForm) and disturbed:
-        say(0.8, "the momentum balance of the measured motion")
-        momentum, why = balance.asked()
-        warnings += why
-        if momentum is not None:
-            form, nominal, result = second_opinion(usual, form, nominal, result, momentum, search_of)
-            warnings += [note for note in result.notes if note == BALANCE]
-    doubtful = far_above(usual, usual_nominal) or not all(usual.floors)
-    if weak is not None and isinstance(usual, OutputForm) and doubtful and not result.accepted:
-        large = balance.unexplained()
-        warnings += [large] if large else []
     others = [] if form is usual or result.accepted else [(usual, usual_nominal)]
     adequacy, families = graded(form, result, others)
     if form is not usual and adequacy.predictable:
@@ -248,8 +205,6 @@ def _diagnosed(
         floors=floors,
         form=form,
         output=output,
-        strong=strong,
-        inverse=inverse,
         nominal=nominal,
         same_minimum=same,
         result=result,
@@ -275,15 +230,3 @@ def undetermined(model: Fitted) -> list[str]:
                 "long that its size is hardly known; that the error falls is no chance"
             )
     return found
-
-
-def _ways(system: Any) -> Any:
-    """Return what prepares the loop: for equations, or for an FMU."""
-    from harness.diagnosis import prepare
-    from harness.diagnosis.fmu_system import FmuSystem
-
-    if isinstance(system, FmuSystem):
-        from harness.diagnosis import fmu_prepare
-
-        return fmu_prepare
-    return prepare

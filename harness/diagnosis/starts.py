@@ -13,7 +13,6 @@ from harness.diagnosis.forms import Fitted
 from harness.diagnosis.refit import Task
 from harness.diagnosis.residual_tests import fisher_g
 from harness.diagnosis.screens import Probe
-from harness.diagnosis.weak_screen import WeakScreen
 from harness.effects.effect import Placed
 
 if TYPE_CHECKING:
@@ -28,21 +27,10 @@ def starts_of(
     added: Sequence[Placed],
     probes: Mapping[str, Probe],
     line: float | None = None,
-    weak: WeakScreen | None = None,
 ) -> tuple[dict[str, float], ...]:
-    """Return starting parameters: of the weak form, then the model's own with the screened values."""
+    """Return starting parameters: the model's own with the screened values."""
     base = dict(model.values)
     lists: list[list[dict[str, float]]] = []
-    first: list[dict[str, float]] = []
-    if weak is not None:
-        found = {str(one.placed): one.starts[0] for one in weak.screen.probes}
-        if all(str(one) in found for one in added):
-            start = dict(base)
-            for placed in added:
-                start.update(weak.parameters[str(placed)])
-                usual = placed.effect.complete({}, search._size(placed))
-                start.update({placed.name(k): v for k, v in {**usual, **found[str(placed)]}.items()})
-            first = [start]
     for placed in added:
         probe = probes.get(str(placed))
         own = list(probe.starts) if probe is not None else [placed.effect.complete({}, search._size(placed))]
@@ -50,7 +38,7 @@ def starts_of(
             own = [{**own[0], "omega": line}]
         several = any(len(one.grid) > 1 and not one.nuisance for one in placed.effect.parameters)
         lists.append([{placed.name(k): v for k, v in one.items()} for one in own[: 3 if several else 1]])
-    starts = list(first)
+    starts: list[dict[str, float]] = []
     for k in range(max(len(one) for one in lists)):
         start = dict(base)
         for own in lists:

@@ -14,13 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from harness.diagnosis.accept import LEVEL
-from harness.diagnosis.confirm import Candidate, assess, far_above
+from harness.diagnosis.confirm import Candidate, assess
 from harness.diagnosis.descent import Bar
-from harness.diagnosis.equation_form import EquationForm
 from harness.diagnosis.exchange import Accepted, swapped, with_ties
 from harness.diagnosis.forms import Fitted, Form
-from harness.diagnosis.momentum_form import MomentumForm
-from harness.diagnosis.output_form import OutputForm
 from harness.diagnosis.pairs import best_pair, compatible
 from harness.diagnosis.refit import Task
 from harness.diagnosis.refitter import Refitter
@@ -30,30 +27,24 @@ from harness.diagnosis.starts import line_of, polished, starts_of
 from harness.diagnosis.surrogates import SurrogateTest, surrogate_test
 from harness.diagnosis.ties import leader, simplest, tie_set
 from harness.diagnosis.unfold import hidden_signs
-from harness.diagnosis.weak_screen import WeakScreen, weak_screen
-from harness.diagnosis.witness import contradiction
 from harness.effects.effect import Placed
 from harness.rng import stream
 
 __all__ = ["Accepted", "Round", "Search", "SearchResult"]
 
 MOST_EFFECTS = 3
-BALANCE_LEVEL = 0.05
-"""Level of the global null in the whitened balance: there the test on validation holds its own level as it stands."""
 
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One pass: screens, global null, the refits judged against the model before, by simulation or by momentum."""
+    """One pass: screen, global null, the refits judged against the model before."""
 
     before: Fitted
     screen: Screen
-    weak: WeakScreen | None
     surrogates: SurrogateTest
     p: float
     line: float | None
     candidates: tuple[Candidate, ...]
-    judge: str = "simulation"
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +66,6 @@ class Search:
     ----------
     form : Form
         How model and data are compared.
-    weak : EquationForm or None
-        The weak form of the equations, for its screen; None where the motion is not measured.
     candidates : sequence of Placed
         The dictionary at every port it fits.
     sizes : mapping
@@ -88,7 +77,6 @@ class Search:
     """
 
     form: Form
-    weak: EquationForm | None
     candidates: Sequence[Placed]
     sizes: Mapping[str, Mapping[str, float]]
     refitter: Refitter
@@ -122,10 +110,7 @@ class Search:
 
         On estimation or on validation; once an effect stands, on estimation only: a model that reaches the noise
         there has nothing left to fit, though a sensitive motion may still magnify its errors on validation.
-        A residual that was whitened shows nothing by its size: there the tests of each effect decide.
         """
-        if isinstance(self.form, MomentumForm):
-            return True
         for parts in (model.estimation,) if later else (model.estimation, model.validation):
             joined = np.concatenate(parts)
             for j in range(joined.shape[1]):
@@ -143,27 +128,19 @@ class Search:
         self.say("screening the dictionary")
         self.refitter.prepare()
         screen = sensitivity_screen(self.form, model, rest, self._size)
-        weak = self._weak_screen(model, rest)
         bases = {str(one.placed): one.basis for one in screen.probes if one.left >= SEEN and one.rank}
         rng = stream("diagnosis-surrogates", len(model.effects), self.seed)
         cleaned = self.form.clean(model, [one[:, :, None] for one in model.estimation])
         seams: list[tuple[int, int, int]] = getattr(self.form, "seams", lambda _: [])(model)
         test = surrogate_test([one[:, :, 0] for one in cleaned], bases, screen.nominal, rng=rng, windows=seams)
         p = test.p
-        if weak is not None:
-            momentum = {str(one.placed): one.basis for one in weak.screen.probes if one.left >= SEEN and one.rank}
-            other = surrogate_test(list(weak.residual), momentum, weak.screen.nominal, rng=rng)
-            p = min(test.p, other.p)  # either one opens the way to the refits, which have tests of their own
-            test = other if other.p < test.p else test
         line = line_of(self, model)
-        judge = "momentum" if isinstance(self.form, MomentumForm) else "simulation"
         signs = {key: own for key, own in hidden_signs(self.form, rest).items() if own <= LEVEL}
-        level = BALANCE_LEVEL if isinstance(self.form, MomentumForm) else LEVEL
-        if p > level and line is None and not signs:
+        if p > LEVEL and line is None and not signs:
             self.notes.append(f"the dictionary explains the residual no better than surrogates of it (p = {p:.3f})")
-            return Round(model, screen, weak, test, p, line, (), judge)
+            return Round(model, screen, test, p, line, ())
         # A line and a lost sign have tests of their own; they vouch for nothing else.
-        chosen = shortlist(screen, None if weak is None else weak.screen, rest) if p <= level else []
+        chosen = shortlist(screen, None, rest) if p <= LEVEL else []
         if line is None:  # its phase is fitted on validation too, so there any narrow band would seem to gain
             chosen = [one for one in chosen if one.effect.name != "periodic_disturbance"]
         chosen += [one for one in rest if str(one) in signs and str(one) not in map(str, chosen)]
@@ -173,11 +150,11 @@ class Search:
             ]
         probes = {str(one.placed): one for one in screen.probes}
         bar = Bar(model.effects, model.values)
-        tasks = [Task((*model.effects, one), starts_of(self, model, [one], probes, line, weak), bar) for one in chosen]
+        tasks = [Task((*model.effects, one), starts_of(self, model, [one], probes, line), bar) for one in chosen]
         self.say(f"refitting {len(tasks)} candidates")
         null = {
             str(one): 0.0
-            if isinstance(self.form, MomentumForm) or (line is not None and one.effect.name == "periodic_disturbance")
+            if line is not None and one.effect.name == "periodic_disturbance"
             else min(p, signs.get(str(one), 1.0))
             for one in chosen
         }
@@ -190,14 +167,7 @@ class Search:
                 if "failed" not in record and ("failed" in records[old] or record["cost"] < records[old]["cost"]):
                     tasks = [new if one.key == old else one for one in tasks]
             candidates = self.judge(model, tasks, [(one,) for one in chosen], null)
-        if isinstance(self.form, MomentumForm):
-            relatives = self._relatives(candidates, rest)
-            chosen, null = [*chosen, *relatives], {**null, **{str(one): 0.0 for one in relatives}}
-            tasks += [
-                Task((*model.effects, one), starts_of(self, model, [one], probes, line, weak)) for one in relatives
-            ]
-            candidates = self.judge(model, tasks, [(one,) for one in chosen], null) if relatives else candidates
-        return Round(model, screen, weak, test, p, line, tuple(candidates), judge)
+        return Round(model, screen, test, p, line, tuple(candidates))
 
     def judge(
         self,
@@ -212,15 +182,7 @@ class Search:
             (new, self.refitter.evaluate(task, record)) for new, task, record in zip(added, tasks, records, strict=True)
         ]
         failures = [str(record.get("failed", "")) for record in records]
-        return assess(self.form, before, models, surrogate_p=p, seed=self.seed, failures=failures, doubts=self.doubts)
-
-    def doubts(self, fitted: Fitted, added: Sequence[Placed]) -> list[str]:
-        """Return what the measured motion says against effects, where something else disturbs the plant too."""
-        if isinstance(self.form, MomentumForm):
-            return self.form.details(fitted, added)
-        if type(self.form) is not OutputForm or not far_above(self.form, fitted):
-            return []
-        return contradiction(self.weak, fitted, added)
+        return assess(self.form, before, models, surrogate_p=p, seed=self.seed, failures=failures)
 
     def winner(self, candidates: Sequence[Candidate]) -> Candidate | None:
         """Return the simplest member of the tie set of the best accepted candidate."""
@@ -229,23 +191,6 @@ class Search:
             return None
         best = leader(accepted, seed=self.seed)
         return simplest(tie_set(self.form, best, candidates, seed=self.seed))
-
-    def _relatives(self, candidates: Sequence[Candidate], rest: Sequence[Placed]) -> list[Placed]:
-        """Return what is easily mistaken for an accepted candidate and was not refitted: details may head a screen."""
-        tried = {str(one.added[0]) for one in candidates}
-        names = {
-            (name, one.added[0].at)
-            for one in candidates
-            if one.accepted
-            for name in (*one.added[0].effect.family, *one.added[0].effect.nests)
-        }
-        return [one for one in rest if (one.effect.name, one.at) in names and str(one) not in tried]
-
-    def _weak_screen(self, model: Fitted, rest: Sequence[Placed]) -> WeakScreen | None:
-        """Return the screen on the momentum equation, where there is one for this model."""
-        if self.weak is None or not all(self.weak.judges(one) for one in model.effects):
-            return None
-        return weak_screen(self.weak, model.effects, model.values, rest, self.sizes)
 
     def _size(self, placed: Placed) -> Mapping[str, float]:
         """Return the sizes of the data at an effect's port."""

@@ -9,7 +9,6 @@ import numpy as np
 from harness.diagnosis.accept import compare_blocks, information_samples
 from harness.diagnosis.confirm import Candidate, noise_ratio
 from harness.diagnosis.forms import Fitted, Form, placed_name
-from harness.diagnosis.momentum_form import MomentumForm
 from harness.diagnosis.residual_tests import RATIO
 from harness.rng import stream
 from harness.signals import FloatArray
@@ -40,7 +39,6 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
     validation at least as well: under a disturbance the criterion counts details of one record as evidence.
     Where the best leaves more than the noise, an accepted candidate also ties if the paired bootstrap cannot tell the
     two on estimation either: blocks stay right where the residual is coloured, the criterion does not.
-    In the balance of momentum two forces that differ by no more than a detail of the smoothed motion tie.
     A more complex one whose additional parameters are not determined by the data (Stribeck friction seen only at high
     speed) also ties: only the penalty separates it, not the data.
     """
@@ -51,9 +49,6 @@ def tie_set(form: Form, best: Candidate, candidates: Sequence[Candidate], *, see
     tied = [best]
     for one in candidates:
         if one is best or one.fitted is None or not one.fitted.finite:
-            continue
-        if isinstance(form, MomentumForm) and form.alike(best.fitted, one.fitted, best.added):
-            tied.append(one)
             continue
         nested, lost = _special_case(one, best), best.delta_bic - one.delta_bic
         close = lost <= max(WITHIN, (SPECIAL if nested else SHARE) * best.delta_bic)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import socket
 import warnings
 from collections.abc import Iterator
@@ -46,6 +48,38 @@ def test_a_cluster_gives_the_same_rows(cluster: str, tmp_path: Path) -> None:
     bench(suite, out=tmp_path / "near", workers=2)
     far, near = ((tmp_path / name / "results.parquet").read_bytes() for name in ("far", "near"))
     assert far == near
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_worker_killed_in_the_middle_loses_nothing(plugins: Path, tmp_path: Path) -> None:
+    suite = tmp_path / "cluster.toml"
+    naps = ", ".join(f'{{id = "test-fit", label = "nap {k}", options = {{nap = 0.3}}}}' for k in range(4))
+    suite.write_text(SUITE[: SUITE.index("identifiers")] + f"identifiers = [{naps}]\n")
+    killed: list[int] = []
+
+    def kill_one(done: int, total: int, what: str) -> None:
+        if done and not killed:
+            info = made.scheduler_info["workers"]
+            killed.append(next(iter(client.run(os.getpid, workers=[next(iter(info))]).values())))
+            os.kill(killed[0], signal.SIGKILL)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with (
+            distributed.LocalCluster(
+                n_workers=2,
+                threads_per_worker=1,
+                host="127.0.0.1",
+                dashboard_address=None,
+                worker_dashboard_address=None,
+            ) as made,
+            distributed.Client(made, set_as_default=False) as client,
+        ):
+            engine = f"dask://{made.scheduler_address.removeprefix('tcp://')}"
+            result = bench(suite, out=tmp_path / "out", engine=engine, seeds=(0, 5), progress=kill_one)
+    assert killed
+    assert [row.status for row in result.rows] == ["ok"] * 24
 
 
 @pytest.mark.filterwarnings("ignore")
