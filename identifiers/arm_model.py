@@ -157,11 +157,11 @@ class ArmDynamics:
             If it is none.
         """
         try:
-            names = ("inertial", "damping", "friction", "motor_inertia")
-            inertial, damping, friction, motor = (np.array(content[key], dtype=float) for key in names)
-            notes = dict(content.get("notes", {}))
-            spec, model = spec_from_dict(content["spec"]), str(content["model"])
-            return cls(spec, model, inertial, damping, friction, motor, notes)
+            bodies, damping, friction, motor = (
+                np.array(content[key], dtype=float) for key in ("inertial", "damping", "friction", "motor_inertia")
+            )
+            spec, notes = spec_from_dict(content["spec"]), dict(content.get("notes", {}))
+            return cls(spec, str(content["model"]), bodies, damping, friction, motor, notes)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 "description of an arm model",

@@ -129,7 +129,7 @@ def huber(rows: FloatArray, target: FloatArray, *, iterations: int = 50) -> tupl
     theta: FloatArray = np.zeros(rows.shape[1])
     for number in range(iterations):
         root = np.sqrt(weights)
-        new = np.linalg.lstsq(rows / size * root[:, None], target * root, rcond=None)[0]
+        new = np.asarray(np.linalg.lstsq(rows / size * root[:, None], target * root, rcond=None)[0], dtype=np.float64)
         rest = target - rows / size @ new
         # 1.4826: median absolute deviation to standard deviation of a normal
         spread = 1.4826 * float(np.median(np.abs(rest)))

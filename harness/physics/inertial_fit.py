@@ -7,6 +7,7 @@ bodies, then friction; G and s weighted by the noise. The bodies are scaled by t
 
 from __future__ import annotations
 
+import importlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -114,9 +115,8 @@ def by_semidefinite_program(problem: Problem, *, objective: FloatArray | None = 
     FitError
         If the solver does not end at an optimum.
     """
-    import cvxpy
-
-    cp: Any = cvxpy  # its star imports hide its names from type checkers
+    # its stubs miss most of its functions
+    cp: Any = importlib.import_module("cvxpy")
     count, others = len(problem.bodies.prior), problem.side.size - problem.bodies.prior.size
     blocks = [cp.Variable((4, 4), symmetric=True) for _ in range(count)]
     free = cp.Variable(max(others, 1))
@@ -225,15 +225,11 @@ def by_log_cholesky(problem: Problem) -> FloatArray:
         guess = np.linalg.lstsq(problem.gram[10 * count :, 10 * count :], left, rcond=None)[0]
         start[10 * count :] = np.where(positive, np.log(np.maximum(guess, 1e-6)), guess)
     scale = max(abs(value_and_slope(start)[0]), 1.0)
-
-    def scaled(z: FloatArray) -> tuple[float, FloatArray]:
-        value, slope = value_and_slope(z)
-        return value / scale, slope / scale
-
-    found: Any = minimize(  # type: ignore[call-overload]
-        scaled,
+    search: Any = minimize  # its stubs do not know this method's arguments
+    found = search(
+        lambda z: value_and_slope(z)[0] / scale,
         start,
-        jac=True,
+        jac=lambda z: value_and_slope(z)[1] / scale,
         hess=lambda z: curvature(z) / scale,
         method="trust-exact",
         options={"maxiter": ITERATIONS, "gtol": 1e-3 / scale},

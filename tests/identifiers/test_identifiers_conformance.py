@@ -48,6 +48,7 @@ TESTED_ELSEWHERE = {
     "inertial": "needs an arm: tested beside the inertial parameters",
     "true-model": "needs a plant: tested beside the baselines",
     "output-error": "seconds for each fit: tested beside the grey boxes",
+    "maximum-likelihood": "seconds for each fit: tested in a file of its own",
     "lumped-torque": "needs its own mechanism: tested beside the lumped forms",
     "lumped-energy": "needs its own mechanism: tested beside the lumped forms",
     "neural-state-space": "needs torch: tested beside the networks",
