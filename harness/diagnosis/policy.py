@@ -70,6 +70,12 @@ class Policy:
         "the last steps of a fit gained up to three times what the first ones had",
         "seeds below 1000",
     )
+    starts: int = _number(
+        3,
+        "choices of an effect's nonlinear parameters that a refit starts from",
+        "the first-order promise does not order them: a Stribeck speed ten times off promised more than the true one",
+        "tests",
+    )
     begun: int = _number(12, "refits that are begun in a round", "cost", "seeds below 1000")
     refits: int = _number(6, "refits that are finished in a round", "cost", "seeds below 1000")
     pairs: int = _number(2, "rivals of a first answer that are tried with a second effect", "cost", "seeds below 1000")

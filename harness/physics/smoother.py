@@ -21,7 +21,10 @@ class Smoothed:
 
 
 def smoothed(passed: Filtered) -> Smoothed:
-    """Return the states given all outputs of a record (Rauch, Tung & Striebel 1965, eq. 3.30).
+    """Return the states given all outputs of a record, by the modified Bryson-Frazier recursion.
+
+    It runs backwards on the innovations and inverts no covariance: at a high sample rate that is nearly singular
+    (Bierman 1973, Automatica 9:503, eqs. 12-17).
 
     Parameters
     ----------
@@ -30,16 +33,26 @@ def smoothed(passed: Filtered) -> Smoothed:
     """
     path = passed.path
     assert path is not None
-    n = len(path.x_after)
-    size = np.sqrt(np.maximum(np.einsum("kii->ki", path.p_before), 1e-300))
-    scaled = path.p_before / (size[:, :, None] * size[:, None, :])
-    inverse = np.linalg.pinv(scaled, rcond=1e-10, hermitian=True) / (size[:, :, None] * size[:, None, :])
-    gain = path.p_after[:-1] @ np.swapaxes(path.transition[:-1], 1, 2) @ inverse[1:]
-    x, variance = path.x_after.copy(), path.p_after.copy()
-    for k in range(n - 2, -1, -1):
-        x[k] += gain[k] @ (x[k + 1] - path.x_before[k + 1])
-        variance[k] += gain[k] @ (variance[k + 1] - path.p_before[k + 1]) @ gain[k].T
-    return Smoothed(x, np.sqrt(np.maximum(np.einsum("kii->ki", variance), 0.0)))
+    n, nx = path.x_before.shape
+    x, variance = np.empty((n, nx)), np.empty((n, nx))
+    known = np.isfinite(passed.e)
+    e, s = np.where(known, passed.e, 0.0), passed.s
+    adjoint, information = np.zeros(nx), np.zeros((nx, nx))
+    for k in range(n - 1, -1, -1):
+        if k + 1 < n:
+            f = path.transition[k]
+            adjoint, information = f.T @ adjoint, f.T @ information @ f
+        for o in range(e.shape[1] - 1, -1, -1):
+            if not known[k, o]:
+                continue
+            c, keep = path.row[k, o], -np.outer(path.gain[k, o], path.row[k, o])
+            keep.flat[:: nx + 1] += 1.0
+            adjoint = keep.T @ adjoint - c * (e[k, o] / s[k, o])
+            information = keep.T @ information @ keep + np.outer(c, c) / s[k, o]
+        p = path.p_before[k]
+        x[k] = path.x_before[k] - p @ adjoint
+        variance[k] = np.diag(p) - np.einsum("ij,jk,ki->i", p, information, p)
+    return Smoothed(x, np.sqrt(np.maximum(variance, 0.0)))
 
 
 def innovation_response(passed: Filtered, forces: FloatArray | None, readings: FloatArray | None) -> FloatArray:

@@ -18,6 +18,8 @@ __all__ = ["Accepted", "Outcome", "Round", "search"]
 
 Say = Callable[[str], None]
 SECOND = 2
+WANTS = ("evidence", "validation", "it brings")
+"""How reasons begin that are a want of evidence and nothing against the candidate."""
 _MARGIN = 50.0
 """Log-likelihood that first steps may still lack."""
 
@@ -121,7 +123,9 @@ def _refitted(
     for lead in chosen(test, policy):
         say(str(lead.placed))
         origins[lead.placed] = base
-        begun[lead.placed] = form.begin([*base.effects, lead.placed], [{**base.values, **lead.start}], base)
+        begun[lead.placed] = form.begin(
+            [*base.effects, lead.placed], [{**base.values, **one} for one in lead.starts], base
+        )
     best = max((one for one in begun.values() if one), key=lambda one: one.log_likelihood, default=None)
     for one in form.suspects(base, best, open_ones):
         say(str(one.placed))
@@ -144,7 +148,7 @@ def _refitted(
         say(f"{placed} to its maximum")
         fits[placed] = form.finish(first, origins[placed])
     _share_starts(form, fits, base)
-    _lawful(form, fits, base, {one.placed: one.start for one in test.leads})
+    _lawful(form, fits, base, {one.placed: one.starts[0] for one in test.leads})
     return fits
 
 
@@ -232,12 +236,18 @@ def _tied(best: Judged, other: Judged, policy: Policy) -> bool:
 
 
 def _ties(best: Judged, rows: Sequence[Judged], policy: Policy) -> tuple[tuple[Placed, ...], ...]:
-    """Return the tie set of an answer: what passes, or fails only for a want of evidence, and is as likely."""
+    """Return the tie set of an answer: what passes, or fails only for a want of evidence, and is as likely.
+
+    A more general law that is as likely stays in it though its values ended outside its own physics: within it, it is
+    the answer itself or something beside it.
+    """
     tied = [best.added]
     for one in sorted(rows, key=lambda c: -_total(c)):
         if one is best or one.comparison is None or one.comparison.evidence < 0 or one.comparison.total < 0:
             continue
-        if _physical(one) and _tied(best, one, policy):
+        general = best.added[-1].effect.name in one.added[0].effect.nests and one.added[0].at == best.added[-1].at
+        lawless = general and all(text.startswith(("not so", *WANTS)) for text in one.reasons)
+        if (_physical(one) or lawless) and _tied(best, one, policy):
             tied.append(one.added)
     return tuple(tied)
 
@@ -265,7 +275,7 @@ def _pairs(form: Form, found: Outcome, nominal: Fit, candidates: Sequence[Placed
             if found.accepted and _total(rival) + 2 * lead.penalised < so_far + policy.tie:  # both uses gain alike
                 continue
             say(f"{rival.added[0]} + {lead.placed}")
-            pair = form.fit([*fit.effects, lead.placed], [{**fit.values, **lead.start}], fit)
+            pair = form.fit([*fit.effects, lead.placed], [{**fit.values, **one} for one in lead.starts], fit)
             whole = judged([rival.added[0], lead.placed], pair, nominal, nominal, policy)
             second = judged([lead.placed], pair, fit, nominal, policy)
             if whole.passed and second.passed and (best is None or _total(whole) > _total(best)):
@@ -281,7 +291,7 @@ def _pairs(form: Form, found: Outcome, nominal: Fit, candidates: Sequence[Placed
 
 def _physical(one: Judged) -> bool:
     """Return True if nothing but a want of evidence speaks against a candidate."""
-    return all(text.startswith(("evidence", "validation", "it brings")) for text in one.reasons)
+    return all(text.startswith(WANTS) for text in one.reasons)
 
 
 def _exchange(form: Form, found: Outcome, nominal: Fit, policy: Policy) -> None:

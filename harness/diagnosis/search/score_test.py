@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -31,8 +31,8 @@ class Lead:
         Less half the BIC penalty of its parameters.
     share : float
         Part of its column that nothing free can take up; below ``policy.seen`` it cannot be told from that.
-    start : dict
-        Values that the gain is for, by full name.
+    starts : tuple of dict
+        Values by full name: those that the gain is for first, then of the next best choices of what is not linear.
     direction : array (n,)
         The whitened innovations that it would explain, nuisance projected out, of length 1.
     span : array (n, k)
@@ -43,7 +43,7 @@ class Lead:
     gain: float
     penalised: float
     share: float
-    start: dict[str, float]
+    starts: tuple[dict[str, float], ...]
     direction: FloatArray = field(repr=False)
     span: FloatArray = field(repr=False)
 
@@ -91,17 +91,23 @@ def score_test(form: Form, fit: Fit, candidates: Sequence[Placed], policy: Polic
     policy : Policy
     """
     basis, residual = projected(form, fit)
-    best: dict[str, Lead] = {}
+    found: dict[str, list[Lead]] = {}
     penalty = 0.5 * float(np.log(fit.samples))
     for column in form.columns(fit, candidates):
         lead = _lead(column, basis, residual, penalty)
-        known = best.get(str(lead.placed))
-        if known is None or (lead.gain, lead.share) > (known.gain, known.share):
-            best[str(lead.placed)] = lead
-    ranked = sorted(best.values(), key=lambda one: -one.penalised)
+        found.setdefault(str(lead.placed), []).append(lead)
+    best = [_joined(several, policy) for several in found.values()]
+    ranked = sorted(best, key=lambda one: -one.penalised)
     return ScoreTest(
         [one for one in ranked if one.share >= policy.seen], [one for one in ranked if one.share < policy.seen]
     )
+
+
+def _joined(several: list[Lead], policy: Policy) -> Lead:
+    """Return the best choice of an effect's parameters, with the starts of the next best ones."""
+    ordered = sorted(several, key=lambda one: (-one.gain, -one.share))
+    starts = tuple(one.starts[0] for one in ordered[: policy.starts])
+    return replace(ordered[0], starts=starts)
 
 
 def projected(form: Form, fit: Fit) -> tuple[FloatArray, FloatArray]:
@@ -134,9 +140,9 @@ def _lead(column: Column, basis: FloatArray, residual: FloatArray, penalty: floa
         span = u[:, keep]
         direction = span @ along if gain > 0 else span.sum(axis=1)
         direction = direction / (np.linalg.norm(direction) or 1.0)
-    start = _start(column, coefficients)
+    starts = (_start(column, coefficients),)
     penalised = gain - penalty * _free(column.placed)
-    return Lead(column.placed, gain, penalised, share, start, direction, span)
+    return Lead(column.placed, gain, penalised, share, starts, direction, span)
 
 
 def _free(placed: Placed) -> int:
