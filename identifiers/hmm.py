@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -228,11 +229,9 @@ class HiddenMarkov:
     ) -> tuple[tuple[FloatArray, FloatArray, FloatArray], list[float]]:
         """Return the tables of the likeliest start and the objective after each of its iterations."""
         starts = [_random_start(states, actions, observations, rng) for _ in range(max(1, self.starts))]
-        try:
+        with suppress(FitError):  # fewer observations than states, or too few samples: the random starts do
             one, two, three = spectral_estimate(records, states, actions, observations)
             starts.append((_lifted(one), _lifted(two), _lifted(three)))
-        except FitError:
-            pass  # fewer observations than states, or too few samples: the random starts do
         short = [self._iterated(records, start, _SHORT) for start in starts]
         short.sort(key=lambda result: -result[1][-1])
         whole = []

@@ -126,7 +126,7 @@ def best_subset(equations: NormalEquations, most: int = 12) -> tuple[FloatArray,
         best, best_keep = _bic(gram, target, equations, column, []), keep
         for count in range(1, min(most, len(alive)) + 1):
             if comb(len(alive), count) <= _EXHAUSTIVE:
-                keep = list(max(combinations(alive, count), key=lambda one: _explained(gram, target, list(one))))
+                keep = _best_of_all(gram, target, alive, count)
             else:
                 keep = _exchanged(gram, target, alive, keep)
             value = _bic(gram, target, equations, column, keep)
@@ -189,6 +189,15 @@ def _explained(gram: FloatArray, target: FloatArray, keep: list[int]) -> float:
     if not keep:
         return 0.0
     return float(target[keep] @ solved(gram[np.ix_(keep, keep)], target[keep]))
+
+
+def _best_of_all(gram: FloatArray, target: FloatArray, alive: list[int], count: int) -> list[int]:
+    """Return the terms that explain most, of all subsets of one size."""
+    picks = np.array(list(combinations(alive, count)))
+    inner = gram[picks[:, :, None], picks[:, None, :]] + 1e-13 * np.eye(count)
+    wanted = target[picks]
+    explained = np.sum(wanted * np.linalg.solve(inner, wanted[:, :, None])[:, :, 0], axis=1)
+    return [int(j) for j in picks[int(np.argmax(explained))]]
 
 
 def _bic(gram: FloatArray, target: FloatArray, equations: NormalEquations, column: int, keep: list[int]) -> float:

@@ -73,16 +73,25 @@ class Diagnosis:
             return "model_does_not_fit"
         if self.outcome.accepted:
             return "effects_found"
-        return "unexplained" if self.leftover.best is not None else "nothing_missing"
+        left = self.leftover.best is not None or self.latent_share > self.policy.large
+        return "unexplained" if left else "nothing_missing"
 
     @property
     def grade(self) -> str:
         """How much of the motion the final model explains over the horizon, and whether more could be predicted."""
         if self.misfit:
             return "does_not_fit"
-        if self.leftover.best is not None:
+        if self.leftover.best is not None or self.latent_share > self.policy.large:
             return "proxy_or_incomplete"
-        return "explained" if self.runs.left <= self.policy.explained else "mostly_explained"
+        quiet = self.latent_share <= self.policy.disturbed
+        return "explained" if quiet and self.runs.left <= self.policy.explained else "mostly_explained"
+
+    @property
+    def latent_share(self) -> float:
+        """Size of the latent force of the final model over the typical force, the largest of all ports."""
+        noise = self.final.detail.points["estimation"].noise
+        size = (noise.s**2 + noise.w**2) ** 0.5 / self.form.noise_model.force_scale
+        return float(size.max(initial=0.0))
 
     @functools.cached_property
     def stand_in(self) -> tuple[str, ...]:

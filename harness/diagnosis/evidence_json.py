@@ -370,9 +370,15 @@ def _summary(data: dict[str, Any]) -> str:
     units = ", ".join(dict.fromkeys(one["unit"] for one in before.values()))
     if data["verdict"] == "nothing_missing":
         return f"nothing is missing in {data['model']}: validation simulation error {plain} {units}; {words}"
+    best = data["left_over"][0] if data["left_over"] else None
+    cause = (
+        f"a force at {best['axis']} would"
+        if best and best["evidence"] + best["validation"] > 0
+        else ("the force that nobody measured is too large for a disturbance")
+    )
     return (
-        f"something is missing in {data['model']}, and no effect of the dictionary explains it: a force at "
-        f"{data['left_over'][0]['axis']} would ({plain} {units}; {words})"
+        f"something is missing in {data['model']}, and no effect of the dictionary explains it: {cause} "
+        f"({plain} {units}; {words})"
     )
 
 

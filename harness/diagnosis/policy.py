@@ -99,6 +99,17 @@ class Policy:
     misfit_gain: float = _number(
         50.0, "log-likelihood that the repair of a column must gain to be named", "ten times the evidence of an effect"
     )
+    disturbed: float = _number(
+        0.05,
+        "latent force over the typical force up to which a model is called adequate without reserve",
+        "an effect of this size counts as one worth finding",
+    )
+    large: float = _number(
+        0.2,
+        "latent force over the typical force beyond which it is no small disturbance, predictable or not",
+        "four times the size of an effect worth finding",
+        "laws outside the dictionary in the tests",
+    )
     explained: float = _number(0.05, "share of the variance left, at most, to call a model adequate", "a fit of 95 %")
 
 

@@ -26,7 +26,7 @@ __all__ = [
 
 def _width() -> EffectParameter:
     """Return the smoothing width of a sign."""
-    return par("w", "v", scale="0.02 v", floor="0.0003 v", sign="+", minimum=1e-6, nuisance=True,
+    return par("w", "v", scale="0.02 v", floor="0.003 v", sign="+", minimum=1e-6, nuisance=True,
                meaning="smoothing width of the sign")  # fmt: skip
 
 

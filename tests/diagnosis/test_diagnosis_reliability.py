@@ -13,9 +13,10 @@ from harness.diagnosis import close_loop
 from harness.diagnosis.closed_loop_bias import BiasTest, closed_loop_bias
 from harness.diagnosis.forms import fit_here
 from harness.diagnosis.output_form import OutputForm
-from harness.diagnosis.prepare import rough_values, sizes_of
+from harness.diagnosis.prepare import sizes_of
 from harness.effects import builtin
-from harness.physics import load_model
+from harness.physics import fit_output_error, load_model
+from harness.physics.likelihood import Likelihood
 from harness.rng import Streams
 from harness.rollout import perform
 from harness.signals import Dataset, Run
@@ -24,17 +25,18 @@ from harness.signals import Dataset, Run
 
 
 def test_what_does_not_converge_is_shown_and_never_an_answer(foreign_pendulum, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr("harness.diagnosis.output_form.ITERATIONS", 1)
+    one_step = Likelihood.maximise
+    monkeypatch.setattr(Likelihood, "maximise", lambda self, start, **how: one_step(self, start, **{**how, "most": 1}))
     data = foreign_pendulum(1, lambda q, v, u, t: -0.05 * np.tanh(v / 0.002), n=300)
     names = ("coulomb_friction",)
-    report = close_loop(data, "pendulum", out=tmp_path, workers=1, dictionary=[builtin()[name] for name in names])
+    report = close_loop(data, "pendulum", out=tmp_path, dictionary=[builtin()[name] for name in names])
     stopped = [row for row in report.data["candidates"] if row["refitted"] and not row["converged"]]
     assert stopped, "one iteration is not enough for anything"
     assert not any(row["accepted"] for row in stopped)
     assert all("did not converge" in row["reason"] or "fail" in row["reason"] for row in stopped)
     assert report.data["effects"] == []
     page = (tmp_path / "report.html").read_text()
-    assert "did not converge and cannot be an answer" in page
+    assert "did not converge" in page
 
 
 # ---- data of a closed loop ----------------------------------------------------------------------------------------
@@ -57,7 +59,15 @@ def bias_of(plant_id: str, model: str, scenario: str, seed: int, *, dither: floa
         system, data, sizes=sizes_of(system, values, data), horizon=1.0 if model == "cart-pole" else None,
         weights=np.full(system.ny, 1e-3), floors=[1e-3] * system.ny,
     )  # fmt: skip
-    fitted = fit_here(form, (), [values if model == "cart-pole" else rough_values(system, data)])
+    fitted = fit_here(
+        form,
+        (),
+        [
+            values
+            if model == "cart-pole"
+            else dict(fit_output_error(system, list(data.estimation), horizon=2.0, continuation=()).parameters)
+        ],
+    )
     return closed_loop_bias(form, fitted, list(data.estimation), [{"excitation": outside}])
 
 
@@ -85,12 +95,12 @@ def test_no_bias_is_found_in_open_loop(seed: int) -> None:
 def test_without_an_instrument_the_test_says_so(foreign_pendulum) -> None:
     data = foreign_pendulum(2, n=400)
     drag = [builtin()["quadratic_drag"]]
-    report = close_loop(data, "pendulum", workers=1, dictionary=drag)
+    report = close_loop(data, "pendulum", dictionary=drag)
     assert report.data["closed_loop_bias"]["biased"] is None
     assert "no reference or excitation from outside the loop" in report.data["closed_loop_bias"]["text"]
     assert report.data["closed_loop"]["u"]["p"] is not None, "the correlation test is made all the same"
     signals = [{"r": run.u[:, 0].copy()} for run in (*data.estimation, *data.validation)]
-    again = close_loop(data, "pendulum", workers=1, dictionary=drag, references=signals)
+    again = close_loop(data, "pendulum", dictionary=drag, references=signals)
     assert "open loop" in again.data["closed_loop_bias"]["text"]
 
 
@@ -141,7 +151,6 @@ def test_the_experiment_of_the_report_breaks_the_tie(hidden, rival, first, noise
         records(hidden, "multisine", {"duration": 15.0, **first}, noise, 1, dt),
         "pendulum",
         dictionary=dictionary,
-        workers=1,
     )
     assert {one["name"] for one in before.data["tie_sets"][0]} == {hidden[0], rival}
     (plan,) = before.data["separate_with"][0]
@@ -152,7 +161,7 @@ def test_the_experiment_of_the_report_breaks_the_tie(hidden, rival, first, noise
     assert words[:5] == ["sysid", "simulate", "PLANT", "--scenario", scenario]
     assert f"amplitude={plan['options']['amplitude']:g}" in words
     better = records(hidden, plan["scenario"], plan["options"], noise, 2, dt)
-    after = close_loop(better, "pendulum", dictionary=dictionary, workers=1)
+    after = close_loop(better, "pendulum", dictionary=dictionary)
     assert [one["name"] for one in after.data["effects"]] == [hidden[0]]
     assert after.data["tie_sets"] == [[{"name": hidden[0], "at": hidden[1]}]]
 

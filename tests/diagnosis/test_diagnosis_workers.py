@@ -15,7 +15,7 @@ import pytest
 
 import harness.workers
 from harness.diagnosis.output_form import OutputForm
-from harness.diagnosis.prepare import rough_values, sizes_of
+from harness.diagnosis.prepare import sizes_of
 from harness.diagnosis.refit import Task
 from harness.diagnosis.refit_workers import RefitWorkers
 from harness.diagnosis.refitter import Refitter
@@ -103,7 +103,7 @@ def test_workers_answer_as_this_process_does() -> None:
     """Of a real model, with an effect that nobody can import, and one that cannot be refitted."""
     dataset = pendulum_dataset(3, lambda q, v, u, t: -0.05 * v**3, n=800)
     system = load_model("pendulum")
-    values = rough_values(system, dataset)
+    values = system.values()
     form = OutputForm(
         system, dataset, sizes=sizes_of(system, values, dataset), horizon=2.0, weights=[1e-3], floors=[1e-3]
     )

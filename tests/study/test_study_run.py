@@ -157,7 +157,6 @@ def test_a_fault_is_a_row_with_its_reason(monkeypatch):
 def test_coverage_compares_what_means_the_same():
     from types import SimpleNamespace
 
-    from harness.diagnosis.accept import Interval
     from harness.study.context import Hidden
     from harness.study.row import _coverage
 
@@ -165,14 +164,16 @@ def test_coverage_compares_what_means_the_same():
     records = SimpleNamespace(parameters={"J": 0.1, "b": 0.05}, hidden=(hidden,))
     name = "position_dependent_friction@theta"
     intervals = {
-        "J": Interval(0.11, 0.09, 0.13),
-        "b": Interval(0.08, 0.06, 0.10),
-        f"{name}.Fc": Interval(0.2, 0.1, 0.3),
-        f"{name}.a": Interval(0.5, float("nan"), float("nan")),
-        f"{name}.phi": Interval(7.0, 6.9, 7.1),
-        f"{name}.w": Interval(0.01, 0.0, 0.02),
+        "J": (0.09, 0.13),
+        "b": (0.06, 0.10),
+        f"{name}.Fc": (0.1, 0.3),
+        f"{name}.a": (float("nan"), float("nan")),
+        f"{name}.phi": (6.9, 7.1),
+        f"{name}.w": (0.0, 0.02),
     }
-    found = _coverage(SimpleNamespace(intervals=lambda: intervals), records)
+    values = {key: 0.5 * (low + high) for key, (low, high) in intervals.items()}
+    fit = SimpleNamespace(free=tuple(intervals), on_bound=(), interval=intervals.__getitem__, values=values)
+    found = _coverage(fit, records)
     assert found == {"covered": 2, "intervals": 3, "outside_interval": "b (+1.5)"}
 
 

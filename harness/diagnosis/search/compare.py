@@ -94,6 +94,8 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
         return Judged(tuple(added), None, None, ("it cannot be simulated here",))
     found = compared(fit, base, policy)
     reasons = []
+    if not fit.converged:
+        reasons.append("its fit did not converge")
     if found.evidence < policy.evidence:
         reasons.append(f"evidence {found.evidence:.1f} on the estimation records, {policy.evidence:g} asked")
     if found.validation < policy.validation_z * found.error:

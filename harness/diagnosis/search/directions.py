@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from harness.diagnosis.adequacy import hat_basis, joint_basis
 from harness.effects.along import Signals
 from harness.effects.columns import column_blocks
 from harness.effects.compose import compose
@@ -24,8 +25,8 @@ __all__ = ["Direction", "Trace", "directions", "test_functions"]
 
 MOST_CHOICES = 12
 """Choices of an effect's nonlinear parameters that are tried."""
-SPEEDS = 6
-"""Test functions on each axis."""
+KNOTS, JOINT_KNOTS = 25, (9, 6)
+"""Test functions on one axis, and on each of two."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,36 +315,44 @@ def _passed(placed: Placed, trace: Trace, nominal: Any, values: Mapping[str, flo
 
 
 def test_functions(traces: Mapping[str, Sequence[Trace]], nominal: Any) -> list[Direction]:
-    """Return test functions that are no effect: piecewise linear forces of position, speed, input, each by itself.
+    """Return test functions that are no effect: piecewise linear forces of one or two axes, at every latent force.
 
-    One direction for every axis and every latent force, on knots between the quantiles of the estimation records.
+    The axes are every state and every input; of a coordinate also position with speed and with each input together.
+    Knots lie between the quantiles of the estimation records.
     """
-    found: list[Direction] = []
-    axes: list[tuple[str, dict[str, list[FloatArray]]]] = []
     names = [channel.name for channel in nominal.states]
-    for row, name in enumerate(names):
-        axes.append((name, {use: [one.x[:, row] for one in parts] for use, parts in traces.items()}))
+
+    def along(pick: Any) -> dict[str, list[FloatArray]]:
+        return {use: [pick(one) for one in parts] for use, parts in traces.items()}
+
+    single = {name: along(lambda one, row=row: one.x[:, row]) for row, name in enumerate(names)}
     for row, channel in enumerate(nominal.inputs):
-        axes.append((channel.name, {use: [one.record.u[:, row] for one in parts] for use, parts in traces.items()}))
-    latent = traces["estimation"][0].passes.nl
-    for name, values in axes:
-        every = np.concatenate(values["estimation"])
-        knots = np.unique(np.quantile(every, np.linspace(0.02, 0.98, SPEEDS)))
-        if len(knots) < 3:
+        single[channel.name] = along(lambda one, row=row: one.record.u[:, row])
+    groups: list[tuple[str, ...]] = [(name,) for name in single]
+    for one in nominal.coordinates:
+        groups += [(names[one.q], other) for other in (names[one.v], *(channel.name for channel in nominal.inputs))]
+    found: list[Direction] = []
+    for group in groups:
+        counts = (KNOTS,) if len(group) == 1 else JOINT_KNOTS
+        knots = []
+        for name, count in zip(group, counts, strict=True):
+            every = np.concatenate(single[name]["estimation"])
+            knots.append(np.unique(np.quantile(every, np.linspace(0.01, 0.99, count))))
+        if any(len(one) < 3 for one in knots):
             continue
-        for row in range(latent):
+        basis: dict[str, list[FloatArray]] = {}
+        for use, parts in traces.items():
+            basis[use] = []
+            for number in range(len(parts)):
+                hats = [hat_basis(single[name][use][number], at) for name, at in zip(group, knots, strict=True)]
+                basis[use].append(hats[0] if len(hats) == 1 else joint_basis(hats[0], hats[1]))
+        grid = list(itertools.product(*knots))
+        for row, force in enumerate(traces["estimation"][0].passes.disturbed.forces):
             forces: dict[str, list[FloatArray]] = {}
-            for use, parts in values.items():
-                forces[use] = []
-                for part in parts:
-                    basis = np.stack([np.interp(part, knots, np.eye(len(knots))[k]) for k in range(len(knots))], axis=1)
-                    column = np.zeros((len(part), latent, len(knots)))
-                    column[:, row] = basis
-                    forces[use].append(column)
-            labels = tuple(f"{name} at {knot:.3g}" for knot in knots)
-            port = traces["estimation"][0].passes.disturbed.forces[row].port
-            found.append(
-                Direction(None, {"axis": float(len(found))}, (f"{port} over {name}", *labels[1:]), forces,
-                          _nothing(traces, len(knots), forces=False))
-            )  # fmt: skip
+            for use, made in basis.items():
+                latent = traces[use][0].passes.nl
+                forces[use] = [np.stack([part * float(k == row) for k in range(latent)], axis=1) for part in made]
+            labels = [", ".join(f"{n} {v:.3g}" for n, v in zip(group, at, strict=True)) for at in grid]
+            names_of = (f"{force.port} over {' and '.join(group)}", *labels[1:])
+            found.append(Direction(None, {}, names_of, forces, _nothing(traces, len(grid), forces=False)))
     return found

@@ -15,6 +15,10 @@ from harness.signals import FloatArray
 __all__ = ["Axis", "Leftover", "left_over"]
 
 
+PRIORS = tuple(float(one) for one in np.geomspace(1e-2, 1e6, 17))
+"""Variances of the coefficients that are tried, in units of what the innovations can tell."""
+
+
 @dataclass(frozen=True, eq=False)
 class Axis:
     """A free force over one axis.
@@ -24,7 +28,7 @@ class Axis:
     name : str
         Where it acts and over what, such as ``theta over theta_rate``.
     evidence : float
-        Penalised log-likelihood that it gains on the estimation records.
+        Logarithm of its evidence on the estimation records against no such force, smoothness chosen by it.
     validation, error : float
         What the same force gains on the validation records, and the standard error over blocks.
     knots : tuple of str
@@ -83,25 +87,21 @@ def left_over(form: Form, fit: Fit, policy: Policy = POLICY) -> Leftover:
     """
     linear = form.linearised(fit)
     basis, residual = projected(form, fit)
-    penalty = 0.5 * float(np.log(fit.samples))
-    axes = [_axis(one, basis, residual, linear, penalty, policy) for one in form.test_functions(fit)]
+    axes = [_axis(one, basis, residual, linear, policy) for one in form.test_functions(fit)]
     return Leftover(tuple(sorted(axes, key=lambda one: -one.total)), policy)
 
 
-def _axis(
-    column: Column, basis: FloatArray, residual: FloatArray, linear: Linearised, penalty: float, policy: Policy
-) -> Axis:
+def _axis(column: Column, basis: FloatArray, residual: FloatArray, linear: Linearised, policy: Policy) -> Axis:
     """Return what the functions of one axis gain."""
     size = np.linalg.norm(column.estimation, axis=0)
     use = size > 0
     unit = column.estimation[:, use] / size[use]
     left = unit - basis @ (basis.T @ unit)
     u, s, vt = np.linalg.svd(left, full_matrices=False)
-    keep = s > 1e-4
-    along = -(u[:, keep].T @ residual)
-    gain = 0.5 * float(along @ along)
+    along = -(u.T @ residual)
+    evidence, prior = max((_evidence(along, s, prior), prior) for prior in PRIORS)
     values = np.zeros(len(size))
-    values[use] = vt[keep].T @ (along / s[keep]) / size[use]
+    values[use] = vt.T @ (s * prior * along / (1.0 + prior * s**2)) / size[use]
     # the parameters move along with the force, as they did on the estimation records
     own, outside = linear.nuisance["estimation"], linear.nuisance["validation"]
     moved = np.linalg.lstsq(own, column.estimation @ values, rcond=1e-12)[0][: linear.shared]
@@ -114,6 +114,13 @@ def _axis(
     each = 0.5 * (other**2 - (other + change) ** 2)
     sums = np.array([part.sum() for part in np.array_split(each, policy.blocks)])
     error = float(np.sqrt(len(sums)) * sums.std(ddof=1))
-    return Axis(
-        column.names[0], gain - penalty * int(keep.sum()), float(each.sum()), error, tuple(column.names[1:]), values
-    )
+    return Axis(column.names[0], evidence, float(each.sum()), error, tuple(column.names[1:]), values)
+
+
+def _evidence(along: FloatArray, s: FloatArray, prior: float) -> float:
+    """Return the logarithm of the evidence of functions whose coefficients are normal with this variance.
+
+    Against none at all, the innovations being white with variance 1 (MacKay 1992, Neural Computation 4:415, eq. 4).
+    """
+    ratio = prior * s**2
+    return 0.5 * float(np.sum(along**2 * ratio / (1.0 + ratio) - np.log1p(ratio)))

@@ -146,6 +146,7 @@ class LikelihoodForm:
             near = [one for one in tried if one.nll < tried[0].nll + CLOSE]
             ends = [one if one.converged else likelihood.maximise(one.point) for one in near[:2]]
             best = min(ends, key=lambda one: one.nll)
+            best = best if best.converged else likelihood.maximise(best.point)
             own, terms, validation = self._validated(system, passes, best, base)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             return None

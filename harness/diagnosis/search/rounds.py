@@ -95,7 +95,8 @@ def search(
         if len(found.accepted) > 1 and passed:
             _exchange(form, found, nominal, policy)
             _pruned(form, found, policy)
-        if len(found.rounds) == SECOND and found.accepted:
+        alone = len(found.rounds) == 1 and not passed
+        if alone or (len(found.rounds) == SECOND and found.accepted):
             _pairs(form, found, nominal, candidates, policy, say)
         if not passed:
             break
@@ -132,8 +133,12 @@ def _refitted(
     gains = {placed: one.log_likelihood - before for placed, one in begun.items() if one is not None}
     enough = max(policy.lead, policy.reach * max(gains.values(), default=0.0))
     order = sorted((placed for placed in gains if gains[placed] >= enough), key=lambda one: -gains[one])
+    order = order[: policy.refits]
+    # what is exactly the same must not lose by its first steps
+    same = {name for placed in order[:1] for name in family(placed.effect).exact}
+    order += [placed for placed in begun if placed.effect.name in same and placed not in order and begun[placed]]
     fits: dict[Placed, Fit | None] = {}
-    for placed in order[: policy.refits]:
+    for placed in order:
         first = begun[placed]
         assert first is not None
         say(f"{placed} to its maximum")
@@ -229,9 +234,12 @@ def _pairs(form: Form, found: Outcome, nominal: Fit, candidates: Sequence[Placed
     rivals = [
         one
         for one in found.rounds[0].candidates
-        if one.fit is not None and str(one.added[0]) not in present and _physical(one)
-        and _total(one) >= policy.reach * so_far
-    ]  # fmt: skip
+        if one.comparison is not None
+        and one.comparison.evidence >= policy.evidence
+        and str(one.added[0]) not in present
+        and _physical(one)
+        and (not found.accepted or _total(one) >= policy.reach * so_far)
+    ]
     best: Judged | None = None
     for rival in sorted(rivals, key=lambda one: -_total(one))[: policy.pairs]:
         fit = rival.fit
@@ -239,7 +247,7 @@ def _pairs(form: Form, found: Outcome, nominal: Fit, candidates: Sequence[Placed
         others = [one for one in candidates if str(one) != str(rival.added[0])]
         leads = [one for one in score_test(form, fit, others, policy).leads if one.share >= policy.clear]
         for lead in leads[:2]:
-            if _total(rival) + 2 * lead.penalised < so_far + policy.tie:  # both uses gain alike
+            if found.accepted and _total(rival) + 2 * lead.penalised < so_far + policy.tie:  # both uses gain alike
                 continue
             say(f"{rival.added[0]} + {lead.placed}")
             pair = form.fit([*fit.effects, lead.placed], [{**fit.values, **lead.start}], fit)
