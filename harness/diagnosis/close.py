@@ -128,8 +128,11 @@ def close_loop(
         data = close_arm(dataset, arm, folder=folder, seed=chosen, progress=progress, dictionary=dictionary)
         return Report(data, folder, arm)
     system = _system(model, parameters, dataset)
-    if is_fmu(system):
-        return _closed_around_fmu(dataset, system, chosen, progress, folder, dictionary, workers, references)
+    if is_fmu(system) or not system.coordinates:
+        how = name or system.name, options or {}
+        return _closed_by_simulation(
+            dataset, system, chosen, progress, folder, dictionary, workers, references, how
+        )  # fmt: skip
     found = diagnose(dataset, system, progress=progress, folder=folder, dictionary=dictionary)
     if progress is not None:
         progress(0.9, "report")
@@ -144,7 +147,7 @@ def close_loop(
     return Report(data, folder, found.final.system.with_parameters(found.final.values))
 
 
-def _closed_around_fmu(
+def _closed_by_simulation(
     dataset: Dataset,
     system: Any,
     seed: int,
@@ -153,8 +156,9 @@ def _closed_around_fmu(
     dictionary: Sequence[Effect] | None,
     workers: int | None,
     references: Sequence[Mapping[str, FloatArray]],
+    how: tuple[str, Mapping[str, Any]],
 ) -> Report:
-    """Close the loop around an FMU, by free runs: it shows no equations to filter with."""
+    """Close the loop by free runs, see :mod:`harness.diagnosis.simulated`; ``how`` the model is loaded."""
     from harness.diagnosis.report_html import write_html
     from harness.diagnosis.report_json import report_data
     from harness.diagnosis.store import write_atomic
@@ -167,8 +171,11 @@ def _closed_around_fmu(
     data = report_data(found, cut_alike(references, dataset, found.dataset))
     if folder is not None:
         write_html(found, data, folder / HTML)
-        text = json.dumps(_repaired_fmu(found, folder), indent=1, allow_nan=False)
-        write_atomic(folder / MODEL, text + "\n")
+        if is_fmu(system):
+            repaired = _repaired_fmu(found, folder)
+        else:
+            repaired = _repaired(found, *how, dataset.spec.sample_time)
+        write_atomic(folder / MODEL, json.dumps(repaired, indent=1, allow_nan=False) + "\n")
         write_atomic(folder / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
     if progress is not None:
         progress(1.0, data["summary"])
@@ -231,7 +238,9 @@ def _options(loaded: Any) -> dict[str, Any]:
     return model_options(loaded.nominal.model, loaded.nominal.options, *ports)
 
 
-def _repaired(found: Diagnosis, name: str, options: Mapping[str, Any], sample_time: float) -> dict[str, Any]:
+def _repaired(
+    found: Diagnosis | SimulatedDiagnosis, name: str, options: Mapping[str, Any], sample_time: float
+) -> dict[str, Any]:
     """Return the repaired model as a grey box that ``sysid export`` reads, at the sample time of the records given."""
     from harness.specs import spec_to_dict
 

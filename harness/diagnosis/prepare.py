@@ -10,11 +10,13 @@ import numpy as np
 
 from harness.diagnosis.forms import vanished
 from harness.diagnosis.motion import measured_coordinates, motion_band, smooth_motion
+from harness.diagnosis.noise import NoiseFloor
+from harness.diagnosis.output_form import OutputForm
 from harness.effects.columns import motion_sizes
 from harness.errors import InputError
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["Horizon", "checked", "choose_horizon", "short_window", "sizes_of"]
+__all__ = ["Horizon", "checked", "choose_horizon", "form", "rough_values", "short_window", "sizes_of"]
 
 GROWTH = 20.0
 """By how much an error of the initial state may grow within a window."""
@@ -81,6 +83,27 @@ def checked(dataset: Dataset, system: Any) -> Dataset:
     full = replace(spec, outputs=outputs)
     runs_of = tuple(replace(run, trajectory=replace(run.trajectory, spec=full)) for run in dataset)
     return replace(dataset, runs=runs_of)
+
+
+def rough_values(system: Any, dataset: Dataset) -> dict[str, float]:
+    """Return nominal parameters fitted over short windows: good enough for poles and sizes."""
+    from harness.errors import FitError
+    from harness.physics.output_error import fit_output_error
+
+    dt = dataset.spec.sample_time
+    longest = max(len(run) for run in dataset.estimation) * dt
+    try:
+        found = fit_output_error(
+            system,
+            list(dataset.estimation),
+            horizon=max(min(longest / 10, 2.0 if dt < 0.1 else 25 * dt), 50 * dt),
+            continuation=(),
+            intersample=dataset.intersample,
+            max_iterations=40,
+        )
+    except FitError:
+        return dict(system.values())
+    return dict(found.parameters)
 
 
 def choose_horizon(system: Any, values: Mapping[str, float], dataset: Dataset) -> Horizon:
@@ -158,6 +181,20 @@ def sizes_of(system: Any, values: Mapping[str, float], dataset: Dataset) -> dict
             force = float(np.sqrt(np.mean(u**2))) if u.size else 1.0
             result.setdefault(port.name, dict(common)).update(F=force, q=level, v=level, a=level)
     return result
+
+
+def form(
+    system: Any,
+    dataset: Dataset,
+    *,
+    horizon: Horizon,
+    floors: tuple[NoiseFloor, ...],
+    weights: FloatArray,
+    sizes: Mapping[str, Mapping[str, float]],
+) -> OutputForm:
+    """Return the simulation form."""
+    known = [one.value for one in floors]
+    return OutputForm(system, dataset, sizes=sizes, horizon=horizon.seconds, weights=weights, floors=known)
 
 
 def _operating_points(system: Any, dataset: Dataset) -> FloatArray:

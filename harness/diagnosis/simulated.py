@@ -1,4 +1,7 @@
-"""The older diagnosis by free runs and screens, for models that show no equations (FMUs)."""
+"""Diagnosis by free runs and screens: of FMUs, which show no equations, and of processes without equations of motion.
+
+A latent force on every rate of a process takes up what a missing law does to it, so free runs judge there.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis import fmu_prepare
 from harness.diagnosis.adequacy import Adequacy
 from harness.diagnosis.confirm import far_above
 from harness.diagnosis.dictionary import placed
@@ -132,18 +134,19 @@ def _diagnosed(
         if progress is not None:
             progress(part, what)
 
-    whole = fmu_prepare.checked(dataset, system)
+    ways = _ways(system)
+    whole = ways.checked(dataset, system)
     dataset = stretched(whole)
     warnings = list(dataset.warnings)
     say(0.02, "first fit of the nominal model")
-    values = fmu_prepare.rough_values(system, dataset)
-    horizon = fmu_prepare.choose_horizon(system, values, dataset)
+    values = ways.rough_values(system, dataset)
+    horizon = ways.choose_horizon(system, values, dataset)
     say(0.06, "noise floor")
     floors = noise_floors(dataset, horizon=horizon.seconds)
-    sizes: dict[str, dict[str, float]] = fmu_prepare.sizes_of(system, values, dataset)
+    sizes: dict[str, dict[str, float]] = ways.sizes_of(system, values, dataset)
     spread = np.std(np.concatenate([run.y for run in dataset.estimation]), axis=0)
     weights = np.array([one.value if one.value else max(0.1 * s, 1e-12) for one, s in zip(floors, spread, strict=True)])
-    output: OutputForm = fmu_prepare.form(system, dataset, horizon=horizon, floors=floors, weights=weights, sizes=sizes)
+    output: OutputForm = ways.form(system, dataset, horizon=horizon, floors=floors, weights=weights, sizes=sizes)
     form: Form = output
     say(0.1, "nominal fit")
     nominal, same = fit_nominal(form, values, seed, floors)
@@ -230,3 +233,11 @@ def undetermined(model: Fitted) -> list[str]:
                 "long that its size is hardly known; that the error falls is no chance"
             )
     return found
+
+
+def _ways(system: Any) -> Any:
+    """Return what prepares the loop: for an FMU, or for equations."""
+    from harness.diagnosis import fmu_prepare, prepare
+    from harness.diagnosis.fmu_system import FmuSystem
+
+    return fmu_prepare if isinstance(system, FmuSystem) else prepare
