@@ -28,7 +28,7 @@ from harness.errors import InputError
 from harness.physics.models import BUILT_IN, pendulum
 from harness.units import fits as unit_fits
 
-NAMES = """viscous_friction coulomb_friction stribeck_friction asymmetric_friction quadratic_drag
+NAMES = """viscous_friction coulomb_friction stribeck_friction sublinear_friction asymmetric_friction quadratic_drag
 load_dependent_friction hysteresis position_dependent_friction linear_spring quadratic_spring cubic_spring gravity_tilt
 eccentric_load payload_step end_stop dead_zone saturation rate_limit input_delay actuator_lag input_gain force_bias
 backlash elasticity cogging sensor_offset sensor_gain sensor_delay sensor_rectification sensor_saturation

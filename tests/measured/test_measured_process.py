@@ -7,21 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness.diagnosis import diagnose
-from harness.diagnosis.algorithm import Diagnosis
+from harness.diagnosis.simulated import SimulatedDiagnosis, diagnose_by_simulation
 from harness.effects import builtin
 from scenarios.recordings import load_recording
 
 
-def diagnosed(name: str, *effects: str) -> Diagnosis:
+def diagnosed(name: str, *effects: str) -> SimulatedDiagnosis:
     """Diagnose a recording with these effects as the dictionary."""
     loaded = load_recording(name)
     system = loaded.system()
     known = builtin()
-    return diagnose(loaded.for_system(system), system, workers=1, dictionary=[known[one] for one in effects] or None)
+    return diagnose_by_simulation(
+        loaded.for_system(system), system, workers=1, dictionary=[known[one] for one in effects] or None
+    )
 
 
-def errors_of(found: Diagnosis) -> tuple[list[float], list[float]]:
+def errors_of(found: SimulatedDiagnosis) -> tuple[list[float], list[float]]:
     """Return the errors (rms) of the test runs before and after."""
     before, after = (found.output.simulated(one, "test", None)[0] for one in (found.nominal, found.final))
     return [float(np.sqrt(np.mean(one**2))) for one in before], [float(np.sqrt(np.mean(one**2))) for one in after]

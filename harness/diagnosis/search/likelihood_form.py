@@ -12,6 +12,7 @@ import numpy as np
 from harness.diagnosis.prepare import sizes_of
 from harness.diagnosis.search.directions import Trace, directions, test_functions
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
+from harness.diagnosis.search.fit_records import fit_from_record, fit_record, point_from_record, point_record
 from harness.diagnosis.unfold import HIDING, unfoldings
 from harness.effects.compose import compose, recommended_substeps
 from harness.effects.effect import Placed
@@ -151,6 +152,28 @@ class LikelihoodForm:
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             return None
         return self._fitted(begun.effects, system, passes, best, own, terms, validation)
+
+    def record(self, fit: Fit) -> dict[str, Any]:
+        """Return a finished fit as plain numbers."""
+        detail: Detail = fit.detail
+        return {
+            "best": fit_record(detail.best),
+            "validation": point_record(detail.points["validation"]),
+            "own": fit.own,
+            "substeps": detail.passes.substeps,
+        }
+
+    def restored(self, effects: Sequence[Placed], record: Mapping[str, Any]) -> Fit | None:
+        """Return the fit of a record; None if it cannot be filtered."""
+        system = compose(self.nominal, list(effects), sizes=self.sizes) if effects else self.nominal
+        passes = self._passes(system, int(record["substeps"]))
+        best = fit_from_record(record["best"], self._likelihood(system, "estimation", passes))
+        point = point_from_record(record["validation"])
+        outside = self._likelihood(system, "validation", passes).filtered(point)
+        if best is None or outside is None:
+            return None
+        terms = [-one.terms for one in outside]
+        return self._fitted(effects, system, passes, best, dict(record["own"]), terms, point)
 
     def fit(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""

@@ -15,7 +15,7 @@ __all__ = ["Remembered"]
 
 
 class Remembered:
-    """Keeps where fits ended; one that is asked for again starts there, and is done after a step or two.
+    """Keeps finished fits; one that is asked for again, in the same order of things, is read back.
 
     Parameters
     ----------
@@ -37,35 +37,25 @@ class Remembered:
         return self.form.nominal
 
     def begin(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Begun | None:
-        """Begin where the same fit ended before, else where it is asked for; failures are kept too."""
-        key = self._key("begin", effects)
-        known = self.store.get(key)
-        if known is not None:
-            return self.form.begin(effects, [known["values"]], base) if known["values"] else None
-        begun = self.form.begin(effects, starts, base)
-        self.store.put(key, {"values": None if begun is None else begun.values})
-        return begun
+        """Begin as it is asked for: first steps are cheap, and the same each time."""
+        return self.form.begin(effects, starts, base)
 
     def finish(self, begun: Begun, base: Fit | None) -> Fit | None:
-        """Finish a fit, from where it ended before if it did."""
-        key = self._key("finish", begun.effects)
+        """Finish a fit; one that was finished before is the same, and a failure is kept too."""
+        name = " + ".join(sorted(map(str, begun.effects))) or "nominal"
+        self._number[name] = self._number.get(name, 0) + 1
+        key = f"{name}#{self._number[name]}"
         known = self.store.get(key)
-        if known is not None and known["values"]:
-            return self.form.fit(begun.effects, [known["values"]], base)
+        if known is not None:
+            return self.form.restored(begun.effects, known) if known else None
         found = self.form.finish(begun, base)
-        self.store.put(key, {"values": None if found is None else found.values})
+        self.store.put(key, {} if found is None else self.form.record(found))
         return found
 
     def fit(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Fit | None:
         """Begin and finish."""
         begun = self.begin(effects, starts, base)
         return None if begun is None else self.finish(begun, base)
-
-    def _key(self, stage: str, effects: Sequence[Placed]) -> str:
-        """Return the name of a fit: the order in which the same one is asked for is always the same."""
-        name = f"{stage} {' + '.join(sorted(map(str, effects))) or 'nominal'}"
-        self._number[name] = self._number.get(name, 0) + 1
-        return f"{name}#{self._number[name]}"
 
     def linearised(self, fit: Fit) -> Linearised:
         """Pass on."""

@@ -1,0 +1,65 @@
+"""Finished fits as plain numbers, and back: an interrupted diagnosis goes on with the same bits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from harness.physics.kalman_pass import Filtered, Noise
+from harness.physics.likelihood import Likelihood, LikelihoodFit, Point
+
+__all__ = ["fit_from_record", "fit_record", "point_from_record", "point_record"]
+
+
+def point_record(point: Point) -> dict[str, Any]:
+    """Return a point as plain numbers."""
+    noise = point.noise
+    return {
+        "p": point.p.tolist(),
+        "x0": [one.tolist() for one in point.x0],
+        "noise": [one.tolist() for one in (noise.r, noise.s, noise.tau, noise.w)],
+    }
+
+
+def point_from_record(record: dict[str, Any]) -> Point:
+    """Return the point of a record."""
+    noise = Noise(*(np.array(one, dtype=float) for one in record["noise"]))
+    return Point(np.array(record["p"], dtype=float), [np.array(one, dtype=float) for one in record["x0"]], noise)
+
+
+def fit_record(fit: LikelihoodFit) -> dict[str, Any]:
+    """Return a fit as plain numbers."""
+    return {
+        "point": point_record(fit.point),
+        "names": list(fit.names),
+        "covariance": fit.covariance.tolist(),
+        "logarithmic": fit.logarithmic.tolist(),
+        "converged": fit.converged,
+        "on_bound": list(fit.on_bound),
+        "iterations": fit.iterations,
+        "message": fit.message,
+    }
+
+
+def fit_from_record(record: dict[str, Any], likelihood: Likelihood) -> LikelihoodFit | None:
+    """Return the fit of a record, filtered once more; None if that diverges."""
+    point = point_from_record(record["point"])
+    found: list[Filtered] | None = likelihood.filtered(point)
+    if found is None:
+        return None
+    names = tuple(record["names"])
+    return LikelihoodFit(
+        likelihood.system,
+        point,
+        float(sum(one.nll for one in found)),
+        [one.terms for one in found],
+        names,
+        np.array(record["covariance"], dtype=float).reshape(len(names), len(names)),
+        np.array(record["logarithmic"], dtype=bool),
+        bool(record["converged"]),
+        tuple(record["on_bound"]),
+        int(record["iterations"]),
+        str(record["message"]),
+        found,
+    )
