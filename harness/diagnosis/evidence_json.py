@@ -35,6 +35,7 @@ Keys of ``sysid-harness/close-loop/2``:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -356,7 +357,12 @@ def _summary(data: dict[str, Any]) -> str:
         if name in after
     )
     share = data["explained_share"]
-    words = f"{100 * share:.4g} % of the validation variance is explained" if share is not None else "no free run"
+    # four digits, rounded down: 100 % would be said of what leaves noise
+    words = (
+        f"{math.floor(1e4 * share) / 100:g} % of the validation variance is explained"
+        if share is not None
+        else "no free run"
+    )
     if data["verdict"] == "effects_found":
         names = " and ".join(f"{one['name'].replace('_', ' ')} at {one['at']}" for one in data["effects"])
         more = " (tied with others, see below)" if any(len(one) > 1 for one in data["tie_sets"]) else ""
