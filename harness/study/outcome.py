@@ -39,7 +39,7 @@ class Answer:
     Attributes
     ----------
     verdict : str
-        ``effects_found``, ``nothing_missing`` or ``unexplained``.
+        ``effects_found``, ``nothing_missing``, ``unexplained`` or ``model_does_not_fit``.
     accepted : tuple of str
         ``effect@place``.
     ties : tuple of tuple of frozenset
@@ -112,8 +112,8 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str) -> Outcome:
 
 def _nothing_accepted(wanted: Group, answer: Answer) -> Outcome:
     """Return the outcome of an answer without effects."""
-    if answer.verdict == "unexplained":
-        return Outcome("flagged")
+    if answer.verdict in ("unexplained", "model_does_not_fit"):
+        return Outcome("flagged", answer.verdict.replace("_", " "))
     if not wanted:
         return Outcome("right")
     if wanted <= answer.unseen:

@@ -7,6 +7,7 @@ ensembles, finite impulse responses, wrappers of scikit-learn and SIPPY. :class:
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
@@ -147,7 +148,7 @@ class Affine:
 
 
 @dataclass(frozen=True)
-class ThirdParty:
+class ThirdParty(ABC):
     """Makes the table of all records, one record at a time, and lets ``learn`` find the map."""
 
     lags: int = 2
@@ -160,8 +161,9 @@ class ThirdParty:
         rows, goal = np.vstack([p[0] for p in pairs]), np.vstack([p[1] for p in pairs])
         return Learned(replace(trajectories[0].spec, states=()), self.lags, self.learn(rows, goal, rng))
 
+    @abstractmethod
     def learn(self, rows: FloatArray, goal: FloatArray, rng: np.random.Generator) -> Any:
-        raise NotImplementedError
+        """Return a map from rows to goal."""
 
 
 def affine(rows: FloatArray, goal: FloatArray) -> Affine:

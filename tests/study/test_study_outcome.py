@@ -24,6 +24,8 @@ def group(*names):
         (set(), Answer("effects_found", ("force_bias@x",)), "wrong"),
         ({"dead_zone@u"}, Answer("nothing_missing", ()), "missed"),
         ({"dead_zone@u"}, Answer("unexplained", ()), "flagged"),
+        (set(), Answer("model_does_not_fit", ()), "flagged"),
+        ({"dead_zone@u"}, Answer("model_does_not_fit", ()), "flagged"),
         ({"input_gain@u"}, Answer("nothing_missing", (), (), group("input_gain@u")), "tied"),
         (
             {"stribeck_friction@x"},
