@@ -397,8 +397,11 @@ class StateSpace:
         return {"kind": "third-party-sippy", "A": self.A.tolist()}
 
 
-class PerRecord(ThirdParty):
+@dataclass(frozen=True)
+class PerRecord:
     """Fits every record by itself and averages the coefficients by their lengths."""
+
+    lags: int = 2
 
     def fit(self, trajectories: Records, *, rng: np.random.Generator) -> Any:
         refuse_misfits(trajectories)
