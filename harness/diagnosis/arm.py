@@ -15,11 +15,11 @@ from harness.diagnosis.arm_checks import check_torques
 from harness.diagnosis.arm_form import JointForm, joint_dictionary
 from harness.diagnosis.arm_motion import ArmRun, arm_runs, moving_rows, standstill
 from harness.diagnosis.arm_wide import DETAIL, WideResult, wide_search
-from harness.diagnosis.equation import decimated
-from harness.diagnosis.forms import Fitted, rms, stacked
-from harness.diagnosis.prepare import checked
+from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.refitter import Refitter
 from harness.diagnosis.response import equation_families
+from harness.diagnosis.runs.equation import decimated
+from harness.diagnosis.runs.fitted import Fitted, rms, stacked
 from harness.diagnosis.store import Store, fingerprint
 from harness.diagnosis.subset import Search, SearchResult
 from harness.diagnosis.surrogates import orthonormal

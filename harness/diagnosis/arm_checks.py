@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from harness.data.sanity import saturated, stuck
-from harness.diagnosis.motion import ORDER, motion_band
+from harness.diagnosis.records.motion import ORDER, motion_band
 from harness.signals import FloatArray, Run, Trajectory
 
 __all__ = ["chatter", "check_torques"]

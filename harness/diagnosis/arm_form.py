@@ -10,10 +10,10 @@ import numpy as np
 
 from harness.diagnosis.arm_motion import CALM, ArmRun, moving_rows
 from harness.diagnosis.descent import Bar
-from harness.diagnosis.equation import Equations, Form, expressible
-from harness.diagnosis.equation_form import EquationForm
-from harness.diagnosis.motion import Motion, motion_band
 from harness.diagnosis.noise import fourth_difference
+from harness.diagnosis.records.motion import Motion, motion_band
+from harness.diagnosis.runs.equation import Equations, Form, expressible
+from harness.diagnosis.runs.equation_form import EquationForm
 from harness.effects.compose import compose
 from harness.effects.effect import Effect, Placed
 from harness.errors import FitError
@@ -116,7 +116,7 @@ class JointForm(EquationForm):
     def solve(
         self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], *, seed: int, bar: Bar | None = None
     ) -> dict[str, Any]:
-        """Fit; see :class:`harness.diagnosis.forms.Form`.
+        """Fit; see :class:`harness.diagnosis.runs.fitted.Form`.
 
         Raises
         ------

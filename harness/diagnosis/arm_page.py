@@ -9,9 +9,9 @@ import numpy as np
 
 from harness.diagnosis.arm import ArmDiagnosis, known_torque
 from harness.diagnosis.arm_motion import moving_rows
-from harness.diagnosis.figures import AFTER, BEFORE, GREY, INK, Pictures, ResidualView, drawing
-from harness.diagnosis.figures import draw as draw_pictures
-from harness.diagnosis.report_html import environment
+from harness.diagnosis.report.figures import AFTER, BEFORE, GREY, INK, Pictures, ResidualView, drawing
+from harness.diagnosis.report.figures import draw as draw_pictures
+from harness.diagnosis.report.html import environment
 from harness.diagnosis.store import write_atomic
 
 __all__ = ["render_arm", "write_arm_html"]
@@ -60,7 +60,7 @@ def _figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
             inside = moving_rows(motion)[:, 0] > 0
             left = max(final.validation, key=len)[inside, 0] * form.weights[0]
             nominal = max(joint.nominal.validation, key=len)[inside, 0] * form.weights[0]
-            from harness.diagnosis.equation import decimated
+            from harness.diagnosis.runs.equation import decimated
 
             speed, rate = True, decimated(motion.v, motion)[inside, 0]
             before, after, fitted = nominal, left, own[inside]

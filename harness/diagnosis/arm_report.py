@@ -18,9 +18,9 @@ import numpy as np
 
 from harness.diagnosis.arm import ArmDiagnosis, JointDiagnosis
 from harness.diagnosis.arm_wide import SEEN, WideCandidate
-from harness.diagnosis.closed_loop_bias import BiasTest
 from harness.diagnosis.exchange import Accepted
-from harness.diagnosis.isolability import separating
+from harness.diagnosis.report.isolability import separating
+from harness.diagnosis.runs.closed_loop_bias import BiasTest
 
 __all__ = ["arm_report"]
 

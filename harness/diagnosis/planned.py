@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.isolability import ALIKE, isolability, unseen
+from harness.diagnosis.report.isolability import ALIKE, isolability, unseen
 from harness.effects.effect import Effect
 from harness.errors import InputError
 from harness.rng import Streams
@@ -26,7 +26,7 @@ class Planned:
     effects : tuple of str
         Visible effects, ``NAME@PORT``.
     cosines : array (n, n)
-        Entry (i, j): share of effect i that effect j can mimic, see :func:`harness.diagnosis.isolability.isolability`.
+        Entry (i, j): share of effect i that effect j can mimic, see :func:`harness.diagnosis.report.isolability.isolability`.
     alike : tuple of (str, str, float)
         Pairs that mimic each other beyond 0.95, the most alike first.
     hidden : tuple of dict
@@ -93,8 +93,8 @@ def isolability_of(
     [('gravity_tilt@base', 'sensor_offset@theta')]
     """
     from harness import registry
-    from harness.diagnosis.output_form import OutputForm
-    from harness.diagnosis.prepare import choose_horizon, sizes_of
+    from harness.diagnosis.records.prepare import choose_horizon, sizes_of
+    from harness.diagnosis.runs.form import OutputForm
     from harness.diagnosis.screens import sensitivity_screen
     from harness.effects import place_all
     from harness.physics.levenberg import minimise_states

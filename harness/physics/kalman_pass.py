@@ -104,9 +104,10 @@ class Pass(Protocol):
     substeps: int
     nl: int
     ny: int
-    np: int
     start_size: int
     simulator: Any
+
+    parameter_count: int
 
     def __call__(
         self,
@@ -148,7 +149,7 @@ class KalmanPass:
 
     Attributes
     ----------
-    nx, nl, ny, np : int
+    nx, nl, ny, parameter_count : int
         States (latent forces included), latent forces, outputs, parameters.
     forces : tuple of LatentForce
     state_names : tuple of str
@@ -184,7 +185,7 @@ class KalmanPass:
         self.state_names = tuple(channel.name for channel in system.states[: system.nx - len(self.forces)])
         self.simulator = system.simulator(dt, intersample=intersample, substeps=substeps)
         self.substeps = self.simulator.substeps
-        self.nx, self.ny, self.np, self.nl = system.nx, system.ny, system.np, len(self.forces)
+        self.nx, self.ny, self.parameter_count, self.nl = system.nx, system.ny, system.np, len(self.forces)
         self.start_size = self.nx - self.nl
         self.parameter_names = system.parameter_names
         self._period = np.array([channel.period or 0.0 for channel in system.outputs])
@@ -287,8 +288,8 @@ class KalmanPass:
         x, variance, decay, gained, noise, every = how
         nx, nl, ny = self.nx, self.nl, self.ny
         step, look = self._machine(every)
-        s = np.zeros((nx, self.np + self.start_size))
-        s[: self.start_size, self.np :] = np.eye(self.start_size)
+        s = np.zeros((nx, self.parameter_count + self.start_size))
+        s[: self.start_size, self.parameter_count :] = np.eye(self.start_size)
         row, fade = 0, np.concatenate([np.ones(nx - nl), decay])
         for k in range(len(u)):
             if not np.isfinite(x).all():
@@ -314,7 +315,7 @@ class KalmanPass:
                     x = x + gain * (e if known else 0.0)
                     variance = variance - np.outer(gain, spread)
                     change = -(c[o] @ s)
-                    change[: self.np] -= by_p[o]
+                    change[: self.parameter_count] -= by_p[o]
                     s = s + np.outer(gain, change)
                     if made.j is not None:
                         made.j[row, o] = change[columns] if known else 0.0
@@ -330,7 +331,7 @@ class KalmanPass:
             x = x[:, 0] * fade
             white = f[:, nx - nl :] * np.concatenate([np.ones(nx - nl), np.zeros(nl)])[:, None]
             s = fade[:, None] * (f @ s)
-            s[:, : self.np] += fade[:, None] * by_p
+            s[:, : self.parameter_count] += fade[:, None] * by_p
             f = fade[:, None] * f
             variance = f @ variance @ f.T + (white * noise.w**2) @ white.T
             variance[range(nx - nl, nx), range(nx - nl, nx)] += gained

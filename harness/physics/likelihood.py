@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -205,7 +205,7 @@ class Likelihood:
 
     def _unpack(self, z: FloatArray) -> Point:
         """Return the point of a vector."""
-        n, m, nl, ny = self.filter.np, self.filter.start_size, self.filter.nl, self.filter.ny
+        n, m, nl, ny = self.filter.parameter_count, self.filter.start_size, self.filter.nl, self.filter.ny
         p = np.clip(np.where(self._log, np.exp(np.where(self._log, z[:n], 0.0)), z[:n]), *self._bounds)
         x0 = [z[n + k * m : n + (k + 1) * m] for k in range(len(self.records))]
         rest = z[n + len(self.records) * m :]
@@ -263,6 +263,33 @@ class Likelihood:
         total = np.inf if found is None else sum(one.nll for one in found)
         return float(total) if np.isfinite(total) else np.inf
 
+    def concentrated(self, point: Point) -> Point:
+        """Return a point with the sensor noise that makes its free run likeliest: the rms of the output error.
+
+        Without latent forces that is the maximum over the noise (Ljung 1999, sec. 7.4); fits then start at a scale at
+        which parameters and initial states can move. A run that diverges is returned as it is.
+        """
+        with np.errstate(all="ignore"):
+            found = self.filtered(point)
+        if found is None:
+            return point
+        rms = np.sqrt(np.nanmean(np.concatenate([one.e for one in found]) ** 2, axis=0))
+        if not np.isfinite(rms).all():
+            return point
+        r = np.clip(rms, 1e-7 * self.noise_model.output_scale, 10.0 * self.noise_model.output_scale)
+        return replace(point, noise=replace(point.noise, r=r))
+
+    def _concentrate(
+        self, z: FloatArray, passes: list[Filtered], low: FloatArray, high: FloatArray
+    ) -> tuple[float, FloatArray]:
+        """Put the sensor noise of a free run to its maximum, in the passes too; return the value and the vector."""
+        ny, z = self.filter.ny, z.copy()
+        rms = np.sqrt(np.nanmean(np.concatenate([one.e for one in passes]) ** 2, axis=0))
+        z[-ny:] = np.clip(np.log(np.maximum(rms, 1e-300)), low[-ny:], high[-ny:])
+        for one in passes:
+            one.s = np.broadcast_to(np.exp(2 * z[-ny:]), one.s.shape).copy()
+        return float(sum(one.nll for one in passes)), z
+
     def _value(self, z: FloatArray) -> tuple[float, list[Filtered] | None]:
         with np.errstate(all="ignore"):
             found = self.filtered(self._unpack(z))
@@ -285,7 +312,7 @@ class Likelihood:
         e, s = _joined(found)
         known = np.isfinite(e)
         root = 1.0 / np.sqrt(s[known])
-        n, m = self.filter.np, self.filter.start_size
+        n, m = self.filter.parameter_count, self.filter.start_size
         limit = n + len(self.records) * m
         by_e = np.zeros((len(which), int(known.sum())))
         by_s = np.zeros_like(by_e)
@@ -383,7 +410,7 @@ class Likelihood:
         chosen = np.zeros(len(names), dtype=bool)
         if free is None:
             chosen[:] = True
-            chosen[: self.filter.np] = self._free
+            chosen[: self.filter.parameter_count] = self._free
         else:
             wanted = set(free)
             chosen[:] = [name in wanted for name in names]
@@ -398,6 +425,7 @@ class Likelihood:
             )
         damping, exact, converged, message, count = 1e-3, False, False, "", 0
         entries = np.flatnonzero(chosen)
+        scaled_noise = not self.noise_model.latent and bool(chosen[len(names) - self.filter.ny :].all())
         promise = first = np.inf
         matrix = np.eye(len(entries))
         deviations: FloatArray | None = None
@@ -433,6 +461,8 @@ class Likelihood:
                     break
                 damping = max(damping, 1e-4) * 8.0
             if improved:
+                if scaled_noise:
+                    new, trial = self._concentrate(trial, passes, low, high)
                 gain, value, z, found = value - new, new, trial, passes
                 damping = max(damping / 8.0, 1e-7)
                 if exact and gain < _ENOUGH:
@@ -458,7 +488,7 @@ class Likelihood:
         names, log, low, high, _ = self._layout()
         size = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
         near = 1e-6
-        free = entries < self.filter.np
+        free = entries < self.filter.parameter_count
         margin = np.where(log[entries], near, near * np.maximum(np.abs(z[entries]), 1e-12))
         bound = (z[entries] <= low[entries] + margin) | (z[entries] >= high[entries] - margin)
         inner = ~bound

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.prepare import sizes_of
+from harness.diagnosis.records.prepare import sizes_of
+from harness.diagnosis.records.unfold import HIDING, unfoldings
 from harness.diagnosis.search.directions import Trace, directions, test_functions
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.fit_records import fit_from_record, fit_record, point_from_record, point_record
-from harness.diagnosis.unfold import HIDING, unfoldings
 from harness.effects.compose import compose, recommended_substeps
 from harness.effects.effect import Placed
 from harness.effects.places import port_of
@@ -27,7 +27,7 @@ from harness.physics.smoother import Smoothed, innovation_response, smoothed
 from harness.physics.start import first_values
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
-__all__ = ["Detail", "LikelihoodForm"]
+__all__ = ["USES", "Detail", "LikelihoodForm", "whitened"]
 
 USES = ("estimation", "validation")
 CLOSE = 30.0
@@ -98,6 +98,10 @@ class LikelihoodForm:
 
     # ---- what another kind of nominal model does in its own way ----------------------------------------------------
 
+    def judges(self, placed: Placed) -> bool:
+        """Return True: every effect can be judged by its equations."""
+        return True
+
     def has_latent_forces(self) -> bool:
         """Return False for output error."""
         return bool(self.nominal.coordinates)
@@ -162,6 +166,12 @@ class LikelihoodForm:
             ]
             if len(points) > STARTS:
                 points = sorted(points, key=likelihood.nll)[:STARTS]
+            if effects and not self.latent:  # no force took up what was missing: it has driven the parameters away
+                p = system.vector({**vectors[0], **self.nominal.values()})
+                noise = first_noises(self.noise_model, self._first_noise, self.dt)[0]
+                points.append(Point(p, self._starts(system, passes, p, "estimation", None), noise))
+            if not self.latent:
+                points = [likelihood.concentrated(point) for point in points]
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):  # two transmissions at one joint, say
             return None
         tried: list[LikelihoodFit] = []
@@ -329,7 +339,7 @@ class LikelihoodForm:
             free = set(fit.free)
             columns = np.array(
                 [k for k, name in enumerate(names) if name in free]
-                + list(range(detail.passes.np, detail.passes.np + detail.passes.start_size)),
+                + list(range(detail.passes.parameter_count, detail.passes.parameter_count + detail.passes.start_size)),
                 dtype=np.intp,
             )
             found = [
@@ -348,11 +358,11 @@ class LikelihoodForm:
         count = len(fit.free)
         for use in USES:
             passed, _ = self.paths(fit, use)
-            residual[use] = np.concatenate([_whitened(one.e, one.s) for one in passed])
+            residual[use] = np.concatenate([whitened(one.e, one.s) for one in passed])
             parts = []
             for number, one in enumerate(passed):
                 assert one.j is not None
-                j = _whitened(one.j, one.s[..., None])
+                j = whitened(one.j, one.s[..., None])
                 wide = np.zeros((len(j), count + len(passed) * (j.shape[1] - count)))
                 states = j.shape[1] - count
                 wide[:, :count] = j[:, :count]
@@ -459,10 +469,8 @@ class LikelihoodForm:
             for number, one in enumerate(passed):
                 forces = np.concatenate([d.forces[use][number] for d in found], axis=2)
                 readings = np.concatenate([d.readings[use][number] for d in found], axis=2)
-                response = innovation_response(
-                    one, forces, readings, rates_over=None if self.latent else self.dt
-                )
-                parts.append(_whitened(response, one.s[..., None]))
+                response = innovation_response(one, forces, readings, rates_over=None if self.latent else self.dt)
+                parts.append(whitened(response, one.s[..., None]))
             made[use] = np.concatenate(parts)
         columns, at = [], 0
         for one in found:
@@ -475,7 +483,7 @@ class LikelihoodForm:
         return columns
 
 
-def _whitened(values: FloatArray, variance: FloatArray) -> FloatArray:
+def whitened(values: FloatArray, variance: FloatArray) -> FloatArray:
     """Return values (N, ny, ...) over their standard deviation, flat; what was not measured is 0."""
     scaled = np.where(np.isfinite(values), values, 0.0) / np.sqrt(variance)
     return np.asarray(scaled.reshape(scaled.shape[0] * scaled.shape[1], *scaled.shape[2:]))
