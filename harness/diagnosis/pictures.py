@@ -8,7 +8,7 @@ import numpy as np
 
 from harness.diagnosis.figures import Overlay, Pictures, ResidualView
 from harness.diagnosis.forms import Fitted
-from harness.diagnosis.isolability import isolability
+from harness.diagnosis.screens import isolability
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:

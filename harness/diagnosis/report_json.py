@@ -49,9 +49,10 @@ from harness.diagnosis import residual_tests
 from harness.diagnosis.confirm import Candidate
 from harness.diagnosis.experiments import Bench, separate_with
 from harness.diagnosis.forms import Fitted, rms
-from harness.diagnosis.isolability import isolability, separating, unseen
+from harness.diagnosis.isolability import separating
 from harness.diagnosis.report_summary import summary
 from harness.diagnosis.scores import equation_error, noise_ratios, simulation_error
+from harness.diagnosis.screens import isolability, unseen
 from harness.diagnosis.stand_in import stand_in
 from harness.effects.effect import Placed
 from harness.signals import FloatArray

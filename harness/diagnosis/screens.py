@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -20,12 +21,15 @@ from harness.diagnosis.surrogates import orthonormal
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
-__all__ = ["ALWAYS", "Probe", "Screen", "sensitivity_screen", "shortlist", "start_grid"]
+__all__ = ["ALWAYS", "Probe", "Screen", "isolability", "sensitivity_screen", "shortlist", "start_grid", "unseen"]
 
 ALWAYS = ("input_delay", "sensor_offset", "force_bias")
 SEEN = 0.02
 """An effect of which less than this share is left beside the nominal Jacobian cannot be told from the parameters."""
 MOST_STARTS = 8
+INVISIBLE = 0.03
+"""Share of a barely visible effect that must be left beside the nominal parameters (a simulation is not linear)."""
+MOST = 26
 WEAKER = 0.3
 """A probe is repeated if the residual is smaller than this part of the change that it makes."""
 
@@ -268,3 +272,48 @@ def _refined(
             new = max(new, 0.05 * size, one.minimum)
         result[one.name] = float(np.clip(new, max(one.minimum, -200 * size), min(one.maximum, 200 * size)))
     return result
+
+
+def isolability(screen: Screen, *, first: Sequence[str] = ()) -> tuple[tuple[str, ...], FloatArray]:
+    """Return how well each effect's change of the outputs is mimicked by every other.
+
+    Parameters
+    ----------
+    screen : Screen
+        Of the nominal model.
+    first : sequence of str
+        Effects to show in any case, e.g. those found.
+
+    Returns
+    -------
+    names : tuple of str
+    cosines : array (n, n)
+        Entry (i, j): cosine between the change of effect i and the span of effect j (its parameters free), the nominal
+        Jacobian and the initial states taken out of both; 1 means that j can do all that i does.
+    """
+    seen = [one for one in screen.probes if one.left >= SEEN and one.rank]
+    seen.sort(key=lambda one: (str(one.placed) not in first, str(one.placed)))
+    seen = seen[:MOST]
+    cosines = np.eye(len(seen))
+    for i, a in enumerate(seen):
+        for j, b in enumerate(seen):
+            if i != j:
+                cosines[i, j] = min(float(np.linalg.norm(b.basis.T @ a.direction)), 1.0)
+    return tuple(str(one.placed) for one in seen), cosines
+
+
+def unseen(screen: Screen) -> list[dict[str, Any]]:
+    """Return the effects that this experiment cannot show, each with the reason."""
+    rows = []
+    for one in screen.probes:
+        if one.left < SEEN or one.least < INVISIBLE or not one.rank:
+            by = f"nominal parameter {one.absorbed_by}" if one.absorbed_by else "nominal parameters or initial states"
+            rows.append(
+                {
+                    "name": one.placed.effect.name,
+                    "at": one.placed.at,
+                    "reason": f"the {by} can do the same" if one.absorbed_by else f"{by} can do the same",
+                    "parameter": one.absorbed_by or None,
+                }
+            )
+    return sorted(rows, key=lambda row: (row["name"], row["at"]))
