@@ -128,7 +128,7 @@ def close_loop(
         data = close_arm(dataset, arm, folder=folder, progress=progress, dictionary=dictionary)
         return Report(data, folder, arm)
     system = _system(model, parameters, dataset)
-    if is_fmu(system) or not system.coordinates:
+    if is_fmu(system):
         how = name or system.name, options or {}
         return _closed_by_simulation(
             dataset, system, chosen, progress, folder, dictionary, workers, references, how

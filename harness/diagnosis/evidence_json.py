@@ -188,7 +188,7 @@ def _noise(found: Diagnosis, fit: Fit) -> dict[str, Any]:
         },
         "forces": {
             one.port: {"s": known(float(s)), "tau_s": known(float(tau)), "w": known(float(w)), "unit": one.unit}
-            for one, s, tau, w in zip(fit.detail.passes.disturbed.forces, noise.s, noise.tau, noise.w, strict=True)
+            for one, s, tau, w in zip(fit.detail.passes.forces, noise.s, noise.tau, noise.w, strict=True)
         },
     }
 

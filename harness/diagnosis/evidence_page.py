@@ -104,7 +104,7 @@ def _views(found: Diagnosis, changed: bool) -> list[ResidualView]:
     """Return the smoothed latent forces against position, speed, input and time, before and after."""
     record = found.form.records["estimation"][0]
     views = []
-    ports = list(found.nominal.detail.passes.disturbed.forces)
+    ports = list(found.nominal.detail.passes.forces)
     sizes = [float(np.std(_force(found, found.nominal, k)[1])) / s for k, s in
              enumerate(found.form.noise_model.force_scale)]  # fmt: skip
     shown = sorted(np.argsort(sizes)[::-1][:MOST_PORTS])

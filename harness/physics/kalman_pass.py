@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -15,10 +15,10 @@ from harness.physics.filter_source import filter_source
 from harness.signals import FloatArray, Trajectory
 
 if TYPE_CHECKING:
-    from harness.physics.latent import Disturbed
+    from harness.physics.latent import Disturbed, LatentForce
     from harness.physics.simulator import Intersample
 
-__all__ = ["Filtered", "KalmanPass", "Noise", "Path"]
+__all__ = ["Filtered", "KalmanPass", "Noise", "Pass", "Path"]
 
 _LOG_2PI = float(np.log(2 * np.pi))
 _COUNTS = ("n", "substeps", "every", "chosen", "foh")
@@ -85,13 +85,41 @@ class Filtered:
     @property
     def terms(self) -> FloatArray:
         """Minus the logarithm of the density of every sample (K,)."""
-        each = 0.5 * (_LOG_2PI + np.log(self.s) + self.e**2 / self.s)
+        with np.errstate(over="ignore"):  # of a run far off its data: the density is 0
+            each = 0.5 * (_LOG_2PI + np.log(self.s) + self.e**2 / self.s)
         return np.asarray(np.where(np.isfinite(self.e), each, 0.0).sum(axis=1))
 
     @property
     def nll(self) -> float:
         """Minus the log-likelihood of the record."""
         return float(self.terms.sum())
+
+
+class Pass(Protocol):
+    """What gives a record its innovations under a model; see :class:`KalmanPass` for the attributes."""
+
+    forces: tuple[LatentForce, ...]
+    state_names: tuple[str, ...]
+    dt: float
+    substeps: int
+    nl: int
+    ny: int
+    np: int
+    start_size: int
+    simulator: Any
+
+    def __call__(
+        self,
+        record: Trajectory,
+        p: Any,
+        x0: Any,
+        noise: Noise,
+        *,
+        columns: npt.NDArray[np.intp] | None = None,
+        keep: bool = False,
+    ) -> Filtered | None:
+        """Return the innovations of a record, None if the state diverges; see :meth:`KalmanPass.__call__`."""
+        ...
 
 
 class _Job(ctypes.Structure):
@@ -122,6 +150,9 @@ class KalmanPass:
     ----------
     nx, nl, ny, np : int
         States (latent forces included), latent forces, outputs, parameters.
+    forces : tuple of LatentForce
+    state_names : tuple of str
+        States without the latent forces.
     start_size : int
         States without the latent forces: what an initial state has.
 
@@ -148,11 +179,12 @@ class KalmanPass:
         substeps: int | None = None,
         compiled: bool = True,
     ) -> None:
-        self.disturbed, self.dt, self.intersample = disturbed, float(dt), intersample
+        self.forces, self.dt, self.intersample = disturbed.forces, float(dt), intersample
         system = disturbed.system
+        self.state_names = tuple(channel.name for channel in system.states[: system.nx - len(self.forces)])
         self.simulator = system.simulator(dt, intersample=intersample, substeps=substeps)
         self.substeps = self.simulator.substeps
-        self.nx, self.ny, self.np, self.nl = system.nx, system.ny, system.np, len(disturbed.forces)
+        self.nx, self.ny, self.np, self.nl = system.nx, system.ny, system.np, len(self.forces)
         self.start_size = self.nx - self.nl
         self.parameter_names = system.parameter_names
         self._period = np.array([channel.period or 0.0 for channel in system.outputs])

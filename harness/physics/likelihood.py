@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError
-from harness.physics.kalman_pass import Filtered, KalmanPass, Noise
+from harness.physics.kalman_pass import Filtered, KalmanPass, Noise, Pass
 from harness.physics.latent import with_latent_forces
 from harness.physics.levenberg import log_scaled
 from harness.signals import FloatArray, Trajectory
@@ -149,7 +149,7 @@ class Likelihood:
     intersample : {"zoh", "foh", "smooth"}
     substeps : int, optional
     compiled : bool
-    passes : KalmanPass, optional
+    passes : Pass, optional
         Of the same system, made before.
 
     Notes
@@ -169,11 +169,11 @@ class Likelihood:
         intersample: Intersample = "zoh",
         substeps: int | None = None,
         compiled: bool = True,
-        passes: KalmanPass | None = None,
+        passes: Pass | None = None,
     ) -> None:
         self.system, self.records, self.noise_model = system, list(records), noise_model
         dt = self.records[0].spec.sample_time
-        self.filter = passes or KalmanPass(
+        self.filter: Pass = passes or KalmanPass(
             with_latent_forces(system), dt, intersample=intersample, substeps=substeps, compiled=compiled
         )
         self._log = log_scaled(system)
@@ -217,7 +217,7 @@ class Likelihood:
 
     def _layout(self) -> tuple[list[str], npt.NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
         """Return names, whether logarithmic, lower and upper bounds, and scales of the vector."""
-        states = [channel.name for channel in self.filter.disturbed.system.states][: self.filter.start_size]
+        states = self.filter.state_names
         names = list(self.system.parameter_names)
         log, low, high = list(self._log), list(self._low), list(self._high)
         for number in range(len(self.records)):
@@ -225,7 +225,7 @@ class Likelihood:
             log += [False] * len(states)
             low += [-np.inf] * len(states)
             high += [np.inf] * len(states)
-        model, ports = self.noise_model, [one.port for one in self.filter.disturbed.forces]
+        model, ports = self.noise_model, [one.port for one in self.filter.forces]
         if model.latent:
             force = np.log(model.force_scale)
             names += [f"s@{port}" for port in ports] + [f"tau@{port}" for port in ports]
@@ -405,7 +405,7 @@ class Likelihood:
             count += 1
             assert found is not None
             with np.errstate(all="ignore"):
-                gradient, matrix = self._derivatives(z, found, entries, exact, deviations)
+                gradient, matrix = self._derivatives(z, found, entries, exact and self.noise_model.latent, deviations)
             deviations = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
             if not (np.isfinite(gradient).all() and np.isfinite(matrix).all()):
                 message = "derivatives are not finite"

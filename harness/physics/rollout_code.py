@@ -117,6 +117,7 @@ class Functions:
         self.derivative = dense("derivative", self.arguments, [system.f])
         self.output = dense("output", self.arguments, [self.h])
         start = system.initial if system.initial is not None else ca.SX(0, 1)
+        start = ca.substitute(start, system.t, ca.SX(0.0))  # an input that a law of time disturbs: as at its beginning
         self.initial = dense("initial", [system.x, system.u, system.p], [system.upright(start)])
         self._machines: dict[Any, Any] = {}
 

@@ -37,12 +37,13 @@ class Trace:
     x: FloatArray
     passes: KalmanPass
     p: FloatArray
-    intersample: str
+    ports: tuple[str, ...]
+    """Where a force can push: coordinates, or the rates of a process."""
 
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """Forces (K, nl, k) and readings (K, ny, k) by use and record; see :class:`harness.diagnosis.search.fit.Column`."""
+    """Forces (K, ports, k) and readings (K, ny, k) by use and record; see :class:`harness.diagnosis.search.fit.Column`."""
 
     placed: Placed | None
     given: dict[str, float]
@@ -101,7 +102,7 @@ def _rate(trace: Trace) -> FloatArray:
 def _nothing(traces: Mapping[str, Sequence[Trace]], k: int, *, forces: bool) -> dict[str, list[FloatArray]]:
     """Return zeros (K, nl or ny, k) by use and record."""
     return {
-        use: [np.zeros((len(one.record), one.passes.nl if forces else one.passes.ny, k)) for one in parts]
+        use: [np.zeros((len(one.record), len(one.ports) if forces else one.passes.ny, k)) for one in parts]
         for use, parts in traces.items()
     }
 
@@ -347,12 +348,13 @@ def test_functions(traces: Mapping[str, Sequence[Trace]], nominal: Any) -> list[
                 hats = [hat_basis(single[name][use][number], at) for name, at in zip(group, knots, strict=True)]
                 basis[use].append(hats[0] if len(hats) == 1 else joint_basis(hats[0], hats[1]))
         grid = list(itertools.product(*knots))
-        for row, force in enumerate(traces["estimation"][0].passes.disturbed.forces):
-            forces: dict[str, list[FloatArray]] = {}
-            for use, made in basis.items():
-                latent = traces[use][0].passes.nl
-                forces[use] = [np.stack([part * float(k == row) for k in range(latent)], axis=1) for part in made]
+        ports = traces["estimation"][0].ports
+        for row, port in enumerate(ports):
+            forces = {
+                use: [np.stack([part * float(k == row) for k in range(len(ports))], axis=1) for part in made]
+                for use, made in basis.items()
+            }
             labels = [", ".join(f"{n} {v:.3g}" for n, v in zip(group, at, strict=True)) for at in grid]
-            names_of = (f"{force.port} over {' and '.join(group)}", *labels[1:])
+            names_of = (f"{port} over {' and '.join(group)}", *labels[1:])
             found.append(Direction(None, {}, names_of, forces, _nothing(traces, len(grid), forces=False)))
     return found

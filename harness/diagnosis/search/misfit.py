@@ -38,9 +38,9 @@ def misfit_reasons(form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Pol
         reasons.append(f"the prediction of the validation data {share} over {_length(runs)}")
     noise = final.detail.points["estimation"].noise
     forces = np.sqrt(noise.s**2 + noise.w**2)
-    for port, size, scale in zip(final.detail.passes.disturbed.forces, forces, form.noise_model.force_scale,
+    for port, size, scale in zip(final.detail.passes.forces, forces, form.noise_model.force_scale,
                                  strict=True):  # fmt: skip
-        if form.nominal.coordinates and size > policy.misfit_force * scale:
+        if size > policy.misfit_force * scale:
             reasons.append(
                 f"a force that nobody measured would have to be {100 * size / scale:.0f} % of what moves {port.port}"
             )
@@ -60,7 +60,7 @@ def _likely(form: LikelihoodForm, final: Fit, policy: Policy) -> list[str]:
     """Return the mistake whose repair makes the nominal model much likelier, if there is one."""
     best, words = final.log_likelihood("estimation"), ""
     for text, dataset, scale in mistakes(form.dataset):
-        other = LikelihoodForm(form.nominal, dataset, form.sizes)
+        other = form.on(dataset)
         found = other.fit((), other.first_starts(), None)
         if found is None:
             continue
