@@ -83,7 +83,7 @@ def misfit_reasons(
             f"would have to be {gain:.3g} times what was recorded" if gain > NOTHING else "tells nothing of the motion"
         )
         reasons.append(f"the torque {name} {text}")
-    if reasons:
+    if reasons:  # the last one is what to do, where it is known
         reasons += _likely(dataset, arm, runs, [one.joint for one in joints], policy)
     return tuple(reasons)
 

@@ -260,7 +260,8 @@ def _summary(data: dict[str, Any], incomplete: Sequence[str]) -> str:
     use = "test" if "test" in data["joints"][0]["before"] else "validation"
     judged = [one for one in data["joints"] if one["judged"]]
     if data["verdict"] == "model_does_not_fit":
-        return f"arm {data['model']} does not fit these data: {'; '.join(data['misfit'])}"
+        first, last = data["misfit"][0], data["misfit"][-1]
+        return f"arm {data['model']} does not fit these data: {'; '.join(dict.fromkeys((first, last)))}"
     if data["verdict"] == "effects_found":
         ratio = [one["before"][use] / one["after"][use] for one in judged if one["after"][use]]
         by_name: dict[str, list[str]] = {}

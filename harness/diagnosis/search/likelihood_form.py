@@ -459,9 +459,7 @@ class LikelihoodForm:
             for number, one in enumerate(passed):
                 forces = np.concatenate([d.forces[use][number] for d in found], axis=2)
                 readings = np.concatenate([d.readings[use][number] for d in found], axis=2)
-                response = innovation_response(
-                    one, forces, readings, rates_over=None if self.latent else self.dt
-                )
+                response = innovation_response(one, forces, readings, rates_over=None if self.latent else self.dt)
                 parts.append(_whitened(response, one.s[..., None]))
             made[use] = np.concatenate(parts)
         columns, at = [], 0
