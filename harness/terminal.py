@@ -236,16 +236,20 @@ def print_answer(answer: Answer) -> None:
 
 
 def print_planned(found: Planned) -> None:
-    """Print the isolability matrix (hundredths), the pairs that look alike, and what stays invisible."""
+    """Print the isolability matrix (hundredths), from what size each is seen, what looks alike, what is invisible."""
     width = max(map(len, found.effects), default=0)
-    say(f"share of the row's effect that the column's can mimic, in hundredths ({found.horizon})")
+    say(f"share of the row's effect that the column's can mimic, in hundredths ({found.noise})")
     say(" " * (width + 4) + "".join(f"{k + 1:>4}" for k in range(len(found.effects))))
     for k, (name, row) in enumerate(zip(found.effects, found.cosines, strict=True)):
         say(f"{k + 1:>3} {name:<{width}}" + "".join(f"{100 * value:>4.0f}" for value in row))
+    for name, size in found.smallest.items():
+        say(f"seen from about {size['value']:.3g} {size['unit']} of {size['parameter']}: {name}")
     for one, other, cosine in found.alike:
         say(f"cannot be told apart: {one} and {other} ({cosine:.3f})")
     for hidden in found.hidden:
         say(f"not visible: {hidden['name']}@{hidden['at']}: {hidden['reason']}")
+    if found.untested:
+        say(f"not tested (no first-order test sees them): {', '.join(found.untested)}")
 
 
 def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:

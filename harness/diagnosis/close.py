@@ -122,11 +122,10 @@ def close_loop(
     from harness.diagnosis.store import write_atomic
 
     folder = _folder(out, resume=resume, force=force)
-    chosen = seed if rng is None else int(rng.integers(2**31))
     if (arm := _arm(model)) is not None:
-        from harness.diagnosis.arm_close import close_arm
+        from harness.diagnosis.arm.close import close_arm
 
-        data = close_arm(dataset, arm, folder=folder, seed=chosen, progress=progress, dictionary=dictionary)
+        data = close_arm(dataset, arm, folder=folder, progress=progress, dictionary=dictionary)
         return Report(data, folder, arm)
     system = _system(model, parameters, dataset)
     box = is_fmu(system)
@@ -170,7 +169,7 @@ def close_loop_file(
     _folder(out, resume=resume, force=force, make=False)
     loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation)
     if loaded.nominal is not None and is_arm(loaded.nominal.model):
-        from harness.diagnosis.arm_close import recorded_arm
+        from harness.diagnosis.arm.close import recorded_arm
 
         arm: Any = recorded_arm(loaded)
         return close_loop(

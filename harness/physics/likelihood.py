@@ -461,6 +461,7 @@ class Likelihood:
                     break
                 damping = max(damping, 1e-4) * 8.0
             if improved:
+                assert passes is not None
                 if scaled_noise:
                     new, trial = self._concentrate(trial, passes, low, high)
                 gain, value, z, found = value - new, new, trial, passes

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.arm import ArmDiagnosis, known_torque
-from harness.diagnosis.arm_motion import moving_rows
+from harness.diagnosis.arm.found import ArmDiagnosis
+from harness.diagnosis.arm.motion import moving_rows
 from harness.diagnosis.report.figures import AFTER, BEFORE, GREY, INK, Pictures, ResidualView, drawing
 from harness.diagnosis.report.figures import draw as draw_pictures
 from harness.diagnosis.report.html import environment
+from harness.diagnosis.runs.equation import decimated
 from harness.diagnosis.store import write_atomic
 
 __all__ = ["render_arm", "write_arm_html"]
@@ -33,7 +34,7 @@ def render_arm(data: dict[str, Any], figures: dict[str, str]) -> str:
         SVG texts: ``levels``, ``residual``.
     """
     made = environment()
-    source = made.loader.get_source(made, "report.html.j2")[0]
+    source = made.loader.get_source(made, "evidence.html.j2")[0]
     style = source[source.index("<style>") : source.index("</style>") + len("</style>")]
     use = "test" if "test" in data["joints"][0]["before"] else "validation"
     return str(made.get_template("arm.html.j2").render(data=data, figures=figures, style=style, use=use))
@@ -46,25 +47,25 @@ def _figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
         run = max(found.runs["validation"], key=lambda one: one.motion.q.shape[0])
         keep = moving_rows(run.motion)[:, k] > 0
         before = run.slim(run.motion.u - run.rigid)[keep, k]
-        after = run.slim(run.motion.u - known_torque(run, found.wide))[keep, k]
+        after = run.slim(run.motion.u - found.wide.torque(run))[keep, k]
         # friction is a function of speed; what hangs on the arm, of position
         speed = not found.wide.accepted
         rate = run.slim(run.motion.v if speed else run.motion.q)[keep, k]
         fitted = before - after if found.wide.accepted else None
         joint = next((one for one in found.joints if one.joint == k), None)
-        if joint is not None and joint.result.accepted:
-            form, final = joint.form, joint.result.model
-            motion = max(form.motions["validation"], key=lambda one: one.q.shape[0])
-            # the torque that overcomes a force has the other sign
-            own = -form.force([one.placed for one in joint.result.accepted], final, motion)[:, 0]
-            inside = moving_rows(motion)[:, 0] > 0
-            left = max(final.validation, key=len)[inside, 0] * form.weights[0]
-            nominal = max(joint.nominal.validation, key=len)[inside, 0] * form.weights[0]
-            from harness.diagnosis.runs.equation import decimated
-
+        if joint is not None and joint.outcome.accepted:
+            balance, final = joint.balance, joint.final
+            longest = int(np.argmax([one.q.shape[0] for one in balance.motions["validation"]]))
+            motion = balance.motions["validation"][longest]
+            inside = balance.counts["validation"][longest][:, 0] > 0
+            effects = [one.placed for one in joint.outcome.accepted]
+            # the torque that overcomes a force has the other sign; residuals are needed minus measured
+            own = -balance.force(final.values, effects, "validation")[longest][:, 0]
             speed, rate = True, decimated(motion.v, motion)[inside, 0]
-            before, after, fitted = nominal, left, own[inside]
-        changed = found.verdict == "effects_found"
+            before = -joint.nominal.detail.residual["validation"][longest][inside, 0]
+            after = -final.detail.residual["validation"][longest][inside, 0]
+            fitted = own[inside]
+        changed = bool(found.wide.accepted) or any(one.outcome.accepted for one in found.joints)
         views.append(
             ResidualView(
                 axis=f"{channel.name}'" if speed else channel.name,
@@ -87,7 +88,7 @@ def _levels(data: dict[str, Any]) -> str:
         ("torque (rms)", [one["torque_rms"] for one in data["joints"]], GREY),
         ("residual before", [one["before"][use] for one in data["joints"]], BEFORE),
     ]
-    if data["verdict"] == "effects_found":
+    if data["effects"]:
         rows.append(("residual after", [one["after"][use] for one in data["joints"]], AFTER))
     with drawing("levels", 10.5, 2.7) as (figure, svg):
         axis = figure.subplots()

@@ -54,7 +54,7 @@ class ArmRun:
 def arm_runs(arm: ArmModel, dataset: Dataset) -> dict[str, tuple[ArmRun, ...]]:
     """Return the records by use, all decimated by the same factor.
 
-    Torques are means over a sample where the input is held, as in :func:`harness.diagnosis.records.motion.smooth_motion`.
+    Torques are means over a sample where the input is held, see :func:`harness.diagnosis.records.motion.smooth_motion`.
     """
     runs = {use: [_run(arm, one, dataset.intersample) for one in dataset.using(use)] for use in USES}  # type: ignore[arg-type]
     factor = min(one.motion.factor for parts in runs.values() for one in parts)

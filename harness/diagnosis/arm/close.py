@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from harness.diagnosis.arm import ArmDiagnosis, diagnose_arm
+from harness.diagnosis.arm.diagnose import diagnose_arm
+from harness.diagnosis.arm.found import ArmDiagnosis
 from harness.effects.effect import Effect
 from harness.errors import InputError
 from harness.physics.arm import ArmModel, load_arm
@@ -24,26 +25,26 @@ def close_arm(
     arm: ArmModel,
     *,
     folder: Path | None,
-    seed: int = 0,
     progress: Any = None,
     dictionary: Sequence[Effect] | None = None,
 ) -> dict[str, Any]:
     """Diagnose an arm, write the report into a folder, and return its content.
 
-    Parameters are those of :func:`harness.diagnosis.arm.diagnose_arm`. The folder holds ``report.json``,
-    ``report.html`` and ``repaired.urdf``: the URDF with the friction, damping and payload that were found.
+    Parameters are those of :func:`harness.diagnosis.arm.diagnose.diagnose_arm`. The folder holds ``report.json``,
+    ``report.html`` and, where the arm fits its log, ``repaired.urdf``: the URDF with the friction, damping and payload
+    that were found.
     """
-    from harness.diagnosis.arm_page import write_arm_html
-    from harness.diagnosis.arm_report import arm_report
+    from harness.diagnosis.arm.page import write_arm_html
+    from harness.diagnosis.arm.report import arm_report
     from harness.diagnosis.store import write_atomic
 
-    found = diagnose_arm(dataset, arm, seed=seed, progress=progress, folder=folder, dictionary=dictionary)
+    found = diagnose_arm(dataset, arm, progress=progress, dictionary=dictionary)
     if progress is not None:
         progress(0.9, "report")
     data = arm_report(found)
     if folder is not None:
         write_arm_html(found, data, folder / "report.html")
-        if arm.path is not None:
+        if arm.path is not None and not found.misfit:
             write_atomic(folder / URDF, repaired_urdf(found, data))
         write_atomic(folder / "report.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
     if progress is not None:

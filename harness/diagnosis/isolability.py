@@ -1,0 +1,67 @@
+"""What this experiment could tell apart at all, computed from the model and the excitation, before the residual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.search.fit import Column, Fit, Form, Linearised
+from harness.diagnosis.search.score_test import ScoreTest
+
+__all__ = ["unseen"]
+
+
+def unseen(test: ScoreTest, form: Form, fit: Fit) -> list[dict[str, Any]]:
+    """Return the effects that an experiment cannot show, each with what does the same.
+
+    Parameters
+    ----------
+    test : ScoreTest
+        Of the dictionary beside the fit.
+    form : Form
+    fit : Fit
+
+    Returns
+    -------
+    list of dict
+        ``name``, ``at``, ``reason``; ``parameter``, the nominal parameter whose change is most like the effect's (None
+        where that is an initial state); ``left``, the share of the effect that nothing free can take up.
+    """
+    linear = form.linearised(fit)
+    hidden = sorted(test.hidden, key=lambda one: str(one.placed))
+    columns: dict[str, list[Column]] = {}
+    for column in form.columns(fit, [one.placed for one in hidden]) if hidden else ():
+        columns.setdefault(str(column.placed), []).append(column)
+    rows = []
+    for one in hidden:
+        by = _absorbing(columns.get(str(one.placed), []), linear, fit)
+        what = f"the nominal parameter {by}" if by else "nominal parameters or initial states"
+        rows.append(
+            {
+                "name": one.placed.effect.name,
+                "at": one.placed.at,
+                "reason": f"{what} can do the same",
+                "parameter": by,
+                "left": round(one.share, 5),
+            }
+        )
+    return rows
+
+
+def _absorbing(columns: Sequence[Column], linear: Linearised, fit: Fit) -> str | None:
+    """Return the nominal parameter whose change is most like an effect's, None where it is none."""
+    nuisance = linear.nuisance["estimation"]
+    sizes = np.linalg.norm(nuisance, axis=0)
+    best, name = 0.0, None
+    for column in columns:
+        for change in column.estimation.T:
+            size = np.linalg.norm(change)
+            if not size > 0:
+                continue
+            cosines = np.abs(change @ nuisance) / (np.where(sizes > 0, sizes, np.inf) * size)
+            place = int(np.argmax(cosines))
+            if cosines[place] > best:
+                best, name = float(cosines[place]), fit.free[place] if place < linear.shared else None
+    return name
