@@ -201,6 +201,8 @@ def _coverage(model: Any, records: Records) -> dict[str, Any]:
     truth = dict(records.parameters)
     known = builtin()
     for one in records.hidden:
+        if one.name not in known:  # a law that no effect of the dictionary describes
+            continue
         here = Placed(known[one.name], one.at)
         for parameter in here.effect.parameters:
             if parameter.name in one.named and not parameter.nuisance and not parameter.per_record:
