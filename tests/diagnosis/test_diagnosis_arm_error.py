@@ -56,6 +56,7 @@ class Line:
 
     def __init__(self, seed: int) -> None:
         self.nominal = Linear((Parameter("level", "1", 0.0), Parameter("slope", "1", 0.0)))
+        self.own: frozenset[str] = frozenset()
         self.counts, self._target, self._columns = {}, {}, {}
         for role, use in enumerate(("estimation", "validation")):
             rng = np.random.default_rng([seed, role])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from harness.diagnosis.close import close_loop
+from harness.effects import builtin
 from harness.physics.arm import ArmModel, load_arm
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
@@ -91,3 +92,15 @@ def test_the_right_log_fits_and_says_how_much_is_explained() -> None:
     assert report.data["misfit"] == []
     assert "% of the variance of every joint's torque is explained" in report.data["summary"]
     assert report.data["policy"]["arm_order"]["reason"]
+
+
+def test_friction_is_found_beside_inertia_that_is_calibrated_on_few_rows() -> None:
+    """Forty inertial parameters on a hundred rows predict no other record: validation must not judge them."""
+
+    def sticky(arm: ArmModel, u: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return u + 2.0 * np.tanh(np.gradient(q, DT, axis=0) / 0.01) * (np.arange(7) == 3), q
+
+    data, _ = log(sticky)
+    report = close_loop(data, load_arm("iiwa", inertia="calibrated"), dictionary=[builtin()["coulomb_friction"]])
+    assert [(one["name"], one["at"]) for one in report.data["effects"]] == [("coulomb_friction", "q4")]
+    assert report.data["effects"][0]["parameters"]["Fc"]["value"] == pytest.approx(2.0, rel=0.03)

@@ -91,10 +91,11 @@ def diagnose_arm(
             arm, runs, moving, calibrated=directions, say=lambda text: say(0.15, text), policy=policy,
             arm_policy=arm_policy,
         )  # fmt: skip
+        calibrated = _calibrated_torques(arm, runs, directions) if directions else {}
         joints = []
         for place, k in enumerate(moving):
             say(0.3 + 0.55 * place / len(moving), f"joint {k + 1}")
-            joints.append(_joint(arm, k, dataset, runs, wide, directions, dictionary, policy, arm_policy))
+            joints.append(_joint(arm, k, dataset, runs, wide, calibrated, dictionary, policy, arm_policy))
         found = ArmDiagnosis(
             dataset, arm, runs, wide, tuple(joints), still, policy=policy, warnings=warnings + wide.notes
         )
@@ -122,14 +123,14 @@ def _joint(
     dataset: Dataset,
     runs: dict[str, tuple[ArmRun, ...]],
     wide: WideResult,
-    directions: Sequence[FloatArray],
+    calibrated: Mapping[str, Sequence[FloatArray]],
     dictionary: Sequence[Effect] | None,
     policy: Policy,
     arm_policy: ArmPolicy,
 ) -> JointDiagnosis:
     """Search one joint."""
     known = {use: [wide.torque(one)[:, k] for one in parts] for use, parts in runs.items()}
-    free = _free_columns(arm, k, runs, directions) if directions else None
+    free = _free_columns(calibrated, k) if calibrated else None
     balance = JointBalance(arm, k, runs, known, free)
     form = RegressionForm(balance, arm_policy)
     nominal = form.fit((), [{}], None)
@@ -160,19 +161,23 @@ def _inertial_directions(arm: ArmModel, runs: Sequence[ArmRun]) -> list[FloatArr
     return [row for row, value in zip(right, singular, strict=True) if value > 1e-4 * singular[0]]
 
 
-def _free_columns(
-    arm: ArmModel, k: int, runs: Mapping[str, Sequence[ArmRun]], directions: Sequence[FloatArray]
+def _calibrated_torques(
+    arm: ArmModel, runs: Mapping[str, Sequence[ArmRun]], directions: Sequence[FloatArray]
 ) -> dict[str, list[FloatArray]]:
-    """Return by use the torques (N, c) of one joint that calibrated inertial parameters can make, without doubles."""
-    raw = {
+    """Return by use the torques (N, n, d) of all joints for every direction of the inertial parameters."""
+    return {
         use: [
-            np.stack([arm.torques(m.q, m.v, m.a, parameters=one)[:, k] for one in directions], axis=1)
+            np.stack([arm.torques(m.q, m.v, m.a, parameters=one) for one in directions], axis=2)
             for m in (run.calm for run in parts)
         ]
         for use, parts in runs.items()
     }
-    joined = np.concatenate(raw["estimation"])
+
+
+def _free_columns(torques: Mapping[str, Sequence[FloatArray]], k: int) -> dict[str, list[FloatArray]]:
+    """Return by use the torques (N, c) of one joint that calibrated inertial parameters can make, without doubles."""
+    joined = np.concatenate([one[:, k] for one in torques["estimation"]])
     _, singular, right = np.linalg.svd(joined, full_matrices=False)
     kept = singular > 1e-4 * singular[0]
     turn: Any = right[kept].T * (np.sqrt(joined.shape[0]) / singular[kept])
-    return {use: [one @ turn for one in parts] for use, parts in raw.items()}
+    return {use: [one[:, k] @ turn for one in parts] for use, parts in torques.items()}

@@ -43,6 +43,7 @@ WAVES, SLOWEST = 24, 2.5
 """Wave numbers of a cogging that are tried, and the lowest [1/rad]: slower ones are gravity."""
 KNOTS, JOINT_KNOTS = 25, (9, 6)
 """Test functions on one axis, and on each of two."""
+CLOCK = "clock"
 ON_TORQUE = ("input_gain", "load_dependent_friction")
 
 
@@ -97,6 +98,7 @@ class JointBalance:
         self.joint = joint
         count = 0 if free is None else free["estimation"][0].shape[1]
         self.nominal = joint_system(arm, joint, count)
+        self.own = frozenset(name for name in self.nominal.parameter_names if name != CLOCK)
         self.motions: dict[str, tuple[Motion, ...]] = {}
         pick = slice(joint, joint + 1)
         for use, parts in runs.items():
@@ -263,7 +265,7 @@ def joint_system(arm: ArmModel, joint: int, free: int = 0) -> Any:
         inputs=(drive,),
         outputs=(position,),
         states=(position, Channel(f"{position.name}_rate", f"{position.unit}/s")),
-        parameters=(Parameter("clock", "s", 0.0), *inertia),
+        parameters=(Parameter(CLOCK, "s", 0.0), *inertia),
         x=x,
         u=u,
         p=p,

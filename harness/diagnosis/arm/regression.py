@@ -68,6 +68,11 @@ class Balance(Protocol):
         """By use, for every record 1 for the rows (rows, n) that are judged, else 0."""
         ...
 
+    @property
+    def own(self) -> frozenset[str]:
+        """Names of linear parameters that the validation records fit for themselves: inertia that is calibrated."""
+        ...
+
     def equation(self, effects: Sequence[Placed]) -> Equation:
         """Return the balance with effects."""
         ...
@@ -239,6 +244,8 @@ class RegressionForm:
         jacobian = {use: [j[:, :, free] for _, j in parts] for use, parts in rows.items()}
         if not all(np.isfinite(one).all() for parts in residual.values() for one in parts):
             return None
+        own = self._own(tuple(names[k] for k in free))
+        residual["validation"], refitted = self._refitted(residual["validation"], jacobian["validation"], own, errors)
         logs = [system.parameters[k].minimum > 0 for k in free]
         deviations = _deviations(self._white(jacobian["estimation"], "estimation", errors))
         values = dict(zip(names, map(float, p), strict=True))
@@ -255,8 +262,26 @@ class RegressionForm:
             {use: self._terms(parts, use, errors) for use, parts in residual.items()},
             {names[k]: d / max(size, 1e-300) for k, d, size in zip(free, deviations, relative, strict=True)},
             frozenset(names[k] for k, log in zip(free, logs, strict=True) if log),
-            converged, tuple(dict.fromkeys(bound)), {}, Detail(errors, residual, jacobian),
+            converged, tuple(dict.fromkeys(bound)),
+            {names[free[k]]: values[names[free[k]]] + change for k, change in zip(own, refitted, strict=True)},
+            Detail(errors, residual, jacobian),
         )  # fmt: skip
+
+    def _own(self, free: Sequence[str]) -> list[int]:
+        """Return the places of the parameters that every use of the records fits for itself."""
+        return [k for k, name in enumerate(free) if name in self.balance.own]
+
+    def _refitted(
+        self, residual: Sequence[FloatArray], jacobian: Sequence[FloatArray], own: Sequence[int],
+        errors: Sequence[Coloured],
+    ) -> tuple[list[FloatArray], FloatArray]:  # fmt: skip
+        """Return validation residuals with their own parameters fitted there, and by how much these change."""
+        if not own:
+            return list(residual), np.zeros(0)
+        columns = [one[:, :, own] for one in jacobian]
+        white = self._white(columns, "validation", errors)
+        change = np.asarray(np.linalg.lstsq(white, -self._white(residual, "validation", errors), rcond=1e-10)[0], float)
+        return [r + j @ change for r, j in zip(residual, columns, strict=True)], change
 
     def _white(self, parts: Sequence[FloatArray], use: str, errors: Sequence[Coloured]) -> FloatArray:
         """Return residuals (rows, n, ...) whitened, joint by joint, in one array."""
@@ -283,10 +308,12 @@ class RegressionForm:
     def linearised(self, fit: Fit) -> Linearised:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         detail: Detail = fit.detail
+        own = self._own(fit.free)
+        shared = [k for k in range(len(fit.free)) if k not in own]
         return Linearised(
             {use: self._white(detail.residual[use], use, detail.errors) for use in USES},
-            {use: self._white(detail.jacobian[use], use, detail.errors) for use in USES},
-            len(fit.free),
+            {use: self._white(detail.jacobian[use], use, detail.errors)[:, [*shared, *own]] for use in USES},
+            len(shared),
         )
 
     def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:

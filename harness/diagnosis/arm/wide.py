@@ -109,6 +109,7 @@ class WideBalance:
                 own = own_columns(run, level)[:, :, [len(OWN) * k + c for k in joints for c in range(len(OWN))]]
                 self._base[use].append(self._slim(run, np.concatenate([own, *free], axis=2)))
         names = [f"{arm.positions[k].name} {word}" for k in joints for word in OWN]
+        self.own = frozenset(f"inertia{k + 1}" for k in range(len(calibrated)))
         names += [f"inertia{k + 1}" for k in range(len(calibrated))]
         self.nominal = Linear(tuple(Parameter(name, "1", 0.0) for name in names))
         torques = np.sqrt(np.mean(np.concatenate([one.calm.u for one in runs["estimation"]]) ** 2, axis=0))
