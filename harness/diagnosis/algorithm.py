@@ -12,7 +12,7 @@ from typing import Any
 from harness.diagnosis.dictionary import placed
 from harness.diagnosis.kinds import Equations, Kind
 from harness.diagnosis.misfit import misfit_reasons
-from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.policy import PLAN_POLICY, POLICY, Policy
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.records.stretches import stretched, windowed
 from harness.diagnosis.runs.compare import FreeRuns, free_runs
@@ -22,7 +22,7 @@ from harness.diagnosis.search.likelihood_form import LikelihoodForm
 from harness.diagnosis.search.remembered import Remembered
 from harness.diagnosis.search.rounding import add_rounding
 from harness.diagnosis.search.rounds import Outcome, search
-from harness.diagnosis.search.score_test import ScoreTest
+from harness.diagnosis.search.score_test import Lead, ScoreTest
 from harness.effects.effect import Effect, Placed
 from harness.errors import FitError
 from harness.signals import Dataset
@@ -65,6 +65,13 @@ class Diagnosis:
     def test(self) -> ScoreTest:
         """The dictionary against the nominal model: what this experiment can show, and tell apart."""
         return self.outcome.rounds[0].test
+
+    @property
+    def not_visible(self) -> list[Lead]:
+        """Effects that the nominal parameters and initial states can do as well, so that these data do not show them."""
+        accepted = {str(one.placed) for one in self.outcome.accepted}
+        faint = [one for one in self.test.leads if one.share < PLAN_POLICY.visible and str(one.placed) not in accepted]
+        return sorted([*self.test.hidden, *faint], key=lambda one: str(one.placed))
 
     @property
     def verdict(self) -> str:

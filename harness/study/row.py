@@ -97,7 +97,7 @@ def _diagnose(task: Task, records: Records, workers: int) -> dict[str, Any]:
     accepted = tuple(str(one.placed) for one in found.outcome.accepted)
     ties = tuple(tuple(frozenset(map(str, member)) for member in one.tie) for one in found.outcome.accepted)
     # what the report says this experiment cannot show matters only where nothing was found
-    hidden = frozenset(str(one.placed) for one in found.test.hidden) if task.effects and not accepted else frozenset()
+    hidden = frozenset(str(one.placed) for one in found.not_visible) if task.effects and not accepted else frozenset()
     imitates = [*found.stand_in, *found.misfit]
     outcome = judge_answer(task.effects, Answer(found.verdict, accepted, ties, hidden, bool(imitates)), task.plant)
     before, after = _error(found.runs.before), _error(found.runs.after)

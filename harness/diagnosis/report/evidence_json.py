@@ -112,7 +112,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "not_visible": [
             {"name": one.placed.effect.name, "at": one.placed.at,
              "reason": "the nominal parameters and initial states can do the same"}
-            for one in sorted(found.test.hidden, key=lambda one: str(one.placed))
+            for one in found.not_visible
         ],
         "closed_loop": _closed_loop(found),
         "closed_loop_bias": {"text": "not tested: free runs diverge", "p": None, "statistic": None}

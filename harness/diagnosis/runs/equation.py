@@ -8,6 +8,7 @@ Effects with hidden states or on samples cannot be judged here; see :func:`expre
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -135,6 +136,14 @@ def equations_of(system: Any) -> Equations:
     return Equations(system, strong, weak, ca.Function("drive", [q, v, u, p, t], [driving]))
 
 
+@functools.cache
+def _low_pass(factor: int) -> FloatArray:
+    """Return the filter of a decimation, as second-order sections."""
+    from scipy import signal
+
+    return np.asarray(signal.cheby1(8, 0.05, 0.8 / factor, output="sos"))
+
+
 def decimated(rows: FloatArray, motion: Motion) -> FloatArray:
     """Return rows (N, k), low-passed without delay, decimated, the touched ends cut off."""
     from scipy import signal
@@ -142,7 +151,7 @@ def decimated(rows: FloatArray, motion: Motion) -> FloatArray:
     factor = motion.factor
     if factor == 1:
         return rows[motion.inside]
-    sos = signal.cheby1(8, 0.05, 0.8 / factor, output="sos")
+    sos = _low_pass(factor)
     inner = rows[motion.inside]
     smooth = signal.sosfiltfilt(sos, inner, axis=0, padlen=min(6 * factor, inner.shape[0] - 1))
     result = smooth[::factor]

@@ -462,6 +462,8 @@ class LikelihoodForm:
 
     def _answered(self, fit: Fit, found: Any) -> list[Column]:
         """Return the columns of directions (lists of forces and readings by use and record)."""
+        if not found:
+            return []
         made: dict[str, FloatArray] = {}
         for use in USES:
             passed, _ = self.paths(fit, use)
