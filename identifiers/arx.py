@@ -13,7 +13,7 @@ from harness.lqr import spectral_radius
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.excitation import Columns, refuse_feedback
 from identifiers.linear_model import LinearModel
-from identifiers.records import lagged, lagged_blocks, moving, real_signals, usable
+from identifiers.records import lagged, lagged_blocks, moving, real_signals, snapshot_sums, usable
 from identifiers.regression import Solution, solve
 from identifiers.scaling import sizes
 from identifiers.stability import nearest_stable, stable_lags
@@ -190,6 +190,7 @@ def one_step(
         what,
         ridge=ridge,
         names=names,
+        sums=snapshot_sums(records, offset=offset) if lags == 1 else None,
     )
 
 
