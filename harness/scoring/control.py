@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.errors import FitError, InputError
 from harness.lqr import kalman_gain, lqr_gain, reachable, spectral_radius, stabilisable, state_observable
@@ -82,7 +83,8 @@ def control_score(
     """Return the closed-loop cost, on the true plant, of the regulator designed on an identified model.
 
     Stationary cost ``E[y' q y + u' r u]`` under a disturbance of covariance I at the inputs and sensor noise; the
-    regulator acts on what it knew one sample before. Coordinates of the states do not matter.
+    regulator acts on what it knew one sample before. Coordinates of the states do not matter, nor do outputs that no
+    input of the plant moves: the design is made without them.
 
     Parameters
     ----------
@@ -121,9 +123,12 @@ def control_score(
             remedy="score a model of this plant",
         )
     size = _pulse_sizes(plant)
-    q = np.diag(1.0 / size**2) if q is None else np.asarray(q, dtype=float)
+    moved = np.flatnonzero(size > 0)
+    q = np.diag(1.0 / size[moved] ** 2) if q is None else np.asarray(q, dtype=float)[np.ix_(moved, moved)]
     r = np.eye(shape[1]) if r is None else np.asarray(r, dtype=float)
-    sensor = np.diag(_SENSOR * size**2) if sensor is None else np.asarray(sensor, dtype=float)
+    default = np.diag(_SENSOR * size[moved] ** 2)
+    sensor = default if sensor is None else np.asarray(sensor, dtype=float)[np.ix_(moved, moved)]
+    plant, model = (_with_outputs(one, moved) for one in (plant, model))
     own = _regulator(plant, q, r, sensor)
     best = None if own is None else _cost(plant, own, q, r, sensor)
     if best is None or not np.isfinite(best[0]):
@@ -345,10 +350,13 @@ def _pulse_sizes(plant: Any) -> FloatArray:
     for _ in range(len(a) + 1):
         power = power + np.sum((plant.c_matrix @ move) ** 2, axis=1)
         move = a @ move
-    size = np.sqrt(power)
-    largest = float(size.max(initial=0.0)) or 1.0
-    found: FloatArray = np.maximum(size, 1e-9 * largest)
-    return found
+    return np.asarray(np.sqrt(power), dtype=np.float64)
+
+
+def _with_outputs(model: Any, rows: npt.NDArray[np.intp]) -> LinearPlantModel:
+    """Return a model without its other outputs."""
+    a, b, c, d = (np.asarray(getattr(model, f"{name}_matrix"), dtype=float) for name in "abcd")
+    return LinearPlantModel(a, b, c[rows], d[rows])
 
 
 def _regulator(model: Any, q: FloatArray, r: FloatArray, sensor: FloatArray) -> tuple[FloatArray, ...] | None:
