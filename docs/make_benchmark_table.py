@@ -9,9 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from harness.benchmark import table
-from harness.benchmark.exports import render
-from harness.benchmark.running import BenchResult
+from harness.benchmark import BenchResult, render, table
 
 PAGES = [Path(__file__).parents[1] / "README.md", Path(__file__).parent / "benchmarks.md"]
 BEGIN, END = "<!-- table: linear-ode prbs -->\n", "<!-- end of table -->"

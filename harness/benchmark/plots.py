@@ -12,9 +12,9 @@ import numpy as np
 
 from harness.benchmark.row import Row
 from harness.benchmark.statistics import Ranking
-from harness.benchmark.tables import Summary, places_of
+from harness.benchmark.summary import Summary, places_of
 
-__all__ = ["axis_plot", "error_plot", "rank_plot", "regret_plot"]
+__all__ = ["ACCENT", "GRID", "INK", "MUTED", "STYLE", "WARN", "axis_plot", "error_plot", "rank_plot", "regret_plot"]
 
 INK, MUTED, GRID, ACCENT, WARN = "#1f2933", "#7b8794", "#e4e7eb", "#0b6e99", "#b4540a"
 LINES = ("#0b6e99", "#b4540a", "#3f7d20", "#7a3e9d", "#a61e4d", "#52606d")

@@ -8,9 +8,9 @@ from typing import Any
 
 import msgspec
 
-from harness.benchmark.suite import Cell, Task
+from harness.benchmark.parts import Cell, Task
 
-__all__ = ["STATUSES", "Row", "blank", "one_line", "read_row", "write_row"]
+__all__ = ["STATUSES", "Row", "blank", "encoded", "one_line", "read_row"]
 
 STATUSES = ("ok", "unfit", "refused", "diverged", "timeout", "crashed", "terminated", "failed")
 """``ok``; data that cannot be learned from; parts that do not fit; and the ways in which a cell can break."""
@@ -23,6 +23,8 @@ class Row(msgspec.Struct, kw_only=True):
     NRMSE (rms of the residual over the standard deviation of the output), so they carry no unit; the rms of each
     output in its own unit stands beside them. ``noise_floor`` is the same figure of the sensor noise in the held-out
     records: what the true plant from the true initial state would score, so no model can do better but by luck.
+    ``trace_t``, ``trace_measured`` and ``trace_residual`` (output by output) are what the overlay of a cell is drawn
+    from: samples of its first held-out record, and measured minus simulated there.
     ``axes`` and ``axis_values`` say where on the axes of its group a cell lies. ``memory_mib`` is the most that the
     worker process has had in memory so far.
     """
@@ -53,6 +55,9 @@ class Row(msgspec.Struct, kw_only=True):
     held_out_samples: int | None = None
     curve_steps: list[int] = []
     curve_regret: list[float] = []
+    trace_t: list[float] = []
+    trace_measured: list[list[float]] = []
+    trace_residual: list[list[float | None]] = []
     data_seconds: float = 0.0
     fit_seconds: float = 0.0
     score_seconds: float = 0.0
@@ -87,11 +92,9 @@ def one_line(text: object, limit: int = 400) -> str:
     return line if len(line) <= limit else line[: limit - 3] + "..."
 
 
-def write_row(row: Row, folder: Path) -> None:
-    """Write a row to its shard, so that it is there whole or not at all."""
-    scratch = folder / f"{row.job}.part"
-    scratch.write_bytes(msgspec.json.encode(_finite(row)))
-    scratch.replace(folder / f"{row.job}.json")
+def encoded(row: Row) -> bytes:
+    """Return a row as JSON, None in place of figures that are not finite."""
+    return msgspec.json.encode(_finite(row))
 
 
 def read_row(path: Path) -> Row:
