@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import gc
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -43,27 +45,50 @@ def rows_of(paths: Sequence[Path]) -> dict[str, Row]:
 
     known = set(Row.__struct_fields__)
     found: dict[str, Row] = {}
-    for path in paths:
-        table = parquet.read_table(path)
-        names = [name for name in table.column_names if name in known]
-        columns = [plain_values(table.column(name)) for name in names]
-        jobs = columns[names.index("job")]
-        if "status" in names:
-            found.update(
-                (job, Row(**dict(zip(names, values, strict=True))))
-                for job, values in zip(jobs, zip(*columns, strict=True), strict=True)
-            )
-            continue
-        own = [(name, column) for name, column in zip(names, columns, strict=True) if name not in ("job", *KEYS)]
-        for name, column in own:
-            for job, value in zip(jobs, column, strict=True):
-                if job in found:
-                    setattr(found[job], name, value)
+    with _no_collection():
+        for path in paths:
+            table = parquet.read_table(path)
+            columns = {
+                name: plain_values(table.column(name))
+                for name in table.column_names
+                if name in known and not _all_default(table.column(name))
+            }
+            jobs = columns.get("job", [])
+            if "status" in columns:
+                values = zip(*columns.values(), strict=True)
+                rows = (Row(**dict(zip(columns, row, strict=True))) for row in values)
+                found.update(zip(jobs, rows, strict=True))
+                continue
+            for name in columns.keys() - {"job", *KEYS}:
+                for job, value in zip(jobs, columns[name], strict=True):
+                    if job in found:
+                        setattr(found[job], name, value)
     return found
 
 
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Keep the collector of cycles from looking at a million new values again and again; rows have no cycles."""
+    before = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if before:
+            gc.enable()
+
+
+def _all_default(column: Any) -> bool:
+    """Return True if a column holds nothing: only nulls, or only lists without an item."""
+    import pyarrow as pa
+
+    if pa.types.is_list(column.type):
+        return column.null_count == 0 and all(len(chunk.flatten()) == 0 for chunk in column.chunks)
+    return bool(column.null_count == len(column))
+
+
 def plain_values(column: Any) -> list[Any]:
-    """Return an Arrow column as a list, None for what is null.
+    """Return an Arrow column as a list, tuples for its lists, None for what is null.
 
     Arrow's own ``to_pylist`` makes an object of every value first, and takes ten times as long.
 
@@ -71,7 +96,7 @@ def plain_values(column: Any) -> list[Any]:
     --------
     >>> import pyarrow as pa
     >>> plain_values(pa.array([[1.0, None], [], None]))
-    [[1.0, None], [], None]
+    [(1.0, None), (), None]
     """
     import pyarrow as pa
 
@@ -83,7 +108,7 @@ def plain_values(column: Any) -> list[Any]:
     if pa.types.is_list(array.type):
         ends = array.offsets.to_numpy()
         inner = plain_values(array.values)
-        values = [inner[first:last] for first, last in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
+        values = [tuple(inner[first:last]) for first, last in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
     elif array.null_count and pa.types.is_integer(array.type):
         values = array.fill_null(0).to_numpy().tolist()
     else:
@@ -118,8 +143,8 @@ def _arrow_type(name: str) -> Any:
     import pyarrow as pa
 
     def type_of(hint: str) -> Any:
-        if hint.startswith("list["):
-            return pa.list_(type_of(hint.removeprefix("list[").removesuffix("]")))
+        if hint.startswith("tuple["):
+            return pa.list_(type_of(hint.removeprefix("tuple[").removesuffix(", ...]")))
         for word, made in (("str", pa.string()), ("bool", pa.bool_()), ("int", pa.int64())):
             if hint.startswith(word):
                 return made

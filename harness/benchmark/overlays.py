@@ -77,5 +77,5 @@ def _fill(drawing: Any, axes: Sequence[Any], row: Row) -> None:
             axis.set_ylim(max(bottom, first - AWAY * width), min(top, last + AWAY * width))
         above.set_ylabel(f"{row.outputs[k]} [{row.units[k]}]", fontsize=8)
         below.set_ylabel("residual", fontsize=8)
-        above.legend(frameon=False, fontsize=8, loc="upper right", ncols=2)
+        above.legend(frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=2, borderpad=0)
     axes[-1].set_xlabel("t [s]", fontsize=8)

@@ -78,19 +78,12 @@ def _settings(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Return horizon, burn-in, initial state and record lengths of each plant and scenario."""
     seen: dict[tuple[str, str], dict[str, Any]] = {}
     for row in rows:
-        entry = seen.setdefault(
-            (row.plant, row.scenario),
-            {
-                "plant": row.plant,
-                "scenario": row.scenario,
-                "outputs": ", ".join(f"{n} [{u}]" for n, u in zip(row.outputs, row.units, strict=True)),
-                "samples": row.samples,
-                "held_out": row.held_out_samples,
-                "horizons": set(),
-                "burn_ins": set(),
-                "initial": set(),
-            },
-        )
+        entry = seen.get((row.plant, row.scenario))
+        if entry is None:
+            sets: dict[str, Any] = {"horizons": set(), "burn_ins": set(), "initial": set()}
+            entry = {"plant": row.plant, "scenario": row.scenario, "outputs": "", **sets}
+            entry["samples"], entry["held_out"] = row.samples, row.held_out_samples
+            seen[row.plant, row.scenario] = entry
         if not entry["outputs"] and row.outputs:
             entry["outputs"] = ", ".join(f"{n} [{u}]" for n, u in zip(row.outputs, row.units, strict=True))
             entry["samples"], entry["held_out"] = row.samples, row.held_out_samples

@@ -16,7 +16,7 @@ STATUSES = ("ok", "unfit", "refused", "diverged", "timeout", "crashed", "termina
 """``ok``; data that cannot be learned from; parts that do not fit; and the ways in which a cell can break."""
 
 
-class Row(msgspec.Struct, kw_only=True):
+class Row(msgspec.Struct, kw_only=True, gc=False):
     """A cell and what came of it; None where a figure does not exist.
 
     ``equation_error`` and ``simulation_error`` are the root mean square over outputs and held-out records of the
@@ -36,28 +36,28 @@ class Row(msgspec.Struct, kw_only=True):
     seed: int
     status: str = "ok"
     reason: str = ""
-    axes: list[str] = []
-    axis_values: list[float] = []
+    axes: tuple[str, ...] = ()
+    axis_values: tuple[float, ...] = ()
     noise_floor: float | None = None
     equation_error: float | None = None
     simulation_error: float | None = None
     regret: float | None = None
     average_regret: float | None = None
     regret_exact: bool | None = None
-    outputs: list[str] = []
-    units: list[str] = []
-    equation_rms: list[float | None] = []
-    simulation_rms: list[float | None] = []
+    outputs: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    equation_rms: tuple[float | None, ...] = ()
+    simulation_rms: tuple[float | None, ...] = ()
     horizon: float | None = None
     burn_in: int | None = None
     initial_state: str = ""
     samples: int | None = None
     held_out_samples: int | None = None
-    curve_steps: list[int] = []
-    curve_regret: list[float] = []
-    trace_t: list[float] = []
-    trace_measured: list[list[float]] = []
-    trace_residual: list[list[float | None]] = []
+    curve_steps: tuple[int, ...] = ()
+    curve_regret: tuple[float, ...] = ()
+    trace_t: tuple[float, ...] = ()
+    trace_measured: tuple[tuple[float, ...], ...] = ()
+    trace_residual: tuple[tuple[float | None, ...], ...] = ()
     data_seconds: float = 0.0
     fit_seconds: float = 0.0
     score_seconds: float = 0.0
@@ -68,8 +68,8 @@ def blank(task: Task, cell: Cell, *, status: str = "ok", reason: str = "") -> Ro
     """Return the row of a cell of which nothing else is known."""
     at = {**task.plant.at, **task.scenario.at, **cell.identifier.at}
     return Row(
-        axes=list(at),
-        axis_values=list(at.values()),
+        axes=tuple(at),
+        axis_values=tuple(at.values()),
         job=cell.job,
         plant=task.plant.name,
         scenario=task.scenario.name,
@@ -108,6 +108,6 @@ def _finite(row: Row) -> Row:
     def clean(value: Any) -> Any:
         if isinstance(value, float):
             return value if math.isfinite(value) else None
-        return [clean(item) for item in value] if isinstance(value, list) else value
+        return tuple(clean(item) for item in value) if isinstance(value, tuple) else value
 
     return Row(**{name: clean(getattr(row, name)) for name in row.__struct_fields__})

@@ -225,7 +225,7 @@ def _logged(row: Row) -> str:
 def _result(store: Store, rows: Sequence[Row]) -> BenchResult:
     """Return what a folder holds."""
     content = store.read_manifest()
-    cells = tuple(dict.fromkeys((str(c[1]), str(c[2]), str(c[3])) for c in content["cells"]))
+    cells = tuple(dict.fromkeys((c[1], c[2], c[3]) for c in content["cells"]))
     return BenchResult(
         suite=content["suite"],
         rows=tuple(rows),

@@ -17,6 +17,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from harness import __version__
 from harness.benchmark.columns import FORMAT, arrow_table, columns_of_files, rows_of, write_rows
 from harness.benchmark.parts import Cell, Suite, Task
@@ -180,7 +182,7 @@ class Store:
             If the folder is no folder of a benchmark.
         """
         try:
-            content = json.loads(self.manifest.read_text(encoding="utf-8"))
+            content = msgspec.json.decode(self.manifest.read_bytes())
             known = content["format"] == FORMAT
         except (OSError, ValueError, KeyError, TypeError):
             known = False

@@ -207,8 +207,8 @@ def _do_cell(task: Task, cell: Cell, runs: Sequence[Trajectory], held_out: Seque
     """Return the row of one identifier; whatever it raises becomes a status with its reason."""
     row = blank(task, cell)
     spec = runs[0].spec
-    row.outputs = [channel.name for channel in spec.outputs]
-    row.units = [channel.unit for channel in spec.outputs]
+    row.outputs = tuple(channel.name for channel in spec.outputs)
+    row.units = tuple(channel.unit for channel in spec.outputs)
     row.samples = sum(map(len, runs))
     row.held_out_samples = sum(map(len, held_out))
     rng = stream("identifier", task.plant.name, task.scenario.name, cell.identifier.name, task.seed)
@@ -294,9 +294,9 @@ def _trace(model: Model, record: Trajectory, horizon: float | None, row: Row) ->
     edges = np.unique(np.linspace(0, len(record), min(STRETCHES, len(record)) + 1).astype(int))
     worst = [first + int(np.argmax(far[first:last])) for first, last in pairwise(edges)]
     kept = np.unique([*edges[:-1], *worst])
-    row.trace_t = record.t[kept].tolist()
-    row.trace_measured = record.y[kept].T.tolist()
-    row.trace_residual = miss[kept].T.tolist()
+    row.trace_t = tuple(record.t[kept].tolist())
+    row.trace_measured = tuple(map(tuple, record.y[kept].T.tolist()))
+    row.trace_residual = tuple(map(tuple, miss[kept].T.tolist()))
 
 
 def _doubts(model: Any) -> str:
@@ -324,12 +324,12 @@ def _score_regret(identifier: Any, shown: Sequence[Trajectory], row: Row, rng: n
     row.regret, row.average_regret, row.regret_exact = result.total, result.average, result.exact
     cumulative = result.cumulative
     steps = np.unique(np.geomspace(1, cumulative.size, 120).round().astype(int))
-    row.curve_steps, row.curve_regret = steps.tolist(), cumulative[steps - 1].tolist()
+    row.curve_steps, row.curve_regret = tuple(steps.tolist()), tuple(cumulative[steps - 1].tolist())
     if not np.isfinite(row.regret):
         raise PlantError("the predictions of the online identifier are not finite", status="diverged")
 
 
-def _pooled(scores: Sequence[Score]) -> tuple[float | None, list[float | None]]:
+def _pooled(scores: Sequence[Score]) -> tuple[float | None, tuple[float | None, ...]]:
     """Return the NRMSE over outputs and records in the mean square, and the rms of each output; None if it diverged.
 
     An output that stands still in the record has no NRMSE and is left out of the mean.
@@ -348,7 +348,7 @@ def _pooled(scores: Sequence[Score]) -> tuple[float | None, list[float | None]]:
     with np.errstate(over="ignore", invalid="ignore"):
         total = float(np.sqrt(weights @ np.mean(nrmse[:, moving] ** 2, axis=1)))
         each = np.sqrt(weights @ rms**2)
-    finite: list[float | None] = [float(value) if np.isfinite(value) else None for value in each]
+    finite = tuple(float(value) if np.isfinite(value) else None for value in each)
     return (total if np.isfinite(total) else None), finite
 
 

@@ -64,7 +64,7 @@ def test_wrong_axes_are_refused(tmp_path: Path, axes: str, says: str) -> None:
 def test_points_are_paired_and_the_floor_is_the_noise(suite: Path, tmp_path: Path) -> None:
     result = bench(suite, out=tmp_path / "out", workers=1)
     arx = {(row.axis_values[0], row.seed): row for row in result.rows if row.identifier == "arx"}
-    assert arx[0.0, 0].axes == ["scenarios.noise"]
+    assert arx[0.0, 0].axes == ("scenarios.noise",)
     for seed in (0, 1):
         assert arx[0.0, seed].noise_floor is None
         low, high = arx[0.01, seed].noise_floor, arx[0.1, seed].noise_floor
