@@ -36,6 +36,7 @@ def render_html(result: BenchResult, overlays: Mapping[str, str] | None = None) 
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
         result=result,
         places=places_of(lines),
+        control=any(line.control for line in lines),
         links=_links(result.rows, overlays or {}),
         figure=figure,
         enough=any(line.run >= MINIMUM_SEEDS for line in lines),

@@ -11,9 +11,20 @@ import numpy as np
 from harness.benchmark.row import Row
 from harness.benchmark.statistics import Ranking, no_worse, ranking
 
-__all__ = ["Quartiles", "Summary", "figure", "places_of", "rankings", "summarise"]
+__all__ = ["CONTROL", "Quartiles", "Summary", "figure", "places_of", "rankings", "summarise"]
 
-SCORES = ("equation_error", "simulation_error", "regret", "noise_floor", "fit_seconds", "memory_mib")
+SCORES = (
+    "equation_error",
+    "simulation_error",
+    "regret",
+    "control_score",
+    "control_regret",
+    "noise_floor",
+    "fit_seconds",
+    "memory_mib",
+)
+CONTROL = ("control score", "control regret", "model for control")
+"""Columns that stand there only where a suite asks for them (``score.control``)."""
 BASELINES = ("true-model",)
 """Identifiers that know the truth: they show what is possible and do not compete."""
 
@@ -42,6 +53,8 @@ class Summary:
     equation_error: Quartiles | None
     simulation_error: Quartiles | None
     regret: Quartiles | None
+    control_score: Quartiles | None
+    control_regret: Quartiles | None
     noise_floor: Quartiles | None
     fit_seconds: Quartiles | None
     memory_mib: Quartiles | None
@@ -49,6 +62,8 @@ class Summary:
     """The least simulation error of its plant and scenario, or one that the paired bootstrap cannot tell from it."""
     problems: tuple[tuple[str, str, int], ...]
     """(status, reason, count) of the rows that are not ok, the most frequent first."""
+    control: str
+    """What is said of the models for control: how many states are controllable and observable, or why no score."""
 
 
 def figure(value: float | None, digits: int = 3) -> str:
@@ -84,12 +99,36 @@ def summarise(rows: Sequence[Row], cells: Sequence[tuple[str, str, str]] = ()) -
         scores = {name: _quartiles([getattr(row, name) for row in good]) for name in SCORES}
         scores["noise_floor"] = _quartiles([row.noise_floor for row in own])
         leading = (plant, scenario, identifier) in leaders
-        counts = Counter((row.status, row.reason) for row in own if row.status != "ok")
-        problems = tuple((status, reason, n) for (status, reason), n in counts.most_common())
+        faults = Counter((row.status, row.reason) for row in own if row.status != "ok")
+        problems = tuple((status, reason, n) for (status, reason), n in faults.most_common())
         result.append(
-            Summary(plant, scenario, identifier, len(good), len(own), **scores, leading=leading, problems=problems)
+            Summary(
+                plant,
+                scenario,
+                identifier,
+                len(good),
+                len(own),
+                **scores,
+                leading=leading,
+                problems=problems,
+                control=_control_text(good),
+            )
         )
     return result
+
+
+def _control_text(good: Sequence[Row]) -> str:
+    """Return what most rows say of control."""
+    texts: Counter[str] = Counter()
+    for row in good:
+        if row.model_order is None:
+            texts[row.control_status] += 1
+            continue
+        text = f"{row.controllable} controllable and {row.observable} observable of {row.model_order}"
+        text += "" if row.stabilisable else ", not stabilisable"
+        text += "" if row.detectable else ", not detectable"
+        texts[text if row.control_status == "ok" else f"{row.control_status}; {text}"] += 1
+    return texts.most_common(1)[0][0] if texts else ""
 
 
 def _leaders(grouped: Mapping[tuple[str, str, str], Sequence[Row]]) -> set[tuple[str, str, str]]:

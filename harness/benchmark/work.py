@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from harness import registry
+from harness.benchmark.control import score_control
 from harness.benchmark.parts import RECORDING, Cell, Task
 from harness.benchmark.row import Row, blank, encoded, one_line
 from harness.errors import HarnessError, InputError, PlantError, PluginError
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
     from harness.scoring import Score
 
 __all__ = ["CellBatch"]
+
+POINTS = 40
+"""Lengths of the stream at which R[n] is taken, each against the best fixed model of the samples so far."""
 
 STRETCHES = 500
 """A trace keeps two samples of each: an overlay that is looked at has about a thousand points of a screen."""
@@ -218,7 +222,11 @@ def _do_cell(task: Task, cell: Cell, runs: Sequence[Trajectory], held_out: Seque
         shown = [trajectory.measured() for trajectory in runs]
         scored = False
         if hasattr(identifier, "fit"):
-            _fit_and_score(identifier, shown, held_out, task, row, rng, trace=trace)
+            model = _fit_and_score(identifier, shown, held_out, task, row, rng, trace=trace)
+            if task.score.control:
+                # one stream for all identifiers of a place: they are disturbed alike
+                paired = stream("control", task.plant.name, task.scenario.name, task.seed)
+                score_control(model, identifier, task, runs, row, paired)
             scored = True
         if hasattr(identifier, "hindsight"):
             _score_regret(identifier, shown, row, rng)
@@ -259,8 +267,8 @@ def _fit_and_score(
     rng: np.random.Generator,
     *,
     trace: bool,
-) -> None:
-    """Fit, then fill in equation error and simulation error on the held-out records."""
+) -> Model:
+    """Return the fitted model, after filling in its equation error and simulation error on the held-out records."""
     from harness.scoring import equation_error, simulation_error
 
     started = time.perf_counter()
@@ -282,6 +290,7 @@ def _fit_and_score(
         raise PlantError("the one-step predictions of the model are not finite", status="diverged")
     if row.simulation_error is None:
         raise PlantError("the free run of the model diverges on held-out data", status="diverged")
+    return model  # type: ignore[no-any-return]
 
 
 def _trace(model: Model, record: Trajectory, horizon: float | None, row: Row) -> None:
@@ -319,12 +328,12 @@ def _score_regret(identifier: Any, shown: Sequence[Trajectory], row: Row, rng: n
     from harness.scoring import regret
 
     started = time.perf_counter()
-    result = regret(identifier, shown, rng=rng)
+    result = regret(identifier, shown, rng=rng, points=POINTS)
     row.score_seconds += time.perf_counter() - started
     row.regret, row.average_regret, row.regret_exact = result.total, result.average, result.exact
-    cumulative = result.cumulative
-    steps = np.unique(np.geomspace(1, cumulative.size, 120).round().astype(int))
-    row.curve_steps, row.curve_regret = tuple(steps.tolist()), tuple(cumulative[steps - 1].tolist())
+    known = np.isfinite(result.curve)
+    row.curve_steps = tuple(int(n) for n in result.steps[known])
+    row.curve_regret = tuple(result.curve[known].tolist())
     if not np.isfinite(row.regret):
         raise PlantError("the predictions of the online identifier are not finite", status="diverged")
 
