@@ -259,13 +259,22 @@ def bench(
     engine: str = "local",
     resume: bool = False,
     shard: str | None = None,
+    traces: str = "first",
     progress: Callable[[int, int, str], None] | None = None,
 ) -> BenchResult:
     """Run a benchmark suite; see :func:`harness.benchmark.bench`."""
     from harness import benchmark
 
     return benchmark.bench(
-        suite, out=out, workers=workers, seeds=seeds, engine=engine, resume=resume, shard=shard, progress=progress
+        suite,
+        out=out,
+        workers=workers,
+        seeds=seeds,
+        engine=engine,
+        resume=resume,
+        shard=shard,
+        traces=traces,
+        progress=progress,
     )
 
 

@@ -14,8 +14,8 @@ from typing import Annotated
 import typer
 
 from harness import __version__, api
-from harness.command import INTERRUPTED, Interrupts, main
 from harness.errors import HarnessError, InputError
+from harness.interrupts import INTERRUPTED, Interrupts
 from harness.terminal import (
     completed,
     fail,
@@ -35,7 +35,7 @@ from harness.terminal import (
     wide_console,
 )
 
-__all__ = ["app", "main", "run"]
+__all__ = ["app", "run"]
 
 app = typer.Typer(
     name="sysid",
@@ -162,6 +162,9 @@ def bench(
     engine: Annotated[str, typer.Option(help="local, or dask://HOST:PORT")] = "local",
     resume: Annotated[bool, typer.Option("--resume", help="continue in a folder that has results")] = False,
     shard: Annotated[str | None, typer.Option(metavar="i/n", help="the i-th of n shares, for job arrays")] = None,
+    traces: Annotated[
+        str, typer.Option(help="seeds with an overlay of their trajectory: first | all | none")
+    ] = "first",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="say what would run, and how long it would take")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -187,6 +190,7 @@ def bench(
             engine=engine,
             resume=resume,
             shard=shard,
+            traces=traces,
             progress=show,
         )
     print_bench(result, as_json=as_json)
@@ -201,7 +205,9 @@ def table(
     """Print a stored benchmark again, and render its report anew; puts the shares of a job array together."""
     result = api.table(directory)
     if form is not None:
-        print(result.render(form), end="")
+        from harness.benchmark import render
+
+        print(render(result, form), end="")
         return
     print_bench(result, as_json=as_json)
 

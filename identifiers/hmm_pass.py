@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import hashlib
-import logging
-import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,10 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.signals import FloatArray
+from identifiers import native
 
 __all__ = ["Counts", "Record", "expected_counts", "filtered_beliefs", "native_library"]
-
-log = logging.getLogger(__name__)
 
 Record = tuple[npt.NDArray[np.intc], npt.NDArray[np.intc]]
 """Observations (N,) and actions (N,) of a record; the last action leads nowhere."""
@@ -47,20 +43,8 @@ class Counts:
 @functools.cache
 def native_library() -> Any:
     """Return the compiled recursions, or None where there is no C compiler."""
-    from harness.compiled import build_once
-    from harness.fmi import build
-
-    source = Path(__file__).with_name("hmm_loop.c")
-    try:
-        key = source.read_bytes() + repr((platform.machine(), platform.system(), build.FLAGS)).encode()
-        path = build_once(
-            hashlib.sha256(key).hexdigest()[:24],
-            f"hmm_loop{build.library_suffix()}",
-            lambda target: build.compile_library([source], target, "-O3"),
-        )
-        library = ctypes.CDLL(str(path))
-    except (build.BuildError, OSError) as error:
-        log.info("hidden Markov models are fitted in numpy: %s", error)
+    library = native.native_library(Path(__file__).with_name("hmm_loop.c"))
+    if library is None:
         return None
     call = library.sysid_hmm_pass
     call.restype = ctypes.c_double

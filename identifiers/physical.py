@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from harness.errors import FitError, HarnessError, InputError
-from harness.signals import PlantSpec
+from harness.signals import PlantSpec, Trajectory
+from identifiers.records import moving, real_signals, usable
 
 if TYPE_CHECKING:
     from harness.physics import System
 
-__all__ = ["Recipe", "recipe_for"]
+__all__ = ["PhysicalFit", "Recipe", "recipe_for"]
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,48 @@ class Recipe:
             "options": dict(self.options),
             "effects": [text.split("@", 1) for text in self.effects],
         }
+
+
+@dataclass(frozen=True)
+class PhysicalFit:
+    """What every fit of a physical model to records is told; abstract.
+
+    Parameters
+    ----------
+    model : str, optional
+        A built-in model or ``FILE.py:NAME``; by default the built-in one with the signals of the records.
+    options : mapping
+        For the model's function.
+    effects : tuple of str
+        Effects that the model has too: ``("coulomb_friction@theta",)``.
+    fixed : tuple of str
+        Parameters that keep their value.
+    start : mapping
+        Values where some parameters start.
+    """
+
+    model: str | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    effects: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
+    start: Mapping[str, float] = field(default_factory=dict)
+
+    def prepared(
+        self, trajectories: Sequence[Trajectory], what: str
+    ) -> tuple[list[Trajectory], PlantSpec, Recipe, System]:
+        """Return the records that can be used, their spec, and the model that speaks like them.
+
+        Raises
+        ------
+        FitError
+            If there is nothing to learn from, or no model speaks like the records.
+        """
+        records, spec = usable(trajectories, samples=10, what=what)
+        real_signals(spec, what)
+        moving(records, what, inputs=False)
+        recipe = recipe_for(spec, what, model=self.model, options=self.options, effects=tuple(self.effects))
+        system = recipe.system(spec)
+        return records, spec, recipe, system
 
 
 def recipe_for(

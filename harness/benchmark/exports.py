@@ -5,13 +5,10 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
-from harness.benchmark.tables import Quartiles, Summary, figure
+from harness.benchmark.result import BenchResult
+from harness.benchmark.summary import CONTROL, Quartiles, Summary, figure
 from harness.errors import InputError
-
-if TYPE_CHECKING:
-    from harness.benchmark.running import BenchResult
 
 __all__ = ["FORMATS", "render"]
 
@@ -51,30 +48,36 @@ def render(result: BenchResult, form: str) -> str:
 
 
 def _markdown(lines: Sequence[Summary]) -> str:
-    rows = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
-    rows += ["| " + " | ".join(_cells(line, "**{}**", _plain)) + " |" for line in lines]
+    control = _asked(lines)
+    head = (*HEAD, *CONTROL * control)
+    rows = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    rows += ["| " + " | ".join(_cells(line, "**{}**", _plain, control)) + " |" for line in lines]
     return "\n".join(rows) + "\n"
 
 
 def _latex(lines: Sequence[Summary]) -> str:
-    rows = [r"\begin{tabular}{lllrlllll}", r"\toprule", " & ".join(HEAD) + r" \\", r"\midrule"]
+    control = _asked(lines)
+    head = (*HEAD, *CONTROL * control)
+    rows = [rf"\begin{{tabular}}{{lllrlllll{'lll' * control}}}", r"\toprule", " & ".join(head) + r" \\", r"\midrule"]
     place = None
     for line in lines:
         if place not in (None, (line.plant, line.scenario)):
             rows.append(r"\addlinespace")
         place = (line.plant, line.scenario)
-        rows.append(" & ".join(_cells(line, r"\textbf{{{}}}", _escaped)) + r" \\")
+        rows.append(" & ".join(_cells(line, r"\textbf{{{}}}", _escaped, control)) + r" \\")
     return "\n".join([*rows, r"\bottomrule", r"\end{tabular}", ""])
 
 
 def _csv(lines: Sequence[Summary]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    scores = ("equation_error", "simulation_error", "noise_floor", "regret", "fit_seconds", "memory_mib")
+    scores = ["equation_error", "simulation_error", "noise_floor", "regret", "fit_seconds", "memory_mib"]
+    control = _asked(lines)
+    scores += ["control_score", "control_regret"] * control
     writer.writerow(
         ["plant", "scenario", "identifier", "ok", "run", "best_or_tied"]
         + [f"{name}_{part}" for name in scores for part in ("median", "low", "high")]
-        + ["problems"]
+        + ["problems", *["control"] * control]
     )
     for line in lines:
         found: list[Quartiles | None] = [getattr(line, name) for name in scores]
@@ -83,7 +86,7 @@ def _csv(lines: Sequence[Summary]) -> str:
         writer.writerow(
             [line.plant, line.scenario, line.identifier, line.ok, line.run, int(line.leading)]
             + [text for texts in figures for text in texts]
-            + [problems]
+            + [problems, *[line.control] * control]
         )
     return stream.getvalue()
 
@@ -92,7 +95,12 @@ FORMATS: dict[str, Callable[[Sequence[Summary]], str]] = {"markdown": _markdown,
 """Name to what makes the text."""
 
 
-def _cells(line: Summary, bold: str, quote: Callable[[str], str]) -> list[str]:
+def _asked(lines: Sequence[Summary]) -> bool:
+    """Return True if the columns of control were asked for."""
+    return any(line.control for line in lines)
+
+
+def _cells(line: Summary, bold: str, quote: Callable[[str], str], control: bool) -> list[str]:
     """Return the cells of a line; a line without scores says why instead."""
     simulation = _score(line.simulation_error) or (line.problems[0][0] if not line.ok and line.problems else "")
     texts = [
@@ -106,6 +114,8 @@ def _cells(line: Summary, bold: str, quote: Callable[[str], str]) -> list[str]:
         _score(line.regret),
         f"{figure(line.fit_seconds.median, 2)} s" if line.fit_seconds and line.ok else "",
     ]
+    if control:
+        texts += [_score(line.control_score), _score(line.control_regret), line.control]
     cells = [quote(text) for text in texts]
     if line.leading:
         cells[5] = bold.format(cells[5])
