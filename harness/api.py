@@ -28,24 +28,30 @@ if TYPE_CHECKING:
     from harness.data import Nominal
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
+    from harness.fleet import FleetResult
     from harness.predictive import ProbabilityScore
     from harness.scoring import Score
     from harness.study import StudyResult
+    from harness.study.package import Package
 
 __all__ = [
     "Identified",
+    "answer_study",
     "bench",
     "check",
+    "close_fleet",
     "close_loop",
     "compare",
     "describe_fmu",
     "describe_part",
     "export",
+    "generate_study",
     "identify",
     "isolability",
     "list_parts",
     "plan_bench",
     "query",
+    "score_study",
     "simulate",
     "spectrum",
     "study",
@@ -293,10 +299,13 @@ def plan_bench(
 
 
 def query(directory: str | Path, sql: str) -> Answer:
-    """Return the answer to a query over the tables of a benchmark's folder; see :func:`harness.benchmark.query`."""
-    from harness import benchmark
+    """Return the answer to a query over the tables of a benchmark's or a fleet's folder.
 
-    return benchmark.query(directory, sql)
+    See :func:`harness.benchmark.query` and :func:`harness.fleet.query`.
+    """
+    from harness import benchmark, fleet
+
+    return fleet.query(directory, sql) if fleet.is_fleet_folder(directory) else benchmark.query(directory, sql)
 
 
 def table(directory: str | Path) -> BenchResult:
@@ -479,6 +488,37 @@ def close_loop(
     )
 
 
+def close_fleet(
+    source: str | Path,
+    *,
+    out: str | Path,
+    model: str | None = None,
+    undriven: Sequence[str] = (),
+    engine: str = "local",
+    workers: int | None = None,
+    seed: int = 0,
+    time_limit: float | None = None,
+    resume: bool = False,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> FleetResult:
+    """Close the loop on many records, each a job; see :func:`harness.fleet.close_fleet`."""
+    from harness import fleet
+
+    limit = {} if time_limit is None else {"time_limit": time_limit}
+    return fleet.close_fleet(
+        source,
+        out=out,
+        model=model,
+        undriven=undriven,
+        engine=engine,
+        workers=workers,
+        seed=seed,
+        resume=resume,
+        progress=progress,
+        **limit,
+    )
+
+
 def study(
     which: str = "all",
     *,
@@ -511,6 +551,58 @@ def study(
         force=force,
         progress=progress,
     )
+
+
+def generate_study(
+    out: str | Path,
+    *,
+    truth: str | Path,
+    seeds: str = "judged",
+    secret: int | None = None,
+    records: int | None = None,
+    plants: Sequence[str] = ("pendulum", "cart-pole"),
+    cells: int = 2,
+    alarms: int = 300,
+    like: str | Path | None = None,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Package:
+    """Write the records of a study for another tool, the truth apart; see :func:`harness.study.package.generate`."""
+    from harness.study.package import generate
+
+    return generate(
+        out,
+        truth=truth,
+        seeds=seeds,
+        secret=secret,
+        records=records,
+        plants=plants,
+        cells=cells,
+        alarms=alarms,
+        like=like,
+        progress=progress,
+    )
+
+
+def answer_study(source: str | Path, *, out: str | Path) -> int:
+    """Write the answer file of a run of the closed loop: a fleet's folder over the records, or a study's ``rows.csv``.
+
+    Returns
+    -------
+    int
+        Number of answers.
+    """
+    from harness.study.leaderboard import answers_of_fleet, answers_of_rows, write_answers
+
+    answers = answers_of_fleet(source) if Path(source).is_dir() else answers_of_rows(source)
+    write_answers(out, answers)
+    return len(answers)
+
+
+def score_study(truth: str | Path, answers: Sequence[str | Path]) -> str:
+    """Return the leaderboard of answer files as Markdown; see :func:`harness.study.leaderboard.score`."""
+    from harness.study.leaderboard import score
+
+    return score(truth, answers)[1]
 
 
 def isolability(

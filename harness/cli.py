@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from harness import __version__, api
+from harness.cli_study import study_app
 from harness.errors import HarnessError, InputError
 from harness.interrupts import INTERRUPTED, Interrupts
 from harness.terminal import (
@@ -45,6 +46,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+app.add_typer(study_app, name="study")
 
 OptionPairs = Annotated[list[str] | None, typer.Option("--option", "-O", metavar="k=v", help="option, repeatable")]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
@@ -214,13 +217,15 @@ def table(
 
 @app.command()
 def query(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark, finished or not")],
-    sql: Annotated[str, typer.Argument(metavar="SQL", help="over the tables results, timings and regret")],
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark or a fleet, finished or not")],
+    sql: Annotated[
+        str, typer.Argument(metavar="SQL", help="over results, timings, regret, traces; of a fleet: records, effects")
+    ],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="answer.csv or answer.parquet")] = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Ask the stored rows of a benchmark a question in SQL (DuckDB)."""
+    """Ask the stored rows of a benchmark or a fleet a question in SQL (DuckDB)."""
     answer = api.query(directory, sql)
     if out is not None:
         answer.write(out, force=force)
@@ -317,8 +322,14 @@ def spectrum(
 
 @app.command(name="close-loop")
 def close_loop(
-    dataset: Annotated[str, typer.Argument(metavar="DATASET|RECORDING", help="see sysid list recordings")],
-    out: Annotated[Path, typer.Option(help="folder for report.html and report.json")],
+    dataset: Annotated[
+        str,
+        typer.Argument(
+            metavar="DATASET|RECORDING|FLEET",
+            help="see sysid list recordings; many: a folder, a pattern in quotes, a CSV table with the column file",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="folder for report.html and report.json; of a fleet, for fleet.html")],
     model: ModelName = None,
     validation: Validation = None,
     undriven: Undriven = None,
@@ -326,9 +337,32 @@ def close_loop(
     resume: Annotated[bool, typer.Option("--resume", help="continue what was interrupted")] = False,
     force: Force = False,
     seed: Seed = 0,
-    workers: Annotated[int | None, typer.Option(min=1, help="processes; default all cores, at most 4")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="processes; default all cores, at most 4 for one record")
+    ] = None,
+    engine: Annotated[str, typer.Option(help="of a fleet: local, or dask://HOST:PORT")] = "local",
+    time_limit: Annotated[float | None, typer.Option(help="of a fleet: seconds for one record")] = None,
 ) -> None:
-    """Find the effect that a model lacks, add it, report the error before and after."""
+    """Find the effect that a model lacks, add it, report the error before and after; of one record or of a fleet."""
+    from harness.fleet import is_fleet
+
+    if is_fleet(dataset):
+        if validation is not None or force:
+            raise InputError(
+                "option of one record",
+                expected="records with their own validation files, and a new folder or --resume",
+                got="--force" if force else "--validation",
+                remedy="name validation files in the column validation of a table of records",
+            )
+        _close_fleet(dataset, out, model, undriven, as_json, resume, seed, workers, engine, time_limit)
+        return
+    if engine != "local" or time_limit is not None:
+        raise InputError(
+            "option of a fleet",
+            expected="many records",
+            got=f"one, with {'--time-limit' if engine == 'local' else '--engine'}",
+            remedy="leave it out, or give a folder, a pattern in quotes or a table of records",
+        )
     with progress_bar("closing the loop") as bar:
         task = bar.add_task(dataset, total=1.0)
 
@@ -356,43 +390,42 @@ def close_loop(
     say(f"report: {out / 'report.html'}")
 
 
-@app.command()
-def study(
-    which: Annotated[str, typer.Argument(metavar="STUDY", help="confusion | false-alarms | coverage | cost | all")],
-    out: Annotated[Path, typer.Option(help="folder for rows.csv, study.md and confusion.png")],
-    seeds: Annotated[str, typer.Option(help="tuning, or judged: records that no threshold was chosen on")] = "tuning",
-    records: Annotated[int | None, typer.Option(help="only the first so many of the plan, a balanced part")] = None,
-    plants: Annotated[str, typer.Option(help="separated by commas")] = "pendulum,cart-pole",
-    workers: Annotated[int, typer.Option(help="processes")] = 2,
-    cells: Annotated[int, typer.Option(help="records of each effect, of 8 cells noise x size x disturbance")] = 2,
-    alarms: Annotated[int, typer.Option(help="records with nothing missing, of each class")] = 300,
-    budget: Annotated[float | None, typer.Option(metavar="MINUTES", help="then begin no more")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="continue in a folder that has rows")] = False,
-    force: Force = False,
+def _close_fleet(
+    source: str,
+    out: Path,
+    model: str | None,
+    undriven: list[str] | None,
+    as_json: bool,
+    resume: bool,
+    seed: int,
+    workers: int | None,
+    engine: str,
+    time_limit: float | None,
 ) -> None:
-    """Try the closed loop on simulated truths: confusion, false alarms, coverage, cost."""
-    with progress_bar("benchmark study") as bar:
-        task = bar.add_task(which, total=None)
+    """Close the loop on many records and print what they have in common."""
+    with progress_bar("benchmark of records") as bar:
+        task = bar.add_task(source, total=None)
 
         def show(done: int, total: int, what: str) -> None:
             bar.update(task, completed=done, total=total, description=what)
 
-        result = api.study(
-            which,
+        result = api.close_fleet(
+            source,
             out=out,
-            seeds=seeds,
-            records=records,
-            plants=[name.strip() for name in plants.split(",") if name.strip()],
+            model=model,
+            undriven=undriven or (),
+            engine=engine,
             workers=workers,
-            cells=cells,
-            alarms=alarms,
-            budget=budget,
+            seed=seed,
+            time_limit=time_limit,
             resume=resume,
-            force=force,
             progress=show,
         )
-    say(result.text)
-    say(f"{result.done} of {result.planned} records done; tables: {out / 'study.md'}")
+    if as_json:
+        print_json(result.to_records())
+        return
+    say(str(result))
+    say(f"page: {result.page}")
 
 
 @app.command()

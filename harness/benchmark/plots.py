@@ -14,7 +14,20 @@ from harness.benchmark.row import Row
 from harness.benchmark.statistics import Ranking
 from harness.benchmark.summary import Summary, places_of
 
-__all__ = ["ACCENT", "GRID", "INK", "MUTED", "STYLE", "WARN", "axis_plot", "error_plot", "rank_plot", "regret_plot"]
+__all__ = [
+    "ACCENT",
+    "GRID",
+    "INK",
+    "LINES",
+    "MUTED",
+    "STYLE",
+    "WARN",
+    "axis_plot",
+    "error_plot",
+    "rank_plot",
+    "regret_plot",
+    "svg_text",
+]
 
 INK, MUTED, GRID, ACCENT, WARN = "#1f2933", "#7b8794", "#e4e7eb", "#0b6e99", "#b4540a"
 LINES = ("#0b6e99", "#b4540a", "#3f7d20", "#7a3e9d", "#a61e4d", "#52606d")
@@ -84,7 +97,7 @@ def error_plot(lines: Sequence[Summary], rows: Sequence[Row]) -> str:
             axis.set_axisbelow(True)
             axis.set_title(f"{plant}  ·  {scenario}", loc="left", fontsize=9.5, fontweight="bold")
             axis.set_xlabel("simulation error (NRMSE)", fontsize=8)
-        return _svg(drawing)
+        return svg_text(drawing)
 
 
 def regret_plot(rows: Sequence[Row]) -> str:
@@ -115,7 +128,7 @@ def regret_plot(rows: Sequence[Row]) -> str:
             axis.set_xlabel("samples seen", fontsize=8)
             axis.set_ylabel("cumulative regret", fontsize=8)
             axis.legend(frameon=False, fontsize=8)
-        return _svg(drawing)
+        return svg_text(drawing)
 
 
 def rank_plot(made: Ranking) -> str:
@@ -153,7 +166,7 @@ def rank_plot(made: Ranking) -> str:
         axis.set_xlim(1 - margin, k + margin)
         axis.set_ylim(low - 0.8 * half - 0.6, 2.0)
         axis.set_axis_off()
-        return _svg(drawing)
+        return svg_text(drawing)
 
 
 def axis_plot(rows: Sequence[Row]) -> str:
@@ -193,7 +206,7 @@ def axis_plot(rows: Sequence[Row]) -> str:
             axis.set_xlabel(key[2], fontsize=8)
             axis.set_ylabel("simulation error (NRMSE)", fontsize=8)
             axis.legend(frameon=False, fontsize=8)
-        return _svg(drawing)
+        return svg_text(drawing)
 
 
 def _decades(axis: Any, limits: tuple[float, float]) -> None:
@@ -247,7 +260,7 @@ class _figure:
         self.context.__exit__(None, None, None)
 
 
-def _svg(drawing: Any) -> str:
+def svg_text(drawing: Any) -> str:
     """Return a drawing as SVG to be put into a page."""
     stream = io.StringIO()
     drawing.savefig(stream, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)

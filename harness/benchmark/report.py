@@ -12,9 +12,10 @@ from harness.benchmark.row import Row
 from harness.benchmark.statistics import MINIMUM_SEEDS
 from harness.benchmark.summary import Summary, figure, places_of, rankings
 
-__all__ = ["render_html"]
+__all__ = ["filled", "render_html"]
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
+STYLE_SHEET = Path(__file__).with_name("page.css")
 
 
 def render_html(result: BenchResult, overlays: Mapping[str, str] | None = None) -> str:
@@ -27,13 +28,9 @@ def render_html(result: BenchResult, overlays: Mapping[str, str] | None = None) 
     overlays : mapping, optional
         Job to the picture of its trajectory, relative to the page; the only links that it has.
     """
-    import jinja2
-
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
-    )
     lines = result.summary()
-    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+    return filled(
+        TEMPLATE,
         result=result,
         places=places_of(lines),
         control=any(line.control for line in lines),
@@ -48,6 +45,17 @@ def render_html(result: BenchResult, overlays: Mapping[str, str] | None = None) 
         settings=_settings(result.rows),
         statuses=_statuses(result),
     )
+
+
+def filled(template: Path, **content: Any) -> str:
+    """Return a page in the house's style from a template that holds ``{{ style | safe }}``."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
+    style = STYLE_SHEET.read_text(encoding="utf-8")
+    return environment.from_string(template.read_text(encoding="utf-8")).render(style=style, **content)
 
 
 def _links(rows: Sequence[Row], overlays: Mapping[str, str]) -> dict[tuple[str, str, str], list[tuple[int, str]]]:
