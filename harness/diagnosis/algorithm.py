@@ -68,7 +68,7 @@ class Diagnosis:
 
     @property
     def not_visible(self) -> list[Lead]:
-        """Effects that the nominal parameters and initial states can do as well, so that these data do not show them."""
+        """Effects that the nominal parameters and initial states can do as well: these data do not show them."""
         accepted = {str(one.placed) for one in self.outcome.accepted}
         faint = [one for one in self.test.leads if one.share < PLAN_POLICY.visible and str(one.placed) not in accepted]
         return sorted([*self.test.hidden, *faint], key=lambda one: str(one.placed))
