@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import re
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from harness.physics.ccode import Compilation, c_function, dense
-from harness.physics.urdf import MOVING, Arm
+from harness.physics.joints import MOVING, Joint
 from harness.signals import FloatArray
 
 __all__ = ["ArmRegressor", "symbolic_regressor"]
@@ -26,7 +27,8 @@ class ArmRegressor:
 
     Parameters
     ----------
-    arm : Arm
+    joints : sequence of Joint
+        Parents before children, fixed ones included.
 
     Attributes
     ----------
@@ -35,15 +37,18 @@ class ArmRegressor:
 
     Examples
     --------
+    >>> from harness.physics.rigid_tree import pendulum_for_the_example
     >>> hinge = pendulum_for_the_example()
-    >>> W = ArmRegressor(hinge)(np.zeros((2, 1)), np.zeros((2, 1)), np.ones((2, 1)))
+    >>> W = ArmRegressor(hinge.joints)(np.zeros((2, 1)), np.zeros((2, 1)), np.ones((2, 1)))
     >>> W.shape, bool(np.allclose(W @ hinge.parameters, [4.905 + 0.25, 4.905 + 0.25]))
     ((2, 10), True)
     """
 
-    def __init__(self, arm: Arm) -> None:
-        self.arm, self.rows, self.columns = arm, arm.n, 10 * len(arm.joints)
-        arguments, matrix = symbolic_regressor(arm)
+    def __init__(self, joints: Sequence[Joint]) -> None:
+        self.joints = tuple(joints)
+        moving = [joint for joint in self.joints if joint.kind in MOVING]
+        self.rows, self.columns = len(moving), 10 * len(self.joints)
+        arguments, matrix = symbolic_regressor(self.joints)
         import casadi as ca
 
         self._sparsity = matrix.sparsity()
@@ -51,7 +56,7 @@ class ArmRegressor:
         self._entries = dense("entries", [ca.vertcat(*arguments)], [entries])
         rows, columns = (np.asarray(one, dtype=np.int64) for one in self._sparsity.get_triplet())
         self._places = np.ascontiguousarray(rows * self.columns + columns, dtype=np.int32)
-        self._turning = np.array([joint.kind != "prismatic" for joint in arm.moving])
+        self._turning = np.array([joint.kind != "prismatic" for joint in moving])
 
     def __call__(
         self, q: FloatArray, v: FloatArray, a: FloatArray, gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
@@ -101,7 +106,7 @@ class ArmRegressor:
         return gram, side, power
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return ArmRegressor, (self.arm,)
+        return ArmRegressor, (self.joints,)
 
     # ---- inside --------------------------------------------------------------------------------------------------
 
@@ -140,7 +145,7 @@ class ArmRegressor:
             flat[part, self._places] = function(np.ascontiguousarray(inputs[:, part].T))[0]
 
 
-def symbolic_regressor(arm: Arm) -> tuple[list[Any], Any]:
+def symbolic_regressor(joints: Sequence[Joint]) -> tuple[list[Any], Any]:
     """Return the symbols (sin q or q, cos q, v, a, gravity) and the regressor (n, 10 * bodies), a sparse CasADi SX.
 
     Newton-Euler in the bodies' own frames, projected on the motion that each joint gives to each body behind it
@@ -148,19 +153,20 @@ def symbolic_regressor(arm: Arm) -> tuple[list[Any], Any]:
 
     Parameters
     ----------
-    arm : Arm
+    joints : sequence of Joint
+        Parents before children.
     """
     import casadi as ca
 
-    n = arm.n
+    n = sum(joint.kind in MOVING for joint in joints)
     sine, cosine, v, a = (ca.SX.sym(name, n) for name in ("s", "c", "v", "a"))
     gravity = ca.SX.sym("g", 3)
     zero = ca.SX.zeros(3)
     base: tuple[Any, Any, Any, dict[int, tuple[Any, Any]]] = (zero, zero, -gravity, {})
     bodies: list[tuple[Any, Any, Any, dict[int, tuple[Any, Any]]]] = []
-    matrix = ca.SX(n, 10 * len(arm.joints))
+    matrix = ca.SX(n, 10 * len(joints))
     index = 0
-    for number, joint in enumerate(arm.joints):
+    for number, joint in enumerate(joints):
         spin, turning, pull, motions = base if joint.parent < 0 else bodies[joint.parent]
         pose, axis, place = _snapped(joint.rotation), _snapped(joint.axis), ca.SX(joint.offset)
         moves = joint.kind in MOVING
@@ -211,16 +217,6 @@ def _snapped(numbers: FloatArray) -> Any:
 
     near = np.round(numbers)
     return ca.sparsify(ca.SX(np.where(np.abs(numbers - near) < ROUND, near, numbers)))
-
-
-def pendulum_for_the_example() -> Arm:
-    """Return a point mass of 1 kg at 0.5 m on a level hinge."""
-    from harness.physics.urdf import Joint
-
-    still = np.zeros(3)
-    axis, centre = np.array([0.0, -1.0, 0.0]), np.array([0.5, 0.0, 0.0])
-    joint = Joint("hinge", -1, "revolute", np.eye(3), still, axis, 1.0, centre, np.zeros((3, 3)), -3.0, 3.0, 10.0, 10.0)
-    return Arm("pendulum", (joint,))
 
 
 _FRAME = """
