@@ -11,7 +11,7 @@ import sympy as sp
 from harness.errors import InputError
 from harness.physics.mechanism import Mechanism
 
-__all__ = ["Split", "lagrangian", "split"]
+__all__ = ["Split", "known_symbols", "lagrangian", "split"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ def split(mechanism: Mechanism, known: Mapping[str, float] | None = None) -> Spl
     ------
     InputError
         If a term does not separate into parameters and motion (a parameter inside a function of the state that no
-        addition theorem takes apart), or a known parameter is unknown.
+        addition theorem takes apart), a known parameter is unknown, or the mechanism is generated code.
 
     Examples
     --------
@@ -64,7 +64,14 @@ def split(mechanism: Mechanism, known: Mapping[str, float] | None = None) -> Spl
     >>> [str(one) for one in split(double_pendulum()).combinations][:3]
     ['I1 + l1**2*m2 + lc1**2*m1', 'I2 + lc2**2*m2', 'l1*m2 + lc1*m1']
     """
-    values = _known(mechanism, known or {})
+    if not mechanism.symbolic:
+        raise InputError(
+            f"lumped parameters of {mechanism.name} in symbols",
+            expected="a mechanism whose Lagrangian is written out",
+            got="an arm whose energies are generated code",
+            remedy="use lumped(mechanism): it finds base parameters on the columns of the regressor",
+        )
+    values = known_symbols(mechanism, known or {})
     table = _Table(set(mechanism.p) - set(values))
     table.add("L", lagrangian(mechanism).subs(values))
     for row, force in enumerate(mechanism.forces()):
@@ -72,8 +79,8 @@ def split(mechanism: Mechanism, known: Mapping[str, float] | None = None) -> Spl
     return table.split(len(mechanism.q))
 
 
-def _known(mechanism: Mechanism, known: Mapping[str, float]) -> dict[Any, Any]:
-    """Return the known values by symbol."""
+def known_symbols(mechanism: Mechanism, known: Mapping[str, float]) -> dict[Any, Any]:
+    """Return known values by symbol; raises InputError for a name that is no parameter."""
     symbols = {str(symbol): symbol for symbol in mechanism.p}
     for name in known:
         if name not in symbols:

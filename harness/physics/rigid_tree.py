@@ -87,7 +87,7 @@ class Arm:
         -----
         Generated C, compiled at the first call: :class:`harness.physics.arm_regressor.ArmRegressor`.
         """
-        return self._regressor(q, v, a, gravity)
+        return self.compiled_regressor(q, v, a, gravity)
 
     @property
     def parameters(self) -> FloatArray:
@@ -109,8 +109,8 @@ class Arm:
         return ca.Function("inverse_dynamics", arguments, [torques])
 
     @cached_property
-    def _regressor(self) -> ArmRegressor:
-        """Return the compiled regressor."""
+    def compiled_regressor(self) -> ArmRegressor:
+        """The regressor, generated and compiled when it is first used."""
         return ArmRegressor(self.joints)
 
     def symbolic_torques(self, parameters: Any) -> tuple[list[Any], Any]:
