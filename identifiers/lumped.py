@@ -142,7 +142,7 @@ class Lumped:
                 remedy="excite the plant more richly, or give known={...}",
             )
         values, spread, how = self._corrected(system, recipe, regression, found.values, records, rng)
-        parameters = {**regression.to_parameters(values), **self._known(system)}
+        parameters = {**regression.to_parameters(values), **self.known_of(system)}
         self._refuse_unphysical(system, regression, values, parameters, what)
         record = lumped_estimate(system, regression, values, spread, how, found.rank, found.condition)
         notes: dict[str, Any] = {
@@ -172,10 +172,10 @@ class Lumped:
         """
         from harness.physics.identifiability import determined
 
-        regression = self._regression(system)
+        regression = self.regression_of(system)
         rng = rng or np.random.default_rng(0)
         moved = [motion(system, one, self.smoothing) for one in records]
-        phi, target = self._stacked(regression, moved, records)
+        phi, target = self.stacked(regression, moved, records)
         if not np.any(target):
             raise FitError(
                 f"lumped-{self.form}: nothing known drives the motion",
@@ -186,7 +186,7 @@ class Lumped:
         again = [
             motion(system, noisier(one, rng), self.smoothing, like=old) for one, old in zip(records, moved, strict=True)
         ]
-        noisy, noisy_target = self._stacked(regression, again, records)
+        noisy, noisy_target = self.stacked(regression, again, records)
         if not (np.isfinite(phi).all() and np.isfinite(target).all()):
             raise FitError(
                 "regression", expected="finite numbers", got="NaN or infinity", remedy="cut the record before it breaks"
@@ -211,11 +211,18 @@ class Lumped:
 
     # ---- inside --------------------------------------------------------------------------------------------------
 
-    def _known(self, system: System) -> dict[str, float]:
+    def known_of(self, system: System) -> dict[str, float]:
         """Return the parameters that are given or declared fixed."""
         return {one.name: one.value for one in system.parameters if one.fixed} | dict(self.known or {})
 
-    def _regression(self, system: System) -> LumpedModel:
+    def regression_of(self, system: System) -> LumpedModel:
+        """Return the lumped model of a system, known and fixed parameters on the known side.
+
+        Raises
+        ------
+        FitError
+            If the system is no mechanism.
+        """
         from harness.physics import Mechanism, lumped
 
         if not isinstance(system.mechanism, Mechanism) or not system.coordinates:
@@ -225,9 +232,9 @@ class Lumped:
                 got=str(system),
                 remedy="use output-error for other models",
             )
-        return lumped(system.mechanism, known=self._known(system))
+        return lumped(system.mechanism, known=self.known_of(system))
 
-    def _stacked(
+    def stacked(
         self, regression: LumpedModel, moved: Sequence[Motion], records: Sequence[Trajectory]
     ) -> tuple[FloatArray, FloatArray]:
         """Return the equations of all records; none reaches across a seam."""
@@ -245,7 +252,7 @@ class Lumped:
         """Return what smoothing, and the quadrature of the forms that integrate, change in the rows."""
         pairs = list(zip(records, moved, strict=True))
         bent = [motion(system, one, self.smoothing, like=old, coarser=True) for one, old in pairs]
-        found = [self._stacked(regression, bent, records)[0] - phi]
+        found = [self.stacked(regression, bent, records)[0] - phi]
         if self.form != "torque":
             fine = [self._equations(regression, old, one.spec.sample_time, finer=True)[0] for one, old in pairs]
             found.append(np.concatenate(fine) - phi)
@@ -277,10 +284,10 @@ class Lumped:
         for _ in range(_ROUNDS):
             parameters = {**regression.to_parameters(dict(zip(regression.names, theta, strict=True)))}
             copies = [
-                simulated_motion(system, parameters | self._known(system), one, r.spec.sample_time)
+                simulated_motion(system, parameters | self.known_of(system), one, r.spec.sample_time)
                 for one, r in zip(moved, records, strict=True)
             ]
-            exact = self._stacked(regression, copies, records)[0]
+            exact = self.stacked(regression, copies, records)[0]
             theta = instrumental(phi, target, (white @ instants(exact, n)).reshape(phi.shape), what)
         return theta
 
@@ -296,7 +303,7 @@ class Lumped:
         """Return the values without the bias that simulated records show, their spread, and how it was found."""
         if not self.intervals:
             return values, None, "no intervals: not asked for (option intervals = 60 simulates records)"
-        parameters = {**regression.to_parameters(values), **self._known(system)}
+        parameters = {**regression.to_parameters(values), **self.known_of(system)}
         model = GreyBoxModel(records[0].spec, recipe, parameters)
         runs = simulated(model, records)
         if runs is None:
