@@ -76,18 +76,20 @@ class Lumped:
         the records are free of noise, wider as they need more smoothing.
     known : mapping, optional
         Physical parameters that are known, by name.
-    smoothing : {"auto", "local", "spline", "kalman", "forward", "causal"}
+    smoothing : {"auto", "local", "spline", "kalman", "forward", "causal", "none"}
         How rates and accelerations come of what was measured: local cubics with the width of least leave-one-out
         error; an interpolating spline; a Kalman filter with its backward pass; forward differences; cubics through
-        past samples only (what a filter on the machine can do); or the spline where there is no noise to speak of.
+        past samples only (what a filter on the machine can do); by default local cubics, or the spline where there is
+        no noise to speak of. ``none`` takes rates and accelerations (``NAME_acceleration``) as they were recorded.
     intersample : {"zoh", "smooth"}
         The input was held over each sample, or moved smoothly through the samples.
     tolerance : float
         Numerical floor of the rank decision: relative size below which a direction of the parameters counts as not
         determined, whatever the noise.
-    estimator : {"least-squares", "total", "instruments", "huber", "l1"}
-        Weighted least squares; generalised total least squares with the noise of the rows measured on a noisier copy;
-        instruments from simulated motion (three rounds); Huber's criterion; least absolute deviations.
+    estimator : {"least-squares", "unweighted", "total", "instruments", "huber", "l1"}
+        Weighted least squares; least squares that adds newtons and newton metres as they are; generalised total least
+        squares with the noise of the rows measured on a noisier copy; instruments from simulated motion (three
+        rounds); Huber's criterion; least absolute deviations.
     intervals : int
         Simulated copies of the records whose scatter corrects the bias and gives 95 % intervals; 0 for none. They are
         given only where a free run of the model comes back to the records within their noise.
@@ -201,8 +203,8 @@ class Lumped:
                 remedy="excite the plant",
             )
         n = 1 if self.form == "energy" else regression.n
-        theta, white = weighted(phi, target, kept, n)
-        if self.estimator != "least-squares" and decision.full:
+        theta, white = weighted(phi, target, kept, n, plain=self.estimator == "unweighted")
+        if self.estimator not in ("least-squares", "unweighted") and decision.full:
             wide = white @ instants(noisy - phi, n), white @ instants((noisy_target - target)[:, None], n)
             theta = self._otherwise(system, regression, records, moved, theta, white, (phi, target), wide)
         rest = white @ instants((target - phi @ theta)[:, None], n)
