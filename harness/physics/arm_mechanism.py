@@ -93,7 +93,7 @@ class ArmMechanism(Mechanism):
             for row, channel in enumerate(arm.inputs)
         ]
         if self.symbolic:
-            self.T, self.V = _energies(joints, self.q, self.v, self.p[: len(inertial)], sp.Float(self.g))
+            self.T, self.V = _energies(joints, self.q, self.v, self.p[: len(inertial)], sp.Rational(repr(self.g)))
 
     def system(self) -> System:
         """Return the equations of motion: recursive Newton-Euler, so that a large arm costs no more than its joints."""

@@ -112,6 +112,7 @@ class _Table:
         self.parameters = parameters
         self.entries: dict[tuple[Any, Any], dict[Any, Any]] = {}
         self.monomials: list[Any] = []
+        self.decimal = False
 
     def add(self, place: Any, expression: Any) -> None:
         """Take one expression apart."""
@@ -124,6 +125,9 @@ class _Table:
                 term.as_independent(*self.parameters, as_Add=False) if self.parameters else (term, sp.Integer(1))
             )
             number, function = sp.sympify(inside).as_coeff_Mul()
+            if number.is_Float:
+                # as a decimal without the rounding of products: what depends on each other must cancel exactly
+                number, self.decimal = sp.Rational(format(float(number), ".14g")), True
             motion = outside.free_symbols - self.parameters
             if motion:
                 raise InputError(
@@ -146,6 +150,15 @@ class _Table:
             for node in expression.atoms(sp.sin, sp.cos)
         )
 
+    def _shown(self, number: Any) -> Any:
+        """Return a number as it is read: a fraction as a decimal where the model is written in decimals."""
+        if number.is_Integer:
+            return number
+        near = sp.Integer(round(number))
+        if abs(number - near) < 1e-12:
+            return near
+        return sp.Float(float(number)) if self.decimal else number
+
     def split(self, n: int) -> Split:
         """Return the combinations and what multiplies them."""
         unknown = [one for one in self.monomials if one != 1]
@@ -154,7 +167,8 @@ class _Table:
         reduced, pivots = sp.Matrix(rows).rref() if unknown and rows else (sp.zeros(0, 0), ())
         combinations, lagrangians, forces = [], [], []
         for number, pivot in enumerate(pivots):
-            combinations.append(sum(_clean(reduced[number, c]) * unknown[c] for c in range(len(unknown))))
+            shares = [self._shown(reduced[number, c]) for c in range(len(unknown))]
+            combinations.append(sum(share * one for share, one in zip(shares, unknown, strict=True)))
             energy, force = sp.Integer(0), [sp.Integer(0)] * n
             for place, row in zip(places, rows, strict=True):
                 share = row[pivot] * place[1]
@@ -172,11 +186,6 @@ class _Table:
             else:
                 known_force[place[0]] += share
         return Split(tuple(combinations), tuple(lagrangians), tuple(forces), known_energy, tuple(known_force))
-
-
-def _clean(number: Any) -> Any:
-    """Return a whole number for a float that is one but for rounding (9.81 / 9.81)."""
-    return sp.Integer(round(number)) if number.is_Float and abs(number - round(number)) < 1e-12 else number
 
 
 def _pythagoras(expanded: Any) -> Any:
