@@ -818,14 +818,10 @@ def _as_is(
 
 def _with_model(identifier: str, options: dict[str, Any], nominal: Nominal | None) -> dict[str, Any]:
     """Return the options of an identifier, with the nominal model of the data where it fits a model and names none."""
-    if nominal is None or nominal.model.endswith((".fmu", ".urdf")):
+    if nominal is None or nominal.model.endswith(".fmu"):
         return options
     known = registry.named_options("identifiers", identifier)
     if "model" not in known or options.get("model") is not None:
-        return options
-    from harness.physics.arm import is_arm
-
-    if is_arm(nominal.model):
         return options
     options["model"] = nominal.model
     if "options" in known and nominal.options:

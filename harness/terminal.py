@@ -274,6 +274,8 @@ def print_identified(fitted: Identified, identifier: str) -> None:
     """Print the scores of a model, output by output."""
     from rich.table import Table
 
+    from harness.estimate import estimate_of
+
     shown = Table(title=f"{identifier}: NRMSE (rms)", title_justify="left", box=None, padding=(0, 2, 0, 0))
     for name in ("use", "run", "output", "equation error", "simulation error", "initial state"):
         shown.add_column(name, justify="right" if name.endswith("error") else "left")
@@ -286,9 +288,16 @@ def print_identified(fitted: Identified, identifier: str) -> None:
     for use, scores_of_use in fitted.probability.items():
         for run, score in enumerate(scores_of_use):
             say(f"{use} {run}, one step ahead: {score}")
+    estimate = estimate_of(fitted.model)
+    loose = estimate.rank.undetermined if estimate is not None and estimate.rank is not None else ()
     for name, value in getattr(fitted.model, "parameters", {}).items():
         deviation = getattr(fitted.model, "deviations", {}).get(name)
-        say(f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else ""))
+        interval = estimate.interval(name) if estimate is not None and name in estimate.names else None
+        text = f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else "")
+        text += f" [{interval[0]:.6g}, {interval[1]:.6g}]" if interval else ""
+        say(text + (" (not determined alone)" if name in loose else ""))
+    if estimate is not None and estimate.rank is not None:
+        say(f"  {estimate.rank}")
     for warning in fitted.warnings:
         say(f"warning: {warning}")
 

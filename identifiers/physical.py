@@ -196,10 +196,11 @@ def _measured(system: System, spec: PlantSpec, *, units: bool = False) -> tuple[
     if units and [c.unit for c in system.inputs] != [c.unit for c in spec.inputs]:
         return None
     own = {c.name: c.unit for c in (*system.states, *system.outputs)}
-    rates = {f"{c.name}{suffix}": c.name for c in system.outputs for suffix in ("_rate", "_dot")}
+    orders = {"_rate": 1, "_dot": 1, "_acceleration": 2}
+    derived = {f"{c.name}{suffix}": (c.name, order) for c in system.outputs for suffix, order in orders.items()}
     chosen: list[tuple[str, int]] = []
     for channel in spec.outputs:
-        port, order = (rates[channel.name], 1) if channel.name in rates else (channel.name, 0)
+        port, order = derived.get(channel.name, (channel.name, 0))
         if port not in own or (units and not order and own[port] != channel.unit):
             return None
         chosen.append((port, order))

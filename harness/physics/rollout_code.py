@@ -6,16 +6,14 @@ import contextlib
 import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from harness.physics.ccode import FINE, dense
+from harness.physics.model_equations import Equations
 from harness.signals import FloatArray
-
-if TYPE_CHECKING:
-    from harness.physics.system import System
 
 __all__ = ["Functions", "Linear"]
 
@@ -110,7 +108,7 @@ class Functions:
     approximation of the derivative of the true one.
     """
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: Equations) -> None:
         self.system = system
         self.arguments = [system.x, system.u, system.p, system.t]
         self.h = system.upright(system.h)
