@@ -147,7 +147,7 @@ def markov(samples: int = 100_000) -> None:
         rest = np.zeros((length - 1, 1))
         data = record(np.vstack([rest, u[:, None]]), np.vstack([rest, y[:, None]]))
         race(
-            f"Markov parameters, N = 1e5, m = {length}",
+            f"Markov parameters, N = {samples:.0e}, m = {length}",
             aim,
             lambda n=length, data=data: markov_parameters([data], n, offset=False)[0][:, 0, 0],
             "control",

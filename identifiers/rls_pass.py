@@ -5,13 +5,12 @@ from __future__ import annotations
 import ctypes
 import functools
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from harness.signals import FloatArray
-from identifiers.native import native_library
+from identifiers.native import library, pointers
 
 __all__ = ["Layout", "learn", "run"]
 
@@ -113,16 +112,16 @@ def run(
     if call is None:
         _plain(layout, memory, u, y, guesses)
         return
-    call[1](memory.ctypes.data, len(y), u.ctypes.data, y.ctypes.data, guesses.ctypes.data)
+    call[1](*pointers(memory), len(y), *pointers(u, y, guesses))
 
 
 @functools.cache
 def _compiled() -> Any:
     """Return the compiled recursion over the sample in the memory, and over many; or None."""
-    library = native_library(Path(__file__).with_name("rls_loop.c"))
-    if library is None:
+    compiled = library("rls_loop")
+    if compiled is None:
         return None
-    step, many = library.sysid_rls_step, library.sysid_rls_run
+    step, many = compiled.sysid_rls_step, compiled.sysid_rls_run
     step.restype = many.restype = None
     step.argtypes = [ctypes.POINTER(ctypes.c_double)]  # from_buffer() is three times faster than .ctypes.data
     many.argtypes = [ctypes.c_void_p, ctypes.c_long, *[ctypes.c_void_p] * 3]
