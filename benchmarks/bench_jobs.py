@@ -169,8 +169,8 @@ def killed(folder: Path, cells: int = 400) -> None:
     assert kills
 
 
-def own_work(times: int = 200) -> float:
-    """CPU time [ms] of what the identifier and the scores of such a cell take by themselves."""
+def own_work(cells: int, times: int = 20) -> float:
+    """CPU time [ms] of what a cell would take without us: its share of the data, its fit and its scores."""
     import numpy as np
 
     from harness import registry
@@ -178,15 +178,18 @@ def own_work(times: int = 200) -> float:
     from harness.rollout import run
     from harness.scoring import equation_error, simulation_error
 
-    plant = registry.create("plants", "linear-ode")
-    scenario = registry.create("scenarios", "prbs", samples=40)
-    record = run(plant, scenario, streams=Streams("linear-ode", "prbs", 0), role="validation/0").measured()
     started = time.process_time()
-    for _ in range(times):
-        model = registry.create("identifiers", "hold").fit([record], rng=np.random.default_rng(0))
-        equation_error(model, record)
-        simulation_error(model, record)
-    return 1e3 * (time.process_time() - started) / times
+    for seed in range(times):
+        streams = Streams("linear-ode", "prbs", seed)
+        plant, scenario = registry.create("plants", "linear-ode"), registry.create("scenarios", "prbs", samples=40)
+        learn, held_out = (
+            run(plant, scenario, streams=streams, role=f"{use}/0") for use in ("estimation", "validation")
+        )
+        for _ in range(cells):
+            model = registry.create("identifiers", "hold").fit([learn.measured()], rng=np.random.default_rng(0))
+            equation_error(model, held_out.measured())
+            simulation_error(model, held_out.measured())
+    return 1e3 * (time.process_time() - started) / (times * cells)
 
 
 def overhead(folder: Path, rounds: int = 2) -> None:
@@ -216,10 +219,8 @@ def overhead(folder: Path, rounds: int = 2) -> None:
     cells = sizes[1] - sizes[0]
     each = 1e3 * (cpu[sizes[1], 1] - cpu[sizes[0], 1]) / cells
     one, two = (wall[sizes[1], workers] - wall[sizes[0], workers] for workers in (1, 2))
-    own = own_work()
-    print(
-        f"a cell costs {each:.2f} ms of CPU, {own:.2f} of them its own fit and scores; the rest (aim: under 2) is ours"
-    )
+    own = min(own_work(20) for _ in range(3))
+    print(f"a cell costs {each:.2f} ms of CPU, {own:.2f} of them its own data, fit, scores; the rest is ours (aim: 2)")
     print(f"wall time of a cell of 0.1 s on one worker: {1e3 * one / cells:.1f} ms")
     print(f"two workers: {one / two:.2f} times as fast as one (aim: at least 1.9)")
     assert each - own < 2.0

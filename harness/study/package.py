@@ -126,7 +126,7 @@ def generate(
     Parameters
     ----------
     out : path
-        Folder for ``records.csv``, ``README.md`` and ``records/NAME``; records that are there already are kept.
+        Folder for ``records.csv``, ``README.md`` and ``records/NAME``; what is there is written again, and is the same.
     truth : path
         Folder for ``truth.csv``, not within ``out``.
     seeds : {"judged", "tuning"}

@@ -131,3 +131,10 @@ def test_wrong_columns_and_strangers_are_refused(tmp_path: Path) -> None:
         score(truth, [path])
     with truth.open(newline="", encoding="utf-8") as file:
         assert len(list(csv.DictReader(file))) == 1
+
+
+def test_the_committed_leaderboard_is_what_the_scorer_makes() -> None:
+    folder = ROWS.parent / "leaderboard"
+    scores, text = score(folder / "truth.csv", sorted((folder / "answers").glob("*.csv")))
+    assert text == (folder / "leaderboard.md").read_text(encoding="utf-8")
+    assert scores[0].name == "sysid-harness"
