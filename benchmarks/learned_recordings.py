@@ -19,11 +19,16 @@ from harness.scoring import simulation_error
 CASES = {
     "silverbox": [
         ("arx", {"order": 4}),
+        (
+            "neural-output-error",
+            {"order": 2, "hidden": 8, "outside": 2, "ridge": 1e-3, "starts": 4, "members": 2, "iterations": 80},
+        ),
         ("neural-state-space", {"order": 3, "hidden": 16, "window": 60, "direct": True, "steps": 2500}),
     ],
     "cascaded-tanks": [
         ("arx", {"order": 3}),
         ("gaussian-process", {"order": 2}),
+        ("neural-output-error", {}),
         ("neural-state-space", {"order": 5, "hidden": 16, "window": 80, "batch": 32, "rate": 1e-2, "steps": 800}),
     ],
 }

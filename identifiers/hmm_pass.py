@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import hashlib
-import logging
-import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from harness.signals import FloatArray
+from identifiers.native import library, pointers
 
 __all__ = ["Counts", "Record", "expected_counts", "filtered_beliefs", "native_library"]
-
-log = logging.getLogger(__name__)
 
 Record = tuple[npt.NDArray[np.intc], npt.NDArray[np.intc]]
 """Observations (N,) and actions (N,) of a record; the last action leads nowhere."""
@@ -47,25 +42,12 @@ class Counts:
 @functools.cache
 def native_library() -> Any:
     """Return the compiled recursions, or None where there is no C compiler."""
-    from harness.compiled import build_once
-    from harness.fmi import build
-
-    source = Path(__file__).with_name("hmm_loop.c")
-    try:
-        key = source.read_bytes() + repr((platform.machine(), platform.system(), build.FLAGS)).encode()
-        path = build_once(
-            hashlib.sha256(key).hexdigest()[:24],
-            f"hmm_loop{build.library_suffix()}",
-            lambda target: build.compile_library([source], target, "-O3"),
-        )
-        library = ctypes.CDLL(str(path))
-    except (build.BuildError, OSError) as error:
-        log.info("hidden Markov models are fitted in numpy: %s", error)
-        return None
-    call = library.sysid_hmm_pass
-    call.restype = ctypes.c_double
-    call.argtypes = [ctypes.c_long] * 2 + [ctypes.c_void_p] * 7 + [ctypes.c_int] + [ctypes.c_void_p] * 5
-    return library
+    compiled = library("hmm_loop")
+    if compiled is not None:
+        call = compiled.sysid_hmm_pass
+        call.restype = ctypes.c_double
+        call.argtypes = [ctypes.c_long] * 2 + [ctypes.c_void_p] * 7 + [ctypes.c_int] + [ctypes.c_void_p] * 5
+    return compiled
 
 
 def expected_counts(
@@ -99,18 +81,14 @@ def filtered_beliefs(
     seen, action = record
     turned, spread = np.ascontiguousarray(transition.transpose(1, 0, 2)), np.ascontiguousarray(emission.T)
     beliefs, scale = np.zeros((len(seen), len(initial))), np.zeros(len(seen))
-    if (library := native_library()) is not None:
+    if (compiled := native_library()) is not None:
         start = np.ascontiguousarray(initial)
-        total = library.sysid_hmm_pass(
-            len(seen), len(initial), *_pointers(seen, action, start, turned, spread, beliefs, scale), 0, *[None] * 5
+        total = compiled.sysid_hmm_pass(
+            len(seen), len(initial), *pointers(seen, action, start, turned, spread, beliefs, scale), 0, *[None] * 5
         )
     else:
         total = _forward(seen, action, initial, turned, spread, beliefs, scale)
     return beliefs, float(total)
-
-
-def _pointers(*arrays: Any) -> list[int]:
-    return [one.ctypes.data for one in arrays]
 
 
 def _native(
@@ -120,8 +98,8 @@ def _native(
     n, states = len(seen), len(start)
     scratch = np.empty(n * states + n + 2 * states)
     beliefs, scale, work = scratch[: n * states], scratch[n * states : n * states + n], scratch[n * states + n :]
-    given = _pointers(seen, action, start, turned, spread, beliefs, scale)
-    return float(native_library().sysid_hmm_pass(n, states, *given, 1, *_pointers(*sums), None, *_pointers(work)))
+    given = pointers(seen, action, start, turned, spread, beliefs, scale)
+    return float(native_library().sysid_hmm_pass(n, states, *given, 1, *pointers(*sums), None, *pointers(work)))
 
 
 def _forward(

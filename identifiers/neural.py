@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from harness.distributions import NormalMixture
 from harness.errors import InputError
-from harness.scoring import same_language
-from harness.signals import FloatArray, PlantSpec, Trajectory
-from harness.specs import spec_from_dict, spec_to_dict
+from harness.signals import FloatArray, Trajectory
+from harness.specs import spec_from_dict
+from identifiers.ensemble import Ensemble
 from identifiers.lag_state import LagModel, Scaling, regression_data
 from identifiers.records import moving, real_signals, usable
 from identifiers.training import draw_layers, need_torch, one_thread, train
@@ -75,62 +74,11 @@ class NetworkModel(LagModel):
 
 
 @dataclass(frozen=True, eq=False)
-class EnsembleModel:
-    """Several models of the same kind; the state is theirs side by side, so that each follows its own run.
+class EnsembleModel(Ensemble):
+    """Networks that predict the next output from past outputs and inputs, as one model."""
 
-    The output is their mean; the predicted distribution is the equal mixture of theirs (Lakshminarayanan, Pritzel and
-    Blundell 2017, *NeurIPS*, sec. 2.4), wide where they disagree.
-
-    Parameters
-    ----------
-    members : tuple of NetworkModel
-    """
-
-    spec: PlantSpec
-    members: tuple[NetworkModel, ...]
-    notes: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def burn_in(self) -> int:
-        """Samples that the lags reach back."""
-        return self.members[0].burn_in
-
-    def initial_state(self, data: Trajectory) -> FloatArray:
-        """Return the states of all members at the first sample, side by side (nx,)."""
-        same_language(self.spec, data)
-        return np.concatenate([member.initial_state(data) for member in self.members])
-
-    def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the mean of the members' outputs (..., ny)."""
-        return np.asarray(np.mean([m.output(part, u) for m, part in self._parts(x)], axis=0))
-
-    def predictive(self, x: FloatArray, u: FloatArray) -> NormalMixture:
-        """Return the equal mixture of the members' distributions (..., ny)."""
-        each = [member.predictive(part, u) for member, part in self._parts(x)]
-        means, stds = (np.concatenate([getattr(one, name) for one in each], axis=-2) for name in ("means", "stds"))
-        return NormalMixture(means, stds, self.spec.outputs)
-
-    def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the next states (..., nx)."""
-        return np.concatenate([member.step(part, u) for member, part in self._parts(x)], axis=-1)
-
-    def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the states with the present output as it was measured (..., nx)."""
-        return np.concatenate([member.correct(part, u, y) for member, part in self._parts(x)], axis=-1)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready description."""
-        members = [member.to_dict() for member in self.members]
-        return {"kind": "network-ensemble", "spec": spec_to_dict(self.spec), "members": members, "notes": self.notes}
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> EnsembleModel:
-        """Return the model of a description."""
-        members = tuple(NetworkModel.from_dict(one) for one in content["members"])
-        return cls(spec_from_dict(content["spec"]), members, dict(content.get("notes", {})))
-
-    def _parts(self, x: FloatArray) -> list[tuple[NetworkModel, FloatArray]]:
-        return list(zip(self.members, np.split(np.asarray(x, dtype=float), len(self.members), axis=-1), strict=True))
+    kind = "network-ensemble"
+    member = NetworkModel
 
 
 @dataclass(frozen=True)
