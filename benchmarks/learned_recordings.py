@@ -21,7 +21,16 @@ CASES = {
         ("arx", {"order": 4}),
         (
             "neural-output-error",
-            {"order": 2, "hidden": 8, "outside": 2, "ridge": 1e-3, "starts": 4, "members": 2, "iterations": 80},
+            {
+                "order": 2,
+                "hidden": 8,
+                "outside": 2,
+                "ridge": 1e-3,
+                "starts": 3,
+                "members": 1,
+                "iterations": 60,
+                "direct": True,
+            },
         ),
         ("neural-state-space", {"order": 3, "hidden": 16, "window": 60, "direct": True, "steps": 2500}),
     ],

@@ -269,6 +269,10 @@ class GreyBoxModel:
             recipe = recipe_for(
                 spec, "grey box", model=str(content["model"]), options=content.get("options", {}), effects=effects
             )
+            if content.get("learned"):
+                from harness.physics.residual_force import ResidualForce
+
+                recipe = recipe.with_learned([ResidualForce.from_dict(force) for force in content["learned"]])
             gain, steps = content.get("filter_gain"), content.get("substeps")
             return cls(
                 spec,

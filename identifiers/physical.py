@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from harness.errors import FitError, HarnessError, InputError
@@ -11,6 +11,7 @@ from harness.signals import PlantSpec
 
 if TYPE_CHECKING:
     from harness.physics import System
+    from harness.physics.residual_force import ResidualForce
 
 __all__ = ["Recipe", "recipe_for"]
 
@@ -29,12 +30,19 @@ class Recipe:
         Ports measured and which derivative of each.
     effects : tuple of str
         ``"coulomb_friction@theta"``.
+    learned : tuple of ResidualForce
+        Forces without a name, added last.
     """
 
     model: str
     options: Mapping[str, Any] = field(default_factory=dict)
     outputs: tuple[tuple[str, int], ...] = ()
     effects: tuple[str, ...] = ()
+    learned: tuple[ResidualForce, ...] = ()
+
+    def with_learned(self, forces: Sequence[ResidualForce]) -> Recipe:
+        """Return the recipe with forces without a name added (see :mod:`harness.physics.residual_force`)."""
+        return replace(self, learned=(*self.learned, *forces))
 
     def system(self, spec: PlantSpec) -> System:
         """Return the system that speaks like a spec.
@@ -61,7 +69,10 @@ class Recipe:
                     "effect of a grey box", expected="NAME@PORT", got=repr(text), remedy="write coulomb_friction@theta"
                 )
             placed.append(Placed(find(name), at))
-        return compose(system, placed) if placed else system
+        system = compose(system, placed) if placed else system
+        for force in self.learned:
+            system = force.attach(system)
+        return system
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
@@ -69,6 +80,7 @@ class Recipe:
             "model": self.model,
             "options": dict(self.options),
             "effects": [text.split("@", 1) for text in self.effects],
+            **({"learned": [force.to_dict() for force in self.learned]} if self.learned else {}),
         }
 
 
