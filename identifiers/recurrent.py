@@ -15,7 +15,7 @@ from harness.errors import FitError, InputError
 from harness.scoring import predict, same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
-from identifiers.ensemble import Ensemble
+from identifiers.ensemble import Ensemble, own_spread
 from identifiers.observers import best_gain, riccati_gains
 from identifiers.records import moving, real_signals, usable
 from identifiers.recurrent_fit import Fitted, Problem, descend, fit_start
@@ -29,12 +29,6 @@ _HORIZONS = (1, 3, 10, 30, 100)
 
 _START = 50
 """Samples that the unknown initial state is fitted to, as the public benchmarks allow (cascaded tanks, 2016)."""
-
-_NINETY = 1.6449
-"""Half width of the central 90 % of a normal distribution, in standard deviations."""
-
-_OWN = 0.3
-"""Least share of the spread that is each member's own, and not their disagreement: outputs are noisy for all alike."""
 
 _LEAST_SPREAD = 1e-6
 """Standard deviation of a prediction, relative to the size of the output, that no model may claim to be below."""
@@ -310,10 +304,7 @@ class NeuralOutputError:
 def _spread(
     members: Sequence[RecurrentModel], records: Sequence[Trajectory], begin: Sequence[Sequence[FloatArray]]
 ) -> FloatArray:
-    """Return the standard deviation (5, ny) of each member so that the mixture's 90 % bands hold 90 % held out.
-
-    What the members disagree by widens the mixture besides; it is the part that grows outside the data.
-    """
+    """Return the standard deviation (5, ny) of each member at the horizons, from the held-out ends of the records."""
     rows = []
     for horizon in _HORIZONS:
         misses, quarrels = [], []
@@ -323,8 +314,7 @@ def _spread(
             kept = slice(max(ahead, Problem.cut_of(len(record))), None)
             misses.append(residual(record.spec.outputs, record.y, each.mean(axis=0))[kept])
             quarrels.append(each.var(axis=0)[kept])
-        size = np.quantile(np.abs(np.concatenate(misses)), 0.9, axis=0) / _NINETY
-        rows.append(np.sqrt(np.maximum(size**2 - np.concatenate(quarrels).mean(axis=0), (_OWN * size) ** 2)))
+        rows.append(own_spread(np.concatenate(misses), np.concatenate(quarrels)))
     return np.maximum(np.maximum.accumulate(rows, axis=0), _LEAST_SPREAD * members[0].y_std)
 
 
