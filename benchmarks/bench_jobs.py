@@ -104,7 +104,7 @@ def schedule() -> None:
     """Parent's CPU time for each of n empty tasks: all at once, and a few ahead (what the local engine does)."""
     from concurrent.futures import FIRST_COMPLETED
 
-    from harness.benchmark.engines import AHEAD
+    from harness.jobs.engines import AHEAD
     from harness.workers import worker_pool
 
     per_task: dict[str, list[float]] = {"all at once": [], "a few ahead": []}

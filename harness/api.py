@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from harness.data import Nominal
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
+    from harness.fleet import FleetResult
     from harness.predictive import ProbabilityScore
     from harness.scoring import Score
     from harness.study import StudyResult
@@ -36,6 +37,7 @@ __all__ = [
     "Identified",
     "bench",
     "check",
+    "close_fleet",
     "close_loop",
     "compare",
     "describe_fmu",
@@ -259,13 +261,22 @@ def bench(
     engine: str = "local",
     resume: bool = False,
     shard: str | None = None,
+    traces: str = "first",
     progress: Callable[[int, int, str], None] | None = None,
 ) -> BenchResult:
     """Run a benchmark suite; see :func:`harness.benchmark.bench`."""
     from harness import benchmark
 
     return benchmark.bench(
-        suite, out=out, workers=workers, seeds=seeds, engine=engine, resume=resume, shard=shard, progress=progress
+        suite,
+        out=out,
+        workers=workers,
+        seeds=seeds,
+        engine=engine,
+        resume=resume,
+        shard=shard,
+        traces=traces,
+        progress=progress,
     )
 
 
@@ -284,10 +295,13 @@ def plan_bench(
 
 
 def query(directory: str | Path, sql: str) -> Answer:
-    """Return the answer to a query over the tables of a benchmark's folder; see :func:`harness.benchmark.query`."""
-    from harness import benchmark
+    """Return the answer to a query over the tables of a benchmark's or a fleet's folder.
 
-    return benchmark.query(directory, sql)
+    See :func:`harness.benchmark.query` and :func:`harness.fleet.query`.
+    """
+    from harness import benchmark, fleet
+
+    return fleet.query(directory, sql) if fleet.is_fleet_folder(directory) else benchmark.query(directory, sql)
 
 
 def table(directory: str | Path) -> BenchResult:
@@ -467,6 +481,37 @@ def close_loop(
         seed=seed,
         progress=progress,
         workers=workers,
+    )
+
+
+def close_fleet(
+    source: str | Path,
+    *,
+    out: str | Path,
+    model: str | None = None,
+    undriven: Sequence[str] = (),
+    engine: str = "local",
+    workers: int | None = None,
+    seed: int = 0,
+    time_limit: float | None = None,
+    resume: bool = False,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> FleetResult:
+    """Close the loop on many records, each a job; see :func:`harness.fleet.close_fleet`."""
+    from harness import fleet
+
+    limit = {} if time_limit is None else {"time_limit": time_limit}
+    return fleet.close_fleet(
+        source,
+        out=out,
+        model=model,
+        undriven=undriven,
+        engine=engine,
+        workers=workers,
+        seed=seed,
+        resume=resume,
+        progress=progress,
+        **limit,
     )
 
 

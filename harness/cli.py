@@ -14,8 +14,8 @@ from typing import Annotated
 import typer
 
 from harness import __version__, api
-from harness.command import INTERRUPTED, Interrupts, main
 from harness.errors import HarnessError, InputError
+from harness.interrupts import INTERRUPTED, Interrupts
 from harness.terminal import (
     completed,
     fail,
@@ -35,7 +35,7 @@ from harness.terminal import (
     wide_console,
 )
 
-__all__ = ["app", "main", "run"]
+__all__ = ["app", "run"]
 
 app = typer.Typer(
     name="sysid",
@@ -162,6 +162,9 @@ def bench(
     engine: Annotated[str, typer.Option(help="local, or dask://HOST:PORT")] = "local",
     resume: Annotated[bool, typer.Option("--resume", help="continue in a folder that has results")] = False,
     shard: Annotated[str | None, typer.Option(metavar="i/n", help="the i-th of n shares, for job arrays")] = None,
+    traces: Annotated[
+        str, typer.Option(help="seeds with an overlay of their trajectory: first | all | none")
+    ] = "first",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="say what would run, and how long it would take")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -187,6 +190,7 @@ def bench(
             engine=engine,
             resume=resume,
             shard=shard,
+            traces=traces,
             progress=show,
         )
     print_bench(result, as_json=as_json)
@@ -201,20 +205,24 @@ def table(
     """Print a stored benchmark again, and render its report anew; puts the shares of a job array together."""
     result = api.table(directory)
     if form is not None:
-        print(result.render(form), end="")
+        from harness.benchmark import render
+
+        print(render(result, form), end="")
         return
     print_bench(result, as_json=as_json)
 
 
 @app.command()
 def query(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark, finished or not")],
-    sql: Annotated[str, typer.Argument(metavar="SQL", help="over the tables results, timings and regret")],
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark or a fleet, finished or not")],
+    sql: Annotated[
+        str, typer.Argument(metavar="SQL", help="over results, timings, regret, traces; of a fleet: records, effects")
+    ],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="answer.csv or answer.parquet")] = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Ask the stored rows of a benchmark a question in SQL (DuckDB)."""
+    """Ask the stored rows of a benchmark or a fleet a question in SQL (DuckDB)."""
     answer = api.query(directory, sql)
     if out is not None:
         answer.write(out, force=force)
@@ -311,8 +319,14 @@ def spectrum(
 
 @app.command(name="close-loop")
 def close_loop(
-    dataset: Annotated[str, typer.Argument(metavar="DATASET|RECORDING", help="see sysid list recordings")],
-    out: Annotated[Path, typer.Option(help="folder for report.html and report.json")],
+    dataset: Annotated[
+        str,
+        typer.Argument(
+            metavar="DATASET|RECORDING|FLEET",
+            help="see sysid list recordings; many: a folder, a pattern in quotes, a CSV table with the column file",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="folder for report.html and report.json; of a fleet, for fleet.html")],
     model: ModelName = None,
     validation: Validation = None,
     undriven: Undriven = None,
@@ -320,9 +334,32 @@ def close_loop(
     resume: Annotated[bool, typer.Option("--resume", help="continue what was interrupted")] = False,
     force: Force = False,
     seed: Seed = 0,
-    workers: Annotated[int | None, typer.Option(min=1, help="processes; default all cores, at most 4")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="processes; default all cores, at most 4 for one record")
+    ] = None,
+    engine: Annotated[str, typer.Option(help="of a fleet: local, or dask://HOST:PORT")] = "local",
+    time_limit: Annotated[float | None, typer.Option(help="of a fleet: seconds for one record")] = None,
 ) -> None:
-    """Find the effect that a model lacks, add it, report the error before and after."""
+    """Find the effect that a model lacks, add it, report the error before and after; of one record or of a fleet."""
+    from harness.fleet import is_fleet
+
+    if is_fleet(dataset):
+        if validation is not None or force:
+            raise InputError(
+                "option of one record",
+                expected="records with their own validation files, and a new folder or --resume",
+                got="--force" if force else "--validation",
+                remedy="name validation files in the column validation of a table of records",
+            )
+        _close_fleet(dataset, out, model, undriven, as_json, resume, seed, workers, engine, time_limit)
+        return
+    if engine != "local" or time_limit is not None:
+        raise InputError(
+            "option of a fleet",
+            expected="many records",
+            got=f"one, with {'--time-limit' if engine == 'local' else '--engine'}",
+            remedy="leave it out, or give a folder, a pattern in quotes or a table of records",
+        )
     with progress_bar("closing the loop") as bar:
         task = bar.add_task(dataset, total=1.0)
 
@@ -348,6 +385,44 @@ def close_loop(
     for text in report.data["warnings"]:
         print(f"sysid: note: {text}", file=sys.stderr)
     say(f"report: {out / 'report.html'}")
+
+
+def _close_fleet(
+    source: str,
+    out: Path,
+    model: str | None,
+    undriven: list[str] | None,
+    as_json: bool,
+    resume: bool,
+    seed: int,
+    workers: int | None,
+    engine: str,
+    time_limit: float | None,
+) -> None:
+    """Close the loop on many records and print what they have in common."""
+    with progress_bar("benchmark of records") as bar:
+        task = bar.add_task(source, total=None)
+
+        def show(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=what)
+
+        result = api.close_fleet(
+            source,
+            out=out,
+            model=model,
+            undriven=undriven or (),
+            engine=engine,
+            workers=workers,
+            seed=seed,
+            time_limit=time_limit,
+            resume=resume,
+            progress=show,
+        )
+    if as_json:
+        print_json(result.to_records())
+        return
+    say(str(result))
+    say(f"page: {result.page}")
 
 
 @app.command()

@@ -211,10 +211,12 @@ def hidden_effect(text: str) -> tuple[str, str, dict[str, float]]:
 
 def print_bench(result: BenchResult, *, as_json: bool) -> None:
     """Print a benchmark's table, and where its files are."""
+    from harness.benchmark import rich_table
+
     if as_json:
         print_json(result.to_records())
         return
-    wide_console().print(result.table())
+    wide_console().print(rich_table(result))
     if result.folder is not None:
         say(f"report: {result.report}")
         say(f"results: {result.folder / 'results.parquet'}")

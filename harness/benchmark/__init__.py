@@ -1,13 +1,31 @@
 """Benchmarks: a suite of plants x scenarios x identifiers x seeds becomes rows, a table and a page.
 
-``bench`` runs a suite, ``table`` reads one back; everything else here serves these two.
+``bench`` runs a suite, ``table`` reads one back, ``rich_table`` and ``render`` show it; everything else here serves
+these.
 """
 
 from __future__ import annotations
 
-from harness.benchmark.query import Answer, query
+from harness.benchmark.exports import render
+from harness.benchmark.parts import Suite
+from harness.benchmark.query import query
+from harness.benchmark.result import BenchResult
 from harness.benchmark.row import Row
-from harness.benchmark.running import BenchResult, bench, plan, table
-from harness.benchmark.suite import Suite, load_suite
+from harness.benchmark.running import bench, plan, table
+from harness.benchmark.suite import load_suite
+from harness.benchmark.tables import rich_table
+from harness.jobs.query import Answer
 
-__all__ = ["Answer", "BenchResult", "Row", "Suite", "bench", "load_suite", "plan", "query", "table"]
+__all__ = [
+    "Answer",
+    "BenchResult",
+    "Row",
+    "Suite",
+    "bench",
+    "load_suite",
+    "plan",
+    "query",
+    "render",
+    "rich_table",
+    "table",
+]

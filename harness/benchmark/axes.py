@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import msgspec
 
-if TYPE_CHECKING:
-    from harness.benchmark.suite import Group, Part
+from harness.benchmark.parts import Group, Part
 
 __all__ = ["KINDS", "expanded", "problem"]
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
-from harness.benchmark.tables import Quartiles, Summary, figure
+from harness.benchmark.result import BenchResult
+from harness.benchmark.summary import Quartiles, Summary, figure
 from harness.errors import InputError
-
-if TYPE_CHECKING:
-    from harness.benchmark.running import BenchResult
 
 __all__ = ["FORMATS", "render"]
 

@@ -6,12 +6,16 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
-from harness.benchmark.progress import duration
-from harness.benchmark.suite import Task, cells_of
+from harness.benchmark.parts import Task
+from harness.benchmark.suite import cells_of
 from harness.errors import InputError
+from harness.jobs.progress import duration
+
+Shared = TypeVar("Shared")
 
 __all__ = ["Plan", "plan_of", "read_shard", "share"]
 
@@ -83,7 +87,7 @@ def read_shard(text: str | None) -> tuple[int, int] | None:
     return pair
 
 
-def share(tasks: Sequence[Task], shard: tuple[int, int] | None) -> tuple[Task, ...]:
+def share(tasks: Sequence[Shared], shard: tuple[int, int] | None) -> tuple[Shared, ...]:
     """Return every n-th task from the i-th on: neighbours are alike, so the shares take about the same time."""
     return tuple(tasks) if shard is None else tuple(tasks[shard[0] - 1 :: shard[1]])
 

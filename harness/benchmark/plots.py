@@ -12,14 +12,29 @@ import numpy as np
 
 from harness.benchmark.row import Row
 from harness.benchmark.statistics import Ranking
-from harness.benchmark.tables import Summary, places_of
+from harness.benchmark.summary import Summary, places_of
 
-__all__ = ["axis_plot", "error_plot", "rank_plot", "regret_plot"]
+__all__ = [
+    "ACCENT",
+    "GRID",
+    "INK",
+    "LINES",
+    "MUTED",
+    "STYLE",
+    "WARN",
+    "axis_plot",
+    "error_plot",
+    "rank_plot",
+    "regret_plot",
+    "svg_text",
+]
 
 INK, MUTED, GRID, ACCENT, WARN = "#1f2933", "#7b8794", "#e4e7eb", "#0b6e99", "#b4540a"
 LINES = ("#0b6e99", "#b4540a", "#3f7d20", "#7a3e9d", "#a61e4d", "#52606d")
 DOTS = 100
 """Seeds that are drawn as dots on one line; more are one blot, and a page nobody can open."""
+FAR = 25.0
+"""Beyond so many times the spread of the data an error says no more than that the model is of no use: the edge."""
 PANELS = 60
 """Panels of a page, for the same reason; the table has all."""
 STYLE: Any = {
@@ -48,10 +63,10 @@ def error_plot(lines: Sequence[Summary], rows: Sequence[Row]) -> str:
         return ""
     heights = [max(len(panel[2]) for panel in panels[i : i + 2]) for i in range(0, len(panels), 2)]
     medians = [max(line.simulation_error.median, 1e-12) for p in panels for line in p[2] if line.simulation_error]
-    # beyond ten times the error of the mean a figure says no more: drawn as an arrow at the edge
     floors = [line.noise_floor.median for line in lines if line.noise_floor]
-    limits = (max(0.4 * min([*medians, *floors]), 1e-6), min(2.5 * max([1.0, *medians]), 25.0))
-    with _figure(len(panels), heights, 0.235) as (drawing, axes):
+    limits = (max(0.4 * min([*medians, *floors]), 1e-6), min(2.5 * max([1.0, *medians]), FAR))
+    longest = max(len(line.identifier) for panel in panels for line in panel[2])
+    with _figure(len(panels), heights, 0.235, label=longest) as (drawing, axes):
         dots_of: dict[tuple[str, str, str], list[float]] = defaultdict(list)
         for row in rows:
             if row.status == "ok" and row.simulation_error is not None:
@@ -73,6 +88,7 @@ def error_plot(lines: Sequence[Summary], rows: Sequence[Row]) -> str:
             axis.set_ylim(-0.6, len(own) - 0.4)
             axis.set_xscale("log")
             axis.set_xlim(*limits)  # the same for all panels, so that they compare
+            _decades(axis, limits)
             floors = [line.noise_floor.median for line in own if line.noise_floor]
             if floors:
                 axis.axvspan(limits[0], floors[0], color=GRID, alpha=0.6, linewidth=0)
@@ -81,7 +97,7 @@ def error_plot(lines: Sequence[Summary], rows: Sequence[Row]) -> str:
             axis.set_axisbelow(True)
             axis.set_title(f"{plant}  ·  {scenario}", loc="left", fontsize=9.5, fontweight="bold")
             axis.set_xlabel("simulation error (NRMSE)", fontsize=8)
-        return _svg(drawing)
+        return svg_text(drawing)
 
 
 def regret_plot(rows: Sequence[Row]) -> str:
@@ -112,7 +128,7 @@ def regret_plot(rows: Sequence[Row]) -> str:
             axis.set_xlabel("samples seen", fontsize=8)
             axis.set_ylabel("cumulative regret", fontsize=8)
             axis.legend(frameon=False, fontsize=8)
-        return _svg(drawing)
+        return svg_text(drawing)
 
 
 def rank_plot(made: Ranking) -> str:
@@ -150,7 +166,7 @@ def rank_plot(made: Ranking) -> str:
         axis.set_xlim(1 - margin, k + margin)
         axis.set_ylim(low - 0.8 * half - 0.6, 2.0)
         axis.set_axis_off()
-        return _svg(drawing)
+        return svg_text(drawing)
 
 
 def axis_plot(rows: Sequence[Row]) -> str:
@@ -182,6 +198,7 @@ def axis_plot(rows: Sequence[Row]) -> str:
                 axis.plot(at, [np.median(floor[v]) for v in at], "--", color=WARN, linewidth=1.0, label="noise floor")
             points = [v for found in lines.values() for v in found]
             axis.set_yscale("log")
+            axis.set_ylim(top=min(axis.get_ylim()[1], FAR))
             if min(points) > 0:
                 axis.set_xscale("log")
             axis.grid(color=GRID, linewidth=0.7)
@@ -189,14 +206,24 @@ def axis_plot(rows: Sequence[Row]) -> str:
             axis.set_xlabel(key[2], fontsize=8)
             axis.set_ylabel("simulation error (NRMSE)", fontsize=8)
             axis.legend(frameon=False, fontsize=8)
-        return _svg(drawing)
+        return svg_text(drawing)
+
+
+def _decades(axis: Any, limits: tuple[float, float]) -> None:
+    """Label the powers of ten in plain text: typeset ones, and ticks between them, take most of the time of a page."""
+    first, last = math.ceil(math.log10(limits[0])), math.floor(math.log10(limits[1]))
+    axis.set_xticks([10.0**k for k in range(first, last + 1)], [f"{10.0**k:g}" for k in range(first, last + 1)])
+    axis.minorticks_off()
 
 
 class _figure:
-    """A grid of panels two to a row, drawn without pyplot (no global state) and with fixed ids in the SVG."""
+    """A grid of panels two to a row, drawn without pyplot (no global state) and with fixed ids in the SVG.
 
-    def __init__(self, panels: int, heights: Sequence[int], inch: float) -> None:
-        self.panels, self.heights, self.inch = panels, list(heights), inch
+    Margins follow from the longest label: asking matplotlib for the size of every text draws the page twice.
+    """
+
+    def __init__(self, panels: int, heights: Sequence[int], inch: float, *, label: int = 6) -> None:
+        self.panels, self.heights, self.inch, self.label = panels, list(heights), inch, label
 
     def __enter__(self) -> tuple[Any, list[Any]]:
         import matplotlib
@@ -205,10 +232,25 @@ class _figure:
         self.context = matplotlib.rc_context(STYLE)
         self.context.__enter__()
         rows = len(self.heights)
-        drawing = Figure(figsize=(10.4, sum(h * self.inch + 0.85 for h in self.heights)), layout="constrained")
-        engine: Any = drawing.get_layout_engine()
-        engine.set(h_pad=0.1, w_pad=0.08)
-        grid = drawing.subplots(rows, 2, squeeze=False, gridspec_kw={"height_ratios": self.heights})
+        width, side, above, between, below = 10.4, 0.35 + 0.07 * self.label, 0.35, 0.85, 0.5  # inches
+        own = [self.inch * height for height in self.heights]
+        height = sum(own) + above + (rows - 1) * between + below
+        panel = (width - 2 * side - 0.3) / 2
+        drawing = Figure(figsize=(width, height))
+        grid = drawing.subplots(
+            rows,
+            2,
+            squeeze=False,
+            gridspec_kw={
+                "height_ratios": self.heights,
+                "left": side / width,
+                "right": 1 - 0.1 / width,
+                "top": 1 - above / height,
+                "bottom": below / height,
+                "wspace": (side + 0.2) / panel,
+                "hspace": between * rows / sum(own),
+            },
+        )
         axes = list(grid.ravel())
         for axis in axes[self.panels :]:
             axis.set_axis_off()
@@ -218,7 +260,7 @@ class _figure:
         self.context.__exit__(None, None, None)
 
 
-def _svg(drawing: Any) -> str:
+def svg_text(drawing: Any) -> str:
     """Return a drawing as SVG to be put into a page."""
     stream = io.StringIO()
     drawing.savefig(stream, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from harness import registry
+from harness.benchmark.parts import Task
 from harness.benchmark.row import one_line
-from harness.benchmark.suite import Task
 from harness.errors import HarnessError
 from harness.workers import worker_pool
 

@@ -2,40 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from harness.benchmark.plots import axis_plot, error_plot, rank_plot, regret_plot
+from harness.benchmark.result import BenchResult
 from harness.benchmark.row import Row
 from harness.benchmark.statistics import MINIMUM_SEEDS
-from harness.benchmark.tables import Summary, figure, places_of, rankings
+from harness.benchmark.summary import Summary, figure, places_of, rankings
 
-if TYPE_CHECKING:
-    from harness.benchmark.running import BenchResult
-
-__all__ = ["render_html"]
+__all__ = ["filled", "render_html"]
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
+STYLE_SHEET = Path(__file__).with_name("page.css")
 
 
-def render_html(result: BenchResult) -> str:
+def render_html(result: BenchResult, overlays: Mapping[str, str] | None = None) -> str:
     """Return the page as text; it loads nothing from outside.
 
     Parameters
     ----------
     result : BenchResult
         What to show.
+    overlays : mapping, optional
+        Job to the picture of its trajectory, relative to the page; the only links that it has.
     """
-    import jinja2
-
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
-    )
     lines = result.summary()
-    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+    return filled(
+        TEMPLATE,
         result=result,
         places=places_of(lines),
+        links=_links(result.rows, overlays or {}),
         figure=figure,
         enough=any(line.run >= MINIMUM_SEEDS for line in lines),
         ranks=[(made, rank_plot(made)) for made in rankings(result.rows)],
@@ -46,6 +44,26 @@ def render_html(result: BenchResult) -> str:
         settings=_settings(result.rows),
         statuses=_statuses(result),
     )
+
+
+def filled(template: Path, **content: Any) -> str:
+    """Return a page in the house's style from a template that holds ``{{ style | safe }}``."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
+    style = STYLE_SHEET.read_text(encoding="utf-8")
+    return environment.from_string(template.read_text(encoding="utf-8")).render(style=style, **content)
+
+
+def _links(rows: Sequence[Row], overlays: Mapping[str, str]) -> dict[tuple[str, str, str], list[tuple[int, str]]]:
+    """Return seed and picture of the cells of each line that have one."""
+    found: dict[tuple[str, str, str], list[tuple[int, str]]] = {}
+    for row in rows:
+        if row.job in overlays:
+            found.setdefault((row.plant, row.scenario, row.identifier), []).append((row.seed, overlays[row.job]))
+    return found
 
 
 def _failures(lines: Sequence[Summary]) -> list[tuple[Summary, str, str, int]]:
@@ -68,19 +86,12 @@ def _settings(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Return horizon, burn-in, initial state and record lengths of each plant and scenario."""
     seen: dict[tuple[str, str], dict[str, Any]] = {}
     for row in rows:
-        entry = seen.setdefault(
-            (row.plant, row.scenario),
-            {
-                "plant": row.plant,
-                "scenario": row.scenario,
-                "outputs": ", ".join(f"{n} [{u}]" for n, u in zip(row.outputs, row.units, strict=True)),
-                "samples": row.samples,
-                "held_out": row.held_out_samples,
-                "horizons": set(),
-                "burn_ins": set(),
-                "initial": set(),
-            },
-        )
+        entry = seen.get((row.plant, row.scenario))
+        if entry is None:
+            sets: dict[str, Any] = {"horizons": set(), "burn_ins": set(), "initial": set()}
+            entry = {"plant": row.plant, "scenario": row.scenario, "outputs": "", **sets}
+            entry["samples"], entry["held_out"] = row.samples, row.held_out_samples
+            seen[row.plant, row.scenario] = entry
         if not entry["outputs"] and row.outputs:
             entry["outputs"] = ", ".join(f"{n} [{u}]" for n, u in zip(row.outputs, row.units, strict=True))
             entry["samples"], entry["held_out"] = row.samples, row.held_out_samples

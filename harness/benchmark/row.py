@@ -8,21 +8,23 @@ from typing import Any
 
 import msgspec
 
-from harness.benchmark.suite import Cell, Task
+from harness.benchmark.parts import Cell, Task
 
-__all__ = ["STATUSES", "Row", "blank", "one_line", "read_row", "write_row"]
+__all__ = ["STATUSES", "Row", "blank", "encoded", "one_line", "read_row"]
 
 STATUSES = ("ok", "unfit", "refused", "diverged", "timeout", "crashed", "terminated", "failed")
 """``ok``; data that cannot be learned from; parts that do not fit; and the ways in which a cell can break."""
 
 
-class Row(msgspec.Struct, kw_only=True):
+class Row(msgspec.Struct, kw_only=True, gc=False):
     """A cell and what came of it; None where a figure does not exist.
 
     ``equation_error`` and ``simulation_error`` are the root mean square over outputs and held-out records of the
     NRMSE (rms of the residual over the standard deviation of the output), so they carry no unit; the rms of each
     output in its own unit stands beside them. ``noise_floor`` is the same figure of the sensor noise in the held-out
     records: what the true plant from the true initial state would score, so no model can do better but by luck.
+    ``trace_t``, ``trace_measured`` and ``trace_residual`` (output by output) are what the overlay of a cell is drawn
+    from: samples of its first held-out record, and measured minus simulated there.
     ``axes`` and ``axis_values`` say where on the axes of its group a cell lies. ``memory_mib`` is the most that the
     worker process has had in memory so far.
     """
@@ -34,25 +36,28 @@ class Row(msgspec.Struct, kw_only=True):
     seed: int
     status: str = "ok"
     reason: str = ""
-    axes: list[str] = []
-    axis_values: list[float] = []
+    axes: tuple[str, ...] = ()
+    axis_values: tuple[float, ...] = ()
     noise_floor: float | None = None
     equation_error: float | None = None
     simulation_error: float | None = None
     regret: float | None = None
     average_regret: float | None = None
     regret_exact: bool | None = None
-    outputs: list[str] = []
-    units: list[str] = []
-    equation_rms: list[float | None] = []
-    simulation_rms: list[float | None] = []
+    outputs: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    equation_rms: tuple[float | None, ...] = ()
+    simulation_rms: tuple[float | None, ...] = ()
     horizon: float | None = None
     burn_in: int | None = None
     initial_state: str = ""
     samples: int | None = None
     held_out_samples: int | None = None
-    curve_steps: list[int] = []
-    curve_regret: list[float] = []
+    curve_steps: tuple[int, ...] = ()
+    curve_regret: tuple[float, ...] = ()
+    trace_t: tuple[float, ...] = ()
+    trace_measured: tuple[tuple[float, ...], ...] = ()
+    trace_residual: tuple[tuple[float | None, ...], ...] = ()
     data_seconds: float = 0.0
     fit_seconds: float = 0.0
     score_seconds: float = 0.0
@@ -63,8 +68,8 @@ def blank(task: Task, cell: Cell, *, status: str = "ok", reason: str = "") -> Ro
     """Return the row of a cell of which nothing else is known."""
     at = {**task.plant.at, **task.scenario.at, **cell.identifier.at}
     return Row(
-        axes=list(at),
-        axis_values=list(at.values()),
+        axes=tuple(at),
+        axis_values=tuple(at.values()),
         job=cell.job,
         plant=task.plant.name,
         scenario=task.scenario.name,
@@ -87,11 +92,9 @@ def one_line(text: object, limit: int = 400) -> str:
     return line if len(line) <= limit else line[: limit - 3] + "..."
 
 
-def write_row(row: Row, folder: Path) -> None:
-    """Write a row to its shard, so that it is there whole or not at all."""
-    scratch = folder / f"{row.job}.part"
-    scratch.write_bytes(msgspec.json.encode(_finite(row)))
-    scratch.replace(folder / f"{row.job}.json")
+def encoded(row: Row) -> bytes:
+    """Return a row as JSON, None in place of figures that are not finite."""
+    return msgspec.json.encode(_finite(row))
 
 
 def read_row(path: Path) -> Row:
@@ -105,6 +108,6 @@ def _finite(row: Row) -> Row:
     def clean(value: Any) -> Any:
         if isinstance(value, float):
             return value if math.isfinite(value) else None
-        return [clean(item) for item in value] if isinstance(value, list) else value
+        return tuple(clean(item) for item in value) if isinstance(value, tuple) else value
 
     return Row(**{name: clean(getattr(row, name)) for name in row.__struct_fields__})

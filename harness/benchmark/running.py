@@ -3,113 +3,31 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
-from harness.benchmark.engines import make_engine
+from harness.benchmark.overlays import draw_overlays
+from harness.benchmark.parts import Cell, Task
 from harness.benchmark.planning import Plan, plan_of, read_shard, share
 from harness.benchmark.probes import probe_plants
-from harness.benchmark.progress import Progress
-from harness.benchmark.row import Row
+from harness.benchmark.report import render_html
+from harness.benchmark.result import BenchResult
+from harness.benchmark.row import Row, read_row
 from harness.benchmark.store import Store
-from harness.benchmark.suite import Cell, Task, cells_of, load_suite, tasks_of
+from harness.benchmark.suite import cells_of, load_suite, tasks_of
+from harness.benchmark.work import CellBatch
 from harness.errors import InputError
+from harness.jobs import make_engine, run_jobs, shard_file
+from harness.jobs.progress import Progress
 
-if TYPE_CHECKING:
-    from rich.console import Group
+__all__ = ["TRACES", "bench", "plan", "table"]
 
-    from harness.benchmark.tables import Summary
-
-__all__ = ["BenchResult", "bench", "plan", "table"]
-
-
-@dataclass(frozen=True, eq=False)
-class BenchResult:
-    """A finished (or partly finished) benchmark.
-
-    Parameters
-    ----------
-    suite : str
-        Its name.
-    rows : tuple of Row
-        In the suite's order.
-    planned : int
-        Number of cells that were asked for.
-    folder : Path, optional
-        Where the files are; None if nothing was kept.
-    versions : dict
-        Of the packages that the results depend on.
-    cells : tuple
-        The cells asked for, as (plant, scenario, identifier), seeds apart.
-    description : str
-        Of the suite.
-    """
-
-    suite: str
-    rows: tuple[Row, ...]
-    planned: int
-    folder: Path | None
-    versions: dict[str, str]
-    cells: tuple[tuple[str, str, str], ...]
-    description: str = ""
-
-    @property
-    def report(self) -> Path | None:
-        """The HTML page, where a folder was given."""
-        return None if self.folder is None else Store(self.folder).report
-
-    @property
-    def ok(self) -> int:
-        """Number of rows with status ``ok``."""
-        return sum(row.status == "ok" for row in self.rows)
-
-    def summary(self) -> list[Summary]:
-        """Return median, quartiles and counts of each plant x scenario x identifier."""
-        return self._summary
-
-    @cached_property
-    def _summary(self) -> list[Summary]:
-        from harness.benchmark.tables import summarise
-
-        return summarise(self.rows, self.cells)
-
-    def table(self) -> Group:
-        """Return the table for a terminal (rich)."""
-        from harness.benchmark.tables import rich_table
-
-        return rich_table(self)
-
-    def render(self, form: str) -> str:
-        """Return the table as ``"markdown"``, ``"latex"`` or ``"csv"``."""
-        from harness.benchmark.exports import render
-
-        return render(self, form)
-
-    def query(self, sql: str) -> list[dict[str, Any]]:
-        """Return the records of a DuckDB query over the tables ``results``, ``timings`` and ``regret``.
-
-        Raises
-        ------
-        InputError
-            If the benchmark has no folder, or DuckDB refuses the query.
-        """
-        from harness.benchmark.query import query
-
-        if self.folder is None:
-            raise InputError("query", expected="a benchmark in a folder", got="none", remedy="give bench(out=...)")
-        return query(self.folder, sql).records()
-
-    def to_records(self) -> list[dict[str, Any]]:
-        """Return the rows as plain dictionaries, ready for JSON."""
-        return [msgspec.to_builtins(row) for row in self.rows]
-
-    def __str__(self) -> str:
-        return f"suite {self.suite}: {self.ok} ok of {len(self.rows)} run, {self.planned} planned"
+TRACES = ("first", "all", "none")
+"""Seeds whose cells keep what their overlays are drawn from."""
 
 
 def bench(
@@ -121,6 +39,7 @@ def bench(
     engine: str = "local",
     resume: bool = False,
     shard: str | None = None,
+    traces: str = "first",
     progress: Callable[[int, int, str], None] | None = None,
 ) -> BenchResult:
     """Run a suite of plants x scenarios x identifiers x seeds.
@@ -133,8 +52,8 @@ def bench(
     suite : str or path
         Name of a registered suite, or a TOML file.
     out : path, optional
-        Folder for ``results.parquet``, ``timings.parquet``, ``regret.parquet``, ``report.html`` and, where there
-        are FMUs, ``probes.json``; without it the rows are only returned.
+        Folder for ``results.parquet``, ``timings.parquet``, ``regret.parquet``, ``traces.parquet``, ``report.html``
+        with its ``overlays`` and, where there are FMUs, ``probes.json``; without it the rows are only returned.
     workers : int, optional
         Processes; by default one for each core.
     seeds : (first, last) or sequence of int, optional
@@ -146,6 +65,9 @@ def bench(
     shard : str, optional
         ``"i/n"``: run the i-th of n shares, in the folder ``shard-i-of-n`` of ``out``; :func:`table` puts the shares
         of a job array together.
+    traces : {"first", "all", "none"}
+        Seeds whose cells keep their first held-out record, measured and simulated, for an overlay: the first seed of
+        each plant and scenario, all, or none.
     progress : callable, optional
         Called as ``progress(rows_done, rows, what)``; the text has counts by status, rate and time left.
 
@@ -163,19 +85,19 @@ def bench(
     read = load_suite(suite)
     everything = tasks_of(read, _seed_list(seeds))
     part = read_shard(shard)
-    tasks = share(everything, part)
     made = make_engine(engine, workers)
+    batches = share(_batches(everything, traces), part)
     if part is not None:
         if out is None:
             raise InputError("a share of a suite", expected="a folder", got="none", remedy="give --out", place="shard")
         order = [cell.job for _, cell in cells_of(everything)]
         store = Store(Path(out) / f"shard-{part[0]}-of-{part[1]}")
-        return _run(read, tasks, made, store, resume=resume, progress=progress, report=False, order=order)
+        return _run(read, batches, made, store, resume=resume, progress=progress, report=False, order=order)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="sysid-bench-") as scratch:
-            result = _run(read, tasks, made, Store(Path(scratch)), resume=False, progress=progress, report=False)
+            result = _run(read, batches, made, Store(Path(scratch)), resume=False, progress=progress, report=False)
         return replace(result, folder=None)
-    return _run(read, tasks, made, Store(Path(out)), resume=resume, progress=progress, report=True)
+    return _run(read, batches, made, Store(Path(out)), resume=resume, progress=progress, report=True)
 
 
 def plan(
@@ -229,7 +151,7 @@ def table(directory: str | Path) -> BenchResult:
 
 def _run(
     suite: Any,
-    tasks: Sequence[Task],
+    batches: Sequence[CellBatch],
     engine: Any,
     store: Store,
     *,
@@ -239,19 +161,23 @@ def _run(
     order: Sequence[str] = (),
 ) -> BenchResult:
     """Run what is missing in the store and write its files."""
-    pairs = cells_of(tasks)
+    pairs = cells_of([batch.task for batch in batches])
     found = store.open(suite, pairs, resume=resume, order=order)
-    todo = [task for task in (_missing(task, found) for task in tasks) if task is not None]
-    moved = Progress(store, len(pairs), len(found), progress)
+    todo = list(_missing(batches, found))
+    counted = Progress(store.log, len(pairs), len(found), progress)
+
+    def moved(title: str, jobs: Sequence[str]) -> None:
+        rows = [read_row(shard_file(store.shards, job)) for job in jobs]
+        counted(title, [(row.status, _logged(row)) for row in rows])
+        store.finished(jobs)
 
     if progress is not None:
         progress(len(found), len(pairs), suite.name)
     finished = False
     try:
         if report:
-            probe_plants(todo, store.probes)
-        if todo:
-            engine.run(todo, store.shards, moved)
+            probe_plants([batch.task for batch in todo], store.probes)
+        run_jobs(todo, store.shards, engine=engine, moved=moved)
         finished = True
     finally:
         rows = store.consolidate(finished=finished)
@@ -261,16 +187,45 @@ def _run(
     return result
 
 
-def _missing(task: Task, found: dict[str, Row]) -> Task | None:
-    """Return the task with the cells that have no row yet."""
-    left: tuple[Cell, ...] = tuple(cell for cell in task.cells if cell.job not in found)
-    return msgspec.structs.replace(task, cells=left) if left else None
+def _batches(tasks: Sequence[Task], traces: str) -> list[CellBatch]:
+    """Return the tasks as batches of jobs; those of the chosen seeds keep traces.
+
+    Raises
+    ------
+    InputError
+        If the choice is none of :data:`TRACES`.
+    """
+    if traces not in TRACES:
+        raise InputError("traces", expected=", ".join(TRACES), got=repr(traces), remedy="choose one", place="traces")
+    first: dict[tuple[str, str], int] = {}
+    for task in tasks:
+        first.setdefault((task.plant.name, task.scenario.name), task.seed)
+
+    def kept(task: Task) -> bool:
+        return traces == "all" or (traces == "first" and first[task.plant.name, task.scenario.name] == task.seed)
+
+    return [CellBatch(task, trace=kept(task)) for task in tasks]
+
+
+def _missing(batches: Sequence[CellBatch], found: dict[str, Row]) -> Iterator[CellBatch]:
+    """Yield the batches with the cells that have no row yet."""
+    for batch in batches:
+        left: tuple[Cell, ...] = tuple(cell for cell in batch.task.cells if cell.job not in found)
+        if left:
+            yield CellBatch(msgspec.structs.replace(batch.task, cells=left), trace=batch.trace)
+
+
+def _logged(row: Row) -> str:
+    """Return what the log says of a row."""
+    seconds = row.fit_seconds + row.score_seconds
+    why = f": {row.reason}" if row.reason else ""
+    return f"{row.plant} x {row.scenario} x {row.identifier} seed {row.seed} {seconds:.2f} s{why}"
 
 
 def _result(store: Store, rows: Sequence[Row]) -> BenchResult:
     """Return what a folder holds."""
     content = store.read_manifest()
-    cells = tuple(dict.fromkeys((str(c[1]), str(c[2]), str(c[3])) for c in content["cells"]))
+    cells = tuple(dict.fromkeys((c[1], c[2], c[3]) for c in content["cells"]))
     return BenchResult(
         suite=content["suite"],
         rows=tuple(rows),
@@ -283,11 +238,10 @@ def _result(store: Store, rows: Sequence[Row]) -> BenchResult:
 
 
 def _write_report(result: BenchResult, store: Store) -> None:
-    """Write the HTML page."""
-    from harness.benchmark.report import render_html
-
+    """Draw the overlays that are new, and write the HTML page that links to them."""
+    overlays = draw_overlays(result.rows, store.overlays)
     scratch = store.report.with_name("report.part")
-    scratch.write_text(render_html(result), encoding="utf-8")
+    scratch.write_text(render_html(result, overlays), encoding="utf-8")
     scratch.replace(store.report)
 
 

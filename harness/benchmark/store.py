@@ -17,25 +17,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from harness import __version__
+from harness.benchmark.columns import FORMAT, arrow_table, columns_of_files, rows_of, write_rows
+from harness.benchmark.parts import Cell, Suite, Task
 from harness.benchmark.row import Row, read_row
-from harness.benchmark.suite import Cell, Suite, Task
 from harness.errors import InputError
 
 __all__ = ["Store"]
 
-FORMAT = "sysid-harness/bench/1"
-UNITS = {
-    **{name: "1" for name in ("equation_error", "simulation_error", "noise_floor")},
-    "memory_mib": "MiB",
-    **{name: "see the column units, one for each output" for name in ("equation_rms", "simulation_rms")},
-    **{name: "s" for name in ("horizon", "data_seconds", "fit_seconds", "score_seconds")},
-    **{name: "samples" for name in ("burn_in", "samples", "held_out_samples", "curve_steps")},
-}
-"""Units of the columns, kept in the schema of the Parquet files."""
-TIMINGS = ("data_seconds", "fit_seconds", "score_seconds", "memory_mib")
-CURVES = ("curve_steps", "curve_regret")
-KEYS = ("plant", "scenario", "identifier", "seed")
 BATCH = 2000
 """Rows in one Parquet file of the shards: few files, and little lost in memory while one is written."""
 
@@ -67,6 +58,16 @@ class Store:
     def curves(self) -> Path:
         """Cumulative regret of the online identifiers."""
         return self.folder / "regret.parquet"
+
+    @property
+    def traces(self) -> Path:
+        """What the overlays are drawn from."""
+        return self.folder / "traces.parquet"
+
+    @property
+    def overlays(self) -> Path:
+        """Folder of the overlays, one picture a cell."""
+        return self.folder / "overlays"
 
     @property
     def manifest(self) -> Path:
@@ -181,7 +182,7 @@ class Store:
             If the folder is no folder of a benchmark.
         """
         try:
-            content = json.loads(self.manifest.read_text(encoding="utf-8"))
+            content = msgspec.json.decode(self.manifest.read_bytes())
             known = content["format"] == FORMAT
         except (OSError, ValueError, KeyError, TypeError):
             known = False
@@ -201,7 +202,7 @@ class Store:
         if self.results.exists():
             found.update(self._from_parquet())
         for path in sorted(self.shards.glob("*.parquet")) if self.shards.is_dir() else []:
-            found.update(_rows_of([path]))
+            found.update(rows_of([path]))
         for path in sorted(self.shards.glob("*.json")) if self.shards.is_dir() else []:
             row = read_row(path)
             found[row.job] = row
@@ -216,7 +217,7 @@ class Store:
         rows = [read_row(path) for path in files]
         if rows:
             # named by its content: a run that was killed in between writes the same file again
-            _write_rows(self.shards / f"{rows[0].job}.parquet", list(Row.__struct_fields__), rows)
+            write_rows(self.shards / f"{rows[0].job}.parquet", list(Row.__struct_fields__), rows)
             for path in files:
                 path.unlink(missing_ok=True)
         self.pending.clear()
@@ -237,76 +238,37 @@ class Store:
         """Return True if there are rows that are not in ``results.parquet`` yet."""
         return any(self.shards.glob("*.json")) or any(self.shards.glob("*.parquet"))
 
-    def arrow(self) -> list[Any]:
-        """Return results, timings and regret as Arrow tables, with the rows that are still in shards."""
+    def arrow(self) -> dict[str, Any]:
+        """Return results, timings, regret and traces as Arrow tables by name, with the rows that are still in shards.
+
+        What a version before this one did not write is left out.
+        """
         from pyarrow import parquet
 
         if self.results.exists() and not self.waiting():
-            return [parquet.read_table(path) for path in (self.results, self.timings, self.curves)]
+            return {path.stem: parquet.read_table(path) for path in self._tables() if path.exists()}
         rows = list(self.rows().values())
-        results, timings, curves = _columns()
-        return [_table(results, rows), _table(timings, rows), _table(curves, [row for row in rows if row.curve_steps])]
+        pairs = zip(self._tables(), columns_of_files(), strict=True)
+        return {path.stem: arrow_table(names, _with(rows, names)) for path, names in pairs}
 
     def write(self, rows: Sequence[Row]) -> None:
-        """Write the three tables."""
-        results, timings, curves = _columns()
-        _write_rows(self.timings, timings, rows)
-        _write_rows(self.curves, curves, [row for row in rows if row.curve_steps])
-        _write_rows(self.results, results, rows)
+        """Write the tables; the results come last, so that where they are the others are too."""
+        for path, names in reversed(list(zip(self._tables(), columns_of_files(), strict=True))):
+            write_rows(path, names, _with(rows, names))
+
+    def _tables(self) -> tuple[Path, Path, Path, Path]:
+        """Return the Parquet files, in the order of their columns."""
+        return self.results, self.timings, self.curves, self.traces
 
     def _from_parquet(self) -> dict[str, Row]:
         """Return the rows of the Parquet files by job."""
-        return _rows_of([path for path in (self.results, self.timings, self.curves) if path.exists()])
+        return rows_of([path for path in self._tables() if path.exists()])
 
 
-def _rows_of(paths: Sequence[Path]) -> dict[str, Row]:
-    """Return the rows whose columns lie in these Parquet files, by job; columns of other versions are left out."""
-    from pyarrow import parquet
-
-    known = set(Row.__struct_fields__)
-    found: dict[str, Row] = {}
-    for path in paths:
-        table = parquet.read_table(path)
-        names = [name for name in table.column_names if name in known]
-        columns = [table.column(name).to_pylist() for name in names]
-        jobs = columns[names.index("job")]
-        if "status" in names:
-            found.update(
-                (job, Row(**dict(zip(names, values, strict=True))))
-                for job, values in zip(jobs, zip(*columns, strict=True), strict=True)
-            )
-            continue
-        for name, column in zip(names, columns, strict=True):
-            for job, value in zip(jobs, column, strict=True):
-                if job in found:
-                    setattr(found[job], name, value)
-    return found
-
-
-def _columns() -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-    """Return the columns of results, timings and curves."""
-    scores = [name for name in Row.__struct_fields__ if name not in (*TIMINGS, *CURVES, "job")]
-    return (*scores, "job"), ("job", *KEYS, *TIMINGS), ("job", *KEYS, *CURVES)
-
-
-def _table(names: Sequence[str], rows: Sequence[Row]) -> Any:
-    """Return some fields of rows as an Arrow table; units go into the schema."""
-    import pyarrow as pa
-
-    fields = [
-        pa.field(name, _arrow_type(name), metadata={"unit": UNITS[name]} if name in UNITS else None) for name in names
-    ]
-    columns = [pa.array([getattr(row, one.name) for row in rows], type=one.type) for one in fields]
-    return pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata={"format": FORMAT}))
-
-
-def _write_rows(path: Path, names: Sequence[str], rows: Sequence[Row]) -> None:
-    """Write some fields of rows to a Parquet file, whole or not at all."""
-    from pyarrow import parquet
-
-    scratch = path.with_suffix(".parquet-part")
-    parquet.write_table(_table(names, rows), scratch, compression="zstd")
-    scratch.replace(path)
+def _with(rows: Sequence[Row], names: Sequence[str]) -> Sequence[Row]:
+    """Return the rows that have something in the last of these columns where it is a list that may be empty."""
+    last = names[-1]
+    return [row for row in rows if getattr(row, last)] if last.startswith(("curve", "trace")) else rows
 
 
 def versions() -> dict[str, str]:
@@ -318,20 +280,6 @@ def versions() -> dict[str, str]:
         except importlib.metadata.PackageNotFoundError:
             found[name] = "not installed"
     return found
-
-
-def _arrow_type(name: str) -> Any:
-    """Return the column type of a field of Row."""
-    import pyarrow as pa
-
-    hint = str(Row.__annotations__[name])
-    if hint.startswith("list"):
-        inner = pa.string() if "str" in hint else pa.int64() if "int" in hint else pa.float64()
-        return pa.list_(inner)
-    for word, made in (("str", pa.string()), ("bool", pa.bool_()), ("int", pa.int64())):
-        if hint.startswith(word):
-            return made
-    return pa.float64()
 
 
 def _write_text(path: Path, text: str) -> None:

@@ -7,121 +7,16 @@ import itertools
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
 from harness import __version__, registry
 from harness.benchmark.axes import expanded, problem
+from harness.benchmark.parts import RECORDED, RECORDING, Cell, Group, Part, Score, Suite, Task
 from harness.errors import InputError
 from harness.plant_files import fingerprint, is_plant_file
 
-__all__ = [
-    "RECORDING",
-    "Cell",
-    "Group",
-    "Part",
-    "Score",
-    "Suite",
-    "Task",
-    "cells_of",
-    "find_suite",
-    "load_suite",
-    "tasks_of",
-]
-
-
-RECORDING, RECORDED = "recording:", "recorded"
-"""Prefix of a plant that is a recording, and the scenario that goes with it."""
-
-
-class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A plant, scenario or identifier of a suite: the id of a registered part, its options, its name in the table.
-
-    A plant may also be a file (``.fmu``, ``.toml`` of a coupling, ``.ssp``), relative to the suite, or a recording
-    (``recording:emps``) under the scenario ``recorded``: models are fitted to its estimation runs and scored on its
-    test runs, or else its validation runs; its noise is its own, so one seed is enough.
-
-    ``streams`` names the random streams (the name by default): parts with one name there meet the same random numbers.
-    ``at`` is filled by the axes of a group.
-    """
-
-    id: str
-    options: dict[str, Any] = {}
-    label: str = ""
-    streams: str = ""
-    at: dict[str, float] = {}
-
-    @property
-    def stream(self) -> str:
-        """What keys its random streams."""
-        return self.streams or self.name
-
-    @property
-    def name(self) -> str:
-        """What the table calls it: the label, or else the id."""
-        return self.label or self.id
-
-
-class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the models of a group are scored.
-
-    ``horizon`` is that of the simulation error in s (the whole record without it); ``runs`` and ``held_out`` count the
-    records that a model is fitted to and scored on.
-    """
-
-    horizon: float | None = None
-    runs: int = 1
-    held_out: int = 1
-
-
-class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Every plant of a group meets every scenario, every identifier and every seed.
-
-    ``axes`` gives options several values: ``{"scenarios.noise" = [0.0, 0.01, 0.1]}``.
-    """
-
-    plants: tuple[Part, ...]
-    scenarios: tuple[Part, ...]
-    identifiers: tuple[Part, ...]
-    name: str = ""
-    seeds: tuple[int, ...] | None = None
-    score: Score = Score()
-    time_limit: float | None = None
-    axes: dict[str, tuple[int | float, ...]] = {}
-
-
-class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A benchmark: groups, the seeds of those that name none, and seconds that one cell may take."""
-
-    name: str
-    groups: tuple[Group, ...]
-    description: str = ""
-    seeds: tuple[int, ...] = (0, 1, 2)
-    time_limit: float = 60.0
-
-
-class Cell(msgspec.Struct, frozen=True):
-    """One row of the table, still to be computed; ``job`` is a hash of everything that decides its result."""
-
-    job: str
-    identifier: Part
-
-
-class Task(msgspec.Struct, frozen=True):
-    """The cells of one plant, scenario and seed: they share their data, so one worker does them together."""
-
-    plant: Part
-    scenario: Part
-    seed: int
-    score: Score
-    time_limit: float
-    cells: tuple[Cell, ...]
-
-    @property
-    def title(self) -> str:
-        """For the progress bar."""
-        return f"{self.plant.name} / {self.scenario.name} / seed {self.seed}"
+__all__ = ["cells_of", "find_suite", "load_suite", "tasks_of"]
 
 
 def find_suite(suite: str | Path) -> Path:

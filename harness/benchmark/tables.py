@@ -1,157 +1,18 @@
-"""Tables of a benchmark: medians and quartiles of each plant x scenario x identifier, for a terminal or a query."""
+"""The table of a benchmark for a terminal."""
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from harness.benchmark.row import Row
-from harness.benchmark.statistics import Ranking, no_worse, ranking
+from harness.benchmark.result import BenchResult
+from harness.benchmark.summary import Quartiles, Summary, figure
 
 if TYPE_CHECKING:
     from rich.console import Group, RenderableType
 
-    from harness.benchmark.running import BenchResult
-
-__all__ = ["Quartiles", "Summary", "figure", "places_of", "rankings", "rich_table", "summarise"]
-
-SCORES = ("equation_error", "simulation_error", "regret", "noise_floor", "fit_seconds", "memory_mib")
-BASELINES = ("true-model",)
-"""Identifiers that know the truth: they show what is possible and do not compete."""
-
-
-@dataclass(frozen=True)
-class Quartiles:
-    """Median and quartiles of a score over seeds."""
-
-    median: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{figure(self.median)} [{figure(self.low)}, {figure(self.high)}]"
-
-
-@dataclass(frozen=True)
-class Summary:
-    """One line of the table: all seeds of one plant, scenario and identifier."""
-
-    plant: str
-    scenario: str
-    identifier: str
-    ok: int
-    run: int
-    equation_error: Quartiles | None
-    simulation_error: Quartiles | None
-    regret: Quartiles | None
-    noise_floor: Quartiles | None
-    fit_seconds: Quartiles | None
-    memory_mib: Quartiles | None
-    leading: bool
-    """The least simulation error of its plant and scenario, or one that the paired bootstrap cannot tell from it."""
-    problems: tuple[tuple[str, str, int], ...]
-    """(status, reason, count) of the rows that are not ok, the most frequent first."""
-
-
-def figure(value: float | None, digits: int = 3) -> str:
-    """Return a score with a few significant digits, as short as can be.
-
-    Examples
-    --------
-    >>> figure(0.012345), figure(0.00012345), figure(12345.0), figure(1.0), figure(None)
-    ('0.0123', '1.23e-4', '1.23e4', '1', '-')
-    """
-    if value is None:
-        return "-"
-    if value == 0 or 1e-3 <= abs(value) < 1e4:
-        return f"{value:.{digits}g}"
-    mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
-    return f"{mantissa}e{int(exponent)}"
-
-
-def summarise(rows: Sequence[Row], cells: Sequence[tuple[str, str, str]] = ()) -> list[Summary]:
-    """Return one summary for each plant x scenario x identifier, in the order of ``cells``, then of the rows.
-
-    Medians are over the rows with status ``ok``; the noise floor is that of all rows.
-    """
-    grouped: dict[tuple[str, str, str], list[Row]] = defaultdict(list)
-    for cell in cells:
-        grouped[cell] = []
-    for row in rows:
-        grouped[row.plant, row.scenario, row.identifier].append(row)
-    result = []
-    leaders = _leaders(grouped)
-    for (plant, scenario, identifier), own in grouped.items():
-        good = [row for row in own if row.status == "ok"]
-        scores = {name: _quartiles([getattr(row, name) for row in good]) for name in SCORES}
-        scores["noise_floor"] = _quartiles([row.noise_floor for row in own])
-        leading = (plant, scenario, identifier) in leaders
-        counts = Counter((row.status, row.reason) for row in own if row.status != "ok")
-        problems = tuple((status, reason, n) for (status, reason), n in counts.most_common())
-        result.append(
-            Summary(plant, scenario, identifier, len(good), len(own), **scores, leading=leading, problems=problems)
-        )
-    return result
-
-
-def _leaders(grouped: Mapping[tuple[str, str, str], Sequence[Row]]) -> set[tuple[str, str, str]]:
-    """Return the lines that lead their plant and scenario, over the seeds that all of its identifiers have."""
-    places: dict[tuple[str, str], dict[str, Sequence[Row]]] = defaultdict(dict)
-    for (plant, scenario, identifier), rows in grouped.items():
-        if identifier not in BASELINES and any(row.simulation_error is not None for row in rows):
-            places[plant, scenario][identifier] = rows
-    found = set()
-    for (plant, scenario), own in places.items():
-        found |= {(plant, scenario, name) for name in no_worse(_paired(own))}
-    return found
-
-
-def _paired(own: Mapping[str, Sequence[Row]]) -> dict[str, list[float | None]]:
-    """Return the simulation errors by identifier over the seeds that all have run; None where a cell is not ok."""
-    by_seed = {
-        name: {row.seed: row.simulation_error if row.status == "ok" else None for row in rows}
-        for name, rows in own.items()
-    }
-    seeds = sorted(set.intersection(*(set(scores) for scores in by_seed.values())))
-    return {name: [scores[seed] for seed in seeds] for name, scores in by_seed.items()}
-
-
-def places_of(lines: Sequence[Summary]) -> list[tuple[str, str, list[Summary]]]:
-    """Return the summaries grouped by plant and scenario."""
-    grouped: dict[tuple[str, str], list[Summary]] = {}
-    for line in lines:
-        grouped.setdefault((line.plant, line.scenario), []).append(line)
-    return [(plant, scenario, own) for (plant, scenario), own in grouped.items()]
-
-
-def rankings(rows: Sequence[Row]) -> list[Ranking]:
-    """Return a ranking for each set of identifiers that meet in the same plants and scenarios.
-
-    Blocks are plant x scenario x seed. Identifiers without a simulation error anywhere (online ones) do not take part,
-    nor does the true model.
-    """
-    places: dict[tuple[str, str], dict[str, list[Row]]] = defaultdict(lambda: defaultdict(list))
-    for row in rows:
-        if row.identifier not in BASELINES:
-            places[row.plant, row.scenario][row.identifier].append(row)
-    families: dict[frozenset[str], list[tuple[str, str]]] = defaultdict(list)
-    for place, own in places.items():
-        taking = frozenset(n for n, found in own.items() if any(row.simulation_error is not None for row in found))
-        families[taking].append(place)
-    result = []
-    for names, where in families.items():
-        blocks: list[dict[str, float | None]] = []
-        for place in where:
-            table = _paired({name: places[place][name] for name in names}) if names else {}
-            blocks += [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
-        made = ranking(blocks, [f"{plant} x {scenario}" for plant, scenario in where])
-        if made is not None:
-            result.append(made)
-    return result
+__all__ = ["rich_table"]
 
 
 def rich_table(result: BenchResult) -> Group:
@@ -200,15 +61,6 @@ def rich_table(result: BenchResult) -> Group:
     parts += [Text(text, style="dim") for text in _reasons(lines)]
     parts.append(Text(f"{result.ok} ok of {len(result.rows)} run, {result.planned} planned"))
     return Group(*parts)
-
-
-def _quartiles(values: Sequence[float | None]) -> Quartiles | None:
-    """Return median and quartiles of the values that exist, or None."""
-    numbers = [value for value in values if value is not None]
-    if not numbers:
-        return None
-    low, median, high = np.quantile(numbers, [0.25, 0.5, 0.75])
-    return Quartiles(float(median), float(low), float(high))
 
 
 def _shown(score: Quartiles | None) -> str:

@@ -1,63 +1,91 @@
-"""What a worker does: make the data of a task once, run every identifier on it, write one shard for each row.
-
-Nothing here returns a result: rows go to files as they are ready, so whatever ends the process loses only the cell
-that it was working on. The file ``TASK.at`` says which one that is; ``TASK.watch`` is filled by the watchdog, a C
-thread of the standard library that ends the process on time even if foreign code never gives the interpreter back.
-"""
+"""What a worker does with the cells of a task: make their data once, run every identifier on it, score the models."""
 
 from __future__ import annotations
 
-import faulthandler
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from harness import registry
-from harness.benchmark.row import Row, blank, one_line, write_row
-from harness.benchmark.suite import RECORDING, Cell, Task
+from harness.benchmark.parts import RECORDING, Cell, Task
+from harness.benchmark.row import Row, blank, encoded, one_line
 from harness.errors import HarnessError, InputError, PlantError, PluginError
+from harness.jobs import Desk
 from harness.plant_files import make_plant
 from harness.rng import Streams, stream
 from harness.signals import FloatArray, Trajectory, residual
 
 if TYPE_CHECKING:
+    from harness.protocols import Model
     from harness.scoring import Score
 
-__all__ = ["AT_DATA", "do_task", "position_file", "watch_file"]
+__all__ = ["CellBatch"]
 
-AT_DATA = "data"
-
-
-def position_file(shards: Path, task: Task) -> Path:
-    """Return the file that says which cell a task is at."""
-    return shards / f"{task.cells[0].job}.at"
+STRETCHES = 500
+"""A trace keeps two samples of each: an overlay that is looked at has about a thousand points of a screen."""
 
 
-def watch_file(shards: Path, task: Task) -> Path:
-    """Return the file that is not empty once the watchdog ended the worker."""
-    return shards / f"{task.cells[0].job}.watch"
+@dataclass(frozen=True)
+class CellBatch:
+    """The cells of a task as jobs; see :class:`harness.jobs.Batch`.
 
+    Parameters
+    ----------
+    task : Task
+    trace : bool
+        Keep what the overlay of a cell is drawn from: its first held-out record and the free run of its model.
+    """
 
-def do_task(task: Task, shards: str | Path) -> None:
-    """Do all cells of a task and write their shards."""
-    folder = Path(shards)
-    at = position_file(folder, task)
-    _stand(at, AT_DATA)
-    _preload(task)
-    with watch_file(folder, task).open("w") as watch:
-        _stand(at, AT_DATA)
+    task: Task
+    trace: bool = False
+
+    @property
+    def title(self) -> str:
+        """What the progress calls it."""
+        return self.task.title
+
+    @property
+    def jobs(self) -> tuple[str, ...]:
+        """The cells' hashes."""
+        return tuple(cell.job for cell in self.task.cells)
+
+    @property
+    def time_limit(self) -> float:
+        """Seconds for one cell, and for the data."""
+        return self.task.time_limit
+
+    def only(self, jobs: Sequence[str]) -> CellBatch:
+        """Return the batch with some of its cells."""
+        wanted = set(jobs)
+        cells = tuple(cell for cell in self.task.cells if cell.job in wanted)
+        return replace(self, task=msgspec.structs.replace(self.task, cells=cells))
+
+    def lost(self, job: str, status: str, reason: str, *, shared: bool) -> bytes:
+        """Return the row of a cell that broke its worker."""
+        (cell,) = (cell for cell in self.task.cells if cell.job == job)
+        if status == "timeout":
+            reason = f"no data: the plant or scenario {reason}" if shared else f"{cell.identifier.name} {reason}"
+        elif shared:
+            reason = f"no data: {reason}"
+        return encoded(blank(self.task, cell, status=status, reason=reason))
+
+    def work(self, desk: Desk) -> None:
+        """Do all cells of the task."""
+        task = self.task
+        _preload(task)
         started = time.perf_counter()
         failure: HarnessError | None = None
         runs: list[Trajectory] = []
         held_out: list[Trajectory] = []
         floor: float | None = None
-        with _limit(task.time_limit, watch):
+        with desk.shared():
             try:
                 runs, held_out, floor = _make_data(task)
             except HarnessError as error:
@@ -66,16 +94,13 @@ def do_task(task: Task, shards: str | Path) -> None:
                 failure = PluginError(f"{task.plant.name} under {task.scenario.name}: {_described(error)}")
         seconds = time.perf_counter() - started
         for cell in task.cells:
-            _stand(at, cell.job)
             if failure is not None:
                 row = blank(task, cell, status=failure.status, reason=f"no data: {failure}")
             else:
-                with _limit(task.time_limit, watch):
-                    row = _do_cell(task, cell, runs, held_out)
+                with desk.job(cell.job):
+                    row = _do_cell(task, cell, runs, held_out, trace=self.trace)
             row.data_seconds, row.noise_floor, row.memory_mib = seconds, floor, _memory()
-            write_row(row, folder)
-    at.unlink(missing_ok=True)
-    watch_file(folder, task).unlink(missing_ok=True)
+            desk.put(cell.job, encoded(row))
 
 
 def _preload(task: Task) -> None:
@@ -90,23 +115,6 @@ def _preload(task: Task) -> None:
             registry.load(kind, id)
     import harness.rollout
     import harness.scoring  # noqa: F401
-
-
-def _stand(at: Path, where: str) -> None:
-    """Write down where the work is."""
-    scratch = at.with_suffix(".at-part")
-    scratch.write_text(where, encoding="utf-8")
-    scratch.replace(at)
-
-
-@contextmanager
-def _limit(seconds: float, watch: Any) -> Iterator[None]:
-    """End the process, rows so far being safe, when the body takes longer than its limit."""
-    faulthandler.dump_traceback_later(seconds, exit=True, file=watch)
-    try:
-        yield
-    finally:
-        faulthandler.cancel_dump_traceback_later()
 
 
 def _make_data(task: Task) -> tuple[list[Trajectory], list[Trajectory], float | None]:
@@ -195,12 +203,12 @@ def _memory() -> float | None:
     return kilobytes / 1024 if sys.platform != "darwin" else kilobytes / 1024**2
 
 
-def _do_cell(task: Task, cell: Cell, runs: Sequence[Trajectory], held_out: Sequence[Trajectory]) -> Row:
+def _do_cell(task: Task, cell: Cell, runs: Sequence[Trajectory], held_out: Sequence[Trajectory], *, trace: bool) -> Row:
     """Return the row of one identifier; whatever it raises becomes a status with its reason."""
     row = blank(task, cell)
     spec = runs[0].spec
-    row.outputs = [channel.name for channel in spec.outputs]
-    row.units = [channel.unit for channel in spec.outputs]
+    row.outputs = tuple(channel.name for channel in spec.outputs)
+    row.units = tuple(channel.unit for channel in spec.outputs)
     row.samples = sum(map(len, runs))
     row.held_out_samples = sum(map(len, held_out))
     rng = stream("identifier", task.plant.name, task.scenario.name, cell.identifier.name, task.seed)
@@ -210,7 +218,7 @@ def _do_cell(task: Task, cell: Cell, runs: Sequence[Trajectory], held_out: Seque
         shown = [trajectory.measured() for trajectory in runs]
         scored = False
         if hasattr(identifier, "fit"):
-            _fit_and_score(identifier, shown, held_out, task, row, rng)
+            _fit_and_score(identifier, shown, held_out, task, row, rng, trace=trace)
             scored = True
         if hasattr(identifier, "hindsight"):
             _score_regret(identifier, shown, row, rng)
@@ -249,6 +257,8 @@ def _fit_and_score(
     task: Task,
     row: Row,
     rng: np.random.Generator,
+    *,
+    trace: bool,
 ) -> None:
     """Fit, then fill in equation error and simulation error on the held-out records."""
     from harness.scoring import equation_error, simulation_error
@@ -266,10 +276,27 @@ def _fit_and_score(
         row.horizon, row.burn_in, row.initial_state = free[0].horizon, free[0].burn_in, free[0].initial_state
     finally:
         row.score_seconds = time.perf_counter() - fitted
+    if trace:
+        _trace(model, held_out[0].measured(), task.score.horizon, row)
     if row.equation_error is None:
         raise PlantError("the one-step predictions of the model are not finite", status="diverged")
     if row.simulation_error is None:
         raise PlantError("the free run of the model diverges on held-out data", status="diverged")
+
+
+def _trace(model: Model, record: Trajectory, horizon: float | None, row: Row) -> None:
+    """Keep of each stretch of a record the first sample and the one where the free run is farthest off."""
+    from harness.scoring import errors
+
+    miss, _ = errors(model, record, horizon)
+    spread = np.std(record.y, axis=0)
+    far = np.nan_to_num(np.abs(miss) / np.where(spread > 0, spread, 1.0), nan=-1.0).max(axis=1)
+    edges = np.unique(np.linspace(0, len(record), min(STRETCHES, len(record)) + 1).astype(int))
+    worst = [first + int(np.argmax(far[first:last])) for first, last in pairwise(edges)]
+    kept = np.unique([*edges[:-1], *worst])
+    row.trace_t = tuple(record.t[kept].tolist())
+    row.trace_measured = tuple(map(tuple, record.y[kept].T.tolist()))
+    row.trace_residual = tuple(map(tuple, miss[kept].T.tolist()))
 
 
 def _doubts(model: Any) -> str:
@@ -297,12 +324,12 @@ def _score_regret(identifier: Any, shown: Sequence[Trajectory], row: Row, rng: n
     row.regret, row.average_regret, row.regret_exact = result.total, result.average, result.exact
     cumulative = result.cumulative
     steps = np.unique(np.geomspace(1, cumulative.size, 120).round().astype(int))
-    row.curve_steps, row.curve_regret = steps.tolist(), cumulative[steps - 1].tolist()
+    row.curve_steps, row.curve_regret = tuple(steps.tolist()), tuple(cumulative[steps - 1].tolist())
     if not np.isfinite(row.regret):
         raise PlantError("the predictions of the online identifier are not finite", status="diverged")
 
 
-def _pooled(scores: Sequence[Score]) -> tuple[float | None, list[float | None]]:
+def _pooled(scores: Sequence[Score]) -> tuple[float | None, tuple[float | None, ...]]:
     """Return the NRMSE over outputs and records in the mean square, and the rms of each output; None if it diverged.
 
     An output that stands still in the record has no NRMSE and is left out of the mean.
@@ -321,7 +348,7 @@ def _pooled(scores: Sequence[Score]) -> tuple[float | None, list[float | None]]:
     with np.errstate(over="ignore", invalid="ignore"):
         total = float(np.sqrt(weights @ np.mean(nrmse[:, moving] ** 2, axis=1)))
         each = np.sqrt(weights @ rms**2)
-    finite: list[float | None] = [float(value) if np.isfinite(value) else None for value in each]
+    finite = tuple(float(value) if np.isfinite(value) else None for value in each)
     return (total if np.isfinite(total) else None), finite
 
 

@@ -16,6 +16,7 @@ MODULE = '''
 
 import ctypes
 import os
+import signal
 import sys
 import time
 from dataclasses import dataclass
@@ -72,6 +73,8 @@ def misbehave(how):
         ctypes.PyDLL(None).sleep(1000)  # holds the interpreter's lock: only a C thread or a kill can end it
     if how == "segfault":
         ctypes.string_at(0)
+    if how == "kill":
+        os.kill(os.getpid(), signal.SIGKILL)
     if how == "exit":
         os._exit(7)
     if how == "sys-exit":

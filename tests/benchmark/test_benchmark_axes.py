@@ -64,7 +64,7 @@ def test_wrong_axes_are_refused(tmp_path: Path, axes: str, says: str) -> None:
 def test_points_are_paired_and_the_floor_is_the_noise(suite: Path, tmp_path: Path) -> None:
     result = bench(suite, out=tmp_path / "out", workers=1)
     arx = {(row.axis_values[0], row.seed): row for row in result.rows if row.identifier == "arx"}
-    assert arx[0.0, 0].axes == ["scenarios.noise"]
+    assert arx[0.0, 0].axes == ("scenarios.noise",)
     for seed in (0, 1):
         assert arx[0.0, seed].noise_floor is None
         low, high = arx[0.01, seed].noise_floor, arx[0.1, seed].noise_floor
@@ -110,13 +110,14 @@ def test_a_plan_counts_and_estimates_without_running(suite: Path, tmp_path: Path
 def test_questions_reach_half_finished_runs_and_nothing_else(suite: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     bench(suite, out=out, workers=1, seeds=(0, 0))
-    from harness.benchmark.row import write_row
+    from harness.benchmark.row import encoded
     from harness.benchmark.store import Store
+    from harness.jobs.batch import write_shard
 
     rows = list(Store(out).rows().values())
     (out / "shards").mkdir()
     rows[0].job, rows[0].seed = "f" * 20, 7
-    write_row(rows[0], out / "shards")  # as if another seed were running
+    write_shard(out / "shards", rows[0].job, encoded(rows[0]))  # as if another seed were running
     answer = query(out, "select seed, count(*) as n from results group by seed order by seed")
     assert answer.records() == [{"seed": 0, "n": 6}, {"seed": 7, "n": 1}]
     assert answer.table.num_rows == len(answer) == 2
@@ -132,5 +133,7 @@ def test_questions_reach_half_finished_runs_and_nothing_else(suite: Path, tmp_pa
         query(out, f"select * from read_csv('{tmp_path / 'a.csv'}')")
     with pytest.raises(InputError, match="no benchmark here"):
         query(tmp_path / "nowhere", "select 1")
-    units = query(out, "select 1").table is not None and Store(out).arrow()[1].schema.field("fit_seconds").metadata
+    units = (
+        query(out, "select 1").table is not None and Store(out).arrow()["timings"].schema.field("fit_seconds").metadata
+    )
     assert units == {b"unit": b"s"}

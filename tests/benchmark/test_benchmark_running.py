@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from harness.benchmark import BenchResult, bench, table
+from harness.benchmark import BenchResult, bench, rich_table, table
 from harness.errors import InputError
 
 FAILURES = ("raise", "hang", "hang-in-c", "segfault", "exit", "sys-exit", "unfit", "unstable")
@@ -183,7 +183,7 @@ def test_table_and_query_read_a_folder_back(plugins: Path, tmp_path: Path) -> No
     read = table(tmp_path / "out")
     assert read.rows == made.rows
     console = Console(width=160, record=True, file=io.StringIO())
-    console.print(read.table())
+    console.print(rich_table(read))
     text = console.export_text()
     assert "slow lag" in text
     assert "2/2" in text

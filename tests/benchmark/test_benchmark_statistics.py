@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from harness.benchmark import BenchResult
 from harness.benchmark.exports import render
 from harness.benchmark.row import Row
-from harness.benchmark.running import BenchResult
 from harness.benchmark.statistics import no_worse, ranking
-from harness.benchmark.tables import rankings, summarise
+from harness.benchmark.summary import rankings, summarise
 from harness.errors import InputError
 
 SEEDS = range(12)
@@ -84,15 +84,15 @@ def test_summaries_mark_the_leaders_but_never_the_truth() -> None:
 def test_tables_for_papers() -> None:
     own = rows({"a_1": [1.0, 2.0, 3.0, 4.0, 5.0], "b|2": [None] * 5})
     result = BenchResult("s", tuple(own), 10, None, {}, (("p", "s", "a_1"), ("p", "s", "b|2")))
-    markdown = result.render("markdown").splitlines()
+    markdown = render(result, "markdown").splitlines()
     assert "| p | s | a_1 | 5/5 |  | **3 [2, 4]** | 0.01 |" in markdown[2]
     assert "b\\|2" in markdown[3]
     assert "diverged" in markdown[3]
     assert all(line.replace("\\|", "").count("|") == 10 for line in markdown)
-    latex = result.render("latex")
+    latex = render(result, "latex")
     assert r"a\_1 & 5/5 &  & \textbf{3 [2, 4]}" in latex
     assert latex.count("{") == latex.count("}")
-    csv = result.render("csv").splitlines()
+    csv = render(result, "csv").splitlines()
     assert csv[0].split(",")[:6] == ["plant", "scenario", "identifier", "ok", "run", "best_or_tied"]
     assert csv[1].startswith("p,s,a_1,5,5,1,,,,3.0,2.0,4.0,0.01")
     assert "5 diverged: 100 % of it & more" in csv[2]

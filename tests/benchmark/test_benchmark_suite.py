@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from harness.benchmark.engines import make_engine
 from harness.benchmark.suite import cells_of, load_suite, tasks_of
 from harness.errors import InputError
+from harness.jobs import make_engine
 
 GROUP = """
 [[groups]]

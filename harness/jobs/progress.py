@@ -7,9 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-
-from harness.benchmark.row import Row, read_row
-from harness.benchmark.store import Store
+from pathlib import Path
 
 __all__ = ["Progress", "duration"]
 
@@ -37,19 +35,19 @@ def duration(seconds: float) -> str:
 
 @dataclass
 class Progress:
-    """Counts rows as they come, writes them to the log, and tells a reporter.
+    """Counts rows as they come, writes them to a log, and tells a reporter.
 
     Parameters
     ----------
-    store : Store
-        Rows that are finished are handed to it.
+    log : Path
+        One line for each row.
     total, done : int
         Rows that were asked for, and those that were there before.
     report : callable, optional
         Called as ``report(done, total, text)``.
     """
 
-    store: Store
+    log: Path
     total: int
     done: int
     report: Report | None = None
@@ -57,14 +55,15 @@ class Progress:
     started: float = field(default_factory=time.monotonic)
     fresh: int = 0
 
-    def __call__(self, title: str, jobs: Sequence[str]) -> None:
-        """Take note of rows that have been added."""
-        rows = [read_row(path) for path in (self.store.shards / f"{job}.json" for job in jobs) if path.exists()]
-        self.statuses.update(row.status for row in rows)
-        self._log(rows)
-        self.store.finished(jobs)
-        self.done += len(jobs)
-        self.fresh += len(jobs)
+    def __call__(self, title: str, rows: Sequence[tuple[str, str]]) -> None:
+        """Take note of rows that have been added: the status of each, and what the log says of it."""
+        self.statuses.update(status for status, _ in rows)
+        if rows:
+            now = datetime.now().astimezone().isoformat(timespec="seconds")
+            with self.log.open("a", encoding="utf-8") as log:
+                log.writelines(f"{now} {status:10s} {text}\n" for status, text in rows)
+        self.done += len(rows)
+        self.fresh += len(rows)
         if self.report is not None:
             self.report(self.done, self.total, f"{title}  {self}".strip())
 
@@ -77,16 +76,3 @@ class Progress:
         rate = self.fresh / elapsed
         speed = f"{rate:.3g} a second" if rate >= 1 else f"one in {duration(1 / rate)}"
         return f"({counts}; {speed}, {duration((self.total - self.done) / rate)} left)"
-
-    def _log(self, rows: Sequence[Row]) -> None:
-        """Append a line for each row to ``bench.log``."""
-        if not rows:
-            return
-        now = datetime.now().astimezone().isoformat(timespec="seconds")
-        lines = [
-            f"{now} {row.status:10s} {row.plant} x {row.scenario} x {row.identifier} seed {row.seed} "
-            f"{row.fit_seconds + row.score_seconds:.2f} s{': ' + row.reason if row.reason else ''}\n"
-            for row in rows
-        ]
-        with self.store.log.open("a", encoding="utf-8") as log:
-            log.writelines(lines)

@@ -1,0 +1,153 @@
+"""Rows as columns: which Parquet file holds which fields, their types and units, and rows back from the files."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.benchmark.row import Row
+
+__all__ = ["FORMAT", "arrow_table", "columns_of_files", "plain_values", "rows_of", "write_rows"]
+
+FORMAT = "sysid-harness/bench/1"
+UNITS = {
+    **{name: "1" for name in ("equation_error", "simulation_error", "noise_floor")},
+    "memory_mib": "MiB",
+    **{
+        name: "see the column units, one for each output"
+        for name in ("equation_rms", "simulation_rms", "trace_measured", "trace_residual")
+    },
+    **{name: "s" for name in ("horizon", "data_seconds", "fit_seconds", "score_seconds", "trace_t")},
+    **{name: "samples" for name in ("burn_in", "samples", "held_out_samples", "curve_steps")},
+}
+"""Units of the columns, kept in the schema of the Parquet files."""
+TIMINGS = ("data_seconds", "fit_seconds", "score_seconds", "memory_mib")
+CURVES = ("curve_steps", "curve_regret")
+TRACES = ("trace_t", "trace_measured", "trace_residual")
+KEYS = ("plant", "scenario", "identifier", "seed")
+
+
+def columns_of_files() -> tuple[tuple[str, ...], ...]:
+    """Return the columns of results, timings, curves and traces."""
+    apart = {*TIMINGS, *CURVES, *TRACES, "job"}
+    scores = [name for name in Row.__struct_fields__ if name not in apart]
+    return (*scores, "job"), *(("job", *KEYS, *own) for own in (TIMINGS, CURVES, TRACES))
+
+
+def rows_of(paths: Sequence[Path]) -> dict[str, Row]:
+    """Return the rows whose columns lie in these Parquet files, by job; columns of other versions are left out."""
+    from pyarrow import parquet
+
+    known = set(Row.__struct_fields__)
+    found: dict[str, Row] = {}
+    with _no_collection():
+        for path in paths:
+            table = parquet.read_table(path)
+            columns = {
+                name: plain_values(table.column(name))
+                for name in table.column_names
+                if name in known and not _all_default(table.column(name))
+            }
+            jobs = columns.get("job", [])
+            if "status" in columns:
+                values = zip(*columns.values(), strict=True)
+                rows = (Row(**dict(zip(columns, row, strict=True))) for row in values)
+                found.update(zip(jobs, rows, strict=True))
+                continue
+            for name in columns.keys() - {"job", *KEYS}:
+                for job, value in zip(jobs, columns[name], strict=True):
+                    if job in found:
+                        setattr(found[job], name, value)
+    return found
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Keep the collector of cycles from looking at a million new values again and again; rows have no cycles."""
+    before = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if before:
+            gc.enable()
+
+
+def _all_default(column: Any) -> bool:
+    """Return True if a column holds nothing: only nulls, or only lists without an item."""
+    import pyarrow as pa
+
+    if pa.types.is_list(column.type):
+        return column.null_count == 0 and all(len(chunk.flatten()) == 0 for chunk in column.chunks)
+    return bool(column.null_count == len(column))
+
+
+def plain_values(column: Any) -> list[Any]:
+    """Return an Arrow column as a list, tuples for its lists, None for what is null.
+
+    Arrow's own ``to_pylist`` makes an object of every value first, and takes ten times as long.
+
+    Examples
+    --------
+    >>> import pyarrow as pa
+    >>> plain_values(pa.array([[1.0, None], [], None]))
+    [(1.0, None), (), None]
+    """
+    import pyarrow as pa
+
+    array = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+    if isinstance(array, pa.ChunkedArray):  # a column without chunks, or with more than one can hold
+        array = pa.concat_arrays(array.chunks) if array.num_chunks else pa.array([], type=array.type)
+    missing = np.flatnonzero(array.is_null().to_numpy(zero_copy_only=False)) if array.null_count else ()
+    values: list[Any]
+    if pa.types.is_list(array.type):
+        ends = array.offsets.to_numpy()
+        inner = plain_values(array.values)
+        values = [tuple(inner[first:last]) for first, last in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
+    elif array.null_count and pa.types.is_integer(array.type):
+        values = array.fill_null(0).to_numpy().tolist()
+    else:
+        values = array.to_numpy(zero_copy_only=False).tolist()
+    for k in missing:
+        values[k] = None
+    return values
+
+
+def arrow_table(names: Sequence[str], rows: Sequence[Row]) -> Any:
+    """Return some fields of rows as an Arrow table; units go into the schema."""
+    import pyarrow as pa
+
+    fields = [
+        pa.field(name, _arrow_type(name), metadata={"unit": UNITS[name]} if name in UNITS else None) for name in names
+    ]
+    columns = [pa.array([getattr(row, field.name) for row in rows], type=field.type) for field in fields]
+    return pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata={"format": FORMAT}))
+
+
+def write_rows(path: Path, names: Sequence[str], rows: Sequence[Row]) -> None:
+    """Write some fields of rows to a Parquet file, whole or not at all."""
+    from pyarrow import parquet
+
+    scratch = path.with_suffix(".parquet-part")
+    parquet.write_table(arrow_table(names, rows), scratch, compression="zstd")
+    scratch.replace(path)
+
+
+def _arrow_type(name: str) -> Any:
+    """Return the column type of a field of Row."""
+    import pyarrow as pa
+
+    def type_of(hint: str) -> Any:
+        if hint.startswith("tuple["):
+            return pa.list_(type_of(hint.removeprefix("tuple[").removesuffix(", ...]")))
+        for word, made in (("str", pa.string()), ("bool", pa.bool_()), ("int", pa.int64())):
+            if hint.startswith(word):
+                return made
+        return pa.float64()
+
+    return type_of(str(Row.__annotations__[name]))

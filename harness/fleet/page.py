@@ -1,0 +1,103 @@
+"""The page of a fleet: which effect is where, how its size moves with date and machine, what is new, what failed."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from datetime import datetime, timedelta
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from harness.benchmark.plots import INK, LINES, STYLE, svg_text
+from harness.benchmark.report import filled
+from harness.benchmark.summary import figure
+from harness.fleet.row import Found, Row
+from harness.fleet.trends import Series, new_effects, series_of, trends
+
+__all__ = ["fleet_page", "size_plot"]
+
+TEMPLATE = Path(__file__).with_name("fleet.html.j2")
+PANELS = 40
+"""Effects that are drawn; the table has all."""
+
+
+def fleet_page(rows: Sequence[Row], *, planned: int, model: str, reports: str) -> str:
+    """Return the page as text; it loads nothing, and links to the reports of the records."""
+    series = series_of(rows)
+    return filled(
+        TEMPLATE,
+        rows=rows,
+        planned=planned,
+        model=model,
+        verdicts=Counter(row.verdict.replace("_", " ") if row.ok else row.status for row in rows).most_common(),
+        new=new_effects(rows),
+        trends=trends(series),
+        sizes=size_plot(series),
+        dated=any(row.date for row in rows),
+        failed=[row for row in rows if not row.ok],
+        figure=figure,
+        size=written,
+        link=lambda row: f"{reports}/{quote(row.record)}/report.html",
+    )
+
+
+def written(effect: Found) -> str:
+    """Return an effect's size with its interval."""
+    text = f"{effect.parameter} {figure(effect.size)}"
+    if effect.low is not None and effect.high is not None:
+        text += f" [{figure(effect.low)}, {figure(effect.high)}]"
+    return f"{text} {effect.unit}".strip()
+
+
+def size_plot(series: Sequence[Series]) -> str:
+    """Return size against date with 95 % intervals: a panel an effect, a colour a machine.
+
+    Records without a date stand in the order of their names.
+    """
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    dates: Any = import_module("matplotlib.dates")
+    shown = list(series)[:PANELS]
+    if not shown:
+        return ""
+    machines = sorted({row.machine for own in shown for row, _ in own.rows})
+    dates_of = [datetime.fromisoformat(row.date) for own in shown for row, _ in own.rows if row.date]
+    margin = 0.03 * (max(dates_of) - min(dates_of)) if len(set(dates_of)) > 1 else timedelta(days=1)
+    with matplotlib.rc_context(STYLE):
+        rows = math.ceil(len(shown) / 2)
+        drawing = Figure(figsize=(10.4, 2.7 * rows), layout="constrained")
+        grid = drawing.subplots(rows, 2, squeeze=False).ravel()
+        for axis, own in zip(grid, shown, strict=False):
+            dated = all(row.date is not None for row, _ in own.rows)
+            for number, machine in enumerate(machines):
+                points = [
+                    (datetime.fromisoformat(row.date) if dated and row.date else k, effect)
+                    for k, (row, effect) in enumerate(own.rows)
+                    if row.machine == machine and effect.size is not None
+                ]
+                if not points:
+                    continue
+                colour = LINES[number % len(LINES)]
+                for when, effect in points:
+                    if effect.low is not None and effect.high is not None:
+                        axis.plot([when, when], [effect.low, effect.high], color=colour, linewidth=1.0, alpha=0.6)
+                axis.plot([when for when, _ in points], [effect.size for _, effect in points], "o", color=colour,
+                          markersize=3.5, label=machine or None)  # fmt: skip
+            axis.set_title(own.effect, loc="left", fontsize=9.5, fontweight="bold", color=INK)
+            axis.set_ylabel(f"{own.parameter} [{own.unit}]", fontsize=8)
+            if dated:
+                axis.set_xlim(min(dates_of) - margin, max(dates_of) + margin)  # the same for all, so that they compare
+                locator: Any = dates.AutoDateLocator()
+                axis.xaxis.set_major_locator(locator)
+                axis.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator))
+            else:
+                axis.set_xlabel("records, in order", fontsize=8)
+            if any(machines):
+                axis.legend(frameon=False, fontsize=8)
+        for axis in grid[len(shown) :]:
+            axis.set_axis_off()
+        return svg_text(drawing)

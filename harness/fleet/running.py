@@ -1,0 +1,197 @@
+"""The call ``close_fleet``: the closed loop on many records as jobs, their rows, tables and page."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from harness.errors import InputError
+from harness.fleet.page import fleet_page, written
+from harness.fleet.records import find_records
+from harness.fleet.row import Row, read
+from harness.fleet.store import FleetStore
+from harness.fleet.trends import New, Trend, new_effects, series_of, trends
+from harness.fleet.work import RecordJob
+from harness.jobs import make_engine, run_jobs, shard_file
+from harness.jobs.progress import Progress
+
+__all__ = ["TIME_LIMIT", "FleetResult", "close_fleet", "fleet_table"]
+
+TIME_LIMIT = 1800.0
+"""Seconds for one record: ten times what the slowest model of the project takes for 20 s of data (an FMU, 180 s)."""
+
+
+@dataclass(frozen=True, eq=False)
+class FleetResult:
+    """What the closed loop said of a fleet.
+
+    Parameters
+    ----------
+    folder : Path
+        With ``records.parquet``, ``effects.parquet``, ``fleet.html`` and a report for each record.
+    rows : tuple of Row
+        In the order of the records.
+    planned : int
+        Records that were asked for.
+    """
+
+    folder: Path
+    rows: tuple[Row, ...]
+    planned: int
+
+    @property
+    def page(self) -> Path:
+        """The page to read."""
+        return FleetStore(self.folder).page
+
+    @property
+    def new(self) -> list[New]:
+        """Where effects begin."""
+        return new_effects(self.rows)
+
+    @property
+    def trends(self) -> list[Trend]:
+        """How sizes change with the date."""
+        return trends(series_of(self.rows))
+
+    def to_records(self) -> list[dict[str, Any]]:
+        """Return the rows as plain dictionaries, ready for JSON."""
+        return [msgspec.to_builtins(row) for row in self.rows]
+
+    def __str__(self) -> str:
+        counts = Counter(row.verdict.replace("_", " ") if row.ok else row.status for row in self.rows)
+        lines = [
+            f"{len(self.rows)} of {self.planned} records: " + ", ".join(f"{n} {w}" for w, n in counts.most_common())
+        ]
+        found = Counter(effect.name for row in self.rows for effect in row.effects)
+        lines += [f"{name}: in {count} records" for name, count in found.most_common()]
+        for one in self.new:
+            where = f"{one.machine}, " if one.machine else ""
+            what = f"another law, after {', '.join(one.before)}" if one.before else "new"
+            lines.append(f"{what}: {one.effect.name} in {one.row.record} ({where}{one.row.day}), {written(one.effect)}")
+        for trend in self.trends:
+            if trend.word != "no trend":
+                name, unit = f"{trend.series.effect} {trend.series.parameter}", trend.series.unit
+                where = f" on {trend.machine}" if trend.machine else ""
+                lines.append(
+                    f"{trend.word}: {name}{where} by {trend.slope:.3g} [{trend.low:.3g}, {trend.high:.3g}] {unit} a day"
+                )
+        return "\n".join(lines)
+
+
+def close_fleet(
+    source: str | Path,
+    *,
+    out: str | Path,
+    model: str | None = None,
+    undriven: Sequence[str] = (),
+    engine: str = "local",
+    workers: int | None = None,
+    seed: int = 0,
+    time_limit: float = TIME_LIMIT,
+    resume: bool = False,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> FleetResult:
+    """Close the loop on every record of a fleet; a record that breaks is a row with its reason.
+
+    Parameters
+    ----------
+    source : path or str
+        A folder of records, a pattern (``"runs/*.csv"``), or a CSV table with the column ``file`` and perhaps
+        ``machine``, ``date`` (ISO 8601) and ``validation``.
+    out : path
+        Folder for ``records.parquet``, ``effects.parquet``, ``fleet.html``, ``fleet.log`` and the reports. Workers of
+        a cluster must reach it, and the records, under the same paths.
+    model : str, optional
+        Nominal model, where the records do not name one; see :func:`harness.api.close_loop`.
+    undriven : sequence of str
+        Inputs of the model that nothing drove.
+    engine : str
+        ``"local"`` or ``"dask://HOST:PORT"``.
+    workers : int, optional
+        Processes of the local engine, a record each; by default one for each core.
+    seed : int
+        Keys surrogates and bootstrap draws, the same for every record.
+    time_limit : float
+        Seconds after which a record is given up.
+    resume : bool
+        Keep the rows of the folder and do the others; records whose files changed are done again.
+    progress : callable, optional
+        Called as ``progress(rows_done, rows, what)``.
+
+    Raises
+    ------
+    InputError
+        If there are no records, or the folder or an option cannot be used.
+    """
+    if not time_limit > 0:
+        raise InputError("time limit", expected="seconds above 0", got=str(time_limit), remedy="raise it")
+    records = find_records(source)
+    made = make_engine(engine, workers)
+    store = FleetStore(Path(out).absolute())
+    batches = [
+        RecordJob(record, store.reports, _absolute(model), tuple(undriven), seed, time_limit) for record in records
+    ]
+    settings = {"model": model, "undriven": list(undriven), "seed": seed}
+    found = store.open([batch.job for batch in batches], settings, resume=resume)
+    todo = [batch for batch in batches if batch.job not in found]
+    counted = Progress(store.log, len(batches), len(found), progress)
+
+    def moved(title: str, jobs: Sequence[str]) -> None:
+        rows = [read(shard_file(store.shards, job).read_bytes()) for job in jobs]
+        counted(title, [(row.status, _logged(row)) for row in rows])
+
+    if progress is not None:
+        progress(len(found), len(batches), "")
+    finished = False
+    try:
+        run_jobs(todo, store.shards, engine=made, moved=moved)
+        finished = True
+    finally:
+        rows = store.consolidate(finished=finished)
+    return _shown(store, rows)
+
+
+def fleet_table(directory: str | Path) -> FleetResult:
+    """Read a fleet back, finished or not, and render its page anew.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no fleet.
+    """
+    store = FleetStore(Path(directory))
+    store.manifest()
+    return _shown(store, store.in_order())
+
+
+def _shown(store: FleetStore, rows: Sequence[Row]) -> FleetResult:
+    """Write the page."""
+    content = store.manifest()
+    page = fleet_page(
+        rows, planned=len(content["jobs"]), model=content["settings"]["model"] or "models of the records",
+        reports=store.reports.name,
+    )  # fmt: skip
+    scratch = store.page.with_name(store.page.name + ".part")
+    scratch.write_text(page, encoding="utf-8")
+    scratch.replace(store.page)
+    return FleetResult(store.folder, tuple(rows), len(content["jobs"]))
+
+
+def _absolute(model: str | None) -> str | None:
+    """Return a model whose file is found from any folder."""
+    if model is None:
+        return None
+    name, colon, rest = model.partition(":") if ".py:" in model else (model, "", "")
+    return f"{Path(name).absolute()}{colon}{rest}" if Path(name).is_file() else model
+
+
+def _logged(row: Row) -> str:
+    """Return what the log says of a row."""
+    answer = " + ".join(effect.name for effect in row.effects) or row.verdict or row.reason
+    return f"{row.record} {row.seconds:.1f} s: {answer}"

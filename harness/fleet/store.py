@@ -1,0 +1,194 @@
+"""The folder of a fleet: a shard for each record while it runs, two tables when it is done, and all reports."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from harness import __version__
+from harness.errors import InputError
+from harness.fleet.row import Row, encoded, read
+from harness.jobs.query import Answer, ask
+
+__all__ = ["FleetStore", "is_fleet_folder", "query"]
+
+FORMAT = "sysid-harness/fleet/1"
+MANIFEST, ROWS = "fleet.json", "rows.jsonl"
+
+
+@dataclass(frozen=True)
+class FleetStore:
+    """The files of one fleet in ``folder``."""
+
+    folder: Path
+
+    @property
+    def shards(self) -> Path:
+        """Folder of the rows of a run that is not finished."""
+        return self.folder / "shards"
+
+    @property
+    def reports(self) -> Path:
+        """Folder of the reports, one folder a record."""
+        return self.folder / "reports"
+
+    @property
+    def page(self) -> Path:
+        """The page for a reader."""
+        return self.folder / "fleet.html"
+
+    @property
+    def log(self) -> Path:
+        """One line for each row as it came."""
+        return self.folder / "fleet.log"
+
+    def open(self, jobs: Sequence[str], settings: dict[str, Any], *, resume: bool) -> dict[str, Row]:
+        """Make the folder ready; return the rows that it already has of these jobs.
+
+        Raises
+        ------
+        InputError
+            If the folder has rows and ``resume`` was not asked for, or was made with another model or seed.
+        """
+        manifest = self.folder / MANIFEST
+        if manifest.exists():
+            old = self.manifest()
+            if not resume:
+                raise InputError(
+                    "the folder holds a fleet",
+                    expected="a new folder",
+                    got=f"{len(self.rows())} rows",
+                    remedy="choose another --out, or continue with --resume",
+                    file=self.folder,
+                )
+            if old["settings"] != settings:
+                raise InputError(
+                    "the folder holds another fleet",
+                    expected=str(old["settings"]),
+                    got=str(settings),
+                    remedy="choose another --out",
+                    file=self.folder,
+                )
+        self.shards.mkdir(parents=True, exist_ok=True)
+        content = {"format": FORMAT, "version": __version__, "settings": settings, "jobs": list(jobs)}
+        _replace(manifest, json.dumps(content, indent=1) + "\n")
+        wanted = set(jobs)
+        return {job: row for job, row in self.rows().items() if job in wanted}
+
+    def manifest(self) -> dict[str, Any]:
+        """Return what was asked for.
+
+        Raises
+        ------
+        InputError
+            If the folder holds no fleet.
+        """
+        try:
+            content = json.loads((self.folder / MANIFEST).read_text(encoding="utf-8"))
+            known = content["format"] == FORMAT
+        except (OSError, ValueError, KeyError, TypeError):
+            known = False
+        if not known:
+            raise InputError(
+                "no fleet here",
+                expected=f"a folder with a {MANIFEST} of format {FORMAT}",
+                got="none" if not (self.folder / MANIFEST).exists() else "something else",
+                remedy="give the folder that 'sysid close-loop' wrote over many records",
+                file=self.folder,
+            )
+        return dict(content)
+
+    def rows(self) -> dict[str, Row]:
+        """Return the rows by job, finished ones and those of a run that was interrupted."""
+        found: dict[str, Row] = {}
+        kept = self.folder / ROWS
+        lines = kept.read_bytes().splitlines() if kept.exists() else []
+        shards = sorted(self.shards.glob("*.json")) if self.shards.is_dir() else []
+        for content in (*lines, *(path.read_bytes() for path in shards)):
+            row = read(content)
+            found[row.job] = row
+        return found
+
+    def in_order(self) -> list[Row]:
+        """Return the rows in the order of the records."""
+        found = self.rows()
+        return [found[job] for job in self.manifest()["jobs"] if job in found]
+
+    def consolidate(self, *, finished: bool) -> list[Row]:
+        """Write all rows and the two tables in the order of the records; remove the shards if all is done."""
+        from pyarrow import parquet
+
+        rows = self.in_order()
+        _replace(self.folder / ROWS, "".join(encoded(row).decode() + "\n" for row in rows))
+        for name, table in tables(rows).items():
+            scratch = self.folder / f"{name}.parquet-part"
+            parquet.write_table(table, scratch, compression="zstd")
+            scratch.replace(self.folder / f"{name}.parquet")
+        if finished:
+            shutil.rmtree(self.shards, ignore_errors=True)
+        return rows
+
+
+def is_fleet_folder(directory: str | Path) -> bool:
+    """Return True if a folder holds a fleet."""
+    return (Path(directory) / MANIFEST).is_file()
+
+
+def query(directory: str | Path, sql: str) -> Answer:
+    """Ask the rows of a fleet.
+
+    Parameters
+    ----------
+    directory : path
+        Folder that the closed loop over a fleet wrote or is writing.
+    sql : str
+        DuckDB's SQL over the tables ``records`` (a row for each record) and ``effects`` (a row for each record and
+        effect).
+
+    Raises
+    ------
+    InputError
+        If the folder holds no fleet, or DuckDB refuses the query.
+    """
+    return ask(tables(FleetStore(Path(directory)).in_order()), sql)
+
+
+def tables(rows: Sequence[Row]) -> dict[str, Any]:
+    """Return the rows as Arrow tables ``records`` and ``effects``."""
+    import pyarrow as pa
+
+    text, number, texts = pa.string(), pa.float64(), pa.list_(pa.string())
+    about = [("record", text), ("machine", text), ("date", pa.timestamp("us"))]
+    said = [("status", text), ("reason", text), ("verdict", text), ("adequacy", text), ("stand_in", pa.bool_()),
+            ("explained_share", number), ("error_before", number), ("error_after", number), ("seconds", number),
+            ("warnings", texts), ("file", text), ("job", text)]  # fmt: skip
+    sizes = [("effect", text), ("at", text), ("parameter", text), ("size", number), ("low", number), ("high", number),
+             ("unit", text), ("ties", texts), ("parameters", texts), ("values", pa.list_(number)),
+             ("lows", pa.list_(number)), ("highs", pa.list_(number)), ("units", texts)]  # fmt: skip
+    schemas = {"records": [*about, *said], "effects": [*about, *sizes, ("verdict", text), ("stand_in", pa.bool_())]}
+
+    def plain(row: Row, names: Sequence[tuple[str, Any]], own: Any = None) -> dict[str, Any]:
+        found = {name: getattr(own if own is not None and hasattr(own, name) else row, name) for name, _ in names}
+        when = None if row.date is None else datetime.fromisoformat(row.date).replace(tzinfo=None)
+        return found | {"date": when}
+
+    content = {
+        "records": [plain(row, schemas["records"]) for row in rows],
+        "effects": [plain(row, schemas["effects"], effect) for row in rows for effect in row.effects],
+    }
+    return {
+        name: pa.Table.from_pylist(content[name], schema=pa.schema(fields, metadata={"format": FORMAT}))
+        for name, fields in schemas.items()
+    }
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a text file whole or not at all."""
+    scratch = path.with_name(path.name + ".part")
+    scratch.write_text(text, encoding="utf-8")
+    scratch.replace(path)

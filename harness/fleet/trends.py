@@ -1,0 +1,157 @@
+"""What a fleet tells that a record does not: where an effect is new, and whether it grows with time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+
+from harness.fleet.row import Found, Row
+
+__all__ = ["New", "Series", "Trend", "new_effects", "series_of", "trends"]
+
+LEAST = 3
+"""Records of a line: with two, its slope has no error."""
+NORMAL = 1.959964
+"""Half width of a 95 % interval in standard deviations."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """The sizes of one effect over the records that have it.
+
+    Parameters
+    ----------
+    effect : str
+        ``effect@place``.
+    parameter, unit : str
+    rows : tuple of (Row, Found)
+        By date, those without one last, in the order of the records.
+    """
+
+    effect: str
+    parameter: str
+    unit: str
+    rows: tuple[tuple[Row, Found], ...]
+
+
+@dataclass(frozen=True)
+class Trend:
+    """How a size changes with the date on one machine.
+
+    ``slope`` is in units a day, ``low`` and ``high`` its 95 % interval; ``records`` counts what it rests on.
+    """
+
+    machine: str
+    series: Series
+    slope: float
+    low: float
+    high: float
+    records: int
+
+    @property
+    def word(self) -> str:
+        """``grows``, ``shrinks`` or ``no trend``."""
+        return "grows" if self.low > 0 else "shrinks" if self.high < 0 else "no trend"
+
+
+@dataclass(frozen=True)
+class New:
+    """A record in which a machine shows an effect that no earlier record of it shows, nor was tied with.
+
+    ``before`` are the effects that earlier records of the machine show at the same place: where there are some, the
+    law has another name, and what it describes may be the same.
+    """
+
+    machine: str
+    row: Row
+    effect: Found
+    before: tuple[str, ...] = ()
+
+
+def series_of(rows: Sequence[Row]) -> list[Series]:
+    """Return the sizes by effect and parameter, the most frequent first."""
+    grouped: dict[tuple[str, str, str], list[tuple[Row, Found]]] = {}
+    for row in _by_date(rows):
+        for effect in row.effects:
+            grouped.setdefault((effect.name, effect.parameter, effect.unit), []).append((row, effect))
+    made = [Series(*key, tuple(pairs)) for key, pairs in grouped.items()]
+    return sorted(made, key=lambda series: -len(series.rows))
+
+
+def new_effects(rows: Sequence[Row]) -> list[New]:
+    """Return where effects begin: machine by machine over its dated records, the first of which only shows what is.
+
+    An effect that an earlier record was tied with is another name for the same thing, and not new. Records without an
+    answer say nothing either way.
+    """
+    machines: dict[str, list[Row]] = {}
+    for row in _by_date(rows):
+        if row.ok and row.date is not None:
+            machines.setdefault(row.machine, []).append(row)
+    found = []
+    for machine, own in machines.items():
+        seen: set[str] | None = None
+        places: dict[str, list[str]] = {}
+        for row in own:
+            names = {name for effect in row.effects for name in (effect.name, *effect.ties)}
+            if seen is not None:
+                found += [
+                    New(machine, row, effect, tuple(dict.fromkeys(places.get(effect.at, ()))))
+                    for effect in row.effects
+                    if not seen & {effect.name, *effect.ties}
+                ]
+            seen = names | (seen or set())
+            for effect in row.effects:
+                places.setdefault(effect.at, []).append(effect.name)
+    return found
+
+
+def trends(series: Sequence[Series]) -> list[Trend]:
+    """Return the slope of each size against the date, machine by machine, where three dated intervals are there.
+
+    Weighted least squares with the intervals of the records; where the records scatter more than their intervals say,
+    the error of the slope is larger by that factor (Bevington & Robinson 2003, *Data Reduction and Error Analysis*,
+    sec. 4.2 and 6.4, Birge's ratio), and the quantile is Student's.
+    """
+    found = []
+    for own in series:
+        machines: dict[str, list[tuple[float, float, float]]] = {}
+        for row, effect in own.rows:
+            if row.date is None or effect.size is None or effect.low is None or effect.high is None:
+                continue
+            day = datetime.fromisoformat(row.date).timestamp() / 86400.0
+            deviation = (effect.high - effect.low) / (2 * NORMAL)
+            if deviation > 0:
+                machines.setdefault(row.machine, []).append((day, effect.size, deviation))
+        for machine, points in machines.items():
+            line = _slope(np.array(points))
+            if line is not None:
+                found.append(Trend(machine, own, *line, len(points)))
+    return found
+
+
+def _slope(points: np.ndarray) -> tuple[float, float, float] | None:
+    """Return slope and its 95 % interval of sizes (day, size, deviation); None with too few days."""
+    day, size, deviation = points.T
+    if len(day) < LEAST or np.ptp(day) == 0:
+        return None
+    from scipy.stats import t
+
+    weight = deviation**-2
+    centre = np.average(day, weights=weight)
+    spread = float(weight @ (day - centre) ** 2)
+    level = np.average(size, weights=weight)
+    slope = float(weight @ ((day - centre) * size)) / spread
+    left = size - level - slope * (day - centre)
+    freedom = len(day) - 2
+    birge = max(1.0, float(np.sqrt(weight @ left**2 / freedom)))
+    half = float(t.ppf(0.975, freedom)) * birge / np.sqrt(spread)
+    return slope, slope - half, slope + half
+
+
+def _by_date(rows: Sequence[Row]) -> list[Row]:
+    """Return rows by date, those without one last; the order of the records decides ties."""
+    return sorted(rows, key=lambda row: (row.date is None, datetime.fromisoformat(row.date) if row.date else 0))

@@ -1,0 +1,100 @@
+"""What a worker does with a record: close the loop on it, keep its report, write its row."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, cast
+
+import msgspec
+
+from harness import __version__, registry
+from harness.errors import HarnessError
+from harness.fleet.records import FleetRecord
+from harness.fleet.row import blank, encoded, fill
+from harness.jobs import Desk
+
+__all__ = ["RecordJob"]
+
+
+@dataclass(frozen=True)
+class RecordJob:
+    """One record as a batch of one job; see :class:`harness.jobs.Batch`.
+
+    Parameters
+    ----------
+    record : FleetRecord
+    reports : Path
+        Folder of the reports, which every worker can reach; the record's own is below it.
+    model : str, optional
+    undriven : tuple of str
+    seed : int
+    time_limit : float
+        Seconds.
+    """
+
+    record: FleetRecord
+    reports: Path
+    model: str | None
+    undriven: tuple[str, ...]
+    seed: int
+    time_limit: float
+
+    @property
+    def title(self) -> str:
+        """What the progress calls it."""
+        return self.record.name
+
+    @cached_property
+    def job(self) -> str:
+        """A hash of the data and of all that decides the answer."""
+        content = hashlib.sha256()
+        for path in (self.record.file, self.record.validation):
+            content.update(path.read_bytes() if path is not None else b"")
+        what = (__version__, self.record.name, content.hexdigest(), self.model, self.undriven, self.seed)
+        return hashlib.sha256(msgspec.json.encode(what)).hexdigest()[:20]
+
+    @property
+    def jobs(self) -> tuple[str, ...]:
+        """The one job."""
+        return (self.job,)
+
+    def only(self, jobs: Sequence[str]) -> RecordJob:
+        """Return the batch: it has one job only."""
+        return self
+
+    def lost(self, job: str, status: str, reason: str, *, shared: bool) -> bytes:
+        """Return the row of a record that broke its worker."""
+        text = f"the diagnosis {reason}" if status == "timeout" else reason
+        return encoded(blank(self.record, job, status=status, reason=text))
+
+    def work(self, desk: Desk) -> None:
+        """Close the loop on the record."""
+        from harness import diagnosis
+        from harness.data import load_dataset
+
+        job = self.job
+        row = blank(self.record, job)
+        started = time.perf_counter()
+        with desk.job(job):
+            try:
+                loaded: Any = load_dataset(
+                    registry.dataset_path(self.record.file),
+                    model=self.model,
+                    validation=self.record.validation,
+                    undriven=self.undriven,
+                )
+                report = diagnosis.close_loop_file(
+                    cast(Any, loaded), out=self.reports / self.record.name, resume=True, seed=self.seed, workers=1
+                )
+                fill(row, report.data)
+            except HarnessError as error:
+                row.status, row.reason = error.status, " ".join(str(error).split())[:400]
+            except Exception as error:  # a fault on one record is a row, and the others go on
+                row.status, row.reason = "crashed", f"{type(error).__name__}: {' '.join(str(error).split())}"[:400]
+        row.seconds = time.perf_counter() - started
+        desk.put(job, encoded(row))

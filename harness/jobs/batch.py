@@ -1,0 +1,142 @@
+"""What a worker does: a batch of jobs, one shard for each; and the desk at which it does them.
+
+Nothing here returns a result: rows go to files as they are ready, so whatever ends the process loses only the job
+that it was working on. The file ``BATCH.at`` says which one that is; ``BATCH.watch`` is filled by the watchdog, a C
+thread of the standard library that ends the process on time even if foreign code never gives the interpreter back.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Protocol
+
+__all__ = ["SHARED", "Batch", "Desk", "do_batch", "last_place", "put_away", "shard_file", "was_ended", "write_shard"]
+
+SHARED = "shared"
+"""Where a worker stands while it makes what all jobs of its batch share."""
+
+
+class Batch(Protocol):
+    """Jobs that one worker does together because they share what is dear to make; it travels by pickle."""
+
+    @property
+    def title(self) -> str:
+        """What the progress calls it."""
+        ...
+
+    @property
+    def jobs(self) -> tuple[str, ...]:
+        """Names of the jobs, each also the name of its shard: letters and digits."""
+        ...
+
+    @property
+    def time_limit(self) -> float:
+        """Seconds for one job; what they share may take as long again."""
+        ...
+
+    def only(self, jobs: Sequence[str]) -> Batch:
+        """Return the batch with some of its jobs."""
+        ...
+
+    def work(self, desk: Desk) -> None:
+        """Do all jobs in order; each is one shard, whatever comes of it."""
+        ...
+
+    def lost(self, job: str, status: str, reason: str, *, shared: bool) -> bytes:
+        """Return the shard of a job that broke its worker (``crashed``, ``timeout``).
+
+        ``reason`` continues a sentence about the job (``"is over its time limit of 4 s"``) or says how the worker
+        ended; ``shared`` is True where it happened to what all jobs share.
+        """
+        ...
+
+
+def shard_file(folder: Path, job: str) -> Path:
+    """Return the file of a job's row."""
+    return folder / f"{job}.json"
+
+
+def write_shard(folder: Path, job: str, content: bytes) -> None:
+    """Write the row of a job, whole or not at all."""
+    scratch = folder / f"{job}.part"
+    scratch.write_bytes(content)
+    scratch.replace(shard_file(folder, job))
+
+
+def _at(folder: Path, batch: Batch) -> Path:
+    return folder / f"{batch.jobs[0]}.at"
+
+
+def _watch(folder: Path, batch: Batch) -> Path:
+    return folder / f"{batch.jobs[0]}.watch"
+
+
+def last_place(folder: Path, batch: Batch) -> str:
+    """Return where a lost worker was: the name of a job, or :data:`SHARED`."""
+    at = _at(folder, batch)
+    return at.read_text(encoding="utf-8") if at.exists() else SHARED
+
+
+def was_ended(folder: Path, batch: Batch) -> bool:
+    """Return True if the watchdog ended the worker of a batch."""
+    watch = _watch(folder, batch)
+    return watch.exists() and watch.stat().st_size > 0
+
+
+def put_away(folder: Path, batch: Batch) -> None:
+    """Remove the marks of a worker."""
+    _at(folder, batch).unlink(missing_ok=True)
+    _watch(folder, batch).unlink(missing_ok=True)
+
+
+class Desk:
+    """Where a worker does a batch: it says where it stands, keeps the time and puts the rows away."""
+
+    def __init__(self, batch: Batch, folder: Path, watch: IO[str]) -> None:
+        self._batch, self._folder, self._watch = batch, folder, watch
+
+    @contextmanager
+    def shared(self) -> Iterator[None]:
+        """Keep the time limit while what all jobs share is made."""
+        with self._limited(SHARED):
+            yield
+
+    @contextmanager
+    def job(self, job: str) -> Iterator[None]:
+        """Keep the time limit while a job is done."""
+        with self._limited(job):
+            yield
+
+    def put(self, job: str, content: bytes) -> None:
+        """Write the shard of a job, whole or not at all."""
+        write_shard(self._folder, job, content)
+
+    def stand(self, place: str) -> None:
+        """Write down where the work is."""
+        at = _at(self._folder, self._batch)
+        scratch = at.with_suffix(".at-part")
+        scratch.write_text(place, encoding="utf-8")
+        scratch.replace(at)
+
+    @contextmanager
+    def _limited(self, place: str) -> Iterator[None]:
+        """End the process, rows so far being safe, when the body takes longer than the limit of a job."""
+        self.stand(place)
+        faulthandler.dump_traceback_later(self._batch.time_limit, exit=True, file=self._watch)
+        try:
+            yield
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+
+
+def do_batch(batch: Batch, folder: str | Path) -> None:
+    """Do all jobs of a batch in this process and write their shards."""
+    place = Path(folder)
+    with _watch(place, batch).open("w") as watch:
+        desk = Desk(batch, place, watch)
+        desk.stand(SHARED)
+        batch.work(desk)
+    put_away(place, batch)

@@ -1,0 +1,230 @@
+"""Where batches run: on this machine's cores, or on a dask cluster whose workers each use the local engine."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import tempfile
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from harness.errors import InputError
+from harness.jobs.batch import SHARED, Batch, do_batch, last_place, put_away, shard_file, was_ended, write_shard
+from harness.workers import death, worker_pool
+
+__all__ = ["AHEAD", "DaskEngine", "Engine", "LocalEngine", "Moved", "make_engine", "run_jobs"]
+
+POLL = 0.5  # s between signs of life while nothing finishes
+AHEAD = 4  # batches for each worker that the pool holds: enough that no worker waits, few enough that looking is cheap
+BUNDLE = 20  # batches that travel to a cluster together, at most: one pool of processes serves them all
+SHARES = 8  # bundles for each cluster worker, at least, so that all end at about the same time
+
+Moved = Callable[[str, Sequence[str]], None]
+"""Called with a title and the jobs whose rows have been added."""
+
+
+class Engine(Protocol):
+    """Something that runs batches; every row ends up as a shard in the folder."""
+
+    def run(self, batches: Sequence[Batch], shards: Path, moved: Moved) -> None:
+        """Run all batches; ``moved`` is called with a title, and the jobs whose rows have been added."""
+        ...
+
+
+def run_jobs(
+    batches: Sequence[Batch],
+    shards: Path,
+    *,
+    engine: str | Engine = "local",
+    workers: int | None = None,
+    moved: Moved | None = None,
+) -> None:
+    """Run batches of jobs until each job has its shard: a crash, a hang or a kill is a row too.
+
+    Parameters
+    ----------
+    batches : sequence of Batch
+        No two jobs may have one name.
+    shards : Path
+        Folder that is there; ``JOB.json`` is the row of a job, written as soon as it is known.
+    engine : str or Engine
+        ``"local"``, ``"dask://HOST:PORT"``, or what :func:`make_engine` made of it.
+    workers : int, optional
+        Processes of the local engine; by default one for each core.
+    moved : callable, optional
+        Called as ``moved(title, jobs)`` with the jobs whose rows have been added, and with none as a sign of life.
+
+    Raises
+    ------
+    InputError
+        If the text names no engine, or the cluster cannot be reached.
+    """
+    made = make_engine(engine, workers) if isinstance(engine, str) else engine
+    made.run(batches, shards, moved or (lambda title, jobs: None))
+
+
+def make_engine(engine: str, workers: int | None = None) -> Engine:
+    """Return the engine that a text names.
+
+    Parameters
+    ----------
+    engine : str
+        ``"local"`` or ``"dask://HOST:PORT"``.
+    workers : int, optional
+        Processes of the local engine; by default one for each core that this process may use.
+
+    Raises
+    ------
+    InputError
+        If the text names no engine, or dask is not installed.
+
+    Examples
+    --------
+    >>> make_engine("local", workers=2)
+    LocalEngine(workers=2)
+    """
+    if workers is not None and workers < 1:
+        raise InputError("workers", expected="at least 1", got=str(workers), remedy="correct the number")
+    if engine == "local":
+        return LocalEngine(workers or len(os.sched_getaffinity(0)))
+    scheme, _, address = engine.partition("://")
+    if scheme != "dask" or ":" not in address:
+        raise InputError(
+            "engine", expected="local or dask://HOST:PORT", got=repr(engine), remedy="correct it", place="engine"
+        )
+    return DaskEngine(address)
+
+
+@dataclass(frozen=True)
+class LocalEngine:
+    """A pool of processes on this machine.
+
+    A worker that dies or is ended by its watchdog loses the job it was at, which becomes a row with a status; the
+    other jobs of its batch are run again by a fresh worker.
+    """
+
+    workers: int
+
+    def run(self, batches: Sequence[Batch], shards: Path, moved: Moved) -> None:
+        """Run all batches; see :class:`Engine`."""
+        if not batches:
+            return
+        with worker_pool(min(self.workers, len(batches))) as pool:
+            self._drain(pool, deque(batches), shards, moved)
+
+    def _drain(self, pool: Any, batches: deque[Batch], shards: Path, moved: Moved) -> None:
+        """Keep a few batches for each worker in the pool, and put back what is left of one whose worker was lost.
+
+        Waiting and the pool's own bookkeeping look at every task that is scheduled, so scheduling all of them at once
+        costs the square of their number.
+        """
+        waiting: dict[Any, Batch] = {}
+
+        def schedule(batch: Batch) -> None:
+            # the watchdog inside the worker keeps the limit of each job; this one is for a worker that is stopped
+            backstop = math.ceil((len(batch.jobs) + 1) * (batch.time_limit + 10))
+            waiting[pool.schedule(do_batch, args=[batch, str(shards)], timeout=backstop)] = batch
+
+        while batches or waiting:
+            while batches and len(waiting) < AHEAD * self.workers:
+                schedule(batches.popleft())
+            done, _ = wait(list(waiting), timeout=POLL, return_when=FIRST_COMPLETED)
+            if not done:
+                moved("", ())
+            for future in done:
+                batch = waiting.pop(future)
+                error = future.exception()
+                rest = _after_loss(batch, shards, error) if error is not None else None
+                left = set(rest.jobs) if rest is not None else set()
+                moved(batch.title, [job for job in batch.jobs if job not in left])
+                if rest is not None:
+                    batches.appendleft(rest)
+
+
+def _after_loss(batch: Batch, shards: Path, error: BaseException) -> Batch | None:
+    """Write the row of the job at which a worker was lost; return the batch of the jobs that are still to do."""
+    place = last_place(shards, batch)
+    late = isinstance(error, TimeoutError) or was_ended(shards, batch)
+    status = "timeout" if late else "crashed"
+    reason = f"is over its time limit of {batch.time_limit:g} s" if late else death(error)
+    left = [job for job in batch.jobs if not shard_file(shards, job).exists()]
+    lost = [job for job in left if place in (SHARED, job)] or left[:1]
+    for job in lost:
+        write_shard(shards, job, batch.lost(job, status, reason, shared=place == SHARED))
+    put_away(shards, batch)
+    rest = [job for job in left if job not in lost]
+    return batch.only(rest) if rest else None
+
+
+@dataclass(frozen=True)
+class DaskEngine:
+    """A dask cluster: each of its tasks carries some of ours and runs them through the local engine where it lands.
+
+    A cluster worker that dies loses nothing: the scheduler gives its bundle to another.
+    """
+
+    address: str
+
+    def run(self, batches: Sequence[Batch], shards: Path, moved: Moved) -> None:
+        """Run all batches; see :class:`Engine`."""
+        try:
+            import distributed
+        except ImportError as error:
+            raise InputError(
+                "engine dask",
+                expected="the package distributed",
+                got="it is not installed",
+                remedy="pip install 'sysid-harness[cluster]'",
+            ) from error
+        connect: Any = distributed.Client
+        completed: Any = distributed.as_completed
+        try:
+            client = connect(self.address, timeout="5s", set_as_default=False)
+        except (OSError, TimeoutError) as error:
+            raise InputError(
+                "engine dask",
+                expected=f"a scheduler at {self.address}",
+                got=f"{type(error).__name__}: {error}",
+                remedy="start one with 'dask scheduler' or correct the address",
+            ) from error
+        with client:
+            workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
+            size = max(1, min(BUNDLE, len(batches) // (SHARES * workers)))
+            bundles = [tuple(batches[k : k + size]) for k in range(0, len(batches), size)]
+            futures = {client.submit(run_elsewhere, bundle, pure=False, retries=1): bundle for bundle in bundles}
+            try:
+                for future in completed(list(futures), loop=client.loop):
+                    bundle = futures.pop(future)
+                    lost = future.exception()
+                    if lost is None:
+                        for job, content in future.result().items():
+                            write_shard(shards, job, content)
+                    else:
+                        reason = f"the cluster lost the task: {type(lost).__name__}: {lost}"
+                        for batch in bundle:
+                            for job in batch.jobs:
+                                write_shard(shards, job, batch.lost(job, "crashed", reason, shared=False))
+                    moved(bundle[-1].title, [job for batch in bundle for job in batch.jobs])
+                    future.release()  # the rows are here: the cluster need not keep them
+            except BaseException:
+                client.cancel(list(futures))
+                raise
+
+
+def run_elsewhere(batches: tuple[Batch, ...]) -> dict[str, bytes]:
+    """Run batches through the local engine on a worker of a cluster; returns their shards by job."""
+    process = multiprocessing.current_process()
+    configuration = getattr(process, "_config", {})
+    daemon = configuration.get("daemon", False)
+    configuration["daemon"] = False  # cluster workers are daemons by default, and daemons may not have children
+    try:
+        with tempfile.TemporaryDirectory(prefix="sysid-harness-") as folder:
+            LocalEngine(1).run(batches, Path(folder), lambda title, jobs: None)
+            return {path.stem: path.read_bytes() for path in Path(folder).glob("*.json")}
+    finally:
+        configuration["daemon"] = daemon

@@ -1,0 +1,70 @@
+"""What is new, and what grows: judged on rows whose truth is known."""
+
+from __future__ import annotations
+
+from datetime import date, timedelta
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness.fleet.row import Found, Row
+from harness.fleet.trends import new_effects, series_of, trends
+
+
+def found(name: str, size: float, half: float = 0.01, ties: tuple[str, ...] = ()) -> Found:
+    effect, _, at = name.partition("@")
+    return Found(effect, at, "Fc", size, size - half, size + half, "N m", ties, ("Fc",), (size,), (size - half,),
+                 (size + half,), ("N m",))  # fmt: skip
+
+
+def row(day: int, *effects: Found, machine: str = "A", status: str = "ok") -> Row:
+    when = (date(2026, 1, 1) + timedelta(days=day)).isoformat()
+    return Row(job=f"{machine}{day}", record=f"{machine}-{day}", file="", machine=machine, date=when, status=status,
+               effects=effects)  # fmt: skip
+
+
+def test_an_effect_is_new_once_and_not_in_the_first_record() -> None:
+    rows = [row(2, found("coulomb@q", 0.1)), row(0), row(1, found("coulomb@q", 0.1)), row(3, found("backlash@q", 1.0))]
+    rows += [row(0, found("coulomb@q", 0.1), machine="B"), row(1, found("coulomb@q", 0.1), machine="B")]
+    assert [(new.row.record, new.effect.name, new.before) for new in new_effects(rows)] == [
+        ("A-1", "coulomb@q", ()),
+        ("A-3", "backlash@q", ("coulomb@q",)),
+    ]
+
+
+def test_another_name_of_a_tie_is_not_new_and_failures_say_nothing() -> None:
+    tied = found("coulomb@q", 0.1, ties=("stribeck@q",))
+    rows = [row(0, tied), row(1, status="crashed"), row(2, found("stribeck@q", 0.1))]
+    assert new_effects(rows) == []
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([0.0, 0.002, -0.002]))
+def test_the_slope_is_found_where_there_is_one(seed: int, slope: float) -> None:
+    rng = np.random.default_rng(seed)
+    days = np.sort(rng.choice(200, size=25, replace=False))
+    rows = [row(int(day), found("coulomb@q", 0.1 + slope * day + 0.005 * rng.standard_normal())) for day in days]
+    (trend,) = trends(series_of(rows))
+    assert trend.records == 25
+    # the stated interval is 1.96 x 0.0051 wide on each side: five standard errors never fail in these draws
+    half = trend.high - trend.slope
+    assert trend.slope == pytest.approx(slope, abs=3 * half)
+    if slope:
+        assert trend.word == ("grows" if slope > 0 else "shrinks")
+
+
+def test_more_scatter_than_the_intervals_say_widens_the_slope() -> None:
+    rng = np.random.default_rng(0)
+    scatter = 0.05 * rng.standard_normal(20)
+    wide, narrow = (
+        trends(series_of([row(7 * k, found("coulomb@q", 0.1 + scatter[k], half)) for k in range(20)]))[0]
+        for half in (0.1, 0.001)
+    )
+    assert narrow.high - narrow.low == pytest.approx(wide.high - wide.low, rel=0.5)
+    assert narrow.word == "no trend"
+
+
+def test_two_records_have_no_trend() -> None:
+    assert trends(series_of([row(0, found("coulomb@q", 0.1)), row(1, found("coulomb@q", 0.2))])) == []
