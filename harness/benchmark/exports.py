@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from harness.benchmark.result import BenchResult
-from harness.benchmark.summary import Quartiles, Summary, figure
+from harness.benchmark.summary import OPTIONAL, Quartiles, Summary, figure, optional_scores
 from harness.errors import InputError
 
 __all__ = ["FORMATS", "render"]
@@ -48,26 +48,33 @@ def render(result: BenchResult, form: str) -> str:
 
 
 def _markdown(lines: Sequence[Summary]) -> str:
-    rows = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
-    rows += ["| " + " | ".join(_cells(line, "**{}**", _plain)) + " |" for line in lines]
+    more = optional_scores(lines)
+    head = _head(more)
+    rows = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    rows += ["| " + " | ".join(_cells(line, more, "**{}**", _plain)) + " |" for line in lines]
     return "\n".join(rows) + "\n"
 
 
 def _latex(lines: Sequence[Summary]) -> str:
-    rows = [r"\begin{tabular}{lllrlllll}", r"\toprule", " & ".join(HEAD) + r" \\", r"\midrule"]
+    more = optional_scores(lines)
+    head = " & ".join(map(_escaped, _head(more)))
+    rows = [rf"\begin{{tabular}}{{lllrlllll{'l' * len(more)}}}", r"\toprule", head + r" \\", r"\midrule"]
     place = None
     for line in lines:
         if place not in (None, (line.plant, line.scenario)):
             rows.append(r"\addlinespace")
         place = (line.plant, line.scenario)
-        rows.append(" & ".join(_cells(line, r"\textbf{{{}}}", _escaped)) + r" \\")
+        rows.append(" & ".join(_cells(line, more, r"\textbf{{{}}}", _escaped)) + r" \\")
     return "\n".join([*rows, r"\bottomrule", r"\end{tabular}", ""])
 
 
 def _csv(lines: Sequence[Summary]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    scores = ("equation_error", "simulation_error", "noise_floor", "regret", "fit_seconds", "memory_mib")
+    scores = (
+        *("equation_error", "simulation_error", "noise_floor", "regret", "fit_seconds", "memory_mib"),
+        *OPTIONAL,
+    )
     writer.writerow(
         ["plant", "scenario", "identifier", "ok", "run", "best_or_tied"]
         + [f"{name}_{part}" for name in scores for part in ("median", "low", "high")]
@@ -89,7 +96,12 @@ FORMATS: dict[str, Callable[[Sequence[Summary]], str]] = {"markdown": _markdown,
 """Name to what makes the text."""
 
 
-def _cells(line: Summary, bold: str, quote: Callable[[str], str]) -> list[str]:
+def _head(more: Mapping[str, str]) -> list[str]:
+    """Return the titles; those of the scores that not every model has stand before the last, the time."""
+    return [*HEAD[:-1], *more.values(), HEAD[-1]]
+
+
+def _cells(line: Summary, more: Mapping[str, str], bold: str, quote: Callable[[str], str]) -> list[str]:
     """Return the cells of a line; a line without scores says why instead."""
     simulation = _score(line.simulation_error) or (line.problems[0][0] if not line.ok and line.problems else "")
     texts = [
@@ -101,6 +113,7 @@ def _cells(line: Summary, bold: str, quote: Callable[[str], str]) -> list[str]:
         simulation,
         figure(line.noise_floor.median) if line.noise_floor else "",
         _score(line.regret),
+        *(_score(getattr(line, name)) for name in more),
         f"{figure(line.fit_seconds.median, 2)} s" if line.fit_seconds and line.ok else "",
     ]
     cells = [quote(text) for text in texts]

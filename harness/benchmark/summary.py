@@ -11,9 +11,22 @@ import numpy as np
 from harness.benchmark.row import Row
 from harness.benchmark.statistics import Ranking, no_worse, ranking
 
-__all__ = ["Quartiles", "Summary", "figure", "places_of", "rankings", "summarise"]
+__all__ = ["OPTIONAL", "Quartiles", "Summary", "figure", "optional_scores", "places_of", "rankings", "summarise"]
 
-SCORES = ("equation_error", "simulation_error", "regret", "noise_floor", "fit_seconds", "memory_mib")
+SCORES = (
+    "equation_error",
+    "simulation_error",
+    "log_score",
+    "coverage",
+    "control_cost",
+    "regret",
+    "noise_floor",
+    "fit_seconds",
+    "memory_mib",
+)
+OPTIONAL = {"log_score": "log score", "coverage": "90 % sets hold", "control_cost": "control cost"}
+"""Scores with a column only where a line has them, and its title: of distributions, and of models for control."""
+
 BASELINES = ("true-model",)
 """Identifiers that know the truth: they show what is possible and do not compete."""
 
@@ -41,6 +54,9 @@ class Summary:
     run: int
     equation_error: Quartiles | None
     simulation_error: Quartiles | None
+    log_score: Quartiles | None
+    coverage: Quartiles | None
+    control_cost: Quartiles | None
     regret: Quartiles | None
     noise_floor: Quartiles | None
     fit_seconds: Quartiles | None
@@ -49,6 +65,11 @@ class Summary:
     """The least simulation error of its plant and scenario, or one that the paired bootstrap cannot tell from it."""
     problems: tuple[tuple[str, str, int], ...]
     """(status, reason, count) of the rows that are not ok, the most frequent first."""
+
+
+def optional_scores(lines: Sequence[Summary]) -> dict[str, str]:
+    """Return the scores that not every model has and some line does, with the title of their column."""
+    return {name: title for name, title in OPTIONAL.items() if any(getattr(line, name) for line in lines)}
 
 
 def figure(value: float | None, digits: int = 3) -> str:

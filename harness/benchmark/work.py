@@ -19,6 +19,7 @@ from harness.benchmark.row import Row, blank, encoded, one_line
 from harness.errors import HarnessError, InputError, PlantError, PluginError
 from harness.jobs import Desk
 from harness.plant_files import make_plant
+from harness.protocols import Predictive
 from harness.rng import Streams, stream
 from harness.signals import FloatArray, Trajectory, residual
 
@@ -27,6 +28,15 @@ if TYPE_CHECKING:
     from harness.scoring import Score
 
 __all__ = ["CellBatch"]
+
+_SETS = 0.9
+"""Probability of the sets whose coverage is shown: a few held-out samples in a hundred are enough to judge it."""
+
+_FEW_STATES = 8
+"""A plant of more states is not asked whether it is linear: every state costs four resets, twice."""
+
+_AWAY = 0.37
+"""Where the second look at a plant is, in the units of its states: a linear one is the same there."""
 
 STRETCHES = 500
 """A trace keeps two samples of each: an overlay that is looked at has about a thousand points of a screen."""
@@ -218,7 +228,8 @@ def _do_cell(task: Task, cell: Cell, runs: Sequence[Trajectory], held_out: Seque
         shown = [trajectory.measured() for trajectory in runs]
         scored = False
         if hasattr(identifier, "fit"):
-            _fit_and_score(identifier, shown, held_out, task, row, rng, trace=trace)
+            model = _fit_and_score(identifier, shown, held_out, task, row, rng, trace=trace)
+            row.control_cost = _control_cost(model, task)
             scored = True
         if hasattr(identifier, "hindsight"):
             _score_regret(identifier, shown, row, rng)
@@ -259,12 +270,12 @@ def _fit_and_score(
     rng: np.random.Generator,
     *,
     trace: bool,
-) -> None:
-    """Fit, then fill in equation error and simulation error on the held-out records."""
+) -> Model:
+    """Fit, then fill in the errors and the scores of distributions on the held-out records; returns the model."""
     from harness.scoring import equation_error, simulation_error
 
     started = time.perf_counter()
-    model = identifier.fit(shown, rng=rng)
+    model: Model = identifier.fit(shown, rng=rng)
     fitted = time.perf_counter()
     row.fit_seconds = fitted - started
     row.reason = _doubts(model)
@@ -282,6 +293,9 @@ def _fit_and_score(
         raise PlantError("the one-step predictions of the model are not finite", status="diverged")
     if row.simulation_error is None:
         raise PlantError("the free run of the model diverges on held-out data", status="diverged")
+    if isinstance(model, Predictive):
+        _score_distributions(model, [record.measured() for record in held_out], row)
+    return model
 
 
 def _trace(model: Model, record: Trajectory, horizon: float | None, row: Row) -> None:
@@ -297,6 +311,38 @@ def _trace(model: Model, record: Trajectory, horizon: float | None, row: Row) ->
     row.trace_t = tuple(record.t[kept].tolist())
     row.trace_measured = tuple(map(tuple, record.y[kept].T.tolist()))
     row.trace_residual = tuple(map(tuple, miss[kept].T.tolist()))
+
+
+def _score_distributions(model: Model, held_out: Sequence[Trajectory], row: Row) -> None:
+    """Fill in log score and coverage, one step ahead; an outcome that was called impossible leaves no log score."""
+    from harness.predictive import probability_score
+
+    scores = [probability_score(model, record.measured(), levels=(_SETS,)) for record in held_out]
+    gain = float(np.mean([np.mean(score.skill) for score in scores]))
+    row.log_score = gain if np.isfinite(gain) else None
+    row.coverage = float(np.mean([np.mean(score.coverage) for score in scores]))
+
+
+def _control_cost(model: Any, task: Task) -> float | None:
+    """Return what the regulator designed on a model costs, over the plant's own; None unless both are linear."""
+    from harness.scoring import control_score, linearise
+
+    names = ("a_matrix", "b_matrix", "c_matrix", "d_matrix")
+    if task.plant.id.startswith(RECORDING) or not all(hasattr(model, name) for name in names):
+        return None
+    with make_plant(task.plant.id, dict(task.plant.options)) as plant:
+        states = plant.spec.states
+        if "truth" not in plant.abilities or not 0 < len(states) <= _FEW_STATES:
+            return None
+        try:
+            here = linearise(plant)
+            there = linearise(plant, x0={channel.name: _AWAY for channel in states})
+            if not all(np.allclose(getattr(here, name), getattr(there, name), rtol=1e-5, atol=1e-7) for name in names):
+                return None  # another plant at another point: which one a model is of, nobody can say
+            ratio = control_score(model, here).ratio
+        except HarnessError:
+            return None  # no start in any state, or the plant itself has no regulator
+    return ratio if np.isfinite(ratio) else None
 
 
 def _doubts(model: Any) -> str:
