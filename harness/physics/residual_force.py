@@ -25,7 +25,10 @@ LABEL = "learned from data, not physical"
 """What every report and file says of such a force."""
 
 SIZES = (6, 12, 24)
-"""Numbers of bumps that are tried: a smooth curve, one with corners, a surface. The validation records choose."""
+"""Numbers of bumps that are tried: a smooth curve, one with corners, a surface. The validation records choose. Curves
+(one argument) are not tried with more than 12: their bumps would be closer than what data with noise tell apart."""
+
+_MOST_ON_A_LINE = 12
 
 _WIDTH = 1.5
 """Width of a bump in distances to its nearest neighbour: less leaves gaps, more makes weights large and opposite."""
@@ -236,13 +239,16 @@ def learn_residual_force(
     horizon: float | None = None,
     intersample: Literal["zoh", "foh", "smooth"] = "zoh",
     sizes: Sequence[int] = SIZES,
+    refit: bool = False,
     rng: np.random.Generator,
 ) -> LearnedForce:
     """Learn the force that a system lacks, by free runs of the system with the force in it.
 
-    The named parameters stay what they are. Bumps lie where the data lie (k-means); their weights are fitted by output
-    error; their number, and the coordinate unless given, are those with the least error on the validation records. For
-    a loop that ends ``unexplained``: ``system`` and ``values`` are those of its final model.
+    The named parameters stay what they are, unless ``refit`` lets them move too: an effect that they have already
+    taken up in part (dry friction as viscous) is otherwise not the force's to find. Bumps lie where the data lie
+    (k-means); their weights are fitted by output error; their number, and coordinate and arguments unless given, are
+    those with the least error on the validation records. For a loop that ends ``unexplained``: ``system`` and
+    ``values`` are those of its final model.
 
     Parameters
     ----------
@@ -254,12 +260,14 @@ def learn_residual_force(
     coordinate : str, optional
         By default the one that helps most.
     arguments : sequence of str, optional
-        States and inputs that the force depends on; by default the coordinate and its rate.
+        States and inputs that the force depends on; by default the rate, the coordinate, or both, whichever helps most.
     horizon : float, optional
         Length of the windows of free runs [s]; whole records if None.
     intersample : {"zoh", "foh", "smooth"}
     sizes : sequence of int
         Numbers of bumps that are tried.
+    refit : bool
+        Fit the named parameters beside the force.
     rng : numpy.random.Generator
         For the places of the bumps.
 
@@ -291,7 +299,7 @@ def learn_residual_force(
             remedy="correct",
         )
     known = {one.name: float(values.get(one.name, one.value)) for one in system.parameters}
-    base = system.with_parameters({name: replace(system.parameter(name), value=v) for name, v in known.items()})
+    base = _at(system, known)
     how: dict[str, Any] = {"horizon": horizon, "intersample": intersample}
     before = _rms(simulate_error(base, known, validation, **how))
     best: LearnedForce | None = None
@@ -299,31 +307,40 @@ def learn_residual_force(
     for one in base.coordinates:
         if coordinate not in (None, one.name):
             continue
-        wanted = tuple(arguments or (base.states[one.q].name, base.states[one.v].name))
-        shown, checked = (_arguments(base, known, part, wanted) for part in (estimation, validation))
-        hull = Hull.of(shown)
-        for size in sizes:
-            centres, width = _bumps(shown, min(size, len(shown) // 5), rng)
-            draft = ResidualForce(
-                one.name, one.force_unit, wanted, centres, width, np.zeros(len(centres)), hull, len(shown)
-            )
-            try:
-                fit = fit_output_error(draft.attach(base), estimation, start=known, fixed=list(known), **how)
-                force = draft.with_weights(fit.parameters)
-                whole = force.attach(base)
-                after = _rms(simulate_error(whole, {}, validation, **how))
-            except FitError as error:
-                problems.append(f"{one.name}, {size} bumps: {error.what}")
-                continue
+        place, speed = base.states[one.q].name, base.states[one.v].name
+        choices = [tuple(arguments)] if arguments is not None else [(speed,), (place,), (place, speed)]
+        for wanted in choices:
+            shown, checked = (_arguments(base, known, part, wanted) for part in (estimation, validation))
+            hull = Hull.of(shown)
             outside = float(np.mean(~hull.contains(checked)))
-            trial = LearnedForce(force, whole, before, after, outside)
-            if best is None or _loss(trial) < _loss(best):
-                best = trial
+            for size in sorted({min(size, _MOST_ON_A_LINE) if len(wanted) == 1 else size for size in sizes}):
+                centres, width = _bumps(shown, min(size, len(shown) // 5), rng)
+                draft = ResidualForce(
+                    one.name, one.force_unit, wanted, centres, width, np.zeros(len(centres)), hull, len(shown)
+                )
+                fixed = () if refit else list(known)
+                try:
+                    fit = fit_output_error(draft.attach(base), estimation, start=known, fixed=fixed, **how)
+                    force = draft.with_weights(fit.parameters)
+                    whole = force.attach(_at(base, fit.parameters))
+                    after = _rms(simulate_error(whole, {}, validation, **how))
+                except FitError as error:
+                    problems.append(f"{one.name} by {', '.join(wanted)}, {size} bumps: {error.what}")
+                    continue
+                trial = LearnedForce(force, whole, before, after, outside)
+                if best is None or _loss(trial) < _loss(best):
+                    best = trial
     if best is None:
         raise FitError(
             "residual force", expected="at least one fit", got="; ".join(problems), remedy="shorten the horizon"
         )
     return best
+
+
+def _at(system: System, values: Mapping[str, float]) -> System:
+    """Return the system with its parameters at values by name."""
+    names = [one.name for one in system.parameters]
+    return system.with_parameters({name: replace(system.parameter(name), value=values[name]) for name in names})
 
 
 def _columns(system: System, arguments: Sequence[str]) -> list[int]:

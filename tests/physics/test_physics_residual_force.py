@@ -13,7 +13,11 @@ from scipy.integrate import solve_ivp
 from harness.errors import InputError
 from harness.export.fmu import export, write_fmu
 from harness.physics.models import pendulum
+from harness.physics.output_error import fit_output_error
 from harness.physics.residual_force import LABEL, Hull, ResidualForce, learn_residual_force
+from harness.registry import create
+from harness.rng import Streams
+from harness.rollout import run
 from harness.signals import PlantSpec, Trajectory
 
 DT = 0.05
@@ -46,7 +50,16 @@ def record(seed: int, samples: int = 400) -> Trajectory:
 def learned():
     system = pendulum().system()
     rng = np.random.default_rng(0)
-    return learn_residual_force(system, system.values(), [record(0)], [record(1)], horizon=2.0, sizes=(8, 16), rng=rng)
+    return learn_residual_force(
+        system,
+        system.values(),
+        [record(0)],
+        [record(1)],
+        horizon=2.0,
+        sizes=(8, 16),
+        arguments=["theta", "theta_rate"],
+        rng=rng,
+    )
 
 
 def test_the_validation_error_falls_and_the_force_is_the_hidden_one(learned):
@@ -118,6 +131,21 @@ def test_a_hull_holds_its_data_and_nothing_far_away(dimensions, seed):
     assert hull.contains(rows.mean(axis=0)[None]).all()
     assert not hull.contains(rows.mean(axis=0) + 20 * rows.std(axis=0)[None]).any()
     assert hull.convex == (2 <= dimensions <= 4)
+
+
+def test_the_friction_of_another_engine_is_learned_without_its_name():
+    arm = create("plants", "arm-bullet", joint_friction=0.15, sample_time=0.02)  # Bullet's own, in N m
+    scenario = create("scenarios", "multisine", duration=12.0, amplitude=2.0, band=[0.05, 2.0], noise=0.001)
+    streams = Streams("arm-bullet", "multisine", 0)
+    estimation, validation = (run(arm, scenario, streams=streams, role=f"{role}/0").measured() for role in ("e", "v"))
+    system = pendulum().system()
+    named = fit_output_error(system, [estimation], horizon=1.0).parameters
+    options = dict(horizon=1.0, sizes=(12,), arguments=["theta_rate"], rng=np.random.default_rng(0))
+    learned = learn_residual_force(system, named, [estimation], [validation], refit=True, **options)
+    assert learned.after[0] < 0.5 * learned.before[0]
+    rates = np.linspace(0.5, 2.0, 16)[:, None]
+    assert learned.force(-rates).mean() == pytest.approx(0.15, rel=0.2)
+    assert learned.force(rates).mean() == pytest.approx(-0.15, rel=0.2)
 
 
 def test_unknown_names_are_refused():
