@@ -12,8 +12,9 @@ from harness.errors import FitError, InputError
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
-from identifiers.observers import best_gain, fitted_start, riccati_gains
+from identifiers.observers import best_gain, fitted_start, riccati_gains, run_in_steps
 from identifiers.records import moving, real_signals, usable
+from identifiers.scaling import centred
 from identifiers.training import need_torch, one_thread, train
 
 __all__ = ["EmbedToControl", "LatentModel"]
@@ -138,11 +139,7 @@ class LatentModel:
 
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (M, N, ny) from latent states x (M, nz) under inputs u (M, N, nu)."""
-        outputs = np.empty((*u.shape[:2], self.spec.ny))
-        for k in range(u.shape[1]):
-            outputs[:, k] = self.output(x, u[:, k])
-            x = self.step(x, u[:, k]) if k + 1 < u.shape[1] else x
-        return outputs
+        return run_in_steps(self, x, u)
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
@@ -239,9 +236,7 @@ class EmbedToControl:
             )
         records.sort(key=lambda record: (len(record), record.y.tobytes()))
         torch = need_torch(what)
-        y_all, u_all = np.concatenate([one.y for one in records]), np.concatenate([one.u for one in records])
-        y_mean, y_std = y_all.mean(axis=0), np.where(y_all.std(axis=0) > 0, y_all.std(axis=0), 1.0)
-        u_mean, u_std = u_all.mean(axis=0), np.where(u_all.std(axis=0) > 0, u_all.std(axis=0), 1.0)
+        (u_mean, u_std), (y_mean, y_std) = centred([one.u for one in records]), centred([one.y for one in records])
         scaled = [((one.y - y_mean) / y_std, (one.u - u_mean) / u_std) for one in records]
         learn, held = _split(scaled)
         start = self._start(learn, spec, rng)

@@ -13,7 +13,7 @@ from harness.physics.smoothing import smooth
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
-from identifiers.observers import alpha_beta_gains, best_gain, fitted_start
+from identifiers.observers import alpha_beta_gains, best_gain, fitted_start, run_in_steps
 from identifiers.records import moving, real_signals, usable
 from identifiers.training import need_torch, one_thread, train
 
@@ -189,11 +189,7 @@ class LagrangianModel:
 
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (M, N, ny) from states x (M, 2 n) under inputs u (M, N, nu)."""
-        outputs = np.empty((*u.shape[:2], self.spec.ny))
-        for k in range(u.shape[1]):
-            outputs[:, k] = self.output(x, u[:, k])
-            x = self.step(x, u[:, k]) if k + 1 < u.shape[1] else x
-        return outputs
+        return run_in_steps(self, x, u)
 
     def energy(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return kinetic and potential energy (...) of states (..., 2 n), in the unit of input times coordinate."""

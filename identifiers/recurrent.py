@@ -20,6 +20,7 @@ from identifiers.observers import best_gain, riccati_gains
 from identifiers.records import moving, real_signals, usable
 from identifiers.recurrent_fit import Fitted, Problem, descend, fit_start
 from identifiers.recurrent_pass import Layout
+from identifiers.scaling import centred
 from identifiers.training import bar
 
 __all__ = ["NeuralOutputError", "RecurrentEnsemble", "RecurrentModel"]
@@ -225,9 +226,7 @@ class NeuralOutputError:
         real_signals(spec, what)
         moving(records, what, inputs=False)
         records.sort(key=lambda one: (len(one), one.y.tobytes()))
-        y_all, u_all = np.concatenate([one.y for one in records]), np.concatenate([one.u for one in records])
-        y_mean, y_std = y_all.mean(axis=0), np.where(y_all.std(axis=0) > 0, y_all.std(axis=0), 1.0)
-        u_mean, u_std = u_all.mean(axis=0), np.where(u_all.std(axis=0) > 0, u_all.std(axis=0), 1.0)
+        (u_mean, u_std), (y_mean, y_std) = centred([one.u for one in records]), centred([one.y for one in records])
         layout = Layout(self.order, spec.nu, spec.ny, self.hidden, self.outside)
         problems = [Problem(spec.outputs, (one.u - u_mean) / u_std, one.y, y_mean, y_std) for one in records]
         direct = self.direct or spec.feedthrough
