@@ -32,7 +32,7 @@ def main() -> None:
     q, v, a = np.random.default_rng(0).normal(size=(3, SAMPLES, arm.n))
     block = np.empty((BLOCK, arm.n, 70))
     start = time.perf_counter()
-    regressor = ArmRegressor(arm.arm)
+    regressor = ArmRegressor(arm.arm.joints)
     regressor(q[:4], v[:4], a[:4])
     print(f"ours, made and compiled (kept on disk): {time.perf_counter() - start:.2f} s")
 

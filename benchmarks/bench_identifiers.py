@@ -1,22 +1,21 @@
-"""Identifiers against their peers: the same work in one process, best of a few rounds, with the ratio.
+"""Identifiers against their peers: the same work in one process, in alternating rounds, with ratio, aim and difference.
 
-Run ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/bench_identifiers.py``; a peer that is not installed
-(pysindy, pydmd) has a row that says so. Claims, on one thread: STLSQ more than 10 times, DMD with control about 10
-times, Markov parameters about 50 times and more, ERA about 10 times from 1000 Markov parameters on (even below that) as
-fast as the peer; both sides give the same numbers: the largest difference is printed. Counting is raced against a plain
-Python loop.
+Run ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/bench_identifiers.py [NAMES]``; names: markov, era,
+sparse, dmd, counting, recursive. A peer that is not installed (pysindy, pydmd, numba, padasip) has a row that says so.
+The ratio is that of the shortest CPU times; the difference is the largest between the two answers.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from harness.signals import Channel, PlantSpec, Trajectory
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.dmd import Dmdc
 from identifiers.library import Library
 from identifiers.mdp import count_transitions
@@ -26,33 +25,42 @@ from identifiers.subspace import markov_parameters, realize
 
 RNG = np.random.default_rng(0)
 BLOCK = 8192
+Job = Callable[[], Any]
 
 
-def best(job: Callable[[], Any], rounds: int = 3) -> tuple[float, Any]:
-    """Return the shortest CPU time [s] of a job and its result."""
-    times, result = [], None
-    for _ in range(rounds):
-        start = time.process_time()
-        result = job()
-        times.append(time.process_time() - start)
-    return max(min(times), 1e-9), result
+def race(work: str, aim: float, ours: Job, who: str, peer: Job | None, *, rounds: int = 5, of: str = "") -> None:
+    """Run both in alternating rounds and print one line: best CPU times, their ratio, the aim, the difference.
 
-
-def row(work: str, ours: float, peer: float | None, who: str, difference: float | None = None) -> None:
-    """Print one line of the table."""
-    if peer is None:
-        print(f"{work:44s} {ours:10.4f} s   {who}: not installed")
+    Parameters
+    ----------
+    work, who : str
+        What is done, and by which peer (``of`` names its package where that differs).
+    aim : float
+        The ratio asked for.
+    ours, peer : callable
+        Return the answer as an array.
+    """
+    package = of or who
+    if peer is None or (package != "numpy" and importlib.util.find_spec(package) is None):
+        print(f"{work:44s} {who}: not installed")
         return
-    equal = "" if difference is None else f"   largest difference {difference:.1e}"
-    print(f"{work:44s} {ours:10.4f} s   {who} {peer:.4f} s   ratio {peer / ours:.1f}{equal}")
+    times: dict[str, list[float]] = {"ours": [], "peer": []}
+    answers: dict[str, Any] = {}
+    for _ in range(rounds):
+        for name, job in (("ours", ours), ("peer", peer)):
+            start = time.process_time()
+            answers[name] = job()
+            times[name].append(time.process_time() - start)
+    own, other = (max(min(times[name]), 1e-9) for name in ("ours", "peer"))
+    gap = float(np.abs(np.asarray(answers["ours"]) - np.asarray(answers["peer"])).max())
+    verdict = "met" if other / own >= aim else "MISSED"
+    times_text = f"{1e3 * own:10.3f} ms   {who} {1e3 * other:.3f} ms"
+    print(
+        f"{work:44s} {times_text}   ratio {other / own:.1f} (aim {aim:g}: {verdict})   difference {gap:.1e}", flush=True
+    )
 
 
-def have(package: str) -> bool:
-    """Return True if a peer is installed."""
-    return importlib.util.find_spec(package) is not None
-
-
-def record(u: np.ndarray, y: np.ndarray) -> Trajectory:
+def record(u: FloatArray, y: FloatArray) -> Trajectory:
     """Return a record of unnamed signals."""
     spec = PlantSpec(
         tuple(Channel(f"u{i}") for i in range(u.shape[1])), tuple(Channel(f"y{i}") for i in range(y.shape[1])), 1.0
@@ -60,94 +68,116 @@ def record(u: np.ndarray, y: np.ndarray) -> Trajectory:
     return Trajectory(np.arange(len(y)) * 1.0, u, y, spec)
 
 
-def sparse(samples: int) -> None:
+def sparse() -> None:
     """STLSQ of 4 states on 126 functions; the peer gets the derivatives, so that both regress the same numbers."""
-    x = RNG.normal(size=(samples, 4))
-    rates = x @ RNG.normal(size=(4, 4)) + 0.5 * x[:, :1] * x[:, 1:2] + 0.01 * RNG.normal(size=(samples, 4))
-    library = Library(("a", "b", "c", "d"), degree=5)
+    for samples, aim in ((10_000, 15), (100_000, 35)):
+        x = RNG.normal(size=(samples, 4))
+        rates = x @ RNG.normal(size=(4, 4)) + 0.5 * x[:, :1] * x[:, 1:2] + 0.01 * RNG.normal(size=(samples, 4))
+        library = Library(("a", "b", "c", "d"), degree=5)
 
-    def ours() -> np.ndarray:
-        cuts = range(0, samples, BLOCK)
-        blocks = ((library.rows(list(x[k : k + BLOCK].T)), rates[k : k + BLOCK].T) for k in cuts)
-        return stlsq(NormalEquations.of(blocks, len(library), 4), 0.02)[0]
+        def sums(x: FloatArray = x, rates: FloatArray = rates, library: Library = library) -> NormalEquations:
+            cuts = range(0, len(x), BLOCK)
+            blocks = ((library.rows(list(x[k : k + BLOCK].T)), rates[k : k + BLOCK].T) for k in cuts)
+            return NormalEquations.of(blocks, len(library), 4)
 
-    own, found = best(ours)
-    work = f"STLSQ, {len(library)} functions, N = {samples:.0e}"
-    if not have("pysindy"):
-        row(work, own, None, "pysindy")
-        return
-    import pysindy
+        def ours(sums: Callable[[], NormalEquations] = sums) -> FloatArray:
+            return stlsq(sums(), 0.02)[0]
 
-    def peer() -> np.ndarray:
-        model = pysindy.SINDy(
-            optimizer=pysindy.STLSQ(threshold=0.05, alpha=0.0), feature_library=pysindy.PolynomialLibrary(degree=5)
-        )
-        model.fit(x, t=1.0, x_dot=rates)
-        return np.asarray(model.coefficients()).T
+        def peer(x: FloatArray = x, rates: FloatArray = rates) -> FloatArray:
+            import pysindy
 
-    other, theirs = best(peer, 1 if samples > 50_000 else 3)
-    row(work, own, other, "pysindy", float(np.abs(found - theirs).max()))
+            model = pysindy.SINDy(
+                optimizer=pysindy.STLSQ(threshold=0.05, alpha=0.0), feature_library=pysindy.PolynomialLibrary(degree=5)
+            )
+            model.fit(x, t=1.0, x_dot=rates)
+            return np.asarray(model.coefficients()).T
+
+        def lean(x: FloatArray = x, rates: FloatArray = rates, library: Library = library) -> FloatArray:
+            gram, right = np.zeros((len(library),) * 2), np.zeros((len(library), 4))
+            for k in range(0, len(x), BLOCK):
+                rows = library.rows(list(x[k : k + BLOCK].T))
+                gram += rows @ rows.T
+                right += rows @ rates[k : k + BLOCK]
+            return gram
+
+        work = f"STLSQ, {len(library)} functions, N = {samples:.0e}"
+        race(work, aim, ours, "pysindy", peer, rounds=5 if samples < 50_000 else 2)
+        race(f"{work}, its sums", 0.9, lambda sums=sums: sums().gram, "lean Gram matrix", lean, of="numpy")
 
 
-def dmd(states: int, samples: int) -> None:
+def dmd() -> None:
     """DMD with control of measured states."""
-    a = np.linalg.qr(RNG.normal(size=(states, states)))[0] * 0.95
-    b, y, u = RNG.normal(size=(states, 2)), np.zeros((samples, states)), RNG.normal(size=(samples, 2))
-    disturbance = 0.1 * RNG.normal(size=(samples, states))
-    for k in range(samples - 1):
-        y[k + 1] = a @ y[k] + b @ u[k] + disturbance[k]
-    data = record(u, y)
-    own, model = best(lambda: Dmdc().fit([data], rng=RNG), 2)
-    work = f"DMD with control, n = {states}, N = {samples:.0e}"
-    if not have("pydmd"):
-        row(work, own, None, "pydmd")
-        return
-    import pydmd
+    for states, samples, aim in ((4, 1_000_000, 40), (40, 100_000, 50), (400, 10_000, 10)):
+        a = np.linalg.qr(RNG.normal(size=(states, states)))[0] * 0.95
+        b, y, u = RNG.normal(size=(states, 2)), np.zeros((samples, states)), RNG.normal(size=(samples, 2))
+        disturbance = 0.1 * RNG.normal(size=(samples, states))
+        for k in range(samples - 1):
+            y[k + 1] = a @ y[k] + b @ u[k] + disturbance[k]
+        data = record(u, y)
 
-    def peer() -> Any:
-        one = pydmd.DMDc(svd_rank=-1)
-        return one.fit(y.T, u[:-1].T)
+        def ours(data: Trajectory = data) -> FloatArray:
+            return np.sort(np.abs(Dmdc().fit([data], rng=RNG).eigenvalues))
 
-    other, theirs = best(peer, 1)
-    values = np.sort(np.abs(np.asarray(theirs.eigs)))
-    row(work, own, other, "pydmd", float(np.abs(values - np.sort(np.abs(model.eigenvalues))).max()))
+        def peer(y: FloatArray = y, u: FloatArray = u) -> FloatArray:
+            import pydmd
+
+            model: Any = pydmd.DMDc(svd_rank=-1)
+            return np.sort(np.abs(np.asarray(model.fit(y.T, u[:-1].T).eigs)))
+
+        def normal(y: FloatArray = y, u: FloatArray = u) -> FloatArray:
+            rows = np.hstack([y[:-1], u[:-1]])
+            return np.sort(np.abs(np.linalg.eigvals(np.linalg.solve(rows.T @ rows, rows.T @ y[1:])[: y.shape[1]])))
+
+        work = f"DMD with control, n = {states}, N = {samples:.0e}"
+        race(work, aim, ours, "pydmd", peer, rounds=3)
+        race(work, 1.2, ours, "normal equations", normal, of="numpy", rounds=7)
 
 
-def markov(lengths: tuple[int, ...], samples: int = 100_000) -> None:
-    """Impulse responses of one input and one output."""
+def markov(samples: int = 100_000) -> None:
+    """Impulse responses of one input and one output, from rest.
+
+    The peer takes inputs before the record for zero, ours counts only windows within it: given the zeros, they agree.
+    """
     import control
     from scipy.signal import lfilter
 
     u = RNG.normal(size=samples)
     y = lfilter([0, 1, 0.5], [1, -1.5, 0.7], u) + 0.1 * RNG.normal(size=samples)
-    data = record(u[:, None], y[:, None])
-    for length in lengths:
-        own, found = best(lambda n=length: markov_parameters([data], n, offset=False)[0][:, 0, 0])
-        other, theirs = best(lambda n=length: np.asarray(control.markov(y, u, m=n)).ravel(), 1)
-        row(f"Markov parameters, N = 1e5, m = {length}", own, other, "control", float(np.abs(found - theirs).max()))
+    for length, aim in ((100, 60), (300, 140), (1000, 700)):
+        rest = np.zeros((length - 1, 1))
+        data = record(np.vstack([rest, u[:, None]]), np.vstack([rest, y[:, None]]))
+        race(
+            f"Markov parameters, N = 1e5, m = {length}",
+            aim,
+            lambda n=length, data=data: markov_parameters([data], n, offset=False)[0][:, 0, 0],
+            "control",
+            lambda n=length: np.asarray(control.markov(y, u, m=n)).ravel(),
+            rounds=3 if length < 1000 else 1,
+        )
 
 
-def era(lengths: tuple[int, ...]) -> None:
+def era() -> None:
     """Realization of order 4 from noisy Markov parameters; the peer is told its window, whose default ignores most."""
     import control
 
     a, c = np.diag([0.95, 0.8, -0.5, 0.3]), np.array([[1.0, 2.0, 3.0, 4.0]])
-    for length in lengths:
+    for length, aim in ((100, 5), (300, 10), (1000, 25), (2000, 130)):
         powers = np.diag(a)[None] ** np.arange(length)[:, None]
         response = (powers @ c[0])[:, None, None] + 1e-4 * RNG.normal(size=(length, 1, 1))
-        own, found = best(lambda g=response: realize(g, order=4)[0], 5)
-        half = length // 2
-        series = np.concatenate([[0.0], response[:, 0, 0]])
+        half, series = length // 2, np.concatenate([[0.0], response[:, 0, 0]])
+        race(
+            f"ERA, m = {length}",
+            aim,
+            lambda g=response: np.sort(np.linalg.eigvals(realize(g, order=4)[0]).real),
+            "control",
+            lambda g=series, m=half: np.sort(
+                np.linalg.eigvals(np.asarray(control.eigensys_realization(g, 4, m=m, n=m - 1)[0].A)).real
+            ),
+            rounds=20 if length < 1000 else 5,
+        )
 
-        def peer(g: np.ndarray = series, m: int = half) -> np.ndarray:
-            return np.asarray(control.eigensys_realization(g, 4, m=m, n=m - 1)[0].A)
 
-        other, theirs = best(peer)
-        gap = np.abs(np.sort(np.linalg.eigvals(found).real) - np.sort(np.linalg.eigvals(theirs).real)).max()
-        row(f"ERA, m = {length}", own, other, "control", float(gap))
-
-
-def counting(samples: int = 1_000_000, states: int = 100, actions: int = 10) -> None:
+def counting(samples: int = 10_000_000, states: int = 1000, actions: int = 10) -> None:
     """Transition counts."""
     category = dict(kind="category", minimum=0.0)
     spec = PlantSpec(
@@ -155,37 +185,76 @@ def counting(samples: int = 1_000_000, states: int = 100, actions: int = 10) -> 
     )
     a, s = RNG.integers(actions, size=samples), RNG.integers(states, size=samples)
     data = Trajectory(np.arange(samples) * 1.0, a[:, None], s[:, None], spec)
+    peer = None
+    if importlib.util.find_spec("numba") is not None:
+        import numba
 
-    def loop() -> np.ndarray:
-        counts = np.zeros((states, actions, states))
-        for k in range(samples - 1):
-            counts[s[k], a[k], s[k + 1]] += 1
-        return counts
+        @numba.njit  # type: ignore[untyped-decorator]
+        def count(u: FloatArray, y: FloatArray) -> FloatArray:
+            counts = np.zeros((states, actions, states))
+            for k in range(len(y) - 1):
+                counts[int(y[k, 0]), int(u[k, 0]), int(y[k + 1, 0])] += 1
+            return counts
 
-    own, found = best(lambda: count_transitions([data]))
-    other, theirs = best(loop, 1)
-    row(f"counting, {samples:.0e} transitions", own, other, "python loop", float(np.abs(found - theirs).max()))
+        count(data.u[:10], data.y[:10])
+
+        def peer() -> FloatArray:
+            return np.asarray(count(data.u, data.y))
+
+    race(f"counting, {samples:.0e} transitions", 1.0, lambda: count_transitions([data]), "numba", peer)
 
 
-def recursive(samples: int = 5000) -> None:
-    """Time a step of recursive least squares, for the record: no peer scores regret."""
-    online = RecursiveLeastSquares(order=2)
-    u, y = RNG.normal(size=(samples, 1)), RNG.normal(size=(samples, 1))
-    state = online.start(online.init(record(u, y).spec, rng=RNG), y[0])
-    start = time.process_time()
+def recursive(samples: int = 3000) -> None:
+    """Predict and learn by recursive least squares, 5 parameters, beside ten lines of numpy and padasip."""
+    u, y = RNG.normal(size=(samples, 1)), np.zeros((samples, 1))
     for k in range(samples - 1):
-        online.predict(state, u[k])
-        state = online.update(state, u[k], y[k + 1])
-    print(f"recursive least squares, 5 parameters: {(time.process_time() - start) / samples * 1e6:.0f} us a step")
+        y[k + 1] = 0.7 * y[k] + u[k] + 0.1 * RNG.normal()
+    online, spec = RecursiveLeastSquares(order=2), record(u, y).spec
 
+    def stepped() -> FloatArray:
+        state = online.start(online.init(spec, rng=RNG), y[0])
+        for k in range(samples - 1):
+            online.predict(state, u[k])
+            state = online.update(state, u[k], y[k + 1])
+        return state.coefficients[:, 0]
+
+    def tracked() -> FloatArray:
+        state = online.start(online.init(spec, rng=RNG), y[0])
+        return online.track(state, u[:-1], y[1:])[1].coefficients[:, 0]
+
+    def plain() -> FloatArray:
+        theta, covariance, row = np.zeros(5), 1e9 * np.eye(5), np.ones(5)
+        outputs, inputs = y[:, 0], u[:, 0]
+        for k in range(1, samples - 1):
+            row[0], row[1], row[2], row[3] = outputs[k], outputs[k - 1], inputs[k], inputs[k - 1]
+            guess = row @ theta
+            spread = covariance @ row
+            gain = spread / (1.0 + row @ spread)
+            theta = theta + gain * (outputs[k + 1] - guess)
+            covariance = covariance - np.outer(gain, spread)
+        return theta
+
+    def padasip() -> FloatArray:
+        import padasip
+
+        filter, row = padasip.filters.FilterRLS(n=5, mu=1.0, eps=1e-9, w="zeros"), np.ones(5)
+        outputs, inputs = y[:, 0], u[:, 0]
+        for k in range(1, samples - 1):
+            row[0], row[1], row[2], row[3] = outputs[k], outputs[k - 1], inputs[k], inputs[k - 1]
+            filter.predict(row)
+            filter.adapt(outputs[k + 1], row)
+        return np.asarray(filter.w)
+
+    for work, ours in (("step by step", stepped), ("a record at once", tracked)):
+        work = f"recursive least squares, {samples} samples, {work}"
+        race(work, 1.5, ours, "ten lines of numpy", plain, of="numpy", rounds=10)
+        race(work, 1.5, ours, "padasip", padasip, rounds=10)
+
+
+RACES = (markov, era, sparse, dmd, counting, recursive)
 
 if __name__ == "__main__":
-    markov((100, 300, 1000))
-    era((100, 300, 1000, 2000))
-    for size in (10_000, 100_000):
-        sparse(size)
-    dmd(4, 1_000_000)
-    dmd(40, 100_000)
-    dmd(400, 10_000)
-    counting()
-    recursive()
+    chosen = sys.argv[1:] or [job.__name__ for job in RACES]
+    for job in RACES:
+        if job.__name__ in chosen:
+            job()

@@ -1,4 +1,4 @@
-"""Draw docs/mechanical.svg: the textbook's cart-pole, digit for digit, and the same data with better methods.
+"""Draw docs/mechanical.svg and docs/acrobot.svg: the textbook's cart-pole, and its Acrobot under joint offsets.
 
 Run: python docs/mechanical_figures.py FOLDER     (the folder that holds cartpole_lumped_data_damped.npz)
 """
@@ -12,9 +12,16 @@ import numpy as np
 import sympy as sp
 from scipy.interpolate import make_interp_spline
 
-from harness.physics import Mechanism, lumped
+from harness import registry
+from harness.errors import PlantError
+from harness.physics import Mechanism
+from harness.rng import Streams
+from harness.rollout import run
+from harness.signals import Channel, PlantSpec, Trajectory
 
 TRUTH = {"mc + mp": 11.0, "l*mp": 0.5, "l**2*mp": 0.25}
+OFFSETS = (0.0, 0.0025, 0.005, 0.0075, 0.01, 0.015, 0.02, 0.025, 0.03, 0.035)
+UNITS = {"": "m", "_rate": "m/s", "_acceleration": "m/s^2"}
 
 
 def textbook_model() -> Mechanism:
@@ -27,31 +34,106 @@ def textbook_model() -> Mechanism:
     return m
 
 
-def fits(folder: Path) -> dict[str, dict[str, float]]:
-    """Return the lumped parameters by method."""
+def record(t: np.ndarray, u: np.ndarray, columns: dict[str, np.ndarray], sample_time: float) -> Trajectory:
+    """Return a record of coordinates and of derivatives that stand beside them, by name."""
+    channels = []
+    for name in columns:
+        coordinate, mark, kind = name.partition("_")
+        unit = UNITS[mark + kind]
+        channels.append(Channel(name, unit if coordinate == "x" else unit.replace("m", "rad", 1)))
+    spec = PlantSpec((Channel("u", "N"),), tuple(channels), sample_time)
+    return Trajectory(t, u, np.column_stack(list(columns.values())), spec)
+
+
+def chapter(folder: Path) -> list[Trajectory]:
+    """Return the chapter's rows: states as they were, forward differences as recorded accelerations, 87 rows a run.
+
+    The samples lie where an integrator stepped, 0.1 ms to 60 ms apart. The torque form needs no time once the
+    accelerations are given, so the records carry the number of the sample instead of the time.
+    """
     content = np.load(folder / "cartpole_lumped_data_damped.npz")
-    runs = [(content[f"t{k}"], content[f"X{k}"].T, content[f"u{k}"].reshape(-1, 1)) for k in range(4)]
-    model = lumped(textbook_model(), known={"bx": 0.1, "bt": 0.1})
-    few = len(runs[0][0]) - 1
-    rows: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
-    for t, x, u in runs:
-        q, v = x[:, :2], x[:, 2:]
-        forward = (np.diff(v, axis=0) / np.diff(t)[:, None])[:few]
-        smooth = make_interp_spline(t, v, k=5).derivative()(t)
-        plain = model.torque_rows(t[:few], q[:few], v[:few], forward, u[:few])
-        rows.setdefault("torque, forward differences", []).append(plain)
-        rows.setdefault("torque, spline", []).append(model.torque_rows(t, q, v, smooth, u))
-        rows.setdefault("energy", []).append(model.energy_rows(t, q, v, u, intersample="smooth"))
-        rows.setdefault("momentum", []).append(model.momentum_rows(t, q, v, u, samples=1, intersample="smooth"))
+    few, records = len(content["t0"]) - 1, []
+    for k in range(4):
+        t, x, u = content[f"t{k}"], content[f"X{k}"], content[f"u{k}"].reshape(-1, 1)
+        forward = (np.diff(x[2:], axis=1) / np.diff(t))[:, :few]
+        names = ("x", "theta", "x_rate", "theta_rate", "x_acceleration", "theta_acceleration")
+        columns = dict(zip(names, [*x[:, :few], *forward], strict=True))
+        records.append(record(np.arange(few, dtype=float), u[:few], columns, 1.0))
+    return records
+
+
+def resampled(folder: Path, sample_time: float = 0.005) -> list[Trajectory]:
+    """Return the same runs at even instants, by quintic splines through states and force."""
+    content, records = np.load(folder / "cartpole_lumped_data_damped.npz"), []
+    for k in range(4):
+        t, x, u = content[f"t{k}"], content[f"X{k}"], content[f"u{k}"].reshape(-1, 1)
+        even = t[0] + np.arange(int((t[-1] - t[0]) / sample_time)) * sample_time
+        states = make_interp_spline(t, x.T, k=5)(even)
+        columns = dict(zip(("x", "theta", "x_rate", "theta_rate"), states.T, strict=True))
+        records.append(record(even, make_interp_spline(t, u, k=5)(even), columns, sample_time))
+    return records
+
+
+def fits(folder: Path) -> dict[str, dict[str, float]]:
+    """Return the lumped parameters by method, each by an identifier from records."""
+    common = {"model": f"{Path(__file__).resolve()}:textbook_model", "known": {"bx": 0.1, "bt": 0.1}}
+    smooth = {**common, "intersample": "smooth"}
+    exactly = {**smooth, "smoothing": "none", "estimator": "unweighted"}
+    even = resampled(folder)
+    methods = {
+        "torque, forward differences": ("lumped-torque", exactly, chapter(folder)),
+        "torque, spline": ("lumped-torque", smooth, even),
+        "energy": ("lumped-energy", smooth, even),
+        "momentum": ("lumped-momentum", smooth, even),
+    }
     found = {}
-    for name, parts in rows.items():
-        W, target = np.concatenate([one[0] for one in parts]), np.concatenate([one[1] for one in parts])
-        found[name] = model.solve(W, target).values
+    for name, (identifier, options, records) in methods.items():
+        model = registry.create("identifiers", identifier, **options).fit(records, rng=np.random.default_rng(0))
+        lumps = model.notes["lumped"]
+        found[name] = dict(zip(lumps["names"], lumps["values"], strict=True))
     return found
 
 
+def postures(offset: float, duration: float = 25.0) -> tuple[np.ndarray, float]:
+    """Return the mean joint angles (2,) of the last 5 s from upright, and the largest rate then; NaN after a fall."""
+    outputs = [["theta1", 0], ["theta2", 0], ["theta1", 1], ["theta2", 1]]
+    scenario = registry.create("scenarios", "acrobot-lqr", offset=(offset, offset), duration=duration, tilt=0.0)
+    with registry.create("plants", "ode", model="acrobot", sample_time=0.005, outputs=outputs) as plant:
+        try:
+            held = run(plant, scenario, streams=Streams("acrobot", "offset", 0), role="estimation/0").y[-1000:]
+        except PlantError:
+            return np.full(2, np.nan), np.inf
+    return held[:, :2].mean(axis=0) - [np.pi, 0.0], float(np.abs(held[:, 2:]).max())
+
+
+def draw_acrobot(folder: Path) -> None:
+    """Draw the steady error of the Acrobot against the offset of its joints."""
+    import matplotlib.pyplot as plt
+
+    gains = registry.create("scenarios", "acrobot-lqr").steady_gains()
+    found = [(offset, *postures(offset)) for offset in OFFSETS]
+    figure, axes = plt.subplots(figsize=(6, 3))
+    for joint, colour in ((0, "tab:blue"), (1, "tab:red")):
+        still = [(offset, posture[joint]) for offset, posture, rate in found if rate < 0.05]
+        moving = [(offset, posture[joint]) for offset, posture, rate in found if 0.05 <= rate < np.inf]
+        axes.plot(*zip(*still, strict=True), "o-", ms=4, color=colour, label=f"theta{joint + 1}")
+        axes.plot(
+            OFFSETS[:5], gains[joint] * np.array(OFFSETS[:5]), ":", color=colour, label=f"linear, {gains[joint]:.1f}"
+        )
+        if moving:
+            axes.plot(*zip(*moving, strict=True), "x", color=colour, label="mean of a swing that goes on")
+    axes.set_xlabel("offset of both joint sensors [rad]")
+    axes.set_ylabel("steady error [rad]")
+    axes.set_ylim(-1.9, 0.7)
+    axes.legend(fontsize=7, ncol=2, loc="lower left")
+    figure.tight_layout()
+    figure.savefig(folder / "acrobot.svg", metadata={"Date": None})
+    for offset, posture, rate in found:
+        print(f"offset {offset}: {posture.round(3).tolist()} rad, rates up to {rate:.2g} rad/s")
+
+
 def main() -> None:
-    """Print the figures and draw the plot."""
+    """Print the figures and draw the plots."""
     import matplotlib.pyplot as plt
 
     found = fits(Path(sys.argv[1]))
@@ -63,9 +145,11 @@ def main() -> None:
     axes.set_xticks(range(3), ["mc + mp", "l mp", "l² mp"])
     axes.set_yscale("log")
     axes.set_ylabel("error [%]")
-    axes.legend(fontsize=8)
+    axes.set_ylim(top=3e3)
+    axes.legend(fontsize=8, ncol=2, loc="upper left")
     figure.tight_layout()
-    figure.savefig(Path(__file__).with_suffix("").with_name("mechanical.svg"), metadata={"Date": None})
+    figure.savefig(Path(__file__).with_name("mechanical.svg"), metadata={"Date": None})
+    draw_acrobot(Path(__file__).parent)
 
 
 if __name__ == "__main__":

@@ -32,9 +32,11 @@ if TYPE_CHECKING:
     from harness.predictive import ProbabilityScore
     from harness.scoring import Score
     from harness.study import StudyResult
+    from harness.study.package import Package
 
 __all__ = [
     "Identified",
+    "answer_study",
     "bench",
     "check",
     "close_fleet",
@@ -43,11 +45,13 @@ __all__ = [
     "describe_fmu",
     "describe_part",
     "export",
+    "generate_study",
     "identify",
     "isolability",
     "list_parts",
     "plan_bench",
     "query",
+    "score_study",
     "simulate",
     "spectrum",
     "study",
@@ -549,6 +553,58 @@ def study(
     )
 
 
+def generate_study(
+    out: str | Path,
+    *,
+    truth: str | Path,
+    seeds: str = "judged",
+    secret: int | None = None,
+    records: int | None = None,
+    plants: Sequence[str] = ("pendulum", "cart-pole"),
+    cells: int = 2,
+    alarms: int = 300,
+    like: str | Path | None = None,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Package:
+    """Write the records of a study for another tool, the truth apart; see :func:`harness.study.package.generate`."""
+    from harness.study.package import generate
+
+    return generate(
+        out,
+        truth=truth,
+        seeds=seeds,
+        secret=secret,
+        records=records,
+        plants=plants,
+        cells=cells,
+        alarms=alarms,
+        like=like,
+        progress=progress,
+    )
+
+
+def answer_study(source: str | Path, *, out: str | Path) -> int:
+    """Write the answer file of a run of the closed loop: a fleet's folder over the records, or a study's ``rows.csv``.
+
+    Returns
+    -------
+    int
+        Number of answers.
+    """
+    from harness.study.leaderboard import answers_of_fleet, answers_of_rows, write_answers
+
+    answers = answers_of_fleet(source) if Path(source).is_dir() else answers_of_rows(source)
+    write_answers(out, answers)
+    return len(answers)
+
+
+def score_study(truth: str | Path, answers: Sequence[str | Path]) -> str:
+    """Return the leaderboard of answer files as Markdown; see :func:`harness.study.leaderboard.score`."""
+    from harness.study.leaderboard import score
+
+    return score(truth, answers)[1]
+
+
 def isolability(
     model: str,
     *,
@@ -762,14 +818,10 @@ def _as_is(
 
 def _with_model(identifier: str, options: dict[str, Any], nominal: Nominal | None) -> dict[str, Any]:
     """Return the options of an identifier, with the nominal model of the data where it fits a model and names none."""
-    if nominal is None or nominal.model.endswith((".fmu", ".urdf")):
+    if nominal is None or nominal.model.endswith(".fmu"):
         return options
     known = registry.named_options("identifiers", identifier)
     if "model" not in known or options.get("model") is not None:
-        return options
-    from harness.physics.arm import is_arm
-
-    if is_arm(nominal.model):
         return options
     options["model"] = nominal.model
     if "options" in known and nominal.options:

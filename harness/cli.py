@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from harness import __version__, api
+from harness.cli_study import study_app
 from harness.errors import HarnessError, InputError
 from harness.interrupts import INTERRUPTED, Interrupts
 from harness.terminal import (
@@ -45,6 +46,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+app.add_typer(study_app, name="study")
 
 OptionPairs = Annotated[list[str] | None, typer.Option("--option", "-O", metavar="k=v", help="option, repeatable")]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
@@ -423,45 +426,6 @@ def _close_fleet(
         return
     say(str(result))
     say(f"page: {result.page}")
-
-
-@app.command()
-def study(
-    which: Annotated[str, typer.Argument(metavar="STUDY", help="confusion | false-alarms | coverage | cost | all")],
-    out: Annotated[Path, typer.Option(help="folder for rows.csv, study.md and confusion.png")],
-    seeds: Annotated[str, typer.Option(help="tuning, or judged: records that no threshold was chosen on")] = "tuning",
-    records: Annotated[int | None, typer.Option(help="only the first so many of the plan, a balanced part")] = None,
-    plants: Annotated[str, typer.Option(help="separated by commas")] = "pendulum,cart-pole",
-    workers: Annotated[int, typer.Option(help="processes")] = 2,
-    cells: Annotated[int, typer.Option(help="records of each effect, of 8 cells noise x size x disturbance")] = 2,
-    alarms: Annotated[int, typer.Option(help="records with nothing missing, of each class")] = 300,
-    budget: Annotated[float | None, typer.Option(metavar="MINUTES", help="then begin no more")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="continue in a folder that has rows")] = False,
-    force: Force = False,
-) -> None:
-    """Try the closed loop on simulated truths: confusion, false alarms, coverage, cost."""
-    with progress_bar("benchmark study") as bar:
-        task = bar.add_task(which, total=None)
-
-        def show(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=what)
-
-        result = api.study(
-            which,
-            out=out,
-            seeds=seeds,
-            records=records,
-            plants=[name.strip() for name in plants.split(",") if name.strip()],
-            workers=workers,
-            cells=cells,
-            alarms=alarms,
-            budget=budget,
-            resume=resume,
-            force=force,
-            progress=show,
-        )
-    say(result.text)
-    say(f"{result.done} of {result.planned} records done; tables: {out / 'study.md'}")
 
 
 @app.command()

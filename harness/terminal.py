@@ -238,16 +238,20 @@ def print_answer(answer: Answer) -> None:
 
 
 def print_planned(found: Planned) -> None:
-    """Print the isolability matrix (hundredths), the pairs that look alike, and what stays invisible."""
+    """Print the isolability matrix (hundredths), from what size each is seen, what looks alike, what is invisible."""
     width = max(map(len, found.effects), default=0)
-    say(f"share of the row's effect that the column's can mimic, in hundredths ({found.horizon})")
+    say(f"share of the row's effect that the column's can mimic, in hundredths ({found.noise})")
     say(" " * (width + 4) + "".join(f"{k + 1:>4}" for k in range(len(found.effects))))
     for k, (name, row) in enumerate(zip(found.effects, found.cosines, strict=True)):
         say(f"{k + 1:>3} {name:<{width}}" + "".join(f"{100 * value:>4.0f}" for value in row))
+    for name, size in found.smallest.items():
+        say(f"seen from about {size['value']:.3g} {size['unit']} of {size['parameter']}: {name}")
     for one, other, cosine in found.alike:
         say(f"cannot be told apart: {one} and {other} ({cosine:.3f})")
     for hidden in found.hidden:
         say(f"not visible: {hidden['name']}@{hidden['at']}: {hidden['reason']}")
+    if found.untested:
+        say(f"not tested (no first-order test sees them): {', '.join(found.untested)}")
 
 
 def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:
@@ -270,6 +274,8 @@ def print_identified(fitted: Identified, identifier: str) -> None:
     """Print the scores of a model, output by output."""
     from rich.table import Table
 
+    from harness.estimate import estimate_of
+
     shown = Table(title=f"{identifier}: NRMSE (rms)", title_justify="left", box=None, padding=(0, 2, 0, 0))
     for name in ("use", "run", "output", "equation error", "simulation error", "initial state"):
         shown.add_column(name, justify="right" if name.endswith("error") else "left")
@@ -282,9 +288,16 @@ def print_identified(fitted: Identified, identifier: str) -> None:
     for use, scores_of_use in fitted.probability.items():
         for run, score in enumerate(scores_of_use):
             say(f"{use} {run}, one step ahead: {score}")
+    estimate = estimate_of(fitted.model)
+    loose = estimate.rank.undetermined if estimate is not None and estimate.rank is not None else ()
     for name, value in getattr(fitted.model, "parameters", {}).items():
         deviation = getattr(fitted.model, "deviations", {}).get(name)
-        say(f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else ""))
+        interval = estimate.interval(name) if estimate is not None and name in estimate.names else None
+        text = f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else "")
+        text += f" [{interval[0]:.6g}, {interval[1]:.6g}]" if interval else ""
+        say(text + (" (not determined alone)" if name in loose else ""))
+    if estimate is not None and estimate.rank is not None:
+        say(f"  {estimate.rank}")
     for warning in fitted.warnings:
         say(f"warning: {warning}")
 

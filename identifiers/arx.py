@@ -13,7 +13,8 @@ from harness.lqr import spectral_radius
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.excitation import Columns, refuse_feedback
 from identifiers.linear_model import LinearModel
-from identifiers.records import lagged, lagged_blocks, moving, real_signals, usable
+from identifiers.one_step_estimate import least_squares_estimate
+from identifiers.records import lagged, lagged_blocks, moving, real_signals, snapshot_sums, usable
 from identifiers.regression import Solution, solve
 from identifiers.scaling import sizes
 from identifiers.stability import nearest_stable, stable_lags
@@ -80,7 +81,11 @@ class Arx:
         coefficients = _widened(solution.coefficients, spec, order, delay)
         notes = {"order": order, "delay": delay, **ladder}
         own = order * spec.ny
-        model = lag_model(spec, coefficients, order, self.offset, {**notes, **solution_notes(solution)})
+        estimate = None
+        if self.ridge == 0.0 and delay == 1:
+            estimate = least_squares_estimate(records, solution, order, self.offset)
+        kept = {} if estimate is None else {"estimate": estimate.to_dict()}
+        model = lag_model(spec, coefficients, order, self.offset, {**notes, **solution_notes(solution), **kept})
         if self.stable and spectral_radius(model.a_matrix) >= 1.0:
             weights = 1.0 / sizes([one.y for one in records])
             factor = solution.factor * solution.scale
@@ -190,6 +195,7 @@ def one_step(
         what,
         ridge=ridge,
         names=names,
+        sums=snapshot_sums(records, offset=offset) if lags == 1 else None,
     )
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -12,8 +12,7 @@ from harness.errors import FitError
 from harness.signals import FloatArray, Trajectory
 from identifiers.grey_box_estimate import at_bound, output_error_estimate
 from identifiers.grey_box_model import GreyBoxModel, tuned_gain
-from identifiers.physical import recipe_for
-from identifiers.records import moving, real_signals, usable
+from identifiers.physical import PhysicalFit
 
 if TYPE_CHECKING:
     from harness.physics import OutputErrorFit, System
@@ -27,21 +26,13 @@ _FIRST, _FEWEST = 2.0, 15
 
 
 @dataclass(frozen=True)
-class OutputError:
+class OutputError(PhysicalFit):
     """Grey-box identification: the parameters with which free runs of a physical model fit best.
 
     Parameters
     ----------
-    model : str, optional
-        A built-in model or ``FILE.py:NAME``; by default the built-in one with the signals of the records.
-    options : mapping
-        For the model's function.
-    effects : tuple of str
-        Effects that the model has too: ``("coulomb_friction@theta",)``.
-    fixed : tuple of str
-        Parameters that keep their value.
-    start : mapping
-        Values where some parameters start.
+    model, options, effects, fixed, start
+        As of :class:`identifiers.physical.PhysicalFit`.
     horizon : float, "record" or "auto"
         Length of the windows of the fit [s]; whole records; or whole records unless the motion is so unstable that an
         error would grow beyond exp(6) over them: then the longest windows over which it does not and the fit converges.
@@ -62,11 +53,6 @@ class OutputError:
     {'J': 0.2, 'b': 0.05, 'mgl': 1.0}
     """
 
-    model: str | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
-    effects: tuple[str, ...] = ()
-    fixed: tuple[str, ...] = ()
-    start: Mapping[str, float] = field(default_factory=dict)
     horizon: float | Literal["record", "auto"] = "auto"
     starts: int = 1
     intersample: Literal["zoh", "foh", "smooth"] = "zoh"
@@ -74,11 +60,7 @@ class OutputError:
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> GreyBoxModel:
         """Return the grey box; its notes hold the record of the estimate."""
         what = "output-error"
-        records, spec = usable(trajectories, samples=10, what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=False)
-        recipe = recipe_for(spec, what, model=self.model, options=self.options, effects=tuple(self.effects))
-        system = recipe.system(spec)
+        records, spec, recipe, system = self.prepared(trajectories, what)
         fit = self._fitted(system, records, rng)
         if not np.isfinite(fit.cost):
             raise FitError(

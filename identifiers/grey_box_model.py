@@ -265,10 +265,10 @@ class GreyBoxModel:
             recipe = recipe_for(
                 spec, "grey box", model=str(content["model"]), options=content.get("options", {}), effects=effects
             )
-            if content.get("learned"):
+            if content.get("unnamed_forces"):
                 from harness.physics.residual_force import ResidualForce
 
-                recipe = recipe.with_learned([ResidualForce.from_dict(force) for force in content["learned"]])
+                recipe = recipe.with_unnamed([ResidualForce.from_dict(force) for force in content["unnamed_forces"]])
             gain, steps = content.get("filter_gain"), content.get("substeps")
             return cls(
                 spec,

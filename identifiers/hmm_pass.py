@@ -6,13 +6,14 @@ import ctypes
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from harness.signals import FloatArray
-from identifiers.native import library, pointers
+from identifiers import native
 
 __all__ = ["Counts", "Record", "expected_counts", "filtered_beliefs", "native_library"]
 
@@ -42,12 +43,13 @@ class Counts:
 @functools.cache
 def native_library() -> Any:
     """Return the compiled recursions, or None where there is no C compiler."""
-    compiled = library("hmm_loop")
-    if compiled is not None:
-        call = compiled.sysid_hmm_pass
-        call.restype = ctypes.c_double
-        call.argtypes = [ctypes.c_long] * 2 + [ctypes.c_void_p] * 7 + [ctypes.c_int] + [ctypes.c_void_p] * 5
-    return compiled
+    library = native.native_library(Path(__file__).with_name("hmm_loop.c"))
+    if library is None:
+        return None
+    call = library.sysid_hmm_pass
+    call.restype = ctypes.c_double
+    call.argtypes = [ctypes.c_long] * 2 + [ctypes.c_void_p] * 7 + [ctypes.c_int] + [ctypes.c_void_p] * 5
+    return library
 
 
 def expected_counts(
@@ -81,14 +83,18 @@ def filtered_beliefs(
     seen, action = record
     turned, spread = np.ascontiguousarray(transition.transpose(1, 0, 2)), np.ascontiguousarray(emission.T)
     beliefs, scale = np.zeros((len(seen), len(initial))), np.zeros(len(seen))
-    if (compiled := native_library()) is not None:
+    if (library := native_library()) is not None:
         start = np.ascontiguousarray(initial)
-        total = compiled.sysid_hmm_pass(
-            len(seen), len(initial), *pointers(seen, action, start, turned, spread, beliefs, scale), 0, *[None] * 5
+        total = library.sysid_hmm_pass(
+            len(seen), len(initial), *_pointers(seen, action, start, turned, spread, beliefs, scale), 0, *[None] * 5
         )
     else:
         total = _forward(seen, action, initial, turned, spread, beliefs, scale)
     return beliefs, float(total)
+
+
+def _pointers(*arrays: Any) -> list[int]:
+    return [one.ctypes.data for one in arrays]
 
 
 def _native(
@@ -98,8 +104,8 @@ def _native(
     n, states = len(seen), len(start)
     scratch = np.empty(n * states + n + 2 * states)
     beliefs, scale, work = scratch[: n * states], scratch[n * states : n * states + n], scratch[n * states + n :]
-    given = pointers(seen, action, start, turned, spread, beliefs, scale)
-    return float(native_library().sysid_hmm_pass(n, states, *given, 1, *pointers(*sums), None, *pointers(work)))
+    given = _pointers(seen, action, start, turned, spread, beliefs, scale)
+    return float(native_library().sysid_hmm_pass(n, states, *given, 1, *_pointers(*sums), None, *_pointers(work)))
 
 
 def _forward(

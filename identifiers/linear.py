@@ -9,12 +9,14 @@ from typing import Literal
 import numpy as np
 
 from harness.errors import FitError
+from harness.estimate import Estimate
 from harness.lqr import spectral_radius
 from harness.signals import FloatArray, Trajectory
 from identifiers.arx import Arx, design, one_step, solution_notes
 from identifiers.excitation import Columns, refuse_collinear, refuse_feedback
 from identifiers.linear_model import LinearModel
 from identifiers.norms import largest_components
+from identifiers.one_step_estimate import GROUPS, jackknife_estimate, least_squares_estimate
 from identifiers.records import moving, real_signals, usable
 from identifiers.regression import Solution
 from identifiers.scaling import sizes
@@ -48,6 +50,10 @@ class StateLeastSquares:
     least_excitation : float
         Every combination of states and inputs must move by so many times the noise that it carries, else the data are
         refused, whatever the method (:mod:`identifiers.excitation`). 0 refuses only what is exactly dependent.
+    intervals : int, optional
+        Groups of the jackknife that gives intervals (:mod:`identifiers.one_step_estimate`); by default 20 for ``iv``
+        and ``tls``, none for ``l1`` and ``linf``, which are a linear program each time; ``ls`` needs none. 0: no
+        intervals but those of ``ls``. The record is ``harness.estimate.estimate_of(model)``.
 
     Examples
     --------
@@ -68,6 +74,7 @@ class StateLeastSquares:
     stable: bool = False
     scaled: bool = False
     least_excitation: float = 2.0
+    intervals: int | None = None
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return a model whose state is the output."""
@@ -85,11 +92,14 @@ class StateLeastSquares:
         refuse_feedback(solution, columns, self.least_excitation, what)
         coefficients = self._coefficients(records, solution, what)
         notes = {**solution_notes(solution), "method": self.method if self.method != "ls" else solution.method}
+        estimate = self._estimate(records, solution, coefficients, what)
         if self.stable and spectral_radius(coefficients[: spec.ny]) >= 1.0:
             notes["stabilized"] = True
             weights = 1.0 / sizes([one.y for one in records])
             factor = solution.factor * solution.scale
             coefficients = nearest_stable(coefficients, factor, spec.ny, clip_eigenvalues, weights)
+        elif estimate is not None:  # of the nearest stable model the spread of the fit says nothing
+            notes["estimate"] = estimate.to_dict()
         theta = coefficients.T
         ny, nu = spec.ny, spec.nu
         return LinearModel(
@@ -103,6 +113,21 @@ class StateLeastSquares:
             np.zeros(ny),
             notes=notes,
         )
+
+    def _estimate(
+        self, records: list[Trajectory], solution: Solution, coefficients: FloatArray, what: str
+    ) -> Estimate | None:
+        """Return the record of the estimate, as far as the method has one."""
+        if self.method == "ls":
+            return least_squares_estimate(records, solution, 1, self.offset)
+        groups = self.intervals if self.intervals is not None else GROUPS * (self.method in ("iv", "tls"))
+        if groups < 2:
+            return None
+
+        def refit(some: list[Trajectory]) -> FloatArray:
+            return self._coefficients(some, solution, what)
+
+        return jackknife_estimate(records, solution, coefficients, refit, groups)
 
     def _coefficients(self, records: list[Trajectory], solution: Solution, what: str) -> FloatArray:
         """Return the coefficients (p, ny) under the criterion chosen."""

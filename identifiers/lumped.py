@@ -76,18 +76,20 @@ class Lumped:
         the records are free of noise, wider as they need more smoothing.
     known : mapping, optional
         Physical parameters that are known, by name.
-    smoothing : {"auto", "local", "spline", "kalman", "forward", "causal"}
+    smoothing : {"auto", "local", "spline", "kalman", "forward", "causal", "none"}
         How rates and accelerations come of what was measured: local cubics with the width of least leave-one-out
         error; an interpolating spline; a Kalman filter with its backward pass; forward differences; cubics through
-        past samples only (what a filter on the machine can do); or the spline where there is no noise to speak of.
+        past samples only (what a filter on the machine can do); by default local cubics, or the spline where there is
+        no noise to speak of. ``none`` takes rates and accelerations (``NAME_acceleration``) as they were recorded.
     intersample : {"zoh", "smooth"}
         The input was held over each sample, or moved smoothly through the samples.
     tolerance : float
         Numerical floor of the rank decision: relative size below which a direction of the parameters counts as not
         determined, whatever the noise.
-    estimator : {"least-squares", "total", "instruments", "huber", "l1"}
-        Weighted least squares; generalised total least squares with the noise of the rows measured on a noisier copy;
-        instruments from simulated motion (three rounds); Huber's criterion; least absolute deviations.
+    estimator : {"least-squares", "unweighted", "total", "instruments", "huber", "l1"}
+        Weighted least squares; least squares that adds newtons and newton metres as they are; generalised total least
+        squares with the noise of the rows measured on a noisier copy; instruments from simulated motion (three
+        rounds); Huber's criterion; least absolute deviations.
     intervals : int
         Simulated copies of the records whose scatter corrects the bias and gives 95 % intervals; 0 for none. They are
         given only where a free run of the model comes back to the records within their noise.
@@ -142,7 +144,7 @@ class Lumped:
                 remedy="excite the plant more richly, or give known={...}",
             )
         values, spread, how = self._corrected(system, recipe, regression, found.values, records, rng)
-        parameters = {**regression.to_parameters(values), **self._known(system)}
+        parameters = {**regression.to_parameters(values), **self.known_of(system)}
         self._refuse_unphysical(system, regression, values, parameters, what)
         record = lumped_estimate(system, regression, values, spread, how, found.rank, found.condition)
         notes: dict[str, Any] = {
@@ -172,10 +174,10 @@ class Lumped:
         """
         from harness.physics.identifiability import determined
 
-        regression = self._regression(system)
+        regression = self.regression_of(system)
         rng = rng or np.random.default_rng(0)
         moved = [motion(system, one, self.smoothing) for one in records]
-        phi, target = self._stacked(regression, moved, records)
+        phi, target = self.stacked(regression, moved, records)
         if not np.any(target):
             raise FitError(
                 f"lumped-{self.form}: nothing known drives the motion",
@@ -186,7 +188,7 @@ class Lumped:
         again = [
             motion(system, noisier(one, rng), self.smoothing, like=old) for one, old in zip(records, moved, strict=True)
         ]
-        noisy, noisy_target = self._stacked(regression, again, records)
+        noisy, noisy_target = self.stacked(regression, again, records)
         if not (np.isfinite(phi).all() and np.isfinite(target).all()):
             raise FitError(
                 "regression", expected="finite numbers", got="NaN or infinity", remedy="cut the record before it breaks"
@@ -201,8 +203,8 @@ class Lumped:
                 remedy="excite the plant",
             )
         n = 1 if self.form == "energy" else regression.n
-        theta, white = weighted(phi, target, kept, n)
-        if self.estimator != "least-squares" and decision.full:
+        theta, white = weighted(phi, target, kept, n, plain=self.estimator == "unweighted")
+        if self.estimator not in ("least-squares", "unweighted") and decision.full:
             wide = white @ instants(noisy - phi, n), white @ instants((noisy_target - target)[:, None], n)
             theta = self._otherwise(system, regression, records, moved, theta, white, (phi, target), wide)
         rest = white @ instants((target - phi @ theta)[:, None], n)
@@ -211,11 +213,18 @@ class Lumped:
 
     # ---- inside --------------------------------------------------------------------------------------------------
 
-    def _known(self, system: System) -> dict[str, float]:
+    def known_of(self, system: System) -> dict[str, float]:
         """Return the parameters that are given or declared fixed."""
         return {one.name: one.value for one in system.parameters if one.fixed} | dict(self.known or {})
 
-    def _regression(self, system: System) -> LumpedModel:
+    def regression_of(self, system: System) -> LumpedModel:
+        """Return the lumped model of a system, known and fixed parameters on the known side.
+
+        Raises
+        ------
+        FitError
+            If the system is no mechanism.
+        """
         from harness.physics import Mechanism, lumped
 
         if not isinstance(system.mechanism, Mechanism) or not system.coordinates:
@@ -225,9 +234,9 @@ class Lumped:
                 got=str(system),
                 remedy="use output-error for other models",
             )
-        return lumped(system.mechanism, known=self._known(system))
+        return lumped(system.mechanism, known=self.known_of(system))
 
-    def _stacked(
+    def stacked(
         self, regression: LumpedModel, moved: Sequence[Motion], records: Sequence[Trajectory]
     ) -> tuple[FloatArray, FloatArray]:
         """Return the equations of all records; none reaches across a seam."""
@@ -245,7 +254,7 @@ class Lumped:
         """Return what smoothing, and the quadrature of the forms that integrate, change in the rows."""
         pairs = list(zip(records, moved, strict=True))
         bent = [motion(system, one, self.smoothing, like=old, coarser=True) for one, old in pairs]
-        found = [self._stacked(regression, bent, records)[0] - phi]
+        found = [self.stacked(regression, bent, records)[0] - phi]
         if self.form != "torque":
             fine = [self._equations(regression, old, one.spec.sample_time, finer=True)[0] for one, old in pairs]
             found.append(np.concatenate(fine) - phi)
@@ -277,10 +286,10 @@ class Lumped:
         for _ in range(_ROUNDS):
             parameters = {**regression.to_parameters(dict(zip(regression.names, theta, strict=True)))}
             copies = [
-                simulated_motion(system, parameters | self._known(system), one, r.spec.sample_time)
+                simulated_motion(system, parameters | self.known_of(system), one, r.spec.sample_time)
                 for one, r in zip(moved, records, strict=True)
             ]
-            exact = self._stacked(regression, copies, records)[0]
+            exact = self.stacked(regression, copies, records)[0]
             theta = instrumental(phi, target, (white @ instants(exact, n)).reshape(phi.shape), what)
         return theta
 
@@ -296,7 +305,7 @@ class Lumped:
         """Return the values without the bias that simulated records show, their spread, and how it was found."""
         if not self.intervals:
             return values, None, "no intervals: not asked for (option intervals = 60 simulates records)"
-        parameters = {**regression.to_parameters(values), **self._known(system)}
+        parameters = {**regression.to_parameters(values), **self.known_of(system)}
         model = GreyBoxModel(records[0].spec, recipe, parameters)
         runs = simulated(model, records)
         if runs is None:

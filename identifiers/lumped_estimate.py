@@ -107,10 +107,16 @@ def physical_estimate(
 
 
 def lumped_unit(system: System, combination: Any) -> str:
-    """Return the unit of a lumped combination as text: the product of the units in its first term, ``"kg m^2"``."""
+    """Return the unit of a lumped combination as text: the product of the units in one term, ``"kg m^2"``.
+
+    A term with a factor may hide a length (``0.2*m3``): the first parameter of the system that stands alone counts.
+    """
     import sympy as sp
 
-    term = sp.Add.make_args(sp.expand(combination))[0]
+    order = {name: place for place, name in enumerate(system.parameter_names)}
+    plain = [one for one in sp.Add.make_args(sp.expand(combination)) if abs(one.as_coeff_Mul()[0]) == 1]
+    terms = plain or list(sp.Add.make_args(sp.expand(combination)))
+    term = min(terms, key=lambda one: min((order[str(symbol)] for symbol in one.free_symbols), default=len(order)))
     parts = []
     for base, power in sorted(term.as_powers_dict().items(), key=str):
         unit = system.parameter(str(base)).unit if base.is_Symbol else "1"

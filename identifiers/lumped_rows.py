@@ -26,17 +26,23 @@ def instants(rows: FloatArray, n: int) -> FloatArray:
     return rows.reshape(-1, n, rows.shape[1])
 
 
-def weighted(phi: FloatArray, target: FloatArray, kept: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Return generalised least squares in the determined directions, and the whitening (n, n) of the coordinates."""
+def weighted(
+    phi: FloatArray, target: FloatArray, kept: FloatArray, n: int, *, plain: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """Return generalised least squares in the determined directions, and the whitening (n, n) of the coordinates.
+
+    With ``plain`` the equations of all coordinates weigh alike, whatever their units, and nothing is whitened.
+    """
     size = np.linalg.norm(phi, axis=0)
     size = np.where(size > 0, size, 1.0)
     white, theta = np.eye(n), np.zeros(phi.shape[1])
     floor = 1e-9 * (float(np.sqrt(np.mean(target**2))) or 1.0)
-    for number in range(3 if n > 1 else 1):
+    last = 2 if n > 1 and not plain else 0
+    for number in range(last + 1):
         rows = (white @ instants(phi / size, n)).reshape(phi.shape) @ kept
         known = (white @ instants(target[:, None], n)).reshape(-1)
         theta = kept @ np.linalg.lstsq(rows, known, rcond=None)[0] / size
-        if n > 1 and number < 2:
+        if number < last:
             rest = (target - phi @ theta).reshape(-1, n)
             white = whitening(np.vstack([rest, floor * np.sqrt(len(rest)) * np.eye(n)]))
     return theta, white

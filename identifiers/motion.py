@@ -12,7 +12,7 @@ from harness.signals import FloatArray, Trajectory
 
 __all__ = ["Motion", "Smoothing", "between", "motion", "noise_level", "noisier"]
 
-Smoothing = Literal["auto", "local", "spline", "kalman", "forward", "causal"]
+Smoothing = Literal["auto", "local", "spline", "kalman", "forward", "causal", "none"]
 # Leave-one-out errors below this fraction of the signal's travel are the cubics' own, not noise.
 _CLEAN = 1e-6
 
@@ -59,9 +59,10 @@ def motion(
     system : harness.physics.System
         Anything whose ``coordinates`` have names.
     record : Trajectory
-        Outputs named after the coordinates, rates ``NAME_rate`` or ``NAME_dot``.
-    smoothing : {"auto", "local", "spline", "kalman", "forward", "causal"}
-        ``causal`` fits a cubic to the past samples only, as a filter on the machine must.
+        Outputs named after the coordinates, rates ``NAME_rate`` or ``NAME_dot``, accelerations ``NAME_acceleration``.
+    smoothing : {"auto", "local", "spline", "kalman", "forward", "causal", "none"}
+        ``causal`` fits a cubic to the past samples only, as a filter on the machine must. ``none`` takes what was
+        measured as it is, and derivatives of the spline for what was not.
     like : Motion, optional
         Of this record, or of one that this one is a noisier copy of: the same smoothing is applied, away from the
         same ends.
@@ -96,6 +97,9 @@ def motion(
         else:
             q[:, i] = _derivatives(position, dt, smoothing, given, coarser)[0]
             v[:, i], a[:, i], _, own = _derivatives(record.y[:, rate], dt, smoothing, given, coarser)
+        if f"{name}_acceleration" in columns:
+            measured = record.y[:, columns[f"{name}_acceleration"]]
+            a[:, i] = _derivatives(measured, dt, smoothing, given, coarser)[0]
         widths.append(own if given is None else given)
     width = max(1, *widths)
     mean_u = np.vstack([record.u[:1], 0.5 * (record.u[1:] + record.u[:-1])])
@@ -103,7 +107,9 @@ def motion(
     inner = slice(0, n - edge) if smoothing == "forward" else slice(edge, n - edge)
     if smoothing == "causal":
         inner = slice(width, n)
-    if n <= 3 * edge + 12:
+    if smoothing == "none":
+        inner = slice(0, n)
+    elif n <= 3 * edge + 12:
         inner = slice(0, n - 1)
     t, u = record.t[inner], record.u[inner]
     return Motion(t, q[inner], v[inner], a[inner], u, mean_u[inner], width, tuple(widths))
@@ -214,6 +220,7 @@ def _derivatives(
             return found.value, found.rate, found.acceleration, found.width
     from scipy.interpolate import make_interp_spline
 
+    coarser = coarser and smoothing != "none"
     t = np.arange(signal.size) * dt
     # A held input makes the acceleration jump at every sample: cubic pieces between them, not higher ones.
     spline = make_interp_spline(t, signal, k=3 if signal.size < 6 or coarser else 5)

@@ -1,4 +1,4 @@
-"""C sources beside this file, compiled once and kept in the user's cache."""
+"""Compiled loops of identifiers: a C source beside its module, built once into the user's cache."""
 
 from __future__ import annotations
 
@@ -8,39 +8,32 @@ import hashlib
 import logging
 import platform
 from pathlib import Path
-from typing import Any
 
-__all__ = ["library", "pointers"]
+__all__ = ["native_library"]
 
 log = logging.getLogger(__name__)
 
 
 @functools.cache
-def library(name: str) -> Any:
-    """Return the compiled library of ``identifiers/NAME.c``, or None where there is no C compiler.
+def native_library(source: Path) -> ctypes.CDLL | None:
+    """Return the library of a C source, or None where there is no C compiler.
 
-    Examples
-    --------
-    >>> library("hmm_loop") is library("hmm_loop")
-    True
+    Parameters
+    ----------
+    source : Path
+        A single C file.
     """
     from harness.compiled import build_once
     from harness.fmi import build
 
-    source = Path(__file__).with_name(f"{name}.c")
     try:
         key = source.read_bytes() + repr((platform.machine(), platform.system(), build.FLAGS)).encode()
         path = build_once(
             hashlib.sha256(key).hexdigest()[:24],
-            f"{name}{build.library_suffix()}",
+            f"{source.stem}{build.library_suffix()}",
             lambda target: build.compile_library([source], target, "-O3"),
         )
         return ctypes.CDLL(str(path))
     except (build.BuildError, OSError) as error:
-        log.info("%s runs in numpy: %s", name, error)
+        log.info("%s runs in numpy: %s", source.stem, error)
         return None
-
-
-def pointers(*arrays: Any) -> list[int]:
-    """Return the addresses of arrays for a call into C."""
-    return [array.ctypes.data for array in arrays]

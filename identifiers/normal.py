@@ -15,6 +15,8 @@ __all__ = ["Blocks", "NormalEquations", "scaled_equations", "solved"]
 Blocks = Iterable[tuple[FloatArray, FloatArray]]
 # Squared condition number beyond which the Gram matrix has lost all digits.
 _POOR = 1e-12
+# The estimate is one of the 1-norm, up to the number of columns off: so far above the limit no direction is lost.
+_SAFE = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +78,17 @@ def scaled_equations(equations: NormalEquations) -> tuple[FloatArray, FloatArray
 
 
 def solved(gram: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the least-norm solution of normal equations with unit diagonal."""
+    """Return the solution of normal equations with unit diagonal; that of least norm where they are dependent.
+
+    By Cholesky factorisation where LAPACK's estimate of the condition number allows, else by eigenvalues.
+    """
+    from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
+
+    factor, fault = dpotrf(gram, lower=1, clean=0)
+    if fault == 0:
+        norm = float(np.abs(gram).sum(axis=0).max(initial=0.0))
+        if dpocon(factor, norm, uplo="L")[0] > _SAFE * _POOR:
+            return np.asarray(dpotrs(factor, right, lower=1)[0], dtype=np.float64)
     values, vectors = np.linalg.eigh(gram)
     good = values > _POOR * values[-1]
     found: FloatArray = vectors[:, good] @ ((vectors[:, good].T @ right) / values[good])

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,33 +12,30 @@ from harness.errors import FitError
 from harness.protocols import Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.records import lagged, moving, real_signals
+from identifiers.rls_pass import Layout, learn, run
 
 __all__ = ["RecursiveLeastSquares", "RlsState"]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class RlsState:
-    """What recursive least squares knows.
+class RlsState(NamedTuple):
+    """What recursive least squares knows: the memory (size,) of its recursion, and where things stand in it."""
 
-    ``triangle`` (p, p + ny) holds ``[R z]`` with ``R theta = z``; ``row`` (p,) the regressors of the next output but
-    for the input to come: past outputs newest first, inputs newest first (the first of them still to come), a constant.
-    ``seen`` counts the outputs of this record, ``rows`` the equations so far.
-    """
+    layout: Layout
+    memory: FloatArray
 
-    spec: PlantSpec
-    triangle: FloatArray
-    row: FloatArray
-    seen: int
-    rows: int
+    @property
+    def rows(self) -> int:
+        """Equations so far."""
+        return int(self.memory[1])
 
     @property
     def coefficients(self) -> FloatArray:
         """Parameter estimate (p, ny); of least norm while the equations do not determine it."""
-        p = self.row.size
-        r, z = self.triangle[:, :p], self.triangle[:, p:]
+        p = self.layout.p
+        triangle = self.layout.triangle(self.memory)
         if self.rows < p:
-            return np.asarray(np.linalg.lstsq(r, z, rcond=None)[0], dtype=np.float64)
-        return np.asarray(np.linalg.solve(r, z), dtype=np.float64)
+            return np.asarray(np.linalg.lstsq(triangle[:, :p], triangle[:, p:], rcond=None)[0], dtype=np.float64)
+        return np.asarray(np.linalg.solve(triangle[:, :p], triangle[:, p:]), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -98,41 +96,56 @@ class RecursiveLeastSquares:
                 remedy="correct the options",
             )
         real_signals(spec, "rls")
-        p = self._parameters(spec)
-        return RlsState(spec, np.zeros((p, p + spec.ny)), np.zeros(p), 0, 0)
+        burn_in = self._burn_in(spec)
+        layout = Layout(self.order, spec.ny, spec.nu, self.offset, burn_in, self.forgetting, self.prior)
+        return RlsState(layout, layout.blank())
 
     def start(self, state: RlsState, y: FloatArray) -> RlsState:
         """Return the state after the first output of a record; what was learned stays, the past does not."""
-        row = np.zeros_like(state.row)
-        row[: state.spec.ny] = y
+        layout, memory = state.layout, state.memory.copy()
+        row = layout.row(memory)
+        row[:] = 0.0
+        row[: layout.ny] = y
         if self.offset:
             row[-1] = 1.0
-        return replace(state, row=row, seen=1)
+        memory[0] = 1.0
+        none = np.empty((0, layout.ny))
+        run(layout, memory, np.empty((0, layout.nu)), none, none)
+        return RlsState(layout, memory)
 
     def predict(self, state: RlsState, u: FloatArray) -> FloatArray:
         """Return the output (ny,) that ``u`` leads to; the last output during the burn-in and the first lags."""
-        if state.seen < self.order or state.rows < self._burn_in(state.spec):
-            return state.row[: state.spec.ny].copy()
-        guess: FloatArray = self._with_input(state, u) @ state.coefficients
+        layout, memory = state
+        free, gain, shape = layout.ahead
+        guess: FloatArray = memory[free] + np.dot(u, memory[gain].reshape(shape))
         return guess
 
     def update(self, state: RlsState, u: FloatArray, y: FloatArray) -> RlsState:
         """Return the state after ``u`` led to ``y``."""
-        row = self._with_input(state, u)
-        triangle, rows = state.triangle, state.rows
-        if state.seen >= self.order:
-            old = triangle if self.forgetting == 1.0 else triangle * np.sqrt(self.forgetting)
-            triangle = np.asarray(np.linalg.qr(np.vstack([old, np.concatenate([row, y])]), mode="r"))[: row.size]
-            rows += 1
-            if rows == self._burn_in(state.spec):
-                triangle = self._regularised(triangle, rows, state.spec.ny)
-        ny, nu = state.spec.ny, state.spec.nu
-        past = self.order * ny
-        following = row.copy()
-        following[ny:past] = row[: past - ny]
-        following[:ny] = y
-        following[past + nu : past + self.order * nu] = row[past : past + (self.order - 1) * nu]
-        return RlsState(state.spec, triangle, following, state.seen + 1, rows)
+        layout, memory = state
+        memory = memory.copy()
+        inputs, outputs = layout.sample
+        memory[inputs], memory[outputs] = u, y
+        learn(layout, memory)
+        return RlsState(layout, memory)
+
+    def track(self, state: RlsState, u: FloatArray, y: FloatArray) -> tuple[FloatArray, RlsState]:
+        """Return what :meth:`predict` and :meth:`update` in turn give over samples of one record, much faster.
+
+        Parameters
+        ----------
+        state : RlsState
+        u, y : array (n, nu), (n, ny)
+            Inputs, and the outputs that they led to.
+
+        Returns
+        -------
+        (predictions (n, ny), state)
+        """
+        memory, guesses = state.memory.copy(), np.empty((len(y), state.layout.ny))
+        inputs, outputs = (np.ascontiguousarray(part, dtype=np.float64) for part in (u, y))
+        run(state.layout, memory, inputs, outputs, guesses)
+        return guesses, RlsState(state.layout, memory)
 
     def hindsight(self, trajectories: Sequence[Trajectory]) -> Hindsight:
         """Return the losses of the batch least-squares fit with the same prior and the same held predictions.
@@ -190,18 +203,3 @@ class RecursiveLeastSquares:
     def _burn_in(self, spec: PlantSpec) -> int:
         """Return how many equations are waited for."""
         return 2 * self._parameters(spec) if self.burn_in is None else max(self.burn_in, self._parameters(spec))
-
-    def _with_input(self, state: RlsState, u: FloatArray) -> FloatArray:
-        """Return the regressors of the next output (p,)."""
-        row = state.row.copy()
-        first = self.order * state.spec.ny
-        row[first : first + state.spec.nu] = u
-        return row
-
-    def _regularised(self, triangle: FloatArray, rows: int, ny: int) -> FloatArray:
-        """Return the triangle with the prior in it."""
-        p = triangle.shape[0]
-        typical = np.linalg.norm(triangle[:, :p], axis=0) / np.sqrt(rows)
-        typical = np.where(typical > 0, typical, 1.0)
-        prior = np.hstack([np.sqrt(self.prior) * np.diag(typical), np.zeros((p, ny))])
-        return np.asarray(np.linalg.qr(np.vstack([triangle, prior]), mode="r"))[:p]

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from harness.errors import FitError, HarnessError, InputError
-from harness.signals import PlantSpec
+from harness.signals import PlantSpec, Trajectory
+from identifiers.records import moving, real_signals, usable
 
 if TYPE_CHECKING:
     from harness.physics import System
     from harness.physics.residual_force import ResidualForce
 
-__all__ = ["Recipe", "recipe_for"]
+__all__ = ["PhysicalFit", "Recipe", "recipe_for"]
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Recipe:
         Ports measured and which derivative of each.
     effects : tuple of str
         ``"coulomb_friction@theta"``.
-    learned : tuple of ResidualForce
+    unnamed : tuple of ResidualForce
         Forces without a name, added last.
     """
 
@@ -38,11 +39,11 @@ class Recipe:
     options: Mapping[str, Any] = field(default_factory=dict)
     outputs: tuple[tuple[str, int], ...] = ()
     effects: tuple[str, ...] = ()
-    learned: tuple[ResidualForce, ...] = ()
+    unnamed: tuple[ResidualForce, ...] = ()
 
-    def with_learned(self, forces: Sequence[ResidualForce]) -> Recipe:
+    def with_unnamed(self, forces: Sequence[ResidualForce]) -> Recipe:
         """Return the recipe with forces without a name added (see :mod:`harness.physics.residual_force`)."""
-        return replace(self, learned=(*self.learned, *forces))
+        return replace(self, unnamed=(*self.unnamed, *forces))
 
     def system(self, spec: PlantSpec) -> System:
         """Return the system that speaks like a spec.
@@ -70,7 +71,7 @@ class Recipe:
                 )
             placed.append(Placed(find(name), at))
         system = compose(system, placed) if placed else system
-        for force in self.learned:
+        for force in self.unnamed:
             system = force.attach(system)
         return system
 
@@ -80,8 +81,50 @@ class Recipe:
             "model": self.model,
             "options": dict(self.options),
             "effects": [text.split("@", 1) for text in self.effects],
-            **({"learned": [force.to_dict() for force in self.learned]} if self.learned else {}),
+            **({"unnamed_forces": [force.to_dict() for force in self.unnamed]} if self.unnamed else {}),
         }
+
+
+@dataclass(frozen=True)
+class PhysicalFit:
+    """What every fit of a physical model to records is told; abstract.
+
+    Parameters
+    ----------
+    model : str, optional
+        A built-in model or ``FILE.py:NAME``; by default the built-in one with the signals of the records.
+    options : mapping
+        For the model's function.
+    effects : tuple of str
+        Effects that the model has too: ``("coulomb_friction@theta",)``.
+    fixed : tuple of str
+        Parameters that keep their value.
+    start : mapping
+        Values where some parameters start.
+    """
+
+    model: str | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    effects: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
+    start: Mapping[str, float] = field(default_factory=dict)
+
+    def prepared(
+        self, trajectories: Sequence[Trajectory], what: str
+    ) -> tuple[list[Trajectory], PlantSpec, Recipe, System]:
+        """Return the records that can be used, their spec, and the model that speaks like them.
+
+        Raises
+        ------
+        FitError
+            If there is nothing to learn from, or no model speaks like the records.
+        """
+        records, spec = usable(trajectories, samples=10, what=what)
+        real_signals(spec, what)
+        moving(records, what, inputs=False)
+        recipe = recipe_for(spec, what, model=self.model, options=self.options, effects=tuple(self.effects))
+        system = recipe.system(spec)
+        return records, spec, recipe, system
 
 
 def recipe_for(
@@ -165,10 +208,11 @@ def _measured(system: System, spec: PlantSpec, *, units: bool = False) -> tuple[
     if units and [c.unit for c in system.inputs] != [c.unit for c in spec.inputs]:
         return None
     own = {c.name: c.unit for c in (*system.states, *system.outputs)}
-    rates = {f"{c.name}{suffix}": c.name for c in system.outputs for suffix in ("_rate", "_dot")}
+    orders = {"_rate": 1, "_dot": 1, "_acceleration": 2}
+    derived = {f"{c.name}{suffix}": (c.name, order) for c in system.outputs for suffix, order in orders.items()}
     chosen: list[tuple[str, int]] = []
     for channel in spec.outputs:
-        port, order = (rates[channel.name], 1) if channel.name in rates else (channel.name, 0)
+        port, order = derived.get(channel.name, (channel.name, 0))
         if port not in own or (units and not order and own[port] != channel.unit):
             return None
         chosen.append((port, order))

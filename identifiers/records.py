@@ -9,8 +9,13 @@ import numpy.typing as npt
 
 from harness.errors import FitError
 from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.normal import NormalEquations
 
-__all__ = ["lagged", "lagged_blocks", "moving", "real_signals", "usable"]
+__all__ = ["lagged", "lagged_blocks", "moving", "real_signals", "snapshot_sums", "usable"]
+
+
+# Numbers of a block of regressors: 0.8 MB, which stays in a processor's second-level cache.
+_CACHE = 100_000
 
 
 def usable(trajectories: Sequence[Trajectory], *, samples: int, what: str) -> tuple[list[Trajectory], PlantSpec]:
@@ -132,7 +137,12 @@ def lagged(trajectory: Trajectory, lags: int) -> FloatArray:
 
 
 def lagged_blocks(
-    trajectories: Sequence[Trajectory], lags: int, *, offset: bool = False, direct: bool = False, size: int = 16_384
+    trajectories: Sequence[Trajectory],
+    lags: int,
+    *,
+    offset: bool = False,
+    direct: bool = False,
+    size: int | None = None,
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield regressors and next outputs of one-step equations in blocks, so that memory stays bounded.
 
@@ -146,13 +156,15 @@ def lagged_blocks(
         With a last column of ones.
     direct : bool
         With the inputs of the instant that is predicted, after the lags.
-    size : int
-        Rows of a block.
+    size : int, optional
+        Rows of a block; by default as many as a processor's cache holds.
 
     Yields
     ------
     (array (n, p), array (n, ny))
     """
+    spec = trajectories[0].spec
+    size = size or max(256, _CACHE // max(1, lags * (spec.ny + spec.nu)))
     for one in trajectories:
         for start in range(0, len(one) - lags, size):
             stop = min(start + size, len(one) - lags)
@@ -160,6 +172,66 @@ def lagged_blocks(
             if offset:
                 extra.append(np.ones((stop - start, 1)))
             yield _rows(one, lags, start, stop, extra), one.y[start + lags : stop + lags]
+
+
+def snapshot_sums(trajectories: Sequence[Trajectory], *, offset: bool = False) -> NormalEquations:
+    """Return the sums of ``y[k+1] = theta' [y[k], u[k], 1]``, whose rows need not be put together.
+
+    Parameters
+    ----------
+    trajectories : sequence of Trajectory
+        No pair reaches across a seam.
+    offset : bool
+        With a last column of ones.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel
+    >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    >>> one = Trajectory(np.arange(3.0), np.ones((3, 1)), np.array([[1.0], [2.0], [4.0]]), spec)
+    >>> sums = snapshot_sums([one])
+    >>> sums.gram.tolist(), sums.right.tolist(), sums.square.tolist(), sums.rows
+    ([[5.0, 3.0], [3.0, 2.0]], [[10.0], [6.0]], [20.0], 2)
+    """
+    spec = trajectories[0].spec
+    ny, nu = spec.ny, spec.nu
+    p = ny + nu + int(offset)
+    gram, right, square, rows = np.zeros((p, p)), np.zeros((p, ny)), np.zeros(ny), 0
+    states, inputs = slice(0, ny), slice(ny, ny + nu)
+    size = max(256, _CACHE // (ny + nu))
+    for one in trajectories:
+        own = np.zeros((ny, ny))
+        for start in range(0, len(one) - 1, size):
+            stop = min(start + size, len(one) - 1)
+            y, u, after = one.y[start:stop], one.u[start:stop], one.y[start + 1 : stop + 1]
+            own += y.T @ y
+            gram[states, inputs] += y.T @ u
+            gram[inputs, inputs] += u.T @ u
+            right[states] += y.T @ after
+            right[inputs] += u.T @ after
+            if offset:
+                gram[states, -1] += y.sum(axis=0)
+                gram[inputs, -1] += u.sum(axis=0)
+                right[-1] += after.sum(axis=0)
+        gram[states, states] += own
+        square += _moved_squares(np.diag(own), one.y)
+        rows += max(0, len(one) - 1)
+    gram[inputs, states] = gram[states, inputs].T
+    if offset:
+        gram[-1, :-1] = gram[:-1, -1]
+        gram[-1, -1] = rows
+    return NormalEquations(gram, right, square, rows)
+
+
+def _moved_squares(before: FloatArray, y: FloatArray) -> FloatArray:
+    """Return the sums of squares of all outputs but the first, from those of all but the last."""
+    if not len(y):
+        return np.zeros_like(before)
+    moved: FloatArray = before - y[0] ** 2 + y[-1] ** 2
+    # a record that falls from a large start: the difference would be rounding
+    poor = moved < 1e-3 * before
+    moved[poor] = np.einsum("ij,ij->j", y[1:, poor], y[1:, poor])
+    return moved
 
 
 def _rows(one: Trajectory, lags: int, start: int, stop: int, extra: Sequence[FloatArray]) -> FloatArray:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import ctypes
 import functools
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from harness.signals import FloatArray
-from identifiers.native import library, pointers
+from identifiers import native
 
 __all__ = ["FAR", "Layout", "native_library"]
 
@@ -21,7 +22,7 @@ FAR = 1e3
 @functools.cache
 def native_library() -> Any:
     """Return the compiled run, or None where there is no C compiler."""
-    compiled = library("recurrent_loop")
+    compiled = native.native_library(Path(__file__).with_name("recurrent_loop.c"))
     if compiled is not None:
         call = compiled.sysid_recurrent_run
         call.restype = ctypes.c_long
@@ -113,6 +114,10 @@ class Layout:
         if compiled is None:
             self._plain(theta, start, u, y, table)
             return y, table
+
+        def pointers(*arrays: FloatArray) -> list[int]:
+            return [array.ctypes.data for array in arrays]
+
         given = [np.ascontiguousarray(part, dtype=float) for part in (theta, start, u)]
         nz = self.nx + self.nu + 1
         size = nz + self.hidden + self.outside + self.nx * (1 + self.hidden + self.nx + 2 * q)

@@ -9,6 +9,7 @@ import numpy as np
 
 from harness.errors import FitError
 from harness.signals import FloatArray
+from identifiers.normal import NormalEquations
 
 __all__ = ["Solution", "dependence_text", "solve"]
 
@@ -61,6 +62,7 @@ def solve(
     rank_tolerance: float = 1e-11,
     least_norm: bool = False,
     names: Sequence[str] = (),
+    sums: NormalEquations | None = None,
 ) -> Solution:
     """Solve ``min ||Y - Phi C||`` for rows that come in blocks.
 
@@ -78,6 +80,8 @@ def solve(
         Answer dependent columns with the solution of least norm instead of refusing them.
     names : sequence of str
         Names of the columns, so that a refusal can say which of them depend on each other.
+    sums : NormalEquations, optional
+        Those of the blocks, where they are known already.
 
     Returns
     -------
@@ -91,15 +95,18 @@ def solve(
     """
     gram = right = square = None
     rows = 0
-    for phi, y in blocks():
-        if gram is None or right is None or square is None:
-            gram = np.zeros((phi.shape[1], phi.shape[1]))
-            right = np.zeros((phi.shape[1], y.shape[1]))
-            square = np.zeros(y.shape[1])
-        gram += phi.T @ phi
-        right += phi.T @ y
-        square += np.einsum("ij,ij->j", y, y)
-        rows += phi.shape[0]
+    if sums is not None:
+        gram, right, square, rows = sums.gram, sums.right, sums.square, sums.rows
+    else:
+        for phi, y in blocks():
+            if gram is None or right is None or square is None:
+                gram = np.zeros((phi.shape[1], phi.shape[1]))
+                right = np.zeros((phi.shape[1], y.shape[1]))
+                square = np.zeros(y.shape[1])
+            gram += phi.T @ phi
+            right += phi.T @ y
+            square += np.einsum("ij,ij->j", y, y)
+            rows += phi.shape[0]
     if gram is None or right is None or square is None or rows < gram.shape[0]:
         columns = 0 if gram is None else gram.shape[0]
         raise FitError(

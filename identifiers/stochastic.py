@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -11,8 +11,7 @@ import numpy as np
 from harness.estimate import Estimate
 from harness.signals import Trajectory
 from identifiers.grey_box_model import GreyBoxModel, tuned_gain
-from identifiers.physical import recipe_for
-from identifiers.records import moving, real_signals, usable
+from identifiers.physical import PhysicalFit
 
 if TYPE_CHECKING:
     from harness.physics.likelihood import LikelihoodFit
@@ -24,7 +23,7 @@ METHOD = "curvature of the log-likelihood, noise estimated"
 
 
 @dataclass(frozen=True)
-class MaximumLikelihood:
+class MaximumLikelihood(PhysicalFit):
     """Stochastic grey box: parameters, initial states and noise by maximum likelihood through a Kalman filter.
 
     An unmeasured force disturbs every equation of motion: where it vanishes this is the output-error fit, where it is
@@ -32,16 +31,8 @@ class MaximumLikelihood:
 
     Parameters
     ----------
-    model : str, optional
-        A built-in model or ``FILE.py:NAME``; by default the built-in one with the signals of the records.
-    options : mapping
-        For the model's function.
-    effects : tuple of str
-        Effects that the model has too: ``("coulomb_friction@theta",)``.
-    fixed : tuple of str
-        Parameters that keep their value.
-    start : mapping
-        Values where some parameters start.
+    model, options, effects, fixed, start
+        As of :class:`identifiers.physical.PhysicalFit`.
     latent, white : bool
         Whether an unmeasured force is there at all, and whether it has a white part.
     intersample : {"zoh", "foh", "smooth"}
@@ -61,11 +52,6 @@ class MaximumLikelihood:
     {'m': 2.0, 'c': 0.3, 'k': 5.0}
     """
 
-    model: str | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
-    effects: tuple[str, ...] = ()
-    fixed: tuple[str, ...] = ()
-    start: Mapping[str, float] = field(default_factory=dict)
     latent: bool = True
     white: bool = True
     intersample: Literal["zoh", "foh", "smooth"] = "zoh"
@@ -75,11 +61,7 @@ class MaximumLikelihood:
         from harness.physics.likelihood_fit import fit_likelihood
 
         what = "maximum-likelihood"
-        records, spec = usable(trajectories, samples=10, what=what)
-        real_signals(spec, what)
-        moving(records, what, inputs=False)
-        recipe = recipe_for(spec, what, model=self.model, options=self.options, effects=tuple(self.effects))
-        system = recipe.system(spec)
+        records, spec, recipe, system = self.prepared(trajectories, what)
         fit = fit_likelihood(
             system,
             records,

@@ -14,7 +14,7 @@ from harness.scoring import simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.excitation import feedback_of
 from identifiers.filters import stationary_gain
-from identifiers.hankel import leading_singular_vectors
+from identifiers.hankel import Hankel, leading_triplets
 from identifiers.linear_model import LinearModel
 from identifiers.markov import markov_parameters
 from identifiers.records import lagged_blocks, moving, real_signals, usable
@@ -72,12 +72,9 @@ def realize(
             remedy="ask for more Markov parameters",
         )
     columns = max(1, q - 1)  # the last block column is only shifted in
-    found = leading_singular_vectors(markov[: p + columns - 1], p, columns, order) if order is not None else None
-    index = np.arange(p)[:, None] + np.arange(columns + 1)
-    hankel = markov[np.minimum(index, count - 1)]
-    hankel[index >= count] = 0.0
-    hankel = hankel.transpose(0, 2, 1, 3).reshape(p * ny, (columns + 1) * nu)
-    left, values, right = found or np.linalg.svd(hankel[:, : columns * nu], full_matrices=False)
+    matrix = Hankel(markov[: p + columns - 1], p, columns)
+    found = leading_triplets(matrix, order) if order is not None and order >= 1 else None
+    left, values, right = found or np.linalg.svd(matrix.dense(), full_matrices=False)
     if values[0] == 0:
         raise FitError("ho-kalman: no response", expected="Markov parameters", got="zeros", remedy="excite the plant")
     n = _gap(values, tolerance) if order is None else order
@@ -86,7 +83,9 @@ def realize(
     root = np.sqrt(values[:n])
     observe = left[:, :n] * root
     control = root[:, None] * right[:n]
-    a = (left[:, :n].T / root[:, None]) @ hankel[:, nu:] @ (right[:n].T / root)
+    later = np.zeros((p + columns - 1, ny, nu))
+    later[: count - 1] = markov[1 : p + columns]
+    a = (left[:, :n].T / root[:, None]) @ Hankel(later, p, columns).times(right[:n].T / root)
     return a, control[:, :nu], observe[:ny], values
 
 

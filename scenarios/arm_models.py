@@ -10,7 +10,7 @@ from harness.errors import InputError
 from harness.signals import FloatArray, PlantSpec
 
 if TYPE_CHECKING:
-    from harness.physics.urdf import Arm
+    from harness.physics.rigid_tree import Arm
 
 __all__ = ["arm_of", "damping_of"]
 

@@ -7,7 +7,7 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 
 from harness.benchmark.result import BenchResult
-from harness.benchmark.summary import OPTIONAL, Quartiles, Summary, figure, optional_scores
+from harness.benchmark.summary import CONTROL, OPTIONAL, Quartiles, Summary, figure, optional_scores
 from harness.errors import InputError
 
 __all__ = ["FORMATS", "render"]
@@ -48,37 +48,37 @@ def render(result: BenchResult, form: str) -> str:
 
 
 def _markdown(lines: Sequence[Summary]) -> str:
-    more = optional_scores(lines)
-    head = _head(more)
+    control, more = _asked(lines), optional_scores(lines)
+    head = (*HEAD[:-1], *more.values(), HEAD[-1], *CONTROL * control)
     rows = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    rows += ["| " + " | ".join(_cells(line, more, "**{}**", _plain)) + " |" for line in lines]
+    rows += ["| " + " | ".join(_cells(line, more, "**{}**", _plain, control)) + " |" for line in lines]
     return "\n".join(rows) + "\n"
 
 
 def _latex(lines: Sequence[Summary]) -> str:
-    more = optional_scores(lines)
-    head = " & ".join(map(_escaped, _head(more)))
-    rows = [rf"\begin{{tabular}}{{lllrlllll{'l' * len(more)}}}", r"\toprule", head + r" \\", r"\midrule"]
+    control, more = _asked(lines), optional_scores(lines)
+    head = " & ".join(map(_escaped, (*HEAD[:-1], *more.values(), HEAD[-1], *CONTROL * control)))
+    columns = f"lllrlllll{'l' * len(more)}{'lll' * control}"
+    rows = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head + r" \\", r"\midrule"]
     place = None
     for line in lines:
         if place not in (None, (line.plant, line.scenario)):
             rows.append(r"\addlinespace")
         place = (line.plant, line.scenario)
-        rows.append(" & ".join(_cells(line, more, r"\textbf{{{}}}", _escaped)) + r" \\")
+        rows.append(" & ".join(_cells(line, more, r"\textbf{{{}}}", _escaped, control)) + r" \\")
     return "\n".join([*rows, r"\bottomrule", r"\end{tabular}", ""])
 
 
 def _csv(lines: Sequence[Summary]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    scores = (
-        *("equation_error", "simulation_error", "noise_floor", "regret", "fit_seconds", "memory_mib"),
-        *OPTIONAL,
-    )
+    scores = ["equation_error", "simulation_error", "noise_floor", "regret", "fit_seconds", "memory_mib"]
+    control = _asked(lines)
+    scores += [*OPTIONAL, *["control_score", "control_regret"] * control]
     writer.writerow(
         ["plant", "scenario", "identifier", "ok", "run", "best_or_tied"]
         + [f"{name}_{part}" for name in scores for part in ("median", "low", "high")]
-        + ["problems"]
+        + ["problems", *["control"] * control]
     )
     for line in lines:
         found: list[Quartiles | None] = [getattr(line, name) for name in scores]
@@ -87,7 +87,7 @@ def _csv(lines: Sequence[Summary]) -> str:
         writer.writerow(
             [line.plant, line.scenario, line.identifier, line.ok, line.run, int(line.leading)]
             + [text for texts in figures for text in texts]
-            + [problems]
+            + [problems, *[line.control] * control]
         )
     return stream.getvalue()
 
@@ -96,12 +96,12 @@ FORMATS: dict[str, Callable[[Sequence[Summary]], str]] = {"markdown": _markdown,
 """Name to what makes the text."""
 
 
-def _head(more: Mapping[str, str]) -> list[str]:
-    """Return the titles; those of the scores that not every model has stand before the last, the time."""
-    return [*HEAD[:-1], *more.values(), HEAD[-1]]
+def _asked(lines: Sequence[Summary]) -> bool:
+    """Return True if the columns of control were asked for."""
+    return any(line.control for line in lines)
 
 
-def _cells(line: Summary, more: Mapping[str, str], bold: str, quote: Callable[[str], str]) -> list[str]:
+def _cells(line: Summary, more: Mapping[str, str], bold: str, quote: Callable[[str], str], control: bool) -> list[str]:
     """Return the cells of a line; a line without scores says why instead."""
     simulation = _score(line.simulation_error) or (line.problems[0][0] if not line.ok and line.problems else "")
     texts = [
@@ -116,6 +116,8 @@ def _cells(line: Summary, more: Mapping[str, str], bold: str, quote: Callable[[s
         *(_score(getattr(line, name)) for name in more),
         f"{figure(line.fit_seconds.median, 2)} s" if line.fit_seconds and line.ok else "",
     ]
+    if control:
+        texts += [_score(line.control_score), _score(line.control_regret), line.control]
     cells = [quote(text) for text in texts]
     if line.leading:
         cells[5] = bold.format(cells[5])

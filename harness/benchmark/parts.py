@@ -44,12 +44,14 @@ class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How the models of a group are scored.
 
     ``horizon`` is that of the simulation error in s (the whole record without it); ``runs`` and ``held_out`` count the
-    records that a model is fitted to and scored on.
+    records that a model is fitted to and scored on. ``control`` asks for the columns of control too: what the design on
+    a linear model costs on the true plant, and what learning to control costs.
     """
 
     horizon: float | None = None
     runs: int = 1
     held_out: int = 1
+    control: bool = False
 
 
 class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -51,6 +51,8 @@ class Plan:
 
     def __str__(self) -> str:
         head = f"{self.todo} cells to run, {self.found} already there"
+        if not self.todo:
+            return head
         if self.seconds is None:
             return f"{head}; time unknown until some have run, at most {duration(self.limit)}"
         return f"{head}; about {duration(self.seconds)}, from the times of {self.known} like them"

@@ -33,6 +33,7 @@ def render_html(result: BenchResult, overlays: Mapping[str, str] | None = None) 
         TEMPLATE,
         result=result,
         places=places_of(lines),
+        control=any(line.control for line in lines),
         links=_links(result.rows, overlays or {}),
         figure=figure,
         more=optional_scores(lines),

@@ -25,10 +25,12 @@ class Row(msgspec.Struct, kw_only=True, gc=False):
     records: what the true plant from the true initial state would score, so no model can do better but by luck.
     ``log_score`` and ``coverage`` judge models that predict distributions, one step ahead, as means over outputs and
     held-out records: the log score [nats a sample] above that of the record's own normal distribution or frequencies,
-    and the share of samples in the 90 % sets. ``control_cost`` is the cost of the regulator designed on a linear model
-    on a true plant that is linear, over that of the plant's own.
+    and the share of samples in the 90 % sets.
     ``trace_t``, ``trace_measured`` and ``trace_residual`` (output by output) are what the overlay of a cell is drawn
     from: samples of its first held-out record, and measured minus simulated there.
+    ``control_score`` is the cost of the regulator designed on a linear model over that of the best, on the true plant;
+    ``control_status`` says how that went, or why there is none; ``control_regret`` counts samples of the optimal cost
+    that were lost while learning to control; of ``model_order`` states so many are ``controllable``, ``observable``.
     ``axes`` and ``axis_values`` say where on the axes of its group a cell lies. ``memory_mib`` is the most that the
     worker process has had in memory so far.
     """
@@ -47,10 +49,17 @@ class Row(msgspec.Struct, kw_only=True, gc=False):
     simulation_error: float | None = None
     log_score: float | None = None
     coverage: float | None = None
-    control_cost: float | None = None
     regret: float | None = None
     average_regret: float | None = None
     regret_exact: bool | None = None
+    control_score: float | None = None
+    control_status: str = ""
+    control_regret: float | None = None
+    model_order: int | None = None
+    controllable: int | None = None
+    observable: int | None = None
+    stabilisable: bool | None = None
+    detectable: bool | None = None
     outputs: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     equation_rms: tuple[float | None, ...] = ()

@@ -209,7 +209,8 @@ def _explained(error: msgspec.ValidationError, path: Path) -> InputError:
         return InputError(
             "unknown key",
             expected="the keys of a suite: name, description, seeds, time_limit, [[groups]] with name, plants, "
-            "scenarios, identifiers (id, options, label), seeds, time_limit, score (horizon, runs, held_out), axes",
+            "scenarios, identifiers (id, options, label), seeds, time_limit, score (horizon, runs, held_out, control), "
+            "axes",
             got=repr(key),
             remedy=f"remove or correct {key}",
             file=path,

@@ -11,22 +11,34 @@ import numpy as np
 from harness.benchmark.row import Row
 from harness.benchmark.statistics import Ranking, no_worse, ranking
 
-__all__ = ["OPTIONAL", "Quartiles", "Summary", "figure", "optional_scores", "places_of", "rankings", "summarise"]
+__all__ = [
+    "CONTROL",
+    "OPTIONAL",
+    "Quartiles",
+    "Summary",
+    "figure",
+    "optional_scores",
+    "places_of",
+    "rankings",
+    "summarise",
+]
 
 SCORES = (
     "equation_error",
     "simulation_error",
     "log_score",
     "coverage",
-    "control_cost",
     "regret",
+    "control_score",
+    "control_regret",
     "noise_floor",
     "fit_seconds",
     "memory_mib",
 )
-OPTIONAL = {"log_score": "log score", "coverage": "90 % sets hold", "control_cost": "control cost"}
-"""Scores with a column only where a line has them, and its title: of distributions, and of models for control."""
-
+CONTROL = ("control score", "control regret", "model for control")
+"""Columns that stand there only where a suite asks for them (``score.control``)."""
+OPTIONAL = {"log_score": "log score", "coverage": "90 % sets hold"}
+"""Scores of predicted distributions, with a column only where a line has them, and its title."""
 BASELINES = ("true-model",)
 """Identifiers that know the truth: they show what is possible and do not compete."""
 
@@ -56,8 +68,9 @@ class Summary:
     simulation_error: Quartiles | None
     log_score: Quartiles | None
     coverage: Quartiles | None
-    control_cost: Quartiles | None
     regret: Quartiles | None
+    control_score: Quartiles | None
+    control_regret: Quartiles | None
     noise_floor: Quartiles | None
     fit_seconds: Quartiles | None
     memory_mib: Quartiles | None
@@ -65,6 +78,8 @@ class Summary:
     """The least simulation error of its plant and scenario, or one that the paired bootstrap cannot tell from it."""
     problems: tuple[tuple[str, str, int], ...]
     """(status, reason, count) of the rows that are not ok, the most frequent first."""
+    control: str
+    """What is said of the models for control: how many states are controllable and observable, or why no score."""
 
 
 def optional_scores(lines: Sequence[Summary]) -> dict[str, str]:
@@ -105,12 +120,36 @@ def summarise(rows: Sequence[Row], cells: Sequence[tuple[str, str, str]] = ()) -
         scores = {name: _quartiles([getattr(row, name) for row in good]) for name in SCORES}
         scores["noise_floor"] = _quartiles([row.noise_floor for row in own])
         leading = (plant, scenario, identifier) in leaders
-        counts = Counter((row.status, row.reason) for row in own if row.status != "ok")
-        problems = tuple((status, reason, n) for (status, reason), n in counts.most_common())
+        faults = Counter((row.status, row.reason) for row in own if row.status != "ok")
+        problems = tuple((status, reason, n) for (status, reason), n in faults.most_common())
         result.append(
-            Summary(plant, scenario, identifier, len(good), len(own), **scores, leading=leading, problems=problems)
+            Summary(
+                plant,
+                scenario,
+                identifier,
+                len(good),
+                len(own),
+                **scores,
+                leading=leading,
+                problems=problems,
+                control=_control_text(good),
+            )
         )
     return result
+
+
+def _control_text(good: Sequence[Row]) -> str:
+    """Return what most rows say of control."""
+    texts: Counter[str] = Counter()
+    for row in good:
+        if row.model_order is None:
+            texts[row.control_status] += 1
+            continue
+        text = f"{row.controllable} controllable and {row.observable} observable of {row.model_order}"
+        text += "" if row.stabilisable else ", not stabilisable"
+        text += "" if row.detectable else ", not detectable"
+        texts[text if row.control_status == "ok" else f"{row.control_status}; {text}"] += 1
+    return texts.most_common(1)[0][0] if texts else ""
 
 
 def _leaders(grouped: Mapping[tuple[str, str, str], Sequence[Row]]) -> set[tuple[str, str, str]]:

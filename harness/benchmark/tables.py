@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from harness.benchmark.result import BenchResult
-from harness.benchmark.summary import Quartiles, Summary, figure, optional_scores
+from harness.benchmark.summary import CONTROL, Quartiles, Summary, figure, optional_scores
 
 if TYPE_CHECKING:
     from rich.console import Group, RenderableType
@@ -32,7 +32,8 @@ def rich_table(result: BenchResult) -> Group:
     for name, part in (("plant, scenario", "plant"), ("identifier", "identifier")):
         made.add_column(name, no_wrap=True, min_width=max((len(getattr(line, part)) for line in lines), default=0))
     made.add_column("ok", justify="right", no_wrap=True, min_width=5)
-    for name in ("equation error", "simulation error", "floor", "regret"):
+    control = any(line.control for line in lines)
+    for name in ("equation error", "simulation error", "floor", "regret", *CONTROL * control):
         made.add_column(name, no_wrap=True, min_width=7 if name == "floor" else None)
     place, row_of_place = ("", ""), 0
     for line in lines:
@@ -50,6 +51,7 @@ def rich_table(result: BenchResult) -> Group:
             Text(_shown(line.simulation_error), style=style),
             figure(line.noise_floor.median, 2) if line.noise_floor and not row_of_place else "",
             _shown(line.regret),
+            *((_shown(line.control_score), _shown(line.control_regret), line.control) if control else ()),
         )
         if not row_of_place and _alone(line, lines):
             made.add_row(Text(f"  {line.scenario}"))

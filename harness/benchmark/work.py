@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from harness import registry
+from harness.benchmark.control import score_control
 from harness.benchmark.parts import RECORDING, Cell, Task
 from harness.benchmark.row import Row, blank, encoded, one_line
 from harness.errors import HarnessError, InputError, PlantError, PluginError
@@ -32,11 +33,8 @@ __all__ = ["CellBatch"]
 _SETS = 0.9
 """Probability of the sets whose coverage is shown: a few held-out samples in a hundred are enough to judge it."""
 
-_FEW_STATES = 8
-"""A plant of more states is not asked whether it is linear: every state costs four resets, twice."""
-
-_AWAY = 0.37
-"""Where the second look at a plant is, in the units of its states: a linear one is the same there."""
+POINTS = 40
+"""Lengths of the stream at which R[n] is taken, each against the best fixed model of the samples so far."""
 
 STRETCHES = 500
 """A trace keeps two samples of each: an overlay that is looked at has about a thousand points of a screen."""
@@ -229,7 +227,10 @@ def _do_cell(task: Task, cell: Cell, runs: Sequence[Trajectory], held_out: Seque
         scored = False
         if hasattr(identifier, "fit"):
             model = _fit_and_score(identifier, shown, held_out, task, row, rng, trace=trace)
-            row.control_cost = _control_cost(model, task)
+            if task.score.control:
+                # one stream for all identifiers of a place: they are disturbed alike
+                paired = stream("control", task.plant.name, task.scenario.name, task.seed)
+                score_control(model, identifier, task, runs, row, paired)
             scored = True
         if hasattr(identifier, "hindsight"):
             _score_regret(identifier, shown, row, rng)
@@ -271,11 +272,11 @@ def _fit_and_score(
     *,
     trace: bool,
 ) -> Model:
-    """Fit, then fill in the errors and the scores of distributions on the held-out records; returns the model."""
+    """Return the fitted model, after filling in its equation error and simulation error on the held-out records."""
     from harness.scoring import equation_error, simulation_error
 
     started = time.perf_counter()
-    model: Model = identifier.fit(shown, rng=rng)
+    model = identifier.fit(shown, rng=rng)
     fitted = time.perf_counter()
     row.fit_seconds = fitted - started
     row.reason = _doubts(model)
@@ -295,7 +296,17 @@ def _fit_and_score(
         raise PlantError("the free run of the model diverges on held-out data", status="diverged")
     if isinstance(model, Predictive):
         _score_distributions(model, [record.measured() for record in held_out], row)
-    return model
+    return model  # type: ignore[no-any-return]
+
+
+def _score_distributions(model: Any, held_out: Sequence[Trajectory], row: Row) -> None:
+    """Fill in log score and coverage, one step ahead; an outcome that was called impossible leaves no log score."""
+    from harness.predictive import probability_score
+
+    scores = [probability_score(model, record, levels=(_SETS,)) for record in held_out]
+    gain = float(np.mean([np.mean(score.skill) for score in scores]))
+    row.log_score = gain if np.isfinite(gain) else None
+    row.coverage = float(np.mean([np.mean(score.coverage) for score in scores]))
 
 
 def _trace(model: Model, record: Trajectory, horizon: float | None, row: Row) -> None:
@@ -311,38 +322,6 @@ def _trace(model: Model, record: Trajectory, horizon: float | None, row: Row) ->
     row.trace_t = tuple(record.t[kept].tolist())
     row.trace_measured = tuple(map(tuple, record.y[kept].T.tolist()))
     row.trace_residual = tuple(map(tuple, miss[kept].T.tolist()))
-
-
-def _score_distributions(model: Model, held_out: Sequence[Trajectory], row: Row) -> None:
-    """Fill in log score and coverage, one step ahead; an outcome that was called impossible leaves no log score."""
-    from harness.predictive import probability_score
-
-    scores = [probability_score(model, record.measured(), levels=(_SETS,)) for record in held_out]
-    gain = float(np.mean([np.mean(score.skill) for score in scores]))
-    row.log_score = gain if np.isfinite(gain) else None
-    row.coverage = float(np.mean([np.mean(score.coverage) for score in scores]))
-
-
-def _control_cost(model: Any, task: Task) -> float | None:
-    """Return what the regulator designed on a model costs, over the plant's own; None unless both are linear."""
-    from harness.scoring import control_score, linearise
-
-    names = ("a_matrix", "b_matrix", "c_matrix", "d_matrix")
-    if task.plant.id.startswith(RECORDING) or not all(hasattr(model, name) for name in names):
-        return None
-    with make_plant(task.plant.id, dict(task.plant.options)) as plant:
-        states = plant.spec.states
-        if "truth" not in plant.abilities or not 0 < len(states) <= _FEW_STATES:
-            return None
-        try:
-            here = linearise(plant)
-            there = linearise(plant, x0={channel.name: _AWAY for channel in states})
-            if not all(np.allclose(getattr(here, name), getattr(there, name), rtol=1e-5, atol=1e-7) for name in names):
-                return None  # another plant at another point: which one a model is of, nobody can say
-            ratio = control_score(model, here).ratio
-        except HarnessError:
-            return None  # no start in any state, or the plant itself has no regulator
-    return ratio if np.isfinite(ratio) else None
 
 
 def _doubts(model: Any) -> str:
@@ -365,12 +344,12 @@ def _score_regret(identifier: Any, shown: Sequence[Trajectory], row: Row, rng: n
     from harness.scoring import regret
 
     started = time.perf_counter()
-    result = regret(identifier, shown, rng=rng)
+    result = regret(identifier, shown, rng=rng, points=POINTS)
     row.score_seconds += time.perf_counter() - started
     row.regret, row.average_regret, row.regret_exact = result.total, result.average, result.exact
-    cumulative = result.cumulative
-    steps = np.unique(np.geomspace(1, cumulative.size, 120).round().astype(int))
-    row.curve_steps, row.curve_regret = tuple(steps.tolist()), tuple(cumulative[steps - 1].tolist())
+    known = np.isfinite(result.curve)
+    row.curve_steps = tuple(int(n) for n in result.steps[known])
+    row.curve_regret = tuple(result.curve[known].tolist())
     if not np.isfinite(row.regret):
         raise PlantError("the predictions of the online identifier are not finite", status="diverged")
 

@@ -13,7 +13,7 @@ from harness.conformance.results import Broken, Check, CheckResult, NotApplicabl
 from harness.conformance.running import EXAMPLES, for_all, seeded, untouched
 from harness.conformance.workloads import Workload, draw_workload, kinds_for
 from harness.errors import HarnessError
-from harness.protocols import OnlineIdentifier
+from harness.protocols import OnlineIdentifier, Tracking
 from harness.signals import FloatArray, Trajectory, residual
 
 __all__ = ["check_online_identifier", "online_checks"]
@@ -56,6 +56,7 @@ def online_checks(*, examples: int = EXAMPLES) -> list[Check]:
     return [
         Check("online_interface", "init, start, predict, update, hindsight", _interface),
         Check("online_predicts", "finite predictions of the right shape", on_all(_predicts)),
+        Check("online_tracks", "track, where it is offered, is predict and update in turn", on_all(_tracks)),
         Check("online_deterministic", "the same stream and rng give the same predictions", on_all(_deterministic)),
         Check("online_no_mutation", "update leaves the old state and the data alone", on_all(_no_mutation)),
         Check("online_no_look_ahead", "a prediction is made before its output is seen", on_all(_no_look_ahead)),
@@ -101,6 +102,24 @@ def _predicts(factory: Factory, workload: Workload) -> None:
         f"predictions have shape {predicted.shape[1:]}, expected ({workload.first.spec.ny},)",
     )
     demand(np.isfinite(predicted).all(), "a prediction is not finite")
+
+
+def _tracks(factory: Factory, workload: Workload) -> None:
+    identifier = factory()
+    if not isinstance(identifier, Tracking):
+        return
+    record = _shown(workload)[0]
+    stepped = _stream(identifier, [record])
+    state = identifier.start(identifier.init(record.spec, rng=seeded()), record.y[0])
+    half = len(record) // 2
+    first, state = identifier.track(state, record.u[:half], record.y[1 : half + 1])
+    second, state = identifier.track(state, record.u[half:-1], record.y[half + 1 :])
+    tracked = np.concatenate([first, second])
+    demand(tracked.shape == stepped.shape, f"track predicts shape {tracked.shape}, expected {stepped.shape}")
+    demand(
+        np.allclose(tracked, stepped, rtol=1e-9, atol=1e-9 * float(np.abs(record.y).max())),
+        "track predicts otherwise than predict and update in turn",
+    )
 
 
 def _deterministic(factory: Factory, workload: Workload) -> None:

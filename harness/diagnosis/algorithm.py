@@ -9,26 +9,26 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from harness.diagnosis.columns_check import check_columns
 from harness.diagnosis.dictionary import placed
-from harness.diagnosis.free_runs import FreeRuns, free_runs
-from harness.diagnosis.policy import POLICY, Policy
-from harness.diagnosis.prepare import checked, sizes_of
+from harness.diagnosis.kinds import Equations, Kind
+from harness.diagnosis.misfit import misfit_reasons
+from harness.diagnosis.policy import PLAN_POLICY, POLICY, Policy
+from harness.diagnosis.records.prepare import checked
+from harness.diagnosis.records.stretches import stretched, windowed
+from harness.diagnosis.runs.compare import FreeRuns, free_runs
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Leftover, left_over
 from harness.diagnosis.search.likelihood_form import LikelihoodForm
-from harness.diagnosis.search.misfit import misfit_reasons
 from harness.diagnosis.search.remembered import Remembered
 from harness.diagnosis.search.rounding import add_rounding
 from harness.diagnosis.search.rounds import Outcome, search
-from harness.diagnosis.search.score_test import ScoreTest
-from harness.diagnosis.thinning import thinned_dataset
-from harness.effects.effect import Effect
+from harness.diagnosis.search.score_test import Lead, ScoreTest
+from harness.effects.effect import Effect, Placed
 from harness.errors import FitError
 from harness.signals import Dataset
 from harness.workers import one_thread
 
-__all__ = ["Diagnosis", "Progress", "diagnose"]
+__all__ = ["DRY", "Diagnosis", "Progress", "diagnose", "stand_in_reasons"]
 
 Progress = Callable[[float, str], None]
 DRY = frozenset({"coulomb_friction", "stribeck_friction", "asymmetric_friction", "hysteresis",
@@ -67,6 +67,13 @@ class Diagnosis:
         return self.outcome.rounds[0].test
 
     @property
+    def not_visible(self) -> list[Lead]:
+        """Effects that the nominal parameters and initial states can do as well: these data do not show them."""
+        accepted = {str(one.placed) for one in self.outcome.accepted}
+        faint = [one for one in self.test.leads if one.share < PLAN_POLICY.visible and str(one.placed) not in accepted]
+        return sorted([*self.test.hidden, *faint], key=lambda one: str(one.placed))
+
+    @property
     def verdict(self) -> str:
         """See diagnosis: model_does_not_fit, effects_found, unexplained, nothing_missing."""
         if self.misfit:
@@ -96,23 +103,29 @@ class Diagnosis:
     @functools.cached_property
     def stand_in(self) -> tuple[str, ...]:
         """Why accepted effects imitate something that is not in the dictionary; empty if nothing says so."""
-        accepted = [one.placed for one in self.outcome.accepted]
-        reasons = []
-        for place in dict.fromkeys(one.at for one in accepted):
-            dry = [one.effect.name.replace("_", " ") for one in accepted if one.at == place and one.effect.name in DRY]
-            if len(dry) > 1:
-                reasons.append(f"the friction at {place} is none of the dictionary's laws: {' and '.join(dry)} "
-                               "together imitate it")  # fmt: skip
         best = self.leftover.best
-        if accepted and best is not None:
-            reasons.append(f"what is left can still be predicted, as a force at {best.name}")
-        return tuple(reasons)
+        return stand_in_reasons([one.placed for one in self.outcome.accepted], None if best is None else best.name)
+
+
+def stand_in_reasons(accepted: Sequence[Placed], left: str | None) -> tuple[str, ...]:
+    """Return why accepted effects imitate something else; ``left`` names the axis of a force that still predicts."""
+    reasons = []
+    for place in dict.fromkeys(one.at for one in accepted):
+        dry = [one.effect.name.replace("_", " ") for one in accepted if one.at == place and one.effect.name in DRY]
+        if len(dry) > 1:
+            reasons.append(
+                f"the friction at {place} is none of the dictionary's laws: {' and '.join(dry)} together imitate it"
+            )
+    if accepted and left is not None:
+        reasons.append(f"what is left can still be predicted, as a force at {left}")
+    return tuple(reasons)
 
 
 def diagnose(
     dataset: Dataset,
     system: Any,
     *,
+    kind: Kind | None = None,
     progress: Progress | None = None,
     folder: Path | None = None,
     dictionary: Sequence[Effect] | None = None,
@@ -126,6 +139,8 @@ def diagnose(
         With estimation and validation runs; test runs are scored at the end and influence nothing.
     system : System
         The nominal model, measured as the data are.
+    kind : Kind, optional
+        How such a model is prepared, fitted and simulated; by default one given by its equations.
     progress : callable, optional
         Called as ``progress(fraction_done, what)``.
     folder : Path, optional
@@ -150,10 +165,14 @@ def diagnose(
             progress(next(parts) if part is None else part, what)
 
     with one_thread():
-        dataset = thinned_dataset(checked(dataset, system), system)
-        warnings = [*dataset.warnings, *(check_columns(system, dataset) if hasattr(system, "f") else [])]
-        sizes = sizes_of(system, system.values(), dataset)
-        form = LikelihoodForm(system, dataset, sizes)
+        kind = kind or Equations()
+        dataset, warnings = kind.prepared(checked(dataset, system), system)
+        dataset = stretched(dataset)
+        warnings = [*dataset.warnings, *warnings]
+        horizon = kind.horizon(system, system.values(), dataset)
+        form = kind.form(system, dataset)
+        if not form.latent:  # a plant that loses its start cannot be judged by whole free runs
+            form = kind.form(system, windowed(dataset, horizon.seconds and policy.window * horizon.seconds))
         remembered = Remembered(form, folder)
         say("first fit of the nominal model", 0.02)
         nominal = remembered.fit((), form.first_starts(), None)
@@ -165,12 +184,17 @@ def diagnose(
                 remedy="check signs and units of the columns, or give start values nearer to the plant",
             )
         form.resize(nominal)
-        candidates, faults = placed(system, dictionary)
+        candidates, faults = placed(
+            system, dictionary, composed=lambda one: form.composed(one) if all(map(form.judges, one)) else None
+        )
+        candidates = [one for one in candidates if form.judges(one)]
         outcome = search(remembered, nominal, candidates, policy=policy, say=say)
         add_rounding(remembered, outcome, dataset, candidates, policy)
         say("what is left", 0.8)
         leftover = left_over(form, outcome.model, policy)
-        runs = free_runs(form, outcome.nominal, outcome.model)
+        horizon = kind.horizon(system, outcome.nominal.values, dataset)
+        noise = outcome.model.detail.points["estimation"].noise.r
+        runs = free_runs(kind.runs(form, dataset, noise, horizon), horizon, outcome.nominal, outcome.model)
         misfit = misfit_reasons(form, outcome.model, runs, policy)
     return Diagnosis(
         dataset, system, form, outcome, leftover, runs, misfit, policy, warnings + faults, time.monotonic() - began

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.algorithm import Diagnosis, Progress, diagnose
-from harness.diagnosis.simulated import SimulatedDiagnosis, diagnose_by_simulation
-from harness.diagnosis.stretches import cut_alike
+from harness.diagnosis.kinds import Equations, Kind
+from harness.diagnosis.records.stretches import cut_alike
 from harness.effects.effect import Effect
 from harness.errors import InputError
 from harness.physics.arm import ArmModel, is_arm, load_arm
@@ -116,65 +116,30 @@ def close_loop(
     InputError
         If the data do not fit the model, or ``out`` holds a report and neither ``resume`` nor ``force`` is given.
     """
-    from harness.diagnosis.evidence_json import evidence_data
-    from harness.diagnosis.evidence_page import write_evidence
+    from harness.diagnosis.fmu.kind import BlackBox
+    from harness.diagnosis.report.evidence_json import evidence_data
+    from harness.diagnosis.report.evidence_page import write_evidence
     from harness.diagnosis.store import write_atomic
 
     folder = _folder(out, resume=resume, force=force)
-    chosen = seed if rng is None else int(rng.integers(2**31))
     if (arm := _arm(model)) is not None:
-        from harness.diagnosis.arm_close import close_arm
+        from harness.diagnosis.arm.close import close_arm
 
-        data = close_arm(dataset, arm, folder=folder, seed=chosen, progress=progress, dictionary=dictionary)
+        data = close_arm(dataset, arm, folder=folder, progress=progress, dictionary=dictionary)
         return Report(data, folder, arm)
     system = _system(model, parameters, dataset)
-    if is_fmu(system) or not system.coordinates:
-        how = name or system.name, options or {}
-        return _closed_by_simulation(
-            dataset, system, chosen, progress, folder, dictionary, workers, references, how
-        )  # fmt: skip
-    found = diagnose(dataset, system, progress=progress, folder=folder, dictionary=dictionary)
+    box = is_fmu(system)
+    kind: Kind = BlackBox() if box else Equations()
+    found = diagnose(dataset, system, kind=kind, progress=progress, folder=folder, dictionary=dictionary)
     if progress is not None:
         progress(0.9, "report")
-    data = evidence_data(found, references)
+    data = evidence_data(found, cut_alike(references, dataset, found.dataset))
     if folder is not None:
         write_evidence(found, data, folder / HTML)
-        repaired = _repaired(found, name or system.name, options or {}, dataset.spec.sample_time)
-        write_atomic(folder / MODEL, json.dumps(repaired, indent=1, allow_nan=False) + "\n")
-        write_atomic(folder / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
-    if progress is not None:
-        progress(1.0, data["summary"])
-    return Report(data, folder, found.final.system.with_parameters(found.final.values))
-
-
-def _closed_by_simulation(
-    dataset: Dataset,
-    system: Any,
-    seed: int,
-    progress: Progress | None,
-    folder: Path | None,
-    dictionary: Sequence[Effect] | None,
-    workers: int | None,
-    references: Sequence[Mapping[str, FloatArray]],
-    how: tuple[str, Mapping[str, Any]],
-) -> Report:
-    """Close the loop by free runs, see :mod:`harness.diagnosis.simulated`; ``how`` the model is loaded."""
-    from harness.diagnosis.report_html import write_html
-    from harness.diagnosis.report_json import report_data
-    from harness.diagnosis.store import write_atomic
-
-    found = diagnose_by_simulation(
-        dataset, system, seed=seed, progress=progress, folder=folder, dictionary=dictionary, workers=workers
-    )
-    if progress is not None:
-        progress(0.9, "report")
-    data = report_data(found, cut_alike(references, dataset, found.dataset))
-    if folder is not None:
-        write_html(found, data, folder / HTML)
-        if is_fmu(system):
+        if box:
             repaired = _repaired_fmu(found, folder)
         else:
-            repaired = _repaired(found, *how, dataset.spec.sample_time)
+            repaired = _repaired(found, name or system.name, options or {}, dataset.spec.sample_time)
         write_atomic(folder / MODEL, json.dumps(repaired, indent=1, allow_nan=False) + "\n")
         write_atomic(folder / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
     if progress is not None:
@@ -204,7 +169,7 @@ def close_loop_file(
     _folder(out, resume=resume, force=force, make=False)
     loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation)
     if loaded.nominal is not None and is_arm(loaded.nominal.model):
-        from harness.diagnosis.arm_close import recorded_arm
+        from harness.diagnosis.arm.close import recorded_arm
 
         arm: Any = recorded_arm(loaded)
         return close_loop(
@@ -238,9 +203,7 @@ def _options(loaded: Any) -> dict[str, Any]:
     return model_options(loaded.nominal.model, loaded.nominal.options, *ports)
 
 
-def _repaired(
-    found: Diagnosis | SimulatedDiagnosis, name: str, options: Mapping[str, Any], sample_time: float
-) -> dict[str, Any]:
+def _repaired(found: Diagnosis, name: str, options: Mapping[str, Any], sample_time: float) -> dict[str, Any]:
     """Return the repaired model as a grey box that ``sysid export`` reads, at the sample time of the records given."""
     from harness.specs import spec_to_dict
 
@@ -265,12 +228,12 @@ def _arm(model: Any) -> ArmModel | None:
 
 def is_fmu(system: Any) -> bool:
     """Return True for an FMU as the nominal model."""
-    from harness.diagnosis.fmu_system import FmuSystem
+    from harness.blackbox.system import FmuSystem
 
     return isinstance(system, FmuSystem)
 
 
-def _repaired_fmu(found: SimulatedDiagnosis, folder: Path) -> dict[str, Any]:
+def _repaired_fmu(found: Diagnosis, folder: Path) -> dict[str, Any]:
     """Return the repaired model as ``sysid export`` reads it, a copy of the FMU beside it."""
     from harness.specs import spec_to_dict
 
@@ -290,7 +253,7 @@ def _repaired_fmu(found: SimulatedDiagnosis, folder: Path) -> dict[str, Any]:
 
 def _recorded_fmu(loaded: Any) -> Any:
     """Return the FMU that a data set names, with what it says of the parameters."""
-    from harness.diagnosis.fmu_prepare import nominal_fmu
+    from harness.diagnosis.fmu.prepare import nominal_fmu
 
     for port, derivative in loaded.measured:
         if derivative:
@@ -312,7 +275,7 @@ def _recorded_fmu(loaded: Any) -> Any:
 def _system(model: Any, parameters: Mapping[str, Any] | None, dataset: Dataset) -> Any:
     """Return the nominal system from a name, a file, a definition or a system."""
     if isinstance(model, str | Path) and str(model).endswith(".fmu"):
-        from harness.diagnosis.fmu_prepare import nominal_fmu
+        from harness.diagnosis.fmu.prepare import nominal_fmu
 
         return nominal_fmu(model, dataset, parameters)
     if isinstance(model, str):

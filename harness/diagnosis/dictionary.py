@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from harness import registry
@@ -13,7 +14,12 @@ from harness.errors import HarnessError
 __all__ = ["placed"]
 
 
-def placed(system: Any, dictionary: Sequence[Effect] | None = None) -> tuple[list[Placed], list[str]]:
+def placed(
+    system: Any,
+    dictionary: Sequence[Effect] | None = None,
+    *,
+    composed: Callable[[Sequence[Placed]], Any] | None = None,
+) -> tuple[list[Placed], list[str]]:
     """Return every effect at every port of a system that it fits, and what is wrong with plug-ins.
 
     Parameters
@@ -21,6 +27,9 @@ def placed(system: Any, dictionary: Sequence[Effect] | None = None) -> tuple[lis
     system : System or FmuSystem
     dictionary : sequence of Effect, optional
         Effects to use in place of the built-in ones and those of plug-ins; a fault of one of these is raised.
+
+    composed : callable
+        Builds the system with one effect: a block is called there for the first time, and may fail.
 
     Returns
     -------
@@ -35,6 +44,7 @@ def placed(system: Any, dictionary: Sequence[Effect] | None = None) -> tuple[lis
     >>> [str(one) for one in found if one.at == "base"], faults
     (['gravity_tilt@base'], [])
     """
+    build = composed or functools.partial(compose, system)
     if dictionary is not None:
         return place_all(system, dictionary), []
     known = builtin()
@@ -49,7 +59,7 @@ def placed(system: Any, dictionary: Sequence[Effect] | None = None) -> tuple[lis
                 raise TypeError(f"{names[made.name]} already has an effect named {made.name!r}")
             places = place_all(system, [made])
             for one in places:
-                _composed(system, one)
+                build([one])
         except Exception as error:  # a stranger's code may raise anything, and must not stop the diagnosis
             faults.append(f"{where} is broken and was not tried: {_words(error)}")
             continue
@@ -73,16 +83,6 @@ def _loaded(entry: registry.Entry) -> Effect:
     if not isinstance(made, Effect):
         raise TypeError(f"it is a {type(made).__name__}, not an effect made with @effect")
     return made
-
-
-def _composed(system: Any, one: Placed) -> None:
-    """Build a system with the effect: its block is called here for the first time."""
-    from harness.diagnosis.fmu_system import FmuSystem, fits_fmu
-
-    if not isinstance(system, FmuSystem):
-        compose(system, [one])
-    elif fits_fmu(one.effect):
-        system.with_effects([one])
 
 
 def _words(error: Exception) -> str:

@@ -7,64 +7,61 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.screens import SEEN, Screen
-from harness.effects.effect import Placed
-from harness.signals import FloatArray
+from harness.diagnosis.search.fit import Column, Fit, Form, Linearised
+from harness.diagnosis.search.score_test import ScoreTest
 
-__all__ = ["ALIKE", "isolability", "separating", "unseen"]
-
-ALIKE = 0.95
-INVISIBLE = 0.03
-"""Share of a barely visible effect that must be left beside the nominal parameters (a simulation is not linear)."""
-MOST = 26
+__all__ = ["unseen"]
 
 
-def isolability(screen: Screen, *, first: Sequence[str] = ()) -> tuple[tuple[str, ...], FloatArray]:
-    """Return how well each effect's change of the outputs is mimicked by every other.
+def unseen(test: ScoreTest, form: Form, fit: Fit) -> list[dict[str, Any]]:
+    """Return the effects that an experiment cannot show, each with what does the same.
 
     Parameters
     ----------
-    screen : Screen
-        Of the nominal model.
-    first : sequence of str
-        Effects to show in any case, e.g. those found.
+    test : ScoreTest
+        Of the dictionary beside the fit.
+    form : Form
+    fit : Fit
 
     Returns
     -------
-    names : tuple of str
-    cosines : array (n, n)
-        Entry (i, j): cosine between the change of effect i and the span of effect j (its parameters free), the nominal
-        Jacobian and the initial states taken out of both; 1 means that j can do all that i does.
+    list of dict
+        ``name``, ``at``, ``reason``; ``parameter``, the nominal parameter whose change is most like the effect's (None
+        where that is an initial state); ``left``, the share of the effect that nothing free can take up.
     """
-    seen = [one for one in screen.probes if one.left >= SEEN and one.rank]
-    seen.sort(key=lambda one: (str(one.placed) not in first, str(one.placed)))
-    seen = seen[:MOST]
-    cosines = np.eye(len(seen))
-    for i, a in enumerate(seen):
-        for j, b in enumerate(seen):
-            if i != j:
-                cosines[i, j] = min(float(np.linalg.norm(b.basis.T @ a.direction)), 1.0)
-    return tuple(str(one.placed) for one in seen), cosines
-
-
-def unseen(screen: Screen) -> list[dict[str, Any]]:
-    """Return the effects that this experiment cannot show, each with the reason."""
+    linear = form.linearised(fit)
+    hidden = sorted(test.hidden, key=lambda one: str(one.placed))
+    columns: dict[str, list[Column]] = {}
+    for column in form.columns(fit, [one.placed for one in hidden]) if hidden else ():
+        columns.setdefault(str(column.placed), []).append(column)
     rows = []
-    for one in screen.probes:
-        if one.left < SEEN or one.least < INVISIBLE or not one.rank:
-            by = f"nominal parameter {one.absorbed_by}" if one.absorbed_by else "nominal parameters or initial states"
-            rows.append(
-                {
-                    "name": one.placed.effect.name,
-                    "at": one.placed.at,
-                    "reason": f"the {by} can do the same" if one.absorbed_by else f"{by} can do the same",
-                    "parameter": one.absorbed_by or None,
-                }
-            )
-    return sorted(rows, key=lambda row: (row["name"], row["at"]))
+    for one in hidden:
+        by = _absorbing(columns.get(str(one.placed), []), linear, fit)
+        what = f"the nominal parameter {by}" if by else "nominal parameters or initial states"
+        rows.append(
+            {
+                "name": one.placed.effect.name,
+                "at": one.placed.at,
+                "reason": f"{what} can do the same",
+                "parameter": by,
+                "left": round(one.share, 5),
+            }
+        )
+    return rows
 
 
-def separating(members: Sequence[Placed]) -> list[str]:
-    """Return the experiments that would separate the members of a tie set, each once."""
-    texts = [f"{one.effect.name}: {one.effect.experiment}" for one in members if one.effect.experiment]
-    return list(dict.fromkeys(texts))
+def _absorbing(columns: Sequence[Column], linear: Linearised, fit: Fit) -> str | None:
+    """Return the nominal parameter whose change is most like an effect's, None where it is none."""
+    nuisance = linear.nuisance["estimation"]
+    sizes = np.linalg.norm(nuisance, axis=0)
+    best, name = 0.0, None
+    for column in columns:
+        for change in column.estimation.T:
+            size = np.linalg.norm(change)
+            if not size > 0:
+                continue
+            cosines = np.abs(change @ nuisance) / (np.where(sizes > 0, sizes, np.inf) * size)
+            place = int(np.argmax(cosines))
+            if cosines[place] > best:
+                best, name = float(cosines[place]), fit.free[place] if place < linear.shared else None
+    return name

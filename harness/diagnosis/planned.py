@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
-from harness.diagnosis.isolability import ALIKE, isolability, unseen
-from harness.effects.effect import Effect
-from harness.errors import InputError
-from harness.rng import Streams
-from harness.signals import Dataset, FloatArray, Run
+from harness.diagnosis.isolability import unseen
+from harness.diagnosis.policy import PLAN_POLICY, POLICY, PlanPolicy, Policy
+from harness.diagnosis.search.fit import Fit, Form
+from harness.diagnosis.search.score_test import projected, score_test
+from harness.effects.compose import compose
+from harness.effects.effect import Effect, Placed
+from harness.errors import FitError, InputError
+from harness.rng import Streams, stream
+from harness.signals import Dataset, FloatArray, Run, Trajectory
 
 __all__ = ["Planned", "isolability_of"]
+
+USES: tuple[Literal["estimation", "validation"], ...] = ("estimation", "validation")
+SHARE = 0.01
+"""Sensor noise over an output's size, where a scenario has none."""
 
 
 @dataclass(frozen=True)
@@ -26,20 +34,29 @@ class Planned:
     effects : tuple of str
         Visible effects, ``NAME@PORT``.
     cosines : array (n, n)
-        Entry (i, j): share of effect i that effect j can mimic, see :func:`harness.diagnosis.isolability.isolability`.
+        Entry (i, j): share of effect i that effect j can mimic, the parameters and initial states having done what they
+        can; see :meth:`harness.diagnosis.search.score_test.ScoreTest.cosines`.
     alike : tuple of (str, str, float)
         Pairs that mimic each other beyond 0.95, the most alike first.
     hidden : tuple of dict
-        Effects that the experiment cannot show: ``name``, ``at``, ``reason``.
-    horizon : str
-        How long the model can be simulated, and why.
+        Effects that the experiment cannot show: ``name``, ``at``, ``reason``, ``parameter``, ``left``; see
+        :func:`harness.diagnosis.isolability.unseen`.
+    smallest : dict
+        By effect how far its main ``parameter`` must be from where it does nothing to be seen: ``value`` in ``unit``.
+        Of effects that are linear in it.
+    untested : tuple of str
+        Effects that no first-order test tells anything about: play, hidden resonances.
+    noise : str
+        What the outputs are weighed by.
     """
 
     effects: tuple[str, ...]
     cosines: FloatArray
     alike: tuple[tuple[str, str, float], ...]
     hidden: tuple[dict[str, Any], ...]
-    horizon: str
+    smallest: dict[str, dict[str, Any]]
+    untested: tuple[str, ...]
+    noise: str
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -48,7 +65,9 @@ class Planned:
             "cosine": np.round(self.cosines, 4).tolist(),
             "alike": [list(one) for one in self.alike],
             "not_visible": list(self.hidden),
-            "horizon": self.horizon,
+            "visible_from": self.smallest,
+            "not_tested": list(self.untested),
+            "noise": self.noise,
         }
 
 
@@ -60,15 +79,19 @@ def isolability_of(
     sample_time: float = 0.01,
     seed: int = 0,
     dictionary: Sequence[Effect] | None = None,
+    policy: Policy = POLICY,
+    plan: PlanPolicy = PLAN_POLICY,
 ) -> Planned:
-    """Simulate the nominal model under a scenario and compare what every effect would do to its outputs.
+    """Simulate the nominal model under a scenario and compare what every effect would do to its likelihood.
+
+    The test of a diagnosis (:mod:`harness.diagnosis.search.score_test`) on records in which nothing is missing.
 
     Parameters
     ----------
     model : System or str
         The nominal model, or the name of one.
     scenario : Scenario
-        The planned experiment. Its noise weighs the outputs against each other; without noise each counts by its size.
+        The planned experiment. Its noise is that of the records; where it has none, 1 % of each output's size is taken.
     parameters : mapping, optional
         Values of the model's parameters; by default its nominal ones.
     sample_time : float
@@ -77,11 +100,17 @@ def isolability_of(
         Keys the random numbers of the scenario.
     dictionary : sequence of Effect, optional
         By default the built-in effects.
+    policy : Policy
+        Its ``evidence`` decides from which size on an effect is seen.
+    plan : PlanPolicy
+        What counts as visible, and as alike.
 
     Raises
     ------
     InputError
         If the model or the scenario cannot be used.
+    FitError
+        If the model cannot be simulated along its own record.
 
     Examples
     --------
@@ -93,51 +122,95 @@ def isolability_of(
     [('gravity_tilt@base', 'sensor_offset@theta')]
     """
     from harness import registry
-    from harness.diagnosis.output_form import OutputForm
-    from harness.diagnosis.prepare import choose_horizon, sizes_of
-    from harness.diagnosis.screens import sensitivity_screen
+    from harness.diagnosis.records.prepare import sizes_of
+    from harness.diagnosis.search.likelihood_form import LikelihoodForm
     from harness.effects import place_all
-    from harness.physics.levenberg import minimise_states
-    from harness.physics.windows import Windows, data_states
     from harness.rollout import run
+    from harness.workers import one_thread
 
     plant = registry.create("plants", "ode", model=model, parameters=dict(parameters or {}), sample_time=sample_time)
     system, values = plant.nominal, {name: plant.true_parameters[name] for name in plant.nominal.parameter_names}
-    record = run(plant, scenario, streams=Streams("planned", system.name, seed)).measured()
-    dataset = Dataset("planned", (Run(record, "estimation"),))
-    if not np.ptp(record.y, axis=0).any():
+    records = [
+        run(plant, scenario, streams=Streams("planned", system.name, seed), role=f"{use}/0").measured() for use in USES
+    ]
+    if not np.ptp(records[0].y, axis=0).any():
         raise InputError(
             "the planned experiment moves nothing",
             expected="an excitation or an initial state",
             got="outputs that stay where they are",
             remedy="raise the amplitude, or give x0",
         )
+    records, noise = _noisy(records, scenario, seed)
+    dataset = Dataset("planned", tuple(Run(one, use) for one, use in zip(records, USES, strict=True)))
     system = system.with_parameters(values)
-    horizon = choose_horizon(system, values, dataset)
-    sizes = sizes_of(system, values, dataset)
-    spread = np.std(record.y, axis=0)
+    with one_thread():
+        form = LikelihoodForm(system, dataset, sizes_of(system, values, dataset))
+        fit = form.fit((), [values], None)
+        if fit is None:
+            raise FitError(
+                f"model {system.name} under the planned experiment",
+                expected="a state that stays finite",
+                got="divergence",
+                remedy="a smaller amplitude, a shorter record, or a controller as the scenario",
+            )
+        form.resize(fit)
+        candidates = place_all(system, dictionary)
+        test = score_test(form, fit, candidates, replace(policy, seen=plan.visible))
+        names, cosines = test.cosines()
+        both = np.minimum(cosines, cosines.T)
+        pairs = [
+            (names[i], names[j], round(float(both[i, j]), 4))
+            for i in range(len(names))
+            for j in range(i + 1, len(names))
+            if both[i, j] > plan.alike
+        ]
+        pairs.sort(key=lambda one: -one[2])
+        tested = {str(one.placed) for one in (*test.leads, *test.hidden)}
+        return Planned(
+            names,
+            cosines,
+            tuple(pairs),
+            tuple(unseen(test, form, fit)),
+            _smallest(form, fit, [one.placed for one in test.leads], policy),
+            tuple(str(one) for one in candidates if str(one) not in tested),
+            noise,
+        )
+
+
+def _noisy(records: Sequence[Trajectory], scenario: Any, seed: int) -> tuple[list[Trajectory], str]:
+    """Return records with sensor noise, and words about it: that of the scenario, else 1 % of each output's size."""
     noise = getattr(scenario, "noise", None)
-    weights = np.where(spread > 0, 0.01 * spread, 1.0)
+    outputs = records[0].spec.outputs
     if isinstance(noise, int | float) and noise > 0:
-        weights = np.full_like(spread, float(noise))
-    floors = [None] * len(spread)
-    form = OutputForm(system, dataset, sizes=sizes, horizon=horizon.seconds, weights=weights, floors=floors)
-    p = system.vector(values)
-    simulator = form.simulator(system, p)
-    windows = Windows(simulator, [record], horizon.seconds, weights)
-    x0 = minimise_states(windows, p, windows.starts_from([data_states(simulator, record, p)[0]]), 25)
-    nominal = {"values": values, "converged": True, "message": "", "refitted": {}, "x0_validation": []}
-    base = form.evaluate((), {**nominal, "x0": x0.tolist()})
-    candidates = place_all(system, dictionary)
-    screen = sensitivity_screen(form, base, candidates, lambda placed: sizes.get(placed.at, sizes.get("base", {})))
-    names, cosines = isolability(screen)
-    both = np.minimum(cosines, cosines.T)
-    pairs = [
-        (names[i], names[j], round(float(both[i, j]), 4))
-        for i in range(len(names))
-        for j in range(i + 1, len(names))
-        if both[i, j] > ALIKE
-    ]
-    length = "whole records" if horizon.seconds is None else f"windows of {horizon.seconds:g} s"
-    pairs.sort(key=lambda one: -one[2])
-    return Planned(names, cosines, tuple(pairs), tuple(unseen(screen)), f"{length}: {horizon.reason}")
+        return list(records), f"sensor noise of the scenario, {noise:g} on every output"
+    size = np.std(records[0].y, axis=0)
+    deviations = np.where(size > 0, SHARE * size, 1.0)
+    made = []
+    for number, record in enumerate(records):
+        draw = stream("planned-noise", number, seed).standard_normal(record.y.shape)
+        made.append(replace(record, y=record.y + deviations * draw))
+    each = ", ".join(f"{one.name} {d:.3g} {one.unit}" for one, d in zip(outputs, deviations, strict=True))
+    return made, f"sensor noise of 1 % of each output, as the scenario has none: {each}"
+
+
+def _smallest(form: Form, fit: Fit, visible: Sequence[Placed], policy: Policy) -> dict[str, dict[str, Any]]:
+    """Return the size of each effect's main parameter at which the likelihood is expected to rise as much as asked.
+
+    At first order a size s gains s^2 |c|^2 / 2, c being the whitened column of the parameter without what is free
+    already (Rao 1948); asked are ``policy.evidence`` and half the penalty of BIC.
+    """
+    basis, _ = projected(form, fit)
+    asked = policy.evidence + 0.5 * float(np.log(fit.samples))
+    found: dict[str, dict[str, Any]] = {}
+    for column in form.columns(fit, visible) if visible else ():
+        placed = column.placed
+        main = None if placed is None else placed.effect.main
+        if placed is None or main is None or main.name not in column.names:
+            continue
+        own = column.estimation[:, column.names.index(main.name)]
+        left = float(np.linalg.norm(own - basis @ (basis.T @ own)))
+        value = float(np.sqrt(2.0 * asked)) / left if left > 0 else np.inf
+        if np.isfinite(value) and value < found.get(str(placed), {"value": np.inf})["value"]:
+            unit = compose(form.nominal, [placed]).parameter(placed.name(main.name)).unit
+            found[str(placed)] = {"parameter": main.name, "value": value, "unit": unit}
+    return found

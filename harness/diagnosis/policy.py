@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-__all__ = ["POLICY", "Number", "Policy", "described"]
+__all__ = ["ARM_POLICY", "PLAN_POLICY", "POLICY", "ArmPolicy", "Number", "PlanPolicy", "Policy", "described"]
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,12 @@ class Policy:
         "the same evidence as for an effect, doubled because the best of many axes is taken",
         "seeds below 1000",
     )
+    window: float = _number(
+        0.5,
+        "share of the horizon that free runs are fitted over where a plant loses its start: an error grows 4.5 times",
+        "over the whole horizon, 20 times, the fit of a balanced cart-pole crept along a curved valley for 60 steps",
+        "tests",
+    )
     misfit_nrmse: float = _number(
         0.5,
         "a nominal or repaired model whose prediction over the horizon leaves more than this share does not fit",
@@ -122,7 +128,69 @@ class Policy:
 POLICY = Policy()
 
 
-def described(policy: Policy = POLICY) -> dict[str, dict[str, Any]]:
+@dataclass(frozen=True)
+class ArmPolicy:
+    """What an arm needs beside :class:`Policy`, which holds for its joints too."""
+
+    order: int = _number(
+        4,
+        "coefficients of the autoregressive error of a joint",
+        "two for a drift beside noise, two for a line of the trajectory; every candidate has as many",
+    )
+    sticks: float = _number(
+        1 / 3,
+        "a joint that stands still for more than this share of the time is not judged",
+        "a sine spends 5 % of its time there, a sum of many 8 %; a joint that sticks far more",
+    )
+    sensor: float = _number(
+        0.005, "less than this share of a joint's torque is blamed on nothing", "no torque sensor is more exact"
+    )
+    detail: float = _number(
+        0.02,
+        "an effect on the whole arm below this share of the friction beside it is a detail of the friction's law",
+        "dry friction is known to a few percent",
+        "seeds below 1000",
+    )
+    noisy: float = _number(
+        0.05,
+        "an effect on the torque itself is tried only where the noise of the torque is at most this share of it",
+        "the noise is in the residual too: the factor comes out too small by the square of the share",
+    )
+    wide: int = _number(6, "effects on the whole arm, wrong torque gains among them", "cost")
+    angle: float = _number(
+        0.3,
+        "largest joint zero, tilt and flexure [rad]",
+        "their torques are taken at first order, which is off by 5 % there: sin(x) = x - x^3/6, cos(x) = 1 - x^2/2",
+    )
+    gain: float = _number(
+        3.0,
+        "a torque that is wrong by more than this factor is in another unit, or on the other side of a gear",
+        "torque constants are off by percents",
+    )
+
+
+ARM_POLICY = ArmPolicy()
+
+
+@dataclass(frozen=True)
+class PlanPolicy:
+    """What the comparison of effects before an experiment needs."""
+
+    visible: float = _number(
+        0.01,
+        "share of an effect's column that the nominal parameters must not be able to take up, to promise it is seen",
+        "columns are approximate: a gain that all parameters take up exactly kept shares of 0.004 to 0.009",
+        "pendulum and cart-pole under multisines",
+    )
+    alike: float = _number(
+        0.95, "cosine beyond which two effects are said to look alike", "a tenth of either is left to tell them apart"
+    )
+
+
+PLAN_POLICY = PlanPolicy()
+
+
+def described(policy: Policy | ArmPolicy | PlanPolicy = POLICY) -> dict[str, dict[str, Any]]:
     """Return every number with its reason, for ``report.json``.
 
     Examples

@@ -22,7 +22,7 @@ from harness.export.describe import Variable, describe
 from harness.units import base_units
 
 if TYPE_CHECKING:
-    from harness.diagnosis.fmu_system import FmuSystem
+    from harness.blackbox.system import FmuSystem
 
 __all__ = ["effects_description", "effects_source", "write_package"]
 
@@ -154,7 +154,8 @@ def _ports(system: FmuSystem) -> list[Variable]:
 def _stored(content: Mapping[str, Any], folder: Path) -> tuple[FmuSystem, float]:
     """Return the repaired system of a ``model.json``, its parameters at their fitted values."""
     from harness import registry
-    from harness.diagnosis.fmu_reader import fmu_system
+    from harness.blackbox.effects import surround
+    from harness.blackbox.reader import fmu_system
     from harness.effects import builtin
     from harness.effects.effect import Placed
     from harness.specs import spec_from_dict
@@ -175,7 +176,7 @@ def _stored(content: Mapping[str, Any], folder: Path) -> tuple[FmuSystem, float]
     known = builtin()
     effects = [Placed(known[name] if name in known else registry.load("effects", name), at)
                for name, at in content["effects"]]  # fmt: skip
-    return (system.with_effects(effects) if effects else system).with_parameters(values), spec.sample_time
+    return (surround(system, effects) if effects else system).with_parameters(values), spec.sample_time
 
 
 def _structure(system: FmuSystem, sample_time: float) -> str:

@@ -8,6 +8,7 @@ thread of the standard library that ends the process on time even if foreign cod
 from __future__ import annotations
 
 import faulthandler
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +18,8 @@ __all__ = ["SHARED", "Batch", "Desk", "do_batch", "last_place", "put_away", "sha
 
 SHARED = "shared"
 """Where a worker stands while it makes what all jobs of its batch share."""
+WIDTH = 128
+"""Bytes of the name of a place, filled with blanks."""
 
 
 class Batch(Protocol):
@@ -77,7 +80,7 @@ def _watch(folder: Path, batch: Batch) -> Path:
 def last_place(folder: Path, batch: Batch) -> str:
     """Return where a lost worker was: the name of a job, or :data:`SHARED`."""
     at = _at(folder, batch)
-    return at.read_text(encoding="utf-8") if at.exists() else SHARED
+    return (at.read_text(encoding="utf-8").strip() if at.exists() else "") or SHARED
 
 
 def was_ended(folder: Path, batch: Batch) -> bool:
@@ -95,8 +98,8 @@ def put_away(folder: Path, batch: Batch) -> None:
 class Desk:
     """Where a worker does a batch: it says where it stands, keeps the time and puts the rows away."""
 
-    def __init__(self, batch: Batch, folder: Path, watch: IO[str]) -> None:
-        self._batch, self._folder, self._watch = batch, folder, watch
+    def __init__(self, batch: Batch, folder: Path, at: int, watch: IO[str]) -> None:
+        self._batch, self._folder, self._at, self._watch = batch, folder, at, watch
 
     @contextmanager
     def shared(self) -> Iterator[None]:
@@ -116,10 +119,7 @@ class Desk:
 
     def stand(self, place: str) -> None:
         """Write down where the work is."""
-        at = _at(self._folder, self._batch)
-        scratch = at.with_suffix(".at-part")
-        scratch.write_text(place, encoding="utf-8")
-        scratch.replace(at)
+        os.pwrite(self._at, place.encode().ljust(WIDTH), 0)  # one write of one size: never seen half
 
     @contextmanager
     def _limited(self, place: str) -> Iterator[None]:
@@ -135,8 +135,8 @@ class Desk:
 def do_batch(batch: Batch, folder: str | Path) -> None:
     """Do all jobs of a batch in this process and write their shards."""
     place = Path(folder)
-    with _watch(place, batch).open("w") as watch:
-        desk = Desk(batch, place, watch)
+    with _watch(place, batch).open("w") as watch, _at(place, batch).open("wb", buffering=0) as at:
+        desk = Desk(batch, place, at.fileno(), watch)
         desk.stand(SHARED)
         batch.work(desk)
     put_away(place, batch)

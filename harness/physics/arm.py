@@ -13,7 +13,8 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.errors import InputError
-from harness.physics.urdf import Arm, load_urdf
+from harness.physics.rigid_tree import Arm
+from harness.physics.urdf import load_urdf
 from harness.signals import Channel, FloatArray
 
 __all__ = ["ARMS", "GRAVITY", "ArmModel", "is_arm", "load_arm"]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from harness.errors import InputError
-from harness.physics.urdf import MOVING, Arm
+from harness.physics.joints import MOVING
+from harness.physics.rigid_tree import Arm
 from harness.signals import FloatArray
 
 __all__ = ["joint_places"]
@@ -31,7 +32,7 @@ def joint_places(arm: Arm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Examples
     --------
-    >>> from harness.physics.arm_regressor import pendulum_for_the_example
+    >>> from harness.physics.rigid_tree import pendulum_for_the_example
     >>> joint_places(pendulum_for_the_example(), np.array([[0.3]]))[0].tolist()
     [[[0.0, 0.0, 0.0]]]
     """

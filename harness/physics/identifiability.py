@@ -38,6 +38,11 @@ class Identifiability:
         Ratio of the last kept to the first dropped (infinite at full rank).
     unseen : tuple of str
         Columns that are zero: parameters without any effect on these rows.
+    dropped : tuple of int
+        Columns that are sums of kept ones.
+    shares : array (kept, dropped)
+        Column ``dropped[j]`` is ``sum_i shares[i, j]`` times column ``kept[i]``: fitted alone, parameter ``kept[i]``
+        stands for itself plus ``sum_j shares[i, j]`` times parameter ``dropped[j]``.
     """
 
     names: tuple[str, ...]
@@ -47,6 +52,8 @@ class Identifiability:
     sizes: FloatArray
     gap: float
     unseen: tuple[str, ...]
+    dropped: tuple[int, ...]
+    shares: FloatArray
 
     def __str__(self) -> str:
         text = f"rank {self.rank} of {len(self.names)}: {', '.join(self.combinations)}"
@@ -91,7 +98,7 @@ def identifiability(rows: FloatArray, names: Sequence[str], *, tolerance: float 
     seen = [k for k in range(len(names)) if norms[k] > 1e-14 * largest and norms[k] > 0]
     unseen = tuple(names[k] for k in range(len(names)) if k not in seen)
     if not seen:
-        return Identifiability(tuple(names), 0, (), (), np.zeros(0), np.inf, unseen)
+        return Identifiability(tuple(names), 0, (), (), np.zeros(0), np.inf, unseen, (), np.zeros((0, 0)))
     scaled = rows[:, seen] / norms[seen]
     if scaled.shape[0] > 4 * scaled.shape[1]:
         scaled = np.linalg.qr(scaled, mode="r")  # tall: the pivoting sees the same inner products
@@ -117,9 +124,8 @@ def identifiability(rows: FloatArray, names: Sequence[str], *, tolerance: float 
             if abs(size) > 1e-6:
                 text += _term(share[row, place], names[seen[other]])
         combinations.append(text)
-    return Identifiability(
-        tuple(names), rank, tuple(seen[column] for column in kept), tuple(combinations), sizes, gap, unseen
-    )
+    order_of = tuple(seen[column] for column in kept), tuple(seen[column] for column in dropped)
+    return Identifiability(tuple(names), rank, order_of[0], tuple(combinations), sizes, gap, unseen, order_of[1], share)
 
 
 def determined(

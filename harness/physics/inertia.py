@@ -1,6 +1,6 @@
 """Inertial parameters of a rigid body: pseudo-inertia, physical consistency, log-Cholesky coordinates, divergence.
 
-Ten parameters a body, in the order of :attr:`harness.physics.urdf.Arm.parameters`: mass, first moments m c (3), and the
+Ten parameters a body, in the order of ``Arm.parameters``: mass, first moments m c (3), and the
 inertia xx xy xz yy yz zz about the frame of the joint.
 """
 

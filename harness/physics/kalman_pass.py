@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -15,10 +15,10 @@ from harness.physics.filter_source import filter_source
 from harness.signals import FloatArray, Trajectory
 
 if TYPE_CHECKING:
-    from harness.physics.latent import Disturbed
+    from harness.physics.latent import Disturbed, LatentForce
     from harness.physics.simulator import Intersample
 
-__all__ = ["Filtered", "KalmanPass", "Noise", "Path"]
+__all__ = ["Filtered", "KalmanPass", "Noise", "Pass", "Path"]
 
 _LOG_2PI = float(np.log(2 * np.pi))
 _COUNTS = ("n", "substeps", "every", "chosen", "foh")
@@ -85,13 +85,42 @@ class Filtered:
     @property
     def terms(self) -> FloatArray:
         """Minus the logarithm of the density of every sample (K,)."""
-        each = 0.5 * (_LOG_2PI + np.log(self.s) + self.e**2 / self.s)
+        with np.errstate(over="ignore"):  # of a run far off its data: the density is 0
+            each = 0.5 * (_LOG_2PI + np.log(self.s) + self.e**2 / self.s)
         return np.asarray(np.where(np.isfinite(self.e), each, 0.0).sum(axis=1))
 
     @property
     def nll(self) -> float:
         """Minus the log-likelihood of the record."""
         return float(self.terms.sum())
+
+
+class Pass(Protocol):
+    """What gives a record its innovations under a model; see :class:`KalmanPass` for the attributes."""
+
+    forces: tuple[LatentForce, ...]
+    state_names: tuple[str, ...]
+    dt: float
+    substeps: int
+    nl: int
+    ny: int
+    start_size: int
+    simulator: Any
+
+    parameter_count: int
+
+    def __call__(
+        self,
+        record: Trajectory,
+        p: Any,
+        x0: Any,
+        noise: Noise,
+        *,
+        columns: npt.NDArray[np.intp] | None = None,
+        keep: bool = False,
+    ) -> Filtered | None:
+        """Return the innovations of a record, None if the state diverges; see :meth:`KalmanPass.__call__`."""
+        ...
 
 
 class _Job(ctypes.Structure):
@@ -120,8 +149,11 @@ class KalmanPass:
 
     Attributes
     ----------
-    nx, nl, ny, np : int
+    nx, nl, ny, parameter_count : int
         States (latent forces included), latent forces, outputs, parameters.
+    forces : tuple of LatentForce
+    state_names : tuple of str
+        States without the latent forces.
     start_size : int
         States without the latent forces: what an initial state has.
 
@@ -148,11 +180,12 @@ class KalmanPass:
         substeps: int | None = None,
         compiled: bool = True,
     ) -> None:
-        self.disturbed, self.dt, self.intersample = disturbed, float(dt), intersample
+        self.forces, self.dt, self.intersample = disturbed.forces, float(dt), intersample
         system = disturbed.system
+        self.state_names = tuple(channel.name for channel in system.states[: system.nx - len(self.forces)])
         self.simulator = system.simulator(dt, intersample=intersample, substeps=substeps)
         self.substeps = self.simulator.substeps
-        self.nx, self.ny, self.np, self.nl = system.nx, system.ny, system.np, len(disturbed.forces)
+        self.nx, self.ny, self.parameter_count, self.nl = system.nx, system.ny, system.np, len(self.forces)
         self.start_size = self.nx - self.nl
         self.parameter_names = system.parameter_names
         self._period = np.array([channel.period or 0.0 for channel in system.outputs])
@@ -255,8 +288,8 @@ class KalmanPass:
         x, variance, decay, gained, noise, every = how
         nx, nl, ny = self.nx, self.nl, self.ny
         step, look = self._machine(every)
-        s = np.zeros((nx, self.np + self.start_size))
-        s[: self.start_size, self.np :] = np.eye(self.start_size)
+        s = np.zeros((nx, self.parameter_count + self.start_size))
+        s[: self.start_size, self.parameter_count :] = np.eye(self.start_size)
         row, fade = 0, np.concatenate([np.ones(nx - nl), decay])
         for k in range(len(u)):
             if not np.isfinite(x).all():
@@ -282,7 +315,7 @@ class KalmanPass:
                     x = x + gain * (e if known else 0.0)
                     variance = variance - np.outer(gain, spread)
                     change = -(c[o] @ s)
-                    change[: self.np] -= by_p[o]
+                    change[: self.parameter_count] -= by_p[o]
                     s = s + np.outer(gain, change)
                     if made.j is not None:
                         made.j[row, o] = change[columns] if known else 0.0
@@ -298,7 +331,7 @@ class KalmanPass:
             x = x[:, 0] * fade
             white = f[:, nx - nl :] * np.concatenate([np.ones(nx - nl), np.zeros(nl)])[:, None]
             s = fade[:, None] * (f @ s)
-            s[:, : self.np] += fade[:, None] * by_p
+            s[:, : self.parameter_count] += fade[:, None] * by_p
             f = fade[:, None] * f
             variance = f @ variance @ f.T + (white * noise.w**2) @ white.T
             variance[range(nx - nl, nx), range(nx - nl, nx)] += gained

@@ -13,7 +13,7 @@ from harness.signals import Channel
 if TYPE_CHECKING:
     from harness.physics.system import System
 
-__all__ = ["Disturbed", "LatentForce", "with_latent_forces"]
+__all__ = ["Disturbed", "LatentForce", "with_latent_forces", "without_latent_forces"]
 
 PREFIX = "latent@"
 
@@ -78,7 +78,25 @@ def with_latent_forces(system: System) -> Disturbed:
             ports.append(LatentForce(channel.name, unit))
             rates[channel.name] = symbol
             made.append(Hidden(Channel(PREFIX + channel.name, unit), symbol, ca.SX(0.0)))
-    disturbed = system.rebuild(forces=forces, rates=rates, states=made)
+    return Disturbed(_readable(system.rebuild(forces=forces, rates=rates, states=made)), tuple(ports))
+
+
+def without_latent_forces(system: System) -> Disturbed:
+    """Return the system with no latent force: output error, the limit in which nothing disturbs the plant.
+
+    Parameters
+    ----------
+    system : System
+
+    Returns
+    -------
+    Disturbed
+    """
+    return Disturbed(_readable(system), ())
+
+
+def _readable(disturbed: System) -> System:
+    """Return the system with delays of readings in its outputs, and without rounding."""
     h = ca.SX(disturbed.h)
     symbols = dict(zip(disturbed.parameter_names, ca.vertsplit(disturbed.p), strict=True))
     kept = []
@@ -87,7 +105,7 @@ def with_latent_forces(system: System) -> Disturbed:
             kept.append(block)
         elif block.kind == "output_delay":
             h[block.index] = _delayed(disturbed, h[block.index], symbols[block.parameter])
-    return Disturbed(replace(disturbed, h=h, sampled=tuple(kept)), tuple(ports))
+    return replace(disturbed, h=h, sampled=tuple(kept))
 
 
 def _delayed(system: System, y: Any, tau: Any) -> Any:

@@ -12,7 +12,7 @@ from harness.physics.windows import Evaluation, Windows
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
-    from harness.physics.system import System
+    from harness.physics.model_equations import Equations
 
 __all__ = ["Solution", "eliminated", "log_scaled", "minimise", "minimise_states"]
 
@@ -40,7 +40,7 @@ class Solution:
     states_free: bool = True
 
 
-def log_scaled(system: System) -> npt.NDArray[np.bool_]:
+def log_scaled(system: Equations) -> npt.NDArray[np.bool_]:
     """Return which parameters are fitted through their logarithm (np,)."""
     return np.array([one.positive for one in system.parameters], dtype=bool)
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError
-from harness.physics.kalman_pass import Filtered, KalmanPass, Noise
+from harness.physics.kalman_pass import Filtered, KalmanPass, Noise, Pass
 from harness.physics.latent import with_latent_forces
 from harness.physics.levenberg import log_scaled
 from harness.signals import FloatArray, Trajectory
@@ -149,7 +149,7 @@ class Likelihood:
     intersample : {"zoh", "foh", "smooth"}
     substeps : int, optional
     compiled : bool
-    passes : KalmanPass, optional
+    passes : Pass, optional
         Of the same system, made before.
 
     Notes
@@ -169,11 +169,11 @@ class Likelihood:
         intersample: Intersample = "zoh",
         substeps: int | None = None,
         compiled: bool = True,
-        passes: KalmanPass | None = None,
+        passes: Pass | None = None,
     ) -> None:
         self.system, self.records, self.noise_model = system, list(records), noise_model
         dt = self.records[0].spec.sample_time
-        self.filter = passes or KalmanPass(
+        self.filter: Pass = passes or KalmanPass(
             with_latent_forces(system), dt, intersample=intersample, substeps=substeps, compiled=compiled
         )
         self._log = log_scaled(system)
@@ -205,7 +205,7 @@ class Likelihood:
 
     def _unpack(self, z: FloatArray) -> Point:
         """Return the point of a vector."""
-        n, m, nl, ny = self.filter.np, self.filter.start_size, self.filter.nl, self.filter.ny
+        n, m, nl, ny = self.filter.parameter_count, self.filter.start_size, self.filter.nl, self.filter.ny
         p = np.clip(np.where(self._log, np.exp(np.where(self._log, z[:n], 0.0)), z[:n]), *self._bounds)
         x0 = [z[n + k * m : n + (k + 1) * m] for k in range(len(self.records))]
         rest = z[n + len(self.records) * m :]
@@ -217,7 +217,7 @@ class Likelihood:
 
     def _layout(self) -> tuple[list[str], npt.NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
         """Return names, whether logarithmic, lower and upper bounds, and scales of the vector."""
-        states = [channel.name for channel in self.filter.disturbed.system.states][: self.filter.start_size]
+        states = self.filter.state_names
         names = list(self.system.parameter_names)
         log, low, high = list(self._log), list(self._low), list(self._high)
         for number in range(len(self.records)):
@@ -225,7 +225,7 @@ class Likelihood:
             log += [False] * len(states)
             low += [-np.inf] * len(states)
             high += [np.inf] * len(states)
-        model, ports = self.noise_model, [one.port for one in self.filter.disturbed.forces]
+        model, ports = self.noise_model, [one.port for one in self.filter.forces]
         if model.latent:
             force = np.log(model.force_scale)
             names += [f"s@{port}" for port in ports] + [f"tau@{port}" for port in ports]
@@ -263,6 +263,33 @@ class Likelihood:
         total = np.inf if found is None else sum(one.nll for one in found)
         return float(total) if np.isfinite(total) else np.inf
 
+    def concentrated(self, point: Point) -> Point:
+        """Return a point with the sensor noise that makes its free run likeliest: the rms of the output error.
+
+        Without latent forces that is the maximum over the noise (Ljung 1999, sec. 7.4); fits then start at a scale at
+        which parameters and initial states can move. A run that diverges is returned as it is.
+        """
+        with np.errstate(all="ignore"):
+            found = self.filtered(point)
+        if found is None:
+            return point
+        rms = np.sqrt(np.nanmean(np.concatenate([one.e for one in found]) ** 2, axis=0))
+        if not np.isfinite(rms).all():
+            return point
+        r = np.clip(rms, 1e-7 * self.noise_model.output_scale, 10.0 * self.noise_model.output_scale)
+        return replace(point, noise=replace(point.noise, r=r))
+
+    def _concentrate(
+        self, z: FloatArray, passes: list[Filtered], low: FloatArray, high: FloatArray
+    ) -> tuple[float, FloatArray]:
+        """Put the sensor noise of a free run to its maximum, in the passes too; return the value and the vector."""
+        ny, z = self.filter.ny, z.copy()
+        rms = np.sqrt(np.nanmean(np.concatenate([one.e for one in passes]) ** 2, axis=0))
+        z[-ny:] = np.clip(np.log(np.maximum(rms, 1e-300)), low[-ny:], high[-ny:])
+        for one in passes:
+            one.s = np.broadcast_to(np.exp(2 * z[-ny:]), one.s.shape).copy()
+        return float(sum(one.nll for one in passes)), z
+
     def _value(self, z: FloatArray) -> tuple[float, list[Filtered] | None]:
         with np.errstate(all="ignore"):
             found = self.filtered(self._unpack(z))
@@ -285,7 +312,7 @@ class Likelihood:
         e, s = _joined(found)
         known = np.isfinite(e)
         root = 1.0 / np.sqrt(s[known])
-        n, m = self.filter.np, self.filter.start_size
+        n, m = self.filter.parameter_count, self.filter.start_size
         limit = n + len(self.records) * m
         by_e = np.zeros((len(which), int(known.sum())))
         by_s = np.zeros_like(by_e)
@@ -383,7 +410,7 @@ class Likelihood:
         chosen = np.zeros(len(names), dtype=bool)
         if free is None:
             chosen[:] = True
-            chosen[: self.filter.np] = self._free
+            chosen[: self.filter.parameter_count] = self._free
         else:
             wanted = set(free)
             chosen[:] = [name in wanted for name in names]
@@ -398,6 +425,7 @@ class Likelihood:
             )
         damping, exact, converged, message, count = 1e-3, False, False, "", 0
         entries = np.flatnonzero(chosen)
+        scaled_noise = not self.noise_model.latent and bool(chosen[len(names) - self.filter.ny :].all())
         promise = first = np.inf
         matrix = np.eye(len(entries))
         deviations: FloatArray | None = None
@@ -405,7 +433,7 @@ class Likelihood:
             count += 1
             assert found is not None
             with np.errstate(all="ignore"):
-                gradient, matrix = self._derivatives(z, found, entries, exact, deviations)
+                gradient, matrix = self._derivatives(z, found, entries, exact and self.noise_model.latent, deviations)
             deviations = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
             if not (np.isfinite(gradient).all() and np.isfinite(matrix).all()):
                 message = "derivatives are not finite"
@@ -433,6 +461,9 @@ class Likelihood:
                     break
                 damping = max(damping, 1e-4) * 8.0
             if improved:
+                assert passes is not None
+                if scaled_noise:
+                    new, trial = self._concentrate(trial, passes, low, high)
                 gain, value, z, found = value - new, new, trial, passes
                 damping = max(damping / 8.0, 1e-7)
                 if exact and gain < _ENOUGH:
@@ -458,7 +489,7 @@ class Likelihood:
         names, log, low, high, _ = self._layout()
         size = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
         near = 1e-6
-        free = entries < self.filter.np
+        free = entries < self.filter.parameter_count
         margin = np.where(log[entries], near, near * np.maximum(np.abs(z[entries]), 1e-12))
         bound = (z[entries] <= low[entries] + margin) | (z[entries] >= high[entries] - margin)
         inner = ~bound

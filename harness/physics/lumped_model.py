@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 import sympy as sp
 
 from harness.errors import FitError, InputError
+from harness.physics.arm_lumps import ArmLumps
+from harness.physics.arm_mechanism import ArmMechanism
 from harness.physics.lumped_fit import LumpedFit, least_squares
 from harness.physics.lumped_functions import bump_on, jumping_mean, motion_functions
 from harness.physics.lumping import Split, split
 from harness.physics.mechanism import Mechanism
-from harness.physics.vectorised import Vectorised
 from harness.signals import FloatArray
 
 __all__ = ["ForceColumns", "LumpedFit", "LumpedModel", "lumped"]
@@ -42,13 +44,17 @@ def lumped(mechanism: Mechanism, *, known: Mapping[str, float] | None = None) ->
     >>> lumped(cart_pole()).names
     ('mc + mp', 'l**2*mp', 'l*mp', 'bx', 'btheta')
     """
+    if isinstance(mechanism, ArmMechanism) and not mechanism.symbolic:
+        generated = ArmLumps(mechanism, known or {})
+        return LumpedModel(mechanism, generated.split, dict(known or {}), generated=generated)
     return LumpedModel(mechanism, split(mechanism, known), dict(known or {}))
 
 
 class LumpedModel:
     r"""A mechanism as ``W(q, v, a, u) pi = target``.
 
-    Made by :func:`lumped`. From ``L = L_0 + sum pi_k L_k`` and ``Q = Q_0 + sum pi_k Q_k``:
+    Made by :func:`lumped`; the functions of an arm too large to be written out are generated and compiled. From
+    ``L = L_0 + sum pi_k L_k`` and ``Q = Q_0 + sum pi_k Q_k``:
 
     - torque form, for every coordinate: ``d/dt dL_k/dv - dL_k/dq - Q_k``, against ``Q_0 - d/dt dL_0/dv + dL_0/dq``
       (Atkeson, An & Hollerbach 1986);
@@ -74,13 +80,16 @@ class LumpedModel:
         parts: Split,
         known: Mapping[str, float],
         extra: tuple[tuple[tuple[str, ...], ForceColumns], ...] = (),
+        generated: ArmLumps | None = None,
     ) -> None:
+        self._generated = generated
         self.mechanism, self.parts, self.known, self._extra = mechanism, parts, dict(known), extra
         self.combinations = parts.combinations
         self.n = len(mechanism.q)
-        self.names = tuple(str(one) for one in parts.combinations) + tuple(name for names, _ in extra for name in names)
+        own = tuple(str(one) for one in parts.combinations) if generated is None else generated.names
+        self.names = own + tuple(name for names, _ in extra for name in names)
         self.k = len(self.names)
-        self._functions: dict[str, Vectorised] = {}
+        self._functions: dict[str, Callable[..., list[FloatArray]]] = {}
 
     # ---- values --------------------------------------------------------------------------------------------------
 
@@ -98,7 +107,7 @@ class LumpedModel:
         >>> lumped(cart_pole()).values({"mc": 10, "mp": 1, "l": 0.5, "bx": 0, "btheta": 0.1}).tolist()
         [11.0, 0.25, 0.5, 0.0, 0.1]
         """
-        needed = {str(symbol): symbol for one in self.combinations for symbol in one.free_symbols}
+        needed, function = self._values
         missing = sorted(set(needed) - set(parameters))
         if missing:
             raise InputError(
@@ -107,8 +116,7 @@ class LumpedModel:
                 got=", ".join(sorted(parameters)) or "none",
                 remedy=f"give {', '.join(missing)}",
             )
-        table = {symbol: float(parameters[name]) for name, symbol in needed.items()}
-        found = [float(one.subs(table)) for one in self.combinations]
+        found = [float(value) for value in function(*(float(parameters[name]) for name in needed))]
         return np.array(found + [0.0] * (self.k - len(found)))
 
     def to_parameters(
@@ -176,7 +184,8 @@ class LumpedModel:
         columns : callable
             ``columns(q, v, u, t) -> (N, n, len(names))``, forces *on* the coordinates.
         """
-        return LumpedModel(self.mechanism, self.parts, self.known, (*self._extra, (tuple(names), columns)))
+        extra = (*self._extra, (tuple(names), columns))
+        return LumpedModel(self.mechanism, self.parts, self.known, extra, self._generated)
 
     # ---- the functions of the motion -----------------------------------------------------------------------------
 
@@ -328,6 +337,15 @@ class LumpedModel:
 
     # ---- inside --------------------------------------------------------------------------------------------------
 
+    @cached_property
+    def _values(self) -> tuple[tuple[str, ...], Callable[..., list[Any]]]:
+        """Return the names that the combinations need, and the function from their values to the combinations'."""
+        symbols = sorted({symbol for one in self.combinations for symbol in one.free_symbols}, key=str)
+        return tuple(map(str, symbols)), sp.lambdify(symbols, list(self.combinations), "math")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_values"}
+
     def _arrays(
         self, q: Any, v: Any, u: Any, t: Any, a: Any
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -368,10 +386,13 @@ class LumpedModel:
             parts.append(sign * added)
         return np.concatenate(parts, axis=2)
 
-    def _function(self, name: str) -> Vectorised:
-        """Return one of the vectorised functions; all are built at once when the first is needed."""
+    def _function(self, name: str) -> Callable[..., list[FloatArray]]:
+        """Return one of the functions of the motion; all are built at once when the first is needed."""
         if not self._functions:
-            self._functions = motion_functions(self.mechanism, self.parts)
+            known = (
+                motion_functions(self.mechanism, self.parts) if self._generated is None else self._generated.functions
+            )
+            self._functions = dict(known)
         return self._functions[name]
 
     def _known_momentum(self, q: FloatArray, v: FloatArray, t: FloatArray) -> FloatArray:

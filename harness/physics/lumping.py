@@ -11,7 +11,7 @@ import sympy as sp
 from harness.errors import InputError
 from harness.physics.mechanism import Mechanism
 
-__all__ = ["Split", "lagrangian", "split"]
+__all__ = ["Split", "known_symbols", "lagrangian", "split"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ def split(mechanism: Mechanism, known: Mapping[str, float] | None = None) -> Spl
     ------
     InputError
         If a term does not separate into parameters and motion (a parameter inside a function of the state that no
-        addition theorem takes apart), or a known parameter is unknown.
+        addition theorem takes apart), a known parameter is unknown, or the mechanism is generated code.
 
     Examples
     --------
@@ -64,7 +64,14 @@ def split(mechanism: Mechanism, known: Mapping[str, float] | None = None) -> Spl
     >>> [str(one) for one in split(double_pendulum()).combinations][:3]
     ['I1 + l1**2*m2 + lc1**2*m1', 'I2 + lc2**2*m2', 'l1*m2 + lc1*m1']
     """
-    values = _known(mechanism, known or {})
+    if not mechanism.symbolic:
+        raise InputError(
+            f"lumped parameters of {mechanism.name} in symbols",
+            expected="a mechanism whose Lagrangian is written out",
+            got="an arm whose energies are generated code",
+            remedy="use lumped(mechanism): it finds base parameters on the columns of the regressor",
+        )
+    values = known_symbols(mechanism, known or {})
     table = _Table(set(mechanism.p) - set(values))
     table.add("L", lagrangian(mechanism).subs(values))
     for row, force in enumerate(mechanism.forces()):
@@ -72,8 +79,8 @@ def split(mechanism: Mechanism, known: Mapping[str, float] | None = None) -> Spl
     return table.split(len(mechanism.q))
 
 
-def _known(mechanism: Mechanism, known: Mapping[str, float]) -> dict[Any, Any]:
-    """Return the known values by symbol."""
+def known_symbols(mechanism: Mechanism, known: Mapping[str, float]) -> dict[Any, Any]:
+    """Return known values by symbol; raises InputError for a name that is no parameter."""
     symbols = {str(symbol): symbol for symbol in mechanism.p}
     for name in known:
         if name not in symbols:
@@ -105,6 +112,7 @@ class _Table:
         self.parameters = parameters
         self.entries: dict[tuple[Any, Any], dict[Any, Any]] = {}
         self.monomials: list[Any] = []
+        self.decimal = False
 
     def add(self, place: Any, expression: Any) -> None:
         """Take one expression apart."""
@@ -117,6 +125,9 @@ class _Table:
                 term.as_independent(*self.parameters, as_Add=False) if self.parameters else (term, sp.Integer(1))
             )
             number, function = sp.sympify(inside).as_coeff_Mul()
+            if number.is_Float:
+                # as a decimal without the rounding of products: what depends on each other must cancel exactly
+                number, self.decimal = sp.Rational(format(float(number), ".14g")), True
             motion = outside.free_symbols - self.parameters
             if motion:
                 raise InputError(
@@ -139,6 +150,15 @@ class _Table:
             for node in expression.atoms(sp.sin, sp.cos)
         )
 
+    def _shown(self, number: Any) -> Any:
+        """Return a number as it is read: a fraction as a decimal where the model is written in decimals."""
+        if number.is_Integer:
+            return number
+        near = sp.Integer(round(number))
+        if abs(number - near) < 1e-12:
+            return near
+        return sp.Float(float(number)) if self.decimal else number
+
     def split(self, n: int) -> Split:
         """Return the combinations and what multiplies them."""
         unknown = [one for one in self.monomials if one != 1]
@@ -147,7 +167,8 @@ class _Table:
         reduced, pivots = sp.Matrix(rows).rref() if unknown and rows else (sp.zeros(0, 0), ())
         combinations, lagrangians, forces = [], [], []
         for number, pivot in enumerate(pivots):
-            combinations.append(sum(_clean(reduced[number, c]) * unknown[c] for c in range(len(unknown))))
+            shares = [self._shown(reduced[number, c]) for c in range(len(unknown))]
+            combinations.append(sum(share * one for share, one in zip(shares, unknown, strict=True)))
             energy, force = sp.Integer(0), [sp.Integer(0)] * n
             for place, row in zip(places, rows, strict=True):
                 share = row[pivot] * place[1]
@@ -165,11 +186,6 @@ class _Table:
             else:
                 known_force[place[0]] += share
         return Split(tuple(combinations), tuple(lagrangians), tuple(forces), known_energy, tuple(known_force))
-
-
-def _clean(number: Any) -> Any:
-    """Return a whole number for a float that is one but for rounding (9.81 / 9.81)."""
-    return sp.Integer(round(number)) if number.is_Float and abs(number - round(number)) < 1e-12 else number
 
 
 def _pythagoras(expanded: Any) -> Any:

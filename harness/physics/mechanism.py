@@ -62,6 +62,8 @@ class Mechanism:
         Generalized force on each coordinate (inputs and friction), set by the user; 0 by default.
     T, V : expression
         Kinetic and potential energy [J] beside those of the bodies.
+    symbolic : bool
+        True unless energies and forces are generated code (a large arm).
     outputs : dict
         Output name to expression (in q, v, p, t), or to ``(expression, unit)``; by default the coordinates.
 
@@ -94,6 +96,7 @@ class Mechanism:
         parameters: Mapping[str, Any] | None = None,
     ) -> None:
         self.name, self.g = name, float(g)
+        self.symbolic = True
         coordinates, inputs, constants = q.split(), u.split(), p.split()
         _check_names(name, [*coordinates, *inputs, *constants])
         if not coordinates:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import importlib.util
 import sys
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ import sympy as sp
 
 from harness.errors import HarnessError, InputError
 from harness.physics.arm import is_arm
+from harness.physics.arm_mechanism import arm_mechanism
 from harness.physics.flight import perching_glider, planar_quadrotor
 from harness.physics.mechanism import Mechanism
 from harness.physics.ode import Ode
@@ -264,10 +266,11 @@ def load_model(name: str, **options: Any) -> System:
     Parameters
     ----------
     name : str
-        A built-in model (``"pendulum"``), one that another distribution registers, or ``FILE.py:FUNCTION`` where the
-        function returns a :class:`Mechanism`, an :class:`Ode` or a :class:`System`.
+        A built-in model (``"pendulum"``), an arm (``"iiwa"``, ``"FILE.urdf"``), one that another distribution
+        registers, or ``FILE.py:FUNCTION`` where the function returns a :class:`Mechanism`, an :class:`Ode` or a
+        :class:`System`.
     **options
-        Passed to the model's function (``order=4`` of ``linear``).
+        Passed to the model's function (``order=4`` of ``linear``, ``passive=["pole"]`` of an arm).
 
     Raises
     ------
@@ -279,16 +282,13 @@ def load_model(name: str, **options: Any) -> System:
     >>> print(load_model("oscillator"))
     oscillator: u [N] -> q [m]
     """
+    maker: Any
+    where: Path | None
     if ".py:" in name or name.endswith(".py"):
         path, _, attribute = name.rpartition(":") if ".py:" in name else (name, "", "")
         maker, where = _from_file(Path(path), attribute)
     elif is_arm(name):
-        raise InputError(
-            f"{name} is an arm",
-            expected="a model that can be simulated",
-            got="inverse dynamics of a URDF",
-            remedy="sysid close-loop judges arms",
-        )
+        maker, where = functools.partial(arm_mechanism, name), None
     elif name in BUILT_IN:
         maker, where = BUILT_IN[name], None
     elif (found := model_of(name)) is not None:

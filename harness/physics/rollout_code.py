@@ -6,16 +6,14 @@ import contextlib
 import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from harness.physics.ccode import FINE, dense
+from harness.physics.model_equations import Equations
 from harness.signals import FloatArray
-
-if TYPE_CHECKING:
-    from harness.physics.system import System
 
 __all__ = ["Functions", "Linear"]
 
@@ -110,13 +108,14 @@ class Functions:
     approximation of the derivative of the true one.
     """
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: Equations) -> None:
         self.system = system
         self.arguments = [system.x, system.u, system.p, system.t]
         self.h = system.upright(system.h)
         self.derivative = dense("derivative", self.arguments, [system.f])
         self.output = dense("output", self.arguments, [self.h])
         start = system.initial if system.initial is not None else ca.SX(0, 1)
+        start = ca.substitute(start, system.t, ca.SX(0.0))  # an input that a law of time disturbs: as at its beginning
         self.initial = dense("initial", [system.x, system.u, system.p], [system.upright(start)])
         self._machines: dict[Any, Any] = {}
 

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from harness.physics.model_equations import Equations
 from harness.signals import FloatArray
-
-if TYPE_CHECKING:
-    from harness.physics.system import System
 
 __all__ = ["SampledBlocks", "delayed", "quantised"]
 
@@ -77,7 +73,7 @@ class SampledBlocks:
         The parameters (by index) through which the inputs depend on p, one for each input delay.
     """
 
-    def __init__(self, system: System, dt: float) -> None:
+    def __init__(self, system: Equations, dt: float) -> None:
         names = system.parameter_names
         self.dt = dt
         self.input_delays = [(b.index, names.index(b.parameter)) for b in system.sampled if b.kind == "input_delay"]

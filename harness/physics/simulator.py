@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -12,14 +12,12 @@ import numpy as np
 from harness.errors import InputError
 from harness.fmi.build import compiler
 from harness.physics.ccode import FINE, Compilation
+from harness.physics.model_equations import Equations
 from harness.physics.rollout_call import Sums, all_columns, call_rollout
 from harness.physics.rollout_code import Functions
 from harness.physics.rollout_source import rollout_source
 from harness.physics.sampled import SampledBlocks
 from harness.signals import FloatArray, PlantSpec
-
-if TYPE_CHECKING:
-    from harness.physics.system import System
 
 __all__ = ["Backend", "Intersample", "Simulator", "default_substeps"]
 
@@ -33,11 +31,11 @@ _MAXIMUM_SUBSTEPS = 50
 _SMOOTH_PIECES = 4
 
 
-def default_substeps(system: System, dt: float, p: FloatArray | None = None) -> int:
+def default_substeps(system: Equations, dt: float, p: FloatArray | None = None) -> int:
     """Return how many Runge-Kutta steps a sample needs, from the eigenvalues of the system at rest.
 
     The classical method's error per step is (lambda h)^5 / 120: 0.35 for an oscillation, 0.7 for a decay. Where a force
-    takes the sign of a speed, steps near zero are divided by themselves (``System.switches``).
+    takes the sign of a speed, steps near zero are divided by themselves (``Equations.switches``).
     """
     n = system.nx
     if n == 0:
@@ -69,7 +67,7 @@ class Simulator:
 
     Parameters
     ----------
-    system : System
+    system : Equations
     dt : float
         Sample time [s].
     intersample : {"zoh", "foh", "smooth"}
@@ -111,7 +109,7 @@ class Simulator:
 
     def __init__(
         self,
-        system: System,
+        system: Equations,
         dt: float,
         *,
         intersample: Intersample = "zoh",
@@ -424,6 +422,6 @@ class Simulator:
         return self.functions.windows(p, x0, u, slope, t0, how)
 
 
-def _rebuilt(system: System, dt: float, intersample: Intersample, substeps: int, backend: Backend) -> Simulator:
+def _rebuilt(system: Equations, dt: float, intersample: Intersample, substeps: int, backend: Backend) -> Simulator:
     """Make a simulator again where a pickle of it is opened."""
-    return system.simulator(dt, intersample=intersample, substeps=substeps, backend=backend)
+    return Simulator(system, dt, intersample=intersample, substeps=substeps, backend=backend)

@@ -55,7 +55,9 @@ def smoothed(passed: Filtered) -> Smoothed:
     return Smoothed(x, np.sqrt(np.maximum(variance, 0.0)))
 
 
-def innovation_response(passed: Filtered, forces: FloatArray | None, readings: FloatArray | None) -> FloatArray:
+def innovation_response(
+    passed: Filtered, forces: FloatArray | None, readings: FloatArray | None, *, rates_over: float | None = None
+) -> FloatArray:
     """Return what small forces and sensor errors do to the innovations, gains held fixed.
 
     Parameters
@@ -64,6 +66,8 @@ def innovation_response(passed: Filtered, forces: FloatArray | None, readings: F
         With its path.
     forces : array (K, nl, m) or None
         Added to the latent forces at every sample, m cases side by side.
+    rates_over : float, optional
+        The sample time [s], where ``forces`` are added to the rates of the first states instead.
     readings : array (K, ny, m) or None
         Added to what the model says that the sensors read.
 
@@ -81,7 +85,10 @@ def innovation_response(passed: Filtered, forces: FloatArray | None, readings: F
     response, state = np.empty((n, ny, m)), np.zeros((nx, m))
     push = np.zeros((n, nx, nl))
     if forces is not None:
-        push[:, : nx - nl] = path.transition[:, : nx - nl, nx - nl :]
+        if rates_over is None:
+            push[:, : nx - nl] = path.transition[:, : nx - nl, nx - nl :]
+        else:  # the mean of a push at the beginning of a sample and one at its end
+            push = 0.5 * rates_over * (path.transition[:, :, :nl] + np.eye(nx)[:, :nl])
         forces = 0.5 * (forces + np.concatenate([forces[1:], forces[-1:]]))
     for k in range(n):
         for o in range(ny):

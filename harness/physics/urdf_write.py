@@ -31,7 +31,7 @@ def urdf_with(
     model : ArmModel
         Read from a file (its ``path``).
     parameters : array (10 * bodies,)
-        In the order of :attr:`harness.physics.urdf.Arm.parameters`.
+        In the order of :attr:`harness.physics.rigid_tree.Arm.parameters`.
     damping, friction : array (n,), optional
         Of the joints that move, into ``<dynamics>``; as in the file by default.
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.errors import FitError, InputError
 from harness.lqr import kalman_gain, lqr_gain, reachable, spectral_radius, stabilisable, state_observable
@@ -29,6 +30,8 @@ __all__ = [
 
 # Variance of the sensors against what a unit disturbance at the inputs does to them within the first samples.
 _SENSOR = 1e-4
+# A step that costs so many times the dearest one under the first controller: the design does not hold the plant.
+_FAR = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +85,8 @@ def control_score(
     """Return the closed-loop cost, on the true plant, of the regulator designed on an identified model.
 
     Stationary cost ``E[y' q y + u' r u]`` under a disturbance of covariance I at the inputs and sensor noise; the
-    regulator acts on what it knew one sample before. Coordinates of the states do not matter.
+    regulator acts on what it knew one sample before. Coordinates of the states do not matter, nor do outputs that no
+    input of the plant moves: the design is made without them.
 
     Parameters
     ----------
@@ -121,9 +125,12 @@ def control_score(
             remedy="score a model of this plant",
         )
     size = _pulse_sizes(plant)
-    q = np.diag(1.0 / size**2) if q is None else np.asarray(q, dtype=float)
+    moved = np.flatnonzero(size > 0)
+    q = np.diag(1.0 / size[moved] ** 2) if q is None else np.asarray(q, dtype=float)[np.ix_(moved, moved)]
     r = np.eye(shape[1]) if r is None else np.asarray(r, dtype=float)
-    sensor = np.diag(_SENSOR * size**2) if sensor is None else np.asarray(sensor, dtype=float)
+    default = np.diag(_SENSOR * size[moved] ** 2)
+    sensor = default if sensor is None else np.asarray(sensor, dtype=float)[np.ix_(moved, moved)]
+    plant, model = (_with_outputs(one, moved) for one in (plant, model))
     own = _regulator(plant, q, r, sensor)
     best = None if own is None else _cost(plant, own, q, r, sensor)
     if best is None or not np.isfinite(best[0]):
@@ -221,6 +228,8 @@ class ControlRegret:
     ----------
     costs : array (T,)
         ``x' q x + u' r u`` at each step.
+    best_costs : array (T,)
+        The same of the optimal controller under the same disturbances: what chance adds to both takes no part.
     optimal : float
         Average cost of a step under the optimal controller.
     designs : tuple of int
@@ -228,13 +237,14 @@ class ControlRegret:
     """
 
     costs: FloatArray
+    best_costs: FloatArray
     optimal: float
     designs: tuple[int, ...]
 
     @property
     def cumulative(self) -> FloatArray:
-        """Cost so far beyond the optimal controller's average (T,)."""
-        return np.cumsum(self.costs - self.optimal)
+        """Cost so far beyond the optimal controller's under the same disturbances (T,)."""
+        return np.cumsum(self.costs - self.best_costs)
 
     @property
     def total(self) -> float:
@@ -258,7 +268,9 @@ def control_regret(
     """Control a linear plant with the LQR of an identified model, redesigned as data come in.
 
     Certainty equivalence with an excitation that fades as t^(-1/4) and a new design whenever the data have doubled: the
-    regret grows as sqrt(T) (Simchowitz & Foster 2020, ICML, algorithm 1).
+    regret grows as sqrt(T) (Simchowitz & Foster 2020, ICML, algorithm 1). Where a design lets a
+    step cost 10 times the most that any cost under the first controller, that one takes over until the next design: it
+    is known to hold the plant.
 
     Parameters
     ----------
@@ -297,7 +309,9 @@ def control_regret(
     spec = PlantSpec(
         tuple(Channel(f"u{i}") for i in range(nu)), tuple(Channel(f"x{i}") for i in range(nx)), sample_time=1.0
     )
+    disturbances = noise * rng.normal(size=(steps, nx))
     gain = np.zeros((nu, nx)) if first_gain is None else np.asarray(first_gain, dtype=float)
+    held = gain
     states, inputs, costs = np.zeros((steps + 1, nx)), np.zeros((steps, nu)), np.empty(steps)
     designs, following = [], first
     for k in range(steps):
@@ -312,11 +326,22 @@ def control_regret(
             if new is not None:
                 gain = new
                 designs.append(k)
+        if k > first and costs[k - 1] > _FAR * costs[:first].max():
+            gain = held
         fading = excitation * (1 + k) ** -0.25
         inputs[k] = -gain @ states[k] + fading * rng.normal(size=nu)
         costs[k] = states[k] @ q @ states[k] + inputs[k] @ r @ inputs[k]
-        states[k + 1] = a @ states[k] + b @ inputs[k] + noise * rng.normal(size=nx)
-    return ControlRegret(costs, optimal, tuple(designs))
+        states[k + 1] = a @ states[k] + b @ inputs[k] + disturbances[k]
+    return ControlRegret(costs, _held(a - b @ best, q + best.T @ r @ best, disturbances), optimal, tuple(designs))
+
+
+def _held(loop: FloatArray, weight: FloatArray, disturbances: FloatArray) -> FloatArray:
+    """Return the costs (T,) of a closed loop from rest under disturbances (T, nx)."""
+    costs, x = np.zeros(len(disturbances)), np.zeros(len(loop))
+    for k, pushed in enumerate(disturbances):
+        costs[k] = x @ weight @ x
+        x = loop @ x + pushed
+    return costs
 
 
 def in_states(model: Any) -> tuple[FloatArray, FloatArray]:
@@ -345,10 +370,13 @@ def _pulse_sizes(plant: Any) -> FloatArray:
     for _ in range(len(a) + 1):
         power = power + np.sum((plant.c_matrix @ move) ** 2, axis=1)
         move = a @ move
-    size = np.sqrt(power)
-    largest = float(size.max(initial=0.0)) or 1.0
-    found: FloatArray = np.maximum(size, 1e-9 * largest)
-    return found
+    return np.asarray(np.sqrt(power), dtype=np.float64)
+
+
+def _with_outputs(model: Any, rows: npt.NDArray[np.intp]) -> LinearPlantModel:
+    """Return a model without its other outputs."""
+    a, b, c, d = (np.asarray(getattr(model, f"{name}_matrix"), dtype=float) for name in "abcd")
+    return LinearPlantModel(a, b, c[rows], d[rows])
 
 
 def _regulator(model: Any, q: FloatArray, r: FloatArray, sensor: FloatArray) -> tuple[FloatArray, ...] | None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from harness.errors import FitError
-from harness.protocols import Hindsight, OnlineIdentifier
+from harness.protocols import Hindsight, OnlineIdentifier, Tracking
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 
 __all__ = ["Regret", "regret"]
@@ -118,11 +118,15 @@ def regret(
     rows: list[FloatArray] = []
     for record in trajectories:
         state = online.start(state, record.y[0])
+        if isinstance(online, Tracking):
+            guesses, state = online.track(state, record.u[:-1], record.y[1:])
+            rows.append(_losses(spec, record.y[1:], guesses))
+            continue
         for k in range(len(record) - 1):
             guess = np.asarray(online.predict(state, record.u[k]), dtype=float)
-            rows.append(_losses(spec, record.y[k + 1], guess))
+            rows.append(_losses(spec, record.y[k + 1], guess)[None])
             state = online.update(state, record.u[k], record.y[k + 1])
-    own = np.array(rows)
+    own = np.concatenate(rows)
     best = online.hindsight(trajectories)
     if best.losses.shape != (len(own),):
         raise FitError(
@@ -138,11 +142,11 @@ def regret(
 
 
 def _losses(spec: PlantSpec, measured: FloatArray, guess: FloatArray) -> FloatArray:
-    """Return the squared error of each output, categories counted as right or wrong."""
+    """Return the squared error of each output (..., ny), categories counted as right or wrong."""
     miss = residual(spec.outputs, measured, guess)
     for column, channel in enumerate(spec.outputs):
         if channel.kind == "category":
-            miss[column] = float(miss[column] != 0.0)
+            miss[..., column] = miss[..., column] != 0.0
     return miss * miss
 
 

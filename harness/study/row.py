@@ -97,7 +97,7 @@ def _diagnose(task: Task, records: Records, workers: int) -> dict[str, Any]:
     accepted = tuple(str(one.placed) for one in found.outcome.accepted)
     ties = tuple(tuple(frozenset(map(str, member)) for member in one.tie) for one in found.outcome.accepted)
     # what the report says this experiment cannot show matters only where nothing was found
-    hidden = frozenset(str(one.placed) for one in found.test.hidden) if task.effects and not accepted else frozenset()
+    hidden = frozenset(str(one.placed) for one in found.not_visible) if task.effects and not accepted else frozenset()
     imitates = [*found.stand_in, *found.misfit]
     outcome = judge_answer(task.effects, Answer(found.verdict, accepted, ties, hidden, bool(imitates)), task.plant)
     before, after = _error(found.runs.before), _error(found.runs.after)
@@ -130,17 +130,18 @@ def _diagnose(task: Task, records: Records, workers: int) -> dict[str, Any]:
 
 def _diagnose_fmu(task: Task, records: Records, workers: int) -> dict[str, Any]:
     """Return the columns that a diagnosis around an FMU fills; its cost counts."""
-    from harness.diagnosis.simulated import diagnose_by_simulation
+    from harness.diagnosis import diagnose
+    from harness.diagnosis.fmu.kind import BlackBox
 
     cpu, wall = _cpu_of_tree(), time.monotonic()
-    found = diagnose_by_simulation(records.dataset, _model(task, records), seed=task.seed, workers=workers)
-    accepted = tuple(str(one.placed) for one in found.result.accepted)
+    found = diagnose(records.dataset, _model(task, records), kind=BlackBox())
+    accepted = tuple(str(one.placed) for one in found.outcome.accepted)
     outcome = judge_answer(task.effects, Answer(found.verdict, accepted), task.plant)
     return {
         "outcome": outcome.word,
         "how": outcome.how,
         "verdict": found.verdict,
-        "adequacy": found.adequacy.grade,
+        "adequacy": found.grade,
         "accepted": " + ".join(accepted),
         "cpu_s": f"{_cpu_of_tree() - cpu:.2f}",
         "wall_s": f"{time.monotonic() - wall:.2f}",
@@ -154,9 +155,9 @@ def _cpu_of_tree() -> float:
 
 def _error(fitted: Any) -> float:
     """Return the weighted rms of the validation residual; infinite where the free run diverges."""
-    from harness.diagnosis.forms import weighted_rms
-
-    return float("inf") if fitted is None else weighted_rms(fitted.validation)
+    if fitted is None or not fitted.finite:
+        return float("inf")
+    return float(np.sqrt(np.mean(np.concatenate(fitted.validation) ** 2)))
 
 
 def _oracle(found: Any, records: Records) -> float | None:
@@ -164,7 +165,7 @@ def _oracle(found: Any, records: Records) -> float | None:
 
     It starts from the true values, so it does not lose by a local minimum.
     """
-    from harness.diagnosis.free_runs import seen
+    from harness.diagnosis.runs.compare import seen
     from harness.effects import builtin
     from harness.effects.effect import Placed
 
@@ -200,6 +201,8 @@ def _coverage(model: Any, records: Records) -> dict[str, Any]:
     truth = dict(records.parameters)
     known = builtin()
     for one in records.hidden:
+        if one.name not in known:  # a law that no effect of the dictionary describes
+            continue
         here = Placed(known[one.name], one.at)
         for parameter in here.effect.parameters:
             if parameter.name in one.named and not parameter.nuisance and not parameter.per_record:
@@ -220,7 +223,7 @@ def _model(task: Task, records: Records) -> Any:
     """Return the nominal model: the built-in one, or an FMU whose parameters start 20 % off."""
     if task.model == "fmu":
         from harness import registry
-        from harness.diagnosis.fmu_reader import fmu_system
+        from harness.blackbox.reader import fmu_system
 
         path = registry.load("plants", "fmu").mockup(task.plant.replace("-", "_"))
         return fmu_system(path, records.dataset.spec, {k: 1.2 * v for k, v in records.parameters.items()})

@@ -1,8 +1,8 @@
 """Hypothesis strategies for users' own tests: systems to identify, and what surrounds them in an experiment.
 
 Systems: :func:`linear_systems` and :func:`tempered_systems` (unstable, stiff, lightly damped, non-minimal),
-:func:`finite_processes`, :func:`mechanisms`, :func:`placed_effects`. Around them: :func:`excitations`, :func:`noises`,
-:func:`defective_recordings`, :func:`trajectories` of any finite numbers.
+:func:`finite_processes`, :func:`mechanisms`, :func:`arms`, :func:`placed_effects`. Around them: :func:`excitations`,
+:func:`noises`, :func:`defective_recordings`, :func:`trajectories` of any finite numbers.
 
 A user tests an estimator of her own with them::
 
@@ -15,6 +15,7 @@ A user tests an estimator of her own with them::
 
 from __future__ import annotations
 
+from harness.testing.arms import arms, random_motion, random_rotation
 from harness.testing.records import (
     DEFECTS,
     EXCITATIONS,
@@ -50,6 +51,7 @@ __all__ = [
     "FiniteProcess",
     "LinearSystem",
     "Noise",
+    "arms",
     "channels",
     "defective_recordings",
     "excitations",
@@ -59,6 +61,8 @@ __all__ = [
     "noises",
     "placed_effects",
     "plant_specs",
+    "random_motion",
+    "random_rotation",
     "simulate_finite",
     "simulate_linear",
     "tempered_systems",

@@ -45,17 +45,9 @@ def test_a_model_of_probabilities_has_a_log_score_and_coverage(result):
     assert rows["no prior"].coverage is not None
 
 
-def test_a_linear_model_of_a_linear_plant_has_a_control_cost(result):
-    rows = {row.identifier: row for row in result.rows}
-    assert rows["arx"].control_cost >= 1.0 - 1e-9
-    assert rows["arx"].control_cost < 1.5
-    assert rows["hold"].control_cost is None
-
-
 def test_the_columns_stand_in_every_form_of_the_table(result):
     for text in (render(result, "markdown"), render_html(result)):
         assert "90 % sets hold" in text
-        assert "control cost" in text
     assert r"90 \% sets hold" in render(result, "latex")
     assert "log_score_median" in render(result, "csv")
 
@@ -67,4 +59,3 @@ def test_without_such_models_the_table_is_as_it_was(tmp_path: Path):
     )
     text = render(bench(tmp_path / "suite.toml", workers=1), "markdown")
     assert "log score" not in text
-    assert "control cost" not in text

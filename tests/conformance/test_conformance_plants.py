@@ -4,40 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import pytest
+import sound
 
 from harness.conformance import check_plant, check_scenario
-from harness.errors import InputError
 from harness.protocols import Experiment
 from harness.rng import Streams
 from harness.signals import Channel, FloatArray, PlantSpec
 
 
-class Lag:
-    """x+ = 0.9 x + 0.1 u with process noise from rng, y = x; the faults below change one thing each."""
+class Lag(sound.Lag):
+    """The sound plant with every ability; the faults below change one thing each."""
 
-    spec = PlantSpec((Channel("u", "V", -1.0, 1.0),), (Channel("x", "V"),), 0.1, (Channel("x", "V"),))
     abilities: frozenset[Any] = frozenset({"snapshots", "batch", "truth"})
-
-    def __init__(self) -> None:
-        self.x, self.noise = 0.0, np.random.default_rng(0)
-
-    def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
-        unknown = set(x0 or {}) - {"x"}
-        if unknown:
-            raise InputError("unknown state", expected="x", got=str(unknown), remedy="correct it")
-        self.x, self.noise = float((x0 or {}).get("x", 0.0)), rng
-        return np.array([self.x])
-
-    def step(self, u: FloatArray) -> FloatArray:
-        u = np.asarray(u, dtype=float)
-        if u.shape != (1,) or not np.isfinite(u).all():
-            raise InputError("input", expected="one finite number", got=str(u), remedy="correct it")
-        self.x = 0.9 * self.x + 0.1 * float(u[0]) + 0.01 * float(self.noise.normal())
-        return np.array([self.x])
 
     def get_state(self) -> Any:
         return self.x, self.noise.bit_generator.state
@@ -48,18 +30,6 @@ class Lag:
 
     def rollout(self, inputs: FloatArray) -> FloatArray:
         return np.array([self.step(u) for u in inputs])
-
-    def truth(self) -> FloatArray:
-        return np.array([self.x])
-
-    def close(self) -> None:
-        pass
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 class WrongShape(Lag):
@@ -177,16 +147,8 @@ def test_a_declared_tolerance_is_allowed_and_no_more() -> None:
     assert "snapshot_equals_replay" in failed(check_plant(TooCoarse))
 
 
-class Noise:
-    """White excitation with sensor noise; the faults below change one thing each."""
-
-    def prepare(self, spec: PlantSpec, *, streams: Streams, role: str) -> Experiment:
-        if any(channel.kind != "real" for channel in spec.inputs):
-            raise InputError("plant", expected="real inputs", got="others", remedy="choose another")
-        low = np.array([max(channel.minimum, -1.0) for channel in spec.inputs])
-        rng = streams(f"{role}/excitation")
-        noise = streams(f"{role}/noise").normal(size=(100, spec.ny))
-        return Experiment(rng.uniform(low, -low, size=(100, spec.nu)), measure=lambda k, y: y + 0.01 * noise[k])
+Noise = sound.Noise
+"""The sound scenario; the faults below change one thing each."""
 
 
 class InOrder(Noise):

@@ -171,7 +171,7 @@ def test_validation_that_is_the_estimation_is_refused(tmp_path: Path) -> None:
 
 
 def test_good_records_pass_the_column_check() -> None:
-    from harness.diagnosis.columns_check import likely_repair
+    from harness.diagnosis.records.columns_check import likely_repair
     from harness.physics import load_model
     from harness.signals import PlantSpec, Trajectory
 

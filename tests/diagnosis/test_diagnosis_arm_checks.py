@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from harness.diagnosis.arm_checks import check_torques
+from harness.diagnosis.arm.checks import check_torques
 from harness.diagnosis.close import close_loop
 from harness.physics.arm import load_arm
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory

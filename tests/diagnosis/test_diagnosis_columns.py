@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from harness.diagnosis.columns_check import check_columns, doubtful_units
+from harness.diagnosis.records.columns_check import check_columns, doubtful_units
 from harness.physics import load_model
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 

@@ -6,7 +6,6 @@ No truth here is made by an effect block: friction and springs are the FMUs' own
 from __future__ import annotations
 
 import json
-import pickle
 import zipfile
 from xml.etree import ElementTree
 
@@ -14,12 +13,13 @@ import numpy as np
 import pytest
 
 from harness import api, registry
+from harness.blackbox.effects import surround
+from harness.blackbox.reader import fmu_system
+from harness.blackbox.runner import Runner
+from harness.blackbox.simulator import FmuSimulator
 from harness.cosim.ssp_structure import read_structure
 from harness.diagnosis import close_loop
-from harness.diagnosis.fmu_prepare import nominal_fmu
-from harness.diagnosis.fmu_reader import fmu_system
-from harness.diagnosis.fmu_runner import Runner
-from harness.diagnosis.fmu_simulator import FmuSimulator
+from harness.diagnosis.fmu.prepare import nominal_fmu
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.errors import InputError
@@ -56,7 +56,7 @@ def records(
 
 def closed(data, names, *, model="pendulum", **options):
     """Close the loop with a part of the dictionary."""
-    return close_loop(data, mockup(model), dictionary=[EFFECTS[name] for name in names], workers=1, **options)
+    return close_loop(data, mockup(model), dictionary=[EFFECTS[name] for name in names], **options)
 
 
 def late(u, samples):
@@ -73,7 +73,7 @@ def simulator(effects, model="pendulum", parameters=None):
     """Return the simulator of an FMU with effects around it."""
     data = records(model)
     system = fmu_system(mockup(model), data.spec, parameters)
-    around = system.with_effects([Placed(EFFECTS[name], at, values) for name, at, values in effects])
+    around = surround(system, [Placed(EFFECTS[name], at, values) for name, at, values in effects])
     return FmuSimulator(around, Runner(system, DT)), data.estimation[0]
 
 
@@ -105,15 +105,6 @@ def test_the_compiled_coupling_is_that_of_python(effects, monkeypatch):
     x0 = np.concatenate([x0, fast.hidden_start(np.concatenate([x0, np.zeros(fast.system.hidden_count)]), u[0], p)])
     for a, b in zip(fast.run(p, x0, u), slow.run(p, x0, u), strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-12)
-
-
-def test_a_system_with_effects_survives_a_pickle():
-    first, run = simulator([("coulomb_friction", "theta", {"Fc": 0.05})])
-    again = pickle.loads(pickle.dumps(first.system))
-    assert str(again) == str(first.system)
-    second = FmuSimulator(again, Runner(again.nominal, DT))
-    p, x0 = first.system.vector(), np.array([0.4, 0.1])
-    np.testing.assert_array_equal(first.run(p, x0, run.u)[1], second.run(p, x0, run.u)[1])
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +182,7 @@ def test_a_package_around_an_fmu_in_degrees_leaves_the_conversion_to_the_units(t
                 )
             new.writestr(entry, text)
     spec = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)
-    system = fmu_system(turned, spec, {"J": 0.06}).with_effects([Placed(EFFECTS["force_bias"], "theta", {"F0": 0.1})])
+    system = surround(fmu_system(turned, spec, {"J": 0.06}), [Placed(EFFECTS["force_bias"], "theta", {"F0": 0.1})])
     content = {
         "kind": "fmu",
         "spec": spec_to_dict(spec),

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from harness import registry
-from harness.diagnosis.fmu_reader import fmu_system
-from harness.diagnosis.simulated import diagnose_by_simulation
+from harness.blackbox.reader import fmu_system
+from harness.diagnosis import diagnose
+from harness.diagnosis.fmu.kind import BlackBox
 from harness.effects import builtin
 from harness.export import export
 from harness.fmi.build import compiler
@@ -63,17 +64,15 @@ def test_declared_states_are_kept_as_they_are() -> None:
 
 def test_an_exported_model_is_calibrated_from_a_moving_start(exported: Path) -> None:
     data = recorded({"theta": 0.4, "omega": 0.3})
-    found = diagnose_by_simulation(
-        data, fmu_system(exported, SPEC), dictionary=[builtin()["coulomb_friction"]], workers=1
-    )
+    found = diagnose(data, fmu_system(exported, SPEC), kind=BlackBox(), dictionary=[builtin()["coulomb_friction"]])
     assert found.verdict == "nothing_missing"
     for name, value in TRUE.items():
         assert found.final.values[name] == pytest.approx(value, rel=0.03)
-    np.testing.assert_allclose(np.ravel(found.final.record["x0"]), [0.4, 0.3], atol=0.02)
+    np.testing.assert_allclose(found.final.detail.points["estimation"].x0[0], [0.4, 0.3], atol=0.02)
 
 
 def test_an_fmu_without_settable_states_is_diagnosed_from_rest(exported: Path) -> None:
     system = replace(fmu_system(exported, SPEC), inner_states=(), shown={})
-    found = diagnose_by_simulation(recorded({}, 0.05), system, dictionary=[builtin()["coulomb_friction"]], workers=1)
-    assert [str(one.placed) for one in found.result.accepted] == ["coulomb_friction@theta"]
+    found = diagnose(recorded({}, 0.05), system, kind=BlackBox(), dictionary=[builtin()["coulomb_friction"]])
+    assert [str(one.placed) for one in found.outcome.accepted] == ["coulomb_friction@theta"]
     assert found.final.values["coulomb_friction@theta.Fc"] == pytest.approx(0.05, rel=0.2)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from harness import registry
+from harness.blackbox.runner import Runner
 from harness.diagnosis import close_loop
-from harness.diagnosis.fmu_form import FmuForm
-from harness.diagnosis.fmu_prepare import choose_horizon, nominal_fmu
+from harness.diagnosis.fmu.prepare import choose_horizon, nominal_fmu
 from harness.effects import builtin
 from harness.signals import Dataset, PlantSpec, Run, Trajectory
 from plants.mockups import mockup
@@ -48,7 +48,7 @@ def dry() -> Dataset:
 
 def test_windows_are_as_long_as_the_unstable_pole_allows(dry: Dataset) -> None:
     system = nominal_fmu(mockup("cart_pole"), dry)
-    found = choose_horizon(system, system.values(), dry)
+    found = choose_horizon(system, system.values(), dry, Runner(system, dry.spec.sample_time))
     pole = np.sqrt(9.81 / 0.5)
     assert found.seconds is not None
     assert np.log(20) / pole / 2 < found.seconds < 2 * np.log(20) / pole
@@ -56,27 +56,8 @@ def test_windows_are_as_long_as_the_unstable_pole_allows(dry: Dataset) -> None:
     assert "in 0 s" not in found.reason
 
 
-def test_residual_and_jacobian_of_windows_are_those_of_each_window_alone(dry: Dataset) -> None:
-    system = nominal_fmu(mockup("cart_pole"), dry, {"mc": 0.9, "l": 0.5})
-    form = FmuForm(system, dry, sizes={}, horizon=0.6, weights=np.full(2, NOISE), floors=[NOISE] * 2)
-    fitted = form.evaluate((), form.started(system.values()))
-    run, p = dry.estimation[0], system.vector()
-    x0 = np.array(fitted.record["x0"])
-    windows = form._windows(system, p, "estimation")
-    assert len(windows) == len(x0) > 5
-    simulator = form.simulator(system, p)
-    for begun, (_, first, last) in zip(x0, windows.places, strict=True):
-        alone = (run.y[first:last] - simulator.run(p, begun, run.u[first:last])[1]) / NOISE
-        np.testing.assert_allclose(fitted.estimation[0][first:last], alone, rtol=0, atol=1e-6)
-    assert fitted.estimation[0].shape == (N, 2)
-    assert np.isfinite(fitted.jacobian[0]).all()
-    assert np.abs(fitted.jacobian[0]).max() > 0
-
-
 def test_a_friction_is_found_on_an_unstable_fmu(dry: Dataset) -> None:
-    report = close_loop(
-        dry, mockup("cart_pole"), parameters=START, dictionary=[builtin()["coulomb_friction"]], workers=1
-    )
+    report = close_loop(dry, mockup("cart_pole"), parameters=START, dictionary=[builtin()["coulomb_friction"]])
     assert report.data["horizon"]["seconds"] < 2.0
     assert [(one["name"], one["at"]) for one in report.data["effects"]] == [("coulomb_friction", "x")]
     assert report.data["effects"][0]["parameters"]["Fc"]["value"] == pytest.approx(0.5, rel=0.1)

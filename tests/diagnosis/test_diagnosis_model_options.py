@@ -34,7 +34,6 @@ def test_a_repaired_model_remembers_how_its_nominal_model_was_made(tmp_path: Pat
         system,
         out=tmp_path / "out",
         dictionary=[builtin()["sensor_delay"]],
-        workers=1,
         name="two-tanks",
         options=options,
     )

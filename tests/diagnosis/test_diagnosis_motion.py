@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from harness.diagnosis.motion import motion_band, smooth_motion
+from harness.diagnosis.records.motion import motion_band, smooth_motion
 from harness.signals import Channel, PlantSpec, Trajectory
 
 COLUMNS: dict[str, tuple[int | None, int | None]] = {"q": (0, None)}

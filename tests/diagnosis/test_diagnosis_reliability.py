@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import json
 import shlex
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from harness import api, registry
 from harness.diagnosis import close_loop
-from harness.diagnosis.closed_loop_bias import BiasTest, closed_loop_bias
-from harness.diagnosis.forms import fit_here
-from harness.diagnosis.output_form import OutputForm
-from harness.diagnosis.prepare import sizes_of
+from harness.diagnosis.records.prepare import sizes_of
+from harness.diagnosis.runs.closed_loop_bias import BiasTest, closed_loop_bias
+from harness.diagnosis.runs.compare import seen
+from harness.diagnosis.runs.form import FreeRunForm
 from harness.effects import builtin
 from harness.physics import fit_output_error, load_model
 from harness.physics.likelihood import Likelihood
@@ -55,13 +56,12 @@ def bias_of(plant_id: str, model: str, scenario: str, seed: int, *, dither: floa
     data = Dataset("made", (Run(record, "estimation"), Run(record[: len(record) // 2], "validation")))
     system = load_model(model)
     values = {name: plant.true_parameters[name] for name in system.parameter_names}
-    form = OutputForm(
-        system, data, sizes=sizes_of(system, values, data), horizon=1.0 if model == "cart-pole" else None,
-        weights=np.full(system.ny, 1e-3), floors=[1e-3] * system.ny,
-    )  # fmt: skip
-    if model != "cart-pole":
-        values = dict(fit_output_error(system, list(data.estimation), horizon=2.0, continuation=()).parameters)
-    fitted = fit_here(form, (), [values])
+    horizon = 1.0 if model == "cart-pole" else None
+    sizes, weights = sizes_of(system, values, data), np.full(system.ny, 1e-3)
+    form = FreeRunForm(system, data, sizes=sizes, horizon=horizon, weights=weights)
+    found = fit_output_error(system, list(data.estimation), start=values, horizon=horizon or 20.0, continuation=())
+    fitted = seen(form, SimpleNamespace(effects=(), values=dict(found.parameters), converged=True))
+    assert fitted is not None
     return closed_loop_bias(form, fitted, list(data.estimation), [{"excitation": outside}])
 
 
@@ -161,7 +161,7 @@ def test_the_experiment_of_the_report_breaks_the_tie(hidden, rival, first, noise
 
 
 def test_a_tilt_is_an_instruction_and_no_input() -> None:
-    from harness.diagnosis.experiments import Bench, separate_with
+    from harness.diagnosis.report.experiments import Bench, separate_with
     from harness.effects import Placed
 
     data = records(("sensor_offset", "theta", {"offset": 0.05}), "multisine", {"duration": 5.0}, 1e-3, 1)

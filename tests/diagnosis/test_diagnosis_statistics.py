@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from harness.diagnosis import residual_tests as tests
-from harness.diagnosis.surrogates import orthonormal, phase_randomised, surrogate_test
+from harness.diagnosis.runs import residual_tests as tests
 
 REPEATS = 400
 
@@ -75,32 +72,3 @@ def test_detection_is_by_effect_size_and_short_records_get_their_chance_value() 
     assert tests.detect(None, 0.11, 5000)
     assert not tests.detect(1.1, 0.09, 5000)
     assert not tests.detect(None, 0.15, 300)
-
-
-@given(st.integers(0, 999), st.integers(30, 80), st.integers(1, 3))
-def test_surrogates_keep_the_spectrum_and_mean_of_every_run(seed: int, n: int, ny: int) -> None:
-    rng = np.random.default_rng(seed)
-    series = [rng.standard_normal((n, ny)).cumsum(axis=0), rng.standard_normal((n + 5, ny))]
-    drawn = phase_randomised(series, 4, rng=rng)
-    assert drawn.shape == (4, 2 * n + 5, ny)
-    for one in drawn:
-        for part, truth in zip((one[:n], one[n:]), series, strict=True):
-            np.testing.assert_allclose(
-                np.abs(np.fft.rfft(part, axis=0)), np.abs(np.fft.rfft(truth, axis=0)), atol=1e-9 * n
-            )
-            np.testing.assert_allclose(part.mean(axis=0), truth.mean(axis=0), atol=1e-9)
-
-
-def test_global_null_holds_its_level_on_coloured_residuals_and_fires_on_an_effect() -> None:
-    t = np.arange(500) * 0.02
-    columns = {f"w{k}": orthonormal(np.sin(k * t + 0.3)[:, None] * np.sign(np.sin(0.7 * t))[:, None]) for k in range(6)}
-    nominal = orthonormal(np.stack([np.ones(500), t], axis=1))
-    p_null = []
-    for seed in range(60):
-        r = coloured(500, np.random.default_rng(seed))[:, None]
-        p_null.append(surrogate_test([r], columns, nominal, rng=np.random.default_rng(seed + 500), count=100).p)
-    assert rate(p_null, 0.05) < 0.15
-    effect = 40 * columns["w3"] + coloured(500, np.random.default_rng(5))[:, None] * 0.3
-    found = surrogate_test([effect], columns, nominal, rng=np.random.default_rng(1))
-    assert found.p <= 0.01
-    assert max(found.by_effect, key=found.by_effect.__getitem__) == "w3"

@@ -1,12 +1,10 @@
-"""Long records: what the search sees of them, and the refit on all."""
+"""Long records: what the search sees of them; and windows."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from harness.diagnosis.forms import fit_here
-from harness.diagnosis.output_form import OutputForm
-from harness.diagnosis.stretches import cut_alike, polished, stretched
+from harness.diagnosis.records.stretches import cut_alike, stretched, windowed
 from harness.physics.models import pendulum
 from harness.rng import stream
 from harness.signals import Dataset, Run, Trajectory
@@ -55,20 +53,10 @@ def test_signals_from_outside_a_loop_are_cut_as_their_runs_are() -> None:
     assert cut_alike(clock, other, short) is clock  # stretches of something else
 
 
-def test_the_answer_is_refitted_on_whole_records_and_seen_on_the_stretches() -> None:
-    whole = Dataset("x", (Run(_record(1200, 3)), Run(_record(300, 4), "validation")))
-    short = stretched(whole, long=1000, length=100, count=2)
-    system = pendulum().system()
-
-    def form(data: Dataset) -> OutputForm:
-        return OutputForm(system, data, sizes={}, horizon=None, weights=np.array([1e-3]), floors=[1e-3])
-
-    start = {"J": 0.12, "b": 0.04, "mgl": 1.1}
-    stretch, full = form(short), form(whole)
-    rough, wanted = fit_here(stretch, (), [start]), fit_here(full, (), [start])
-    found = polished(stretch, rough, whole)
-    assert [len(one) for one in found.estimation] == [100, 100]
-    for name, value in wanted.values.items():
-        assert abs(found.values[name] - value) < 1e-4 * abs(value)
-    assert any(abs(rough.values[name] - value) > 1e-4 * abs(value) for name, value in wanted.values.items())
-    assert np.sqrt(np.mean(np.concatenate(found.estimation) ** 2)) < 1.2
+def test_windows_are_records_of_their_own_and_lose_no_row() -> None:
+    whole = Dataset("x", (Run(_record(1050, 0)), Run(_record(100, 1), "validation")))
+    cut = windowed(whole, 100 * whole.spec.sample_time)
+    assert [len(one) for one in cut.estimation] == [100] * 9 + [150]
+    np.testing.assert_array_equal(np.concatenate([one.y for one in cut.estimation]), whole.estimation[0].y)
+    assert [one.t[0] for one in cut.estimation][1] == whole.estimation[0].t[100]
+    assert windowed(whole, None) is whole

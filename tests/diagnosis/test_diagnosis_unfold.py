@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from harness.diagnosis import close_loop
-from harness.diagnosis.tracked_signs import tracked
-from harness.diagnosis.unfold import unfoldings
+from harness.diagnosis.records.tracked_signs import tracked
+from harness.diagnosis.records.unfold import unfoldings
 from harness.effects import builtin
 from harness.signals import Channel, Dataset, PlantSpec, Trajectory
 

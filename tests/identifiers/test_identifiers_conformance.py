@@ -46,6 +46,8 @@ TESTED_ELSEWHERE = {
     "ekf": "needs its own model: tested beside the filters",
     "ukf": "needs its own model: tested beside the filters",
     "inertial": "needs an arm: tested beside the inertial parameters",
+    "residual-physics": "needs its own mechanism: tested in a file of its own",
+    "joint-calibration": "needs an arm with a marker: tested in a file of its own",
     "true-model": "needs a plant: tested beside the baselines",
     "output-error": "seconds for each fit: tested beside the grey boxes",
     "maximum-likelihood": "seconds for each fit: tested in a file of its own",

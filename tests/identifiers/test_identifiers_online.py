@@ -11,6 +11,7 @@ from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.leader import FollowTheLeader
 from identifiers.linear import Arx
 from identifiers.online import RecursiveLeastSquares
+from identifiers.rls_pass import run
 
 RNG = np.random.default_rng(0)
 SPEC = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
@@ -157,3 +158,28 @@ def test_records_shorter_than_the_order_are_refused_in_words():
     online = RecursiveLeastSquares(order=5)
     with pytest.raises(FitError, match="too short"):
         regret(online, [stream(4, 0)], rng=RNG)
+
+
+@pytest.mark.parametrize(("ny", "nu", "order", "offset", "forgetting"), [(1, 1, 2, True, 1.0), (3, 2, 1, False, 0.97)])
+@pytest.mark.parametrize("native", [True, False])
+def test_a_stretch_at_once_is_sample_by_sample_compiled_or_not(ny, nu, order, offset, forgetting, native):
+    rng = np.random.default_rng(0)
+    spec = PlantSpec(tuple(Channel(f"u{i}") for i in range(nu)), tuple(Channel(f"y{i}") for i in range(ny)), 1.0)
+    online = RecursiveLeastSquares(order=order, offset=offset, forgetting=forgetting)
+    u, y = rng.normal(size=(200, nu)), rng.normal(size=(200, ny))
+    first = state = online.start(online.init(spec, rng=rng), y[0])
+    steps = []
+    for k in range(199):
+        steps.append(online.predict(state, u[k]))
+        state = online.update(state, u[k], y[k + 1])
+    guesses, memory = np.empty((199, ny)), first.memory.copy()
+    run(first.layout, memory, u[:-1], y[1:], guesses, native=native)
+    assert guesses == pytest.approx(np.array(steps), abs=1e-12)
+    assert online.track(first, u[:-1], y[1:])[1].coefficients == pytest.approx(state.coefficients, abs=1e-12)
+    rows = [
+        np.concatenate([y[k - order + 1 : k + 1][::-1].ravel(), u[k - order + 1 : k + 1][::-1].ravel(), [1.0] * offset])
+        for k in range(order - 1, 199)
+    ]
+    weight = forgetting ** (0.5 * np.arange(len(rows))[::-1])[:, None]
+    batch = np.linalg.lstsq(weight * rows, weight * y[order:], rcond=None)[0]
+    assert state.coefficients == pytest.approx(batch, abs=1e-6)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from harness.diagnosis.simulated import SimulatedDiagnosis, diagnose_by_simulation
+
 from harness.effects import builtin
 from scenarios.recordings import load_recording
 

@@ -112,7 +112,7 @@ def test_the_stored_model_of_the_loop_keeps_the_force_and_exports(learned, tmp_p
     from identifiers.physical import recipe_for
 
     spec = record(1).spec
-    recipe = recipe_for(spec, "test", model="pendulum").with_learned([learned.force])
+    recipe = recipe_for(spec, "test", model="pendulum").with_unnamed([learned.force])
     model = GreyBoxModel(spec, recipe, learned.system.values())
     read = GreyBoxModel.from_dict(json.loads(json.dumps(model.to_dict())))
     assert read.system().values() == learned.system.values()

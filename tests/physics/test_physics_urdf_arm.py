@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
-from harness.physics.arm import is_arm, load_arm
-from harness.physics.models import load_model
+from harness.physics.arm import load_arm
 
 pytest.importorskip("pybullet_data", reason="pybullet has wheels for CPython 3.10 and 3.11 only")
 
@@ -66,12 +65,6 @@ def test_a_locked_joint_is_no_coordinate(tmp_path: Path) -> None:
     assert load_arm("iiwa", locked=["lbr_iiwa_joint_7"]).n == 6
     with pytest.raises(InputError, match="joint that moves"):
         load_arm(one_joint(tmp_path), locked=["hinge"])
-
-
-def test_an_arm_is_no_model_to_simulate() -> None:
-    assert is_arm("mine.urdf")
-    with pytest.raises(InputError, match="close-loop judges arms"):
-        load_model("iiwa")
 
 
 def test_a_missing_joint_is_named() -> None:

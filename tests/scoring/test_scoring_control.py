@@ -119,3 +119,12 @@ def test_learning_while_controlling_costs_about_the_root_of_time():
     assert long / short < 10.0, "linear growth would be 16"
     wrong = lqr_cost_ratio((a, b), (a, b))
     assert wrong.ratio == pytest.approx(1.0)
+
+
+def test_an_output_that_no_input_moves_changes_nothing():
+    rng = np.random.default_rng(0)
+    wide = LinearPlantModel(A, B, np.vstack([C, np.zeros((2, len(A)))]), np.zeros((len(C) + 2, B.shape[1])))
+    model = LinearPlantModel(A + 0.01 * rng.normal(size=A.shape), B, C, np.zeros((len(C), B.shape[1])))
+    noise = 1e-3 * rng.normal(size=(2, len(A)))
+    seen = LinearPlantModel(model.a_matrix, B, np.vstack([C, noise]), wide.d_matrix)
+    assert control_score(seen, wide).ratio == pytest.approx(control_score(model, PLANT).ratio, rel=1e-9)

@@ -175,6 +175,9 @@ def test_coverage_compares_what_means_the_same():
     fit = SimpleNamespace(free=tuple(intervals), on_bound=(), interval=intervals.__getitem__, values=values)
     found = _coverage(fit, records)
     assert found == {"covered": 2, "intervals": 3, "outside_interval": "b (+1.5)"}
+    foreign = SimpleNamespace(parameters=records.parameters, hidden=(Hidden("even_drag", "theta", {}, {"c": 0.1}),))
+    plain = SimpleNamespace(free=("J", "b"), on_bound=(), interval=intervals.__getitem__, values=values)
+    assert _coverage(plain, foreign)["intervals"] == 2, "a law outside the dictionary has no interval, the others have"
 
 
 @pytest.mark.slow

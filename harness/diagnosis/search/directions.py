@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 
-from harness.diagnosis.adequacy import hat_basis, joint_basis
+from harness.diagnosis.search.hats import hat_basis, joint_basis
 from harness.effects.along import Signals
 from harness.effects.columns import column_blocks
 from harness.effects.compose import compose
@@ -18,15 +19,35 @@ from harness.effects.effect import Placed
 from harness.effects.places import port_of
 from harness.effects.sampled import delay
 from harness.errors import HarnessError
-from harness.physics.kalman_pass import KalmanPass
+from harness.physics.kalman_pass import Pass
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Direction", "Trace", "directions", "test_functions"]
+__all__ = ["Along", "Direction", "Trace", "choices", "directions", "input_behind", "reading_directions",
+           "spline_directions", "test_functions"]  # fmt: skip
 
 MOST_CHOICES = 12
 """Choices of an effect's nonlinear parameters that are tried."""
 KNOTS, JOINT_KNOTS = 25, (9, 6)
 """Test functions on one axis, and on each of two."""
+
+
+class Along(Protocol):
+    """A record with what a model does along it."""
+
+    @property
+    def record(self) -> Trajectory:
+        """The record."""
+        ...
+
+    @property
+    def expected(self) -> FloatArray:
+        """Outputs of the model (K, ny)."""
+        ...
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,14 +56,28 @@ class Trace:
 
     record: Trajectory
     x: FloatArray
-    passes: KalmanPass
+    passes: Pass
     p: FloatArray
-    intersample: str
+    ports: tuple[str, ...]
+    """Where a force can push: coordinates, or the rates of a process."""
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        return self.passes.dt
+
+    @cached_property
+    def expected(self) -> FloatArray:
+        """Outputs along the smoothed motion (K, ny)."""
+        function, n = self.passes.simulator.functions.output, len(self.record)
+        return np.asarray(
+            function.map(n)(self.x.T, self.record.u.T, np.tile(self.p[:, None], n), self.record.t).full().T
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """Forces (K, nl, k) and readings (K, ny, k) by use and record; see :class:`harness.diagnosis.search.fit.Column`."""
+    """Forces (K, ports, k) and readings (K, ny, k) by use and record, for a column of the score test."""
 
     placed: Placed | None
     given: dict[str, float]
@@ -66,7 +101,7 @@ def directions(
         kind = port_of(nominal, placed).kind
         try:
             if kind == "output":
-                found += _readings(traces, nominal, placed, sizes)
+                found += reading_directions(traces, nominal, placed, sizes, ports=_ports(traces))
             elif nominal.coordinates:
                 found += _forces(traces, signals, nominal, known, placed, sizes)
             else:
@@ -98,12 +133,13 @@ def _rate(trace: Trace) -> FloatArray:
     return np.asarray(many(trace.x.T, trace.record.u.T, np.tile(trace.p[:, None], n), trace.record.t).full().T)
 
 
-def _nothing(traces: Mapping[str, Sequence[Trace]], k: int, *, forces: bool) -> dict[str, list[FloatArray]]:
-    """Return zeros (K, nl or ny, k) by use and record."""
-    return {
-        use: [np.zeros((len(one.record), one.passes.nl if forces else one.passes.ny, k)) for one in parts]
-        for use, parts in traces.items()
-    }
+def _ports(traces: Mapping[str, Sequence[Trace]]) -> int:
+    return len(traces["estimation"][0].ports)
+
+
+def _nothing(traces: Mapping[str, Sequence[Along]], width: int, k: int) -> dict[str, list[FloatArray]]:
+    """Return zeros (K, width, k) by use and record."""
+    return {use: [np.zeros((len(one.record), width, k)) for one in parts] for use, parts in traces.items()}
 
 
 def _forces(
@@ -158,7 +194,7 @@ def _blocks(
             names = ("in phase", "quarter turn")
         k = len(names)
         if forces["estimation"][0].shape[2] == k:
-            found.append(Direction(placed, given, names, forces, _nothing(traces, k, forces=False)))
+            found.append(Direction(placed, given, names, forces, _nothing(traces, nominal.ny, k)))
     return found
 
 
@@ -192,7 +228,7 @@ def _waves(signals: Sequence[Any], nominal: Any, placed: Placed) -> list[float]:
     return [float(one) for one in np.arange(least, min(parameter.maximum, least + 24 * step), step)]
 
 
-def _choices(placed: Placed, at: Mapping[str, float]) -> list[tuple[dict[str, float], tuple[str, ...]]]:
+def choices(placed: Placed, at: Mapping[str, float]) -> list[tuple[dict[str, float], tuple[str, ...]]]:
     """Return choices of the nonlinear parameters, with the names of the linear ones."""
     linear = tuple(one.name for one in placed.effect.parameters if one.linear and not one.fixed)
     nonlinear = [one for one in placed.effect.parameters if one.name not in linear and not one.fixed]
@@ -203,8 +239,13 @@ def _choices(placed: Placed, at: Mapping[str, float]) -> list[tuple[dict[str, fl
     ]
 
 
-def _readings(
-    traces: Mapping[str, Sequence[Trace]], nominal: Any, placed: Placed, sizes: Mapping[str, Mapping[str, float]]
+def reading_directions(
+    traces: Mapping[str, Sequence[Along]],
+    nominal: Any,
+    placed: Placed,
+    sizes: Mapping[str, Mapping[str, float]],
+    *,
+    ports: int,
 ) -> list[Direction]:
     """Return the directions of a sensor's error: what it changes in the readings that the model expects."""
     row = [channel.name for channel in nominal.outputs].index(placed.at)
@@ -212,17 +253,17 @@ def _readings(
         return []
     at = sizes.get(placed.at, {})
     found = []
-    for given, linear in _choices(placed, at):
+    for given, linear in choices(placed, at):
         names = linear or ("effect",)
         readings: dict[str, list[FloatArray]] = {}
         for use, parts in traces.items():
             readings[use] = []
             for trace in parts:
-                y = _expected(trace)[:, row]
-                column = np.zeros((len(y), trace.passes.ny, len(names)))
+                y = trace.expected[:, row]
+                column = np.zeros((len(y), nominal.ny, len(names)))
                 complete = placed.effect.complete(given, at)
                 if placed.effect.sampled == "output_delay":
-                    column[:, row, 0] = delay(y, given[placed.effect.parameters[0].name], trace.passes.dt) - y
+                    column[:, row, 0] = delay(y, given[placed.effect.parameters[0].name], trace.dt) - y
                 elif linear:
                     nothing = {**complete, **{n: placed.effect.parameter(n).neutral or 0.0 for n in linear}}
                     before = _sensor(placed, y, nothing)
@@ -231,7 +272,7 @@ def _readings(
                 else:
                     column[:, row, 0] = _sensor(placed, y, complete) - y
                 readings[use].append(column)
-        found.append(Direction(placed, given, names, _nothing(traces, len(names), forces=True), readings))
+        found.append(Direction(placed, given, names, _nothing(traces, ports, len(names)), readings))
     return found
 
 
@@ -239,14 +280,6 @@ def _sensor(placed: Placed, y: FloatArray, values: Mapping[str, float]) -> Float
     """Return what a sensor reads."""
     value, _ = placed.effect.evaluate(y, [0.0] * len(placed.effect.states), values, y, 0.0, t=0.0, a=0.0, load=0.0)
     return np.asarray(value) * np.ones_like(y)
-
-
-def _expected(trace: Trace) -> FloatArray:
-    """Return the outputs along the smoothed motion (K, ny)."""
-    function, n = trace.passes.simulator.functions.output, len(trace.record)
-    return np.asarray(
-        function.map(n)(trace.x.T, trace.record.u.T, np.tile(trace.p[:, None], n), trace.record.t).full().T
-    )
 
 
 def _rates(
@@ -262,7 +295,7 @@ def _rates(
     base = ca.Function("f", [nominal.x, nominal.u, nominal.p, nominal.t], [nominal.f])
     p0 = nominal.vector(known)
     found = []
-    for given, linear in _choices(placed, at):
+    for given, linear in choices(placed, at):
         names = linear or ("effect",)
         complete = placed.effect.complete(given, at)
         forces: dict[str, list[FloatArray]] = {}
@@ -278,7 +311,7 @@ def _rates(
                 each = []
                 for case in cases:
                     if kind == "input":
-                        u = _passed(placed, trace, nominal, case)
+                        u = input_behind(placed, trace, nominal, case)
                         each.append(base.map(n)(x.T, u.T, np.tile(p0[:, None], n), trace.record.t).full().T - plain)
                         continue
                     whole = compose(nominal, [placed.with_values(case)], sizes={"": at})
@@ -289,14 +322,14 @@ def _rates(
                     each.append(rate - plain)
                 columns = [one - each[0] for one in each[1:]] if linear else each
                 forces[use].append(np.stack(columns, axis=2))
-        found.append(Direction(placed, given, names, forces, _nothing(traces, len(names), forces=False)))
+        found.append(Direction(placed, given, names, forces, _nothing(traces, nominal.ny, len(names))))
     return found
 
 
-def _passed(placed: Placed, trace: Trace, nominal: Any, values: Mapping[str, float]) -> FloatArray:
+def input_behind(placed: Placed, trace: Along, nominal: Any, values: Mapping[str, float]) -> FloatArray:
     """Return the inputs behind a block at one of them; hidden states by one step of Euler's method a sample."""
     column = [channel.name for channel in nominal.inputs].index(placed.at)
-    u, dt = trace.record.u.copy(), trace.passes.dt
+    u, dt = trace.record.u.copy(), trace.dt
     signal = u[:, column]
     if placed.effect.sampled:
         u[:, column] = delay(signal, values[placed.effect.parameters[0].name], dt)
@@ -315,44 +348,66 @@ def _passed(placed: Placed, trace: Trace, nominal: Any, values: Mapping[str, flo
 
 
 def test_functions(traces: Mapping[str, Sequence[Trace]], nominal: Any) -> list[Direction]:
-    """Return test functions that are no effect: piecewise linear forces of one or two axes, at every latent force.
+    """Return test functions that are no effect: piecewise linear forces of one or two axes, at every port.
 
     The axes are every state and every input; of a coordinate also position with speed and with each input together.
-    Knots lie between the quantiles of the estimation records.
     """
     names = [channel.name for channel in nominal.states]
+    inputs = [channel.name for channel in nominal.inputs]
+    values = {
+        name: {use: [one.x[:, row] for one in parts] for use, parts in traces.items()} for row, name in enumerate(names)
+    }
+    values |= {
+        name: {use: [one.record.u[:, row] for one in parts] for use, parts in traces.items()}
+        for row, name in enumerate(inputs)
+    }
+    pairs = [(names[one.q], other) for one in nominal.coordinates for other in (names[one.v], *inputs)]
+    readings = {use: [one.record.y for one in parts] for use, parts in traces.items()}
+    return spline_directions(values, pairs, traces["estimation"][0].ports, readings)
 
-    def along(pick: Any) -> dict[str, list[FloatArray]]:
-        return {use: [pick(one) for one in parts] for use, parts in traces.items()}
 
-    single = {name: along(lambda one, row=row: one.x[:, row]) for row, name in enumerate(names)}
-    for row, channel in enumerate(nominal.inputs):
-        single[channel.name] = along(lambda one, row=row: one.record.u[:, row])
-    groups: list[tuple[str, ...]] = [(name,) for name in single]
-    for one in nominal.coordinates:
-        groups += [(names[one.q], other) for other in (names[one.v], *(channel.name for channel in nominal.inputs))]
+def spline_directions(
+    values: Mapping[str, Mapping[str, Sequence[FloatArray]]],
+    pairs: Sequence[tuple[str, str]],
+    ports: Sequence[str],
+    readings: Mapping[str, Sequence[FloatArray]],
+) -> list[Direction]:
+    """Return piecewise linear forces over each axis and over pairs of axes, at every port.
+
+    Knots lie between the quantiles of the estimation records.
+
+    Parameters
+    ----------
+    values : mapping of str to mapping of str to sequence of array (K,)
+        Axes by name, use and record.
+    pairs : sequence of (str, str)
+    ports : sequence of str
+    readings : mapping of str to sequence of array (K, ny)
+        Only their shapes count.
+    """
     found: list[Direction] = []
-    for group in groups:
+    for group in [*((name,) for name in values), *pairs]:
         counts = (KNOTS,) if len(group) == 1 else JOINT_KNOTS
         knots = []
         for name, count in zip(group, counts, strict=True):
-            every = np.concatenate(single[name]["estimation"])
+            every = np.concatenate(list(values[name]["estimation"]))
             knots.append(np.unique(np.quantile(every, np.linspace(0.01, 0.99, count))))
         if any(len(one) < 3 for one in knots):
             continue
         basis: dict[str, list[FloatArray]] = {}
-        for use, parts in traces.items():
+        for use, parts in readings.items():
             basis[use] = []
             for number in range(len(parts)):
-                hats = [hat_basis(single[name][use][number], at) for name, at in zip(group, knots, strict=True)]
+                hats = [hat_basis(values[name][use][number], at) for name, at in zip(group, knots, strict=True)]
                 basis[use].append(hats[0] if len(hats) == 1 else joint_basis(hats[0], hats[1]))
         grid = list(itertools.product(*knots))
-        for row, force in enumerate(traces["estimation"][0].passes.disturbed.forces):
-            forces: dict[str, list[FloatArray]] = {}
-            for use, made in basis.items():
-                latent = traces[use][0].passes.nl
-                forces[use] = [np.stack([part * float(k == row) for k in range(latent)], axis=1) for part in made]
+        nothing = {use: [np.zeros((*part.shape, len(grid))) for part in parts] for use, parts in readings.items()}
+        for row, port in enumerate(ports):
+            forces = {
+                use: [np.stack([part * float(k == row) for k in range(len(ports))], axis=1) for part in made]
+                for use, made in basis.items()
+            }
             labels = [", ".join(f"{n} {v:.3g}" for n, v in zip(group, at, strict=True)) for at in grid]
-            names_of = (f"{force.port} over {' and '.join(group)}", *labels[1:])
-            found.append(Direction(None, {}, names_of, forces, _nothing(traces, len(grid), forces=False)))
+            names_of = (f"{port} over {' and '.join(group)}", *labels[1:])
+            found.append(Direction(None, {}, names_of, forces, nothing))
     return found

@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.prepare import sizes_of
+from harness.diagnosis.records.prepare import sizes_of
+from harness.diagnosis.records.unfold import HIDING, unfoldings
 from harness.diagnosis.search.directions import Trace, directions, test_functions
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.fit_records import fit_from_record, fit_record, point_from_record, point_record
-from harness.diagnosis.unfold import HIDING, unfoldings
 from harness.effects.compose import compose, recommended_substeps
 from harness.effects.effect import Placed
 from harness.effects.places import port_of
 from harness.errors import FitError, HarnessError
-from harness.physics.kalman_pass import Filtered, KalmanPass, Noise
-from harness.physics.latent import with_latent_forces
+from harness.physics.kalman_pass import Filtered, KalmanPass, Noise, Pass
+from harness.physics.latent import with_latent_forces, without_latent_forces
 from harness.physics.likelihood import Likelihood, LikelihoodFit, NoiseModel, Point
 from harness.physics.likelihood_fit import LONGEST, first_noises, first_state, force_scale, sensor_noise
 from harness.physics.simulator import default_substeps
@@ -27,7 +27,7 @@ from harness.physics.smoother import Smoothed, innovation_response, smoothed
 from harness.physics.start import first_values
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
-__all__ = ["Detail", "LikelihoodForm"]
+__all__ = ["USES", "Detail", "LikelihoodForm", "whitened"]
 
 USES = ("estimation", "validation")
 CLOSE = 30.0
@@ -51,7 +51,7 @@ class Detail:
     """Points and passes by use, and the filter that made them."""
 
     points: dict[str, Point]
-    passes: KalmanPass
+    passes: Pass
     best: LikelihoodFit
     paths: dict[str, list[Filtered]] = field(default_factory=dict)
     smooth: dict[str, list[Smoothed]] = field(default_factory=dict)
@@ -59,6 +59,9 @@ class Detail:
 
 class LikelihoodForm:
     """Fits a system with effects to a data set by maximum likelihood.
+
+    Equations of motion have a latent force each. A process has none, so free runs are compared: a latent force on every
+    rate, those of unmeasured levels among them, could do whatever a missing law does.
 
     Parameters
     ----------
@@ -71,6 +74,7 @@ class LikelihoodForm:
 
     def __init__(self, system: Any, dataset: Dataset, sizes: Mapping[str, Mapping[str, float]]) -> None:
         self.nominal, self.dataset, self.sizes = system, dataset, sizes
+        self.latent = self.has_latent_forces()
         self.records: dict[str, list[Trajectory]] = {
             use: [run.measured() for run in dataset.using(use)]  # type: ignore[arg-type]
             for use in USES
@@ -79,12 +83,51 @@ class LikelihoodForm:
         longest = max(len(run) for run in self.records["estimation"]) * self.dt
         y = np.concatenate([run.y for run in self.records["estimation"]])
         self.noise_model = NoiseModel(
-            force_scale(system, self.records["estimation"], dataset.intersample),
+            force_scale(system, self.records["estimation"], dataset.intersample) if self.latent else np.zeros(0),
             np.maximum(y.std(axis=0), 1e-12),
+            latent=self.latent,
+            white=self.latent,
             shortest=self.dt,
             longest=max(longest / LONGEST, 2 * self.dt),
         )
         self._first_noise = sensor_noise(self.records["estimation"])
+
+    def on(self, dataset: Dataset) -> LikelihoodForm:
+        """Return the same form of other data."""
+        return type(self)(self.nominal, dataset, self.sizes)
+
+    # ---- what another kind of nominal model does in its own way ----------------------------------------------------
+
+    def judges(self, placed: Placed) -> bool:
+        """Return True: every effect can be judged by its equations."""
+        return True
+
+    def has_latent_forces(self) -> bool:
+        """Return False for output error."""
+        return bool(self.nominal.coordinates)
+
+    def composed(self, effects: Sequence[Placed]) -> Any:
+        """Return the nominal system with effects."""
+        return compose(self.nominal, list(effects), sizes=self.sizes) if effects else self.nominal
+
+    def substeps(self, system: Any, values: Mapping[str, float]) -> int:
+        """Return the steps of the solver within a sample."""
+        return max(
+            default_substeps(system, self.dt, system.vector(values)), recommended_substeps(system, values, self.dt)
+        )
+
+    def passes(self, system: Any, substeps: int) -> Pass:
+        """Return the filter of a system."""
+        disturbed = with_latent_forces(system) if self.latent else without_latent_forces(system)
+        return KalmanPass(disturbed, self.dt, intersample=self.dataset.intersample, substeps=substeps)
+
+    def first_state(self, system: Any, record: Trajectory, p: FloatArray) -> FloatArray:
+        """Return the initial state that a record tells, (nx,)."""
+        return first_state(system, record, p, self.dataset.intersample)
+
+    def smooth(self, passed: Filtered) -> Smoothed:
+        """Return the states given the whole record."""
+        return smoothed(passed)
 
     def first_starts(self) -> list[dict[str, float]]:
         """Return parameters to start the nominal fit from: as declared, and where equation errors are least."""
@@ -112,13 +155,9 @@ class LikelihoodForm:
     def begin(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Begun | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         try:
-            system = compose(self.nominal, list(effects), sizes=self.sizes) if effects else self.nominal
+            system = self.composed(effects)
             vectors = [_within(system, {**system.values(), **_known(system, start)}) for start in starts]
-            needed = [
-                max(default_substeps(system, self.dt, system.vector(one)), recommended_substeps(system, one, self.dt))
-                for one in vectors
-            ]
-            passes = self._passes(system, int(np.median(needed)))
+            passes = self.passes(system, int(np.median([self.substeps(system, one) for one in vectors])))
             likelihood = self._likelihood(system, "estimation", passes)
             points = [
                 Point(p, self._starts(system, passes, p, "estimation", base), noise)
@@ -127,6 +166,12 @@ class LikelihoodForm:
             ]
             if len(points) > STARTS:
                 points = sorted(points, key=likelihood.nll)[:STARTS]
+            if effects and not self.latent:  # no force took up what was missing: it has driven the parameters away
+                p = system.vector({**vectors[0], **self.nominal.values()})
+                noise = first_noises(self.noise_model, self._first_noise, self.dt)[0]
+                points.append(Point(p, self._starts(system, passes, p, "estimation", None), noise))
+            if not self.latent:
+                points = [likelihood.concentrated(point) for point in points]
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):  # two transmissions at one joint, say
             return None
         tried: list[LikelihoodFit] = []
@@ -165,8 +210,8 @@ class LikelihoodForm:
 
     def restored(self, effects: Sequence[Placed], record: Mapping[str, Any]) -> Fit | None:
         """Return the fit of a record; None if it cannot be filtered."""
-        system = compose(self.nominal, list(effects), sizes=self.sizes) if effects else self.nominal
-        passes = self._passes(system, int(record["substeps"]))
+        system = self.composed(effects)
+        passes = self.passes(system, int(record["substeps"]))
         best = fit_from_record(record["best"], self._likelihood(system, "estimation", passes))
         point = point_from_record(record["validation"])
         outside = self._likelihood(system, "validation", passes).filtered(point)
@@ -184,7 +229,7 @@ class LikelihoodForm:
         self,
         effects: Sequence[Placed],
         system: Any,
-        passes: KalmanPass,
+        passes: Pass,
         best: LikelihoodFit,
         own: dict[str, float],
         terms: list[FloatArray],
@@ -211,10 +256,7 @@ class LikelihoodForm:
             Detail({"estimation": best.point, "validation": validation}, passes, best),
         )
 
-    def _passes(self, system: Any, substeps: int) -> KalmanPass:
-        return KalmanPass(with_latent_forces(system), self.dt, intersample=self.dataset.intersample, substeps=substeps)
-
-    def _likelihood(self, system: Any, use: str, passes: KalmanPass) -> Likelihood:
+    def _likelihood(self, system: Any, use: str, passes: Pass) -> Likelihood:
         rounding = [block.parameter for block in system.sampled if block.kind == "quantise"]
         return Likelihood(
             system,
@@ -226,7 +268,7 @@ class LikelihoodForm:
         )
 
     def _validated(
-        self, system: Any, passes: KalmanPass, best: LikelihoodFit, base: Fit | None
+        self, system: Any, passes: Pass, best: LikelihoodFit, base: Fit | None
     ) -> tuple[dict[str, float], list[FloatArray], Point]:
         """Fit what belongs to the validation records; return it, the log-densities, and the point."""
         likelihood = self._likelihood(system, "validation", passes)
@@ -259,7 +301,7 @@ class LikelihoodForm:
             return [replace(noise, s=np.maximum(noise.s, floor), w=np.maximum(noise.w, 0.1 * floor))]
         return first_noises(self.noise_model, self._first_noise, self.dt)
 
-    def _starts(self, system: Any, passes: KalmanPass, p: FloatArray, use: str, base: Fit | None) -> list[FloatArray]:
+    def _starts(self, system: Any, passes: Pass, p: FloatArray, use: str, base: Fit | None) -> list[FloatArray]:
         """Return initial states to start from: those of the base, new hidden states where their effects say."""
         found = []
         names = [channel.name for channel in system.states]
@@ -267,7 +309,7 @@ class LikelihoodForm:
         for number, record in enumerate(self.records[use]):
             x = np.zeros(passes.start_size)
             if base is None:
-                x[: self.nominal.nx] = first_state(system, record, p, self.dataset.intersample)[: self.nominal.nx]
+                x[: self.nominal.nx] = self.first_state(system, record, p)[: self.nominal.nx]
             else:
                 old = [channel.name for channel in base.system.states]
                 start = base.detail.points[use].x0[number]
@@ -297,7 +339,7 @@ class LikelihoodForm:
             free = set(fit.free)
             columns = np.array(
                 [k for k, name in enumerate(names) if name in free]
-                + list(range(detail.passes.np, detail.passes.np + detail.passes.start_size)),
+                + list(range(detail.passes.parameter_count, detail.passes.parameter_count + detail.passes.start_size)),
                 dtype=np.intp,
             )
             found = [
@@ -307,7 +349,7 @@ class LikelihoodForm:
             if any(one is None for one in found):
                 raise FitError("filter", expected="a finite state", got="divergence", remedy="refit the model")
             detail.paths[use] = [one for one in found if one is not None]
-            detail.smooth[use] = [smoothed(one) for one in detail.paths[use]]
+            detail.smooth[use] = [self.smooth(one) for one in detail.paths[use]]
         return detail.paths[use], detail.smooth[use]
 
     def linearised(self, fit: Fit) -> Linearised:
@@ -316,11 +358,11 @@ class LikelihoodForm:
         count = len(fit.free)
         for use in USES:
             passed, _ = self.paths(fit, use)
-            residual[use] = np.concatenate([_whitened(one.e, one.s) for one in passed])
+            residual[use] = np.concatenate([whitened(one.e, one.s) for one in passed])
             parts = []
             for number, one in enumerate(passed):
                 assert one.j is not None
-                j = _whitened(one.j, one.s[..., None])
+                j = whitened(one.j, one.s[..., None])
                 wide = np.zeros((len(j), count + len(passed) * (j.shape[1] - count)))
                 states = j.shape[1] - count
                 wide[:, :count] = j[:, :count]
@@ -383,7 +425,7 @@ class LikelihoodForm:
             for signs in unfoldings(runs, column, most=2):
                 if any(len(one) != len(run) for one, run in zip(signs.signs, runs, strict=True)):
                     continue
-                form = LikelihoodForm(self.nominal, self._unfolded(signs.signs, column), self.sizes)
+                form = self.on(self._unfolded(signs.signs, column))
                 plain = form.fit((), form.first_starts(), None)
                 if plain is not None and (best is None or plain.penalised > best.penalised):
                     best = plain
@@ -405,17 +447,23 @@ class LikelihoodForm:
     def _traces(self, fit: Fit) -> dict[str, list[Trace]]:
         """Return the smoothed motion of every record."""
         detail: Detail = fit.detail
+        if self.latent:
+            ports = tuple(one.port for one in detail.passes.forces)
+        else:
+            ports = tuple(one.name for one in self.nominal.states)
         found: dict[str, list[Trace]] = {}
         for use in USES:
             _, smooth = self.paths(fit, use)
             found[use] = [
-                Trace(record, one.x, detail.passes, detail.points[use].p, self.dataset.intersample)
+                Trace(record, one.x, detail.passes, detail.points[use].p, ports)
                 for record, one in zip(self.records[use], smooth, strict=True)
             ]
         return found
 
     def _answered(self, fit: Fit, found: Any) -> list[Column]:
         """Return the columns of directions (lists of forces and readings by use and record)."""
+        if not found:
+            return []
         made: dict[str, FloatArray] = {}
         for use in USES:
             passed, _ = self.paths(fit, use)
@@ -423,8 +471,8 @@ class LikelihoodForm:
             for number, one in enumerate(passed):
                 forces = np.concatenate([d.forces[use][number] for d in found], axis=2)
                 readings = np.concatenate([d.readings[use][number] for d in found], axis=2)
-                response = innovation_response(one, forces, readings)
-                parts.append(_whitened(response, one.s[..., None]))
+                response = innovation_response(one, forces, readings, rates_over=None if self.latent else self.dt)
+                parts.append(whitened(response, one.s[..., None]))
             made[use] = np.concatenate(parts)
         columns, at = [], 0
         for one in found:
@@ -437,7 +485,7 @@ class LikelihoodForm:
         return columns
 
 
-def _whitened(values: FloatArray, variance: FloatArray) -> FloatArray:
+def whitened(values: FloatArray, variance: FloatArray) -> FloatArray:
     """Return values (N, ny, ...) over their standard deviation, flat; what was not measured is 0."""
     scaled = np.where(np.isfinite(values), values, 0.0) / np.sqrt(variance)
     return np.asarray(scaled.reshape(scaled.shape[0] * scaled.shape[1], *scaled.shape[2:]))

@@ -1,0 +1,72 @@
+"""How often the 95 % intervals of linear fits hold the truth, over simulated records, and how often none is given.
+
+Run: python benchmarks/coverage_of_linear_estimates.py [records]   (400 by default; seeds 10 000 on)
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+
+from harness.estimate import estimate_of
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
+from identifiers.arx import Arx
+from identifiers.linear import StateLeastSquares
+
+A = np.array([[0.9, 0.3], [-0.2, 0.85]])
+B = np.array([[0.0], [1.0]])
+SPEC = PlantSpec((Channel("u", "N"),), (Channel("q", "m"), Channel("v", "m/s")), 0.1)
+
+
+def records(seed: int, process: float, sensor: float, lengths: tuple[int, ...] = (150, 250)) -> list[Trajectory]:
+    """Return records of one system with a disturbance at every step, and noise on the sensors."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for n in lengths:
+        u, x = rng.normal(size=(n, 1)), np.zeros((n, 2))
+        x[0] = rng.normal(size=2)
+        for k in range(n - 1):
+            x[k + 1] = A @ x[k] + B @ u[k] + process * np.array([0.5, 1.0]) * rng.normal(size=2)
+        found.append(Trajectory(np.arange(n) * 0.1, u, x + sensor * rng.normal(size=x.shape), SPEC))
+    return found
+
+
+def coverage(
+    identifier: StateLeastSquares | Arx, seeds: range, process: float, sensor: float
+) -> tuple[int, FloatArray]:
+    """Return how many fits claimed intervals, and for each coefficient in how many of them the truth lay."""
+    truth = np.hstack([A, B]).ravel()
+    given, held = 0, np.zeros(truth.size)
+    for seed in seeds:
+        estimate = estimate_of(identifier.fit(records(seed, process, sensor), rng=np.random.default_rng(0)))
+        if estimate is None or estimate.intervals is None:
+            continue
+        given += 1
+        held += (estimate.intervals[:, 0] <= truth) & (truth <= estimate.intervals[:, 1])
+    return given, held
+
+
+def rows(count: int) -> Iterator[str]:
+    """Yield one line for each method and kind of noise."""
+    seeds = range(10_000, 10_000 + count)
+    cases = [
+        ("least-squares", StateLeastSquares(), 0.2, 0.0),
+        ("least-squares, noisy sensors", StateLeastSquares(least_excitation=0.0), 0.05, 0.5),
+        ("arx, order 1", Arx(order=1, offset=False), 0.2, 0.0),
+        ("iv, noisy sensors", StateLeastSquares(method="iv", least_excitation=0.0), 0.0, 0.3),
+        ("iv, both", StateLeastSquares(method="iv", least_excitation=0.0), 0.2, 0.3),
+        ("tls, noisy sensors", StateLeastSquares(method="tls", least_excitation=0.0), 0.0, 0.3),
+        ("l1", StateLeastSquares(method="l1", intervals=20), 0.2, 0.0),
+    ]
+    for name, identifier, process, sensor in cases:
+        given, held = coverage(identifier, seeds, process, sensor)
+        share = 100 * held / max(given, 1)
+        said = f"{share.min():.1f} to {share.max():.1f} %, mean {share.mean():.1f} %" if given else "none"
+        yield f"{name:30} intervals in {given} of {count}: {said}"
+
+
+if __name__ == "__main__":
+    for line in rows(int(sys.argv[1]) if len(sys.argv) > 1 else 400):
+        print(line, flush=True)

@@ -1,0 +1,1 @@
+"""FMUs as nominal models: equations unknown, effects around them, simulated from any start."""

@@ -1,0 +1,186 @@
+"""Putting effects around a black box: on its inputs, as forces added to them, and on its outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, cast
+
+from harness.blackbox.around import Around
+from harness.blackbox.system import FmuSystem
+from harness.effects.effect import Effect, Placed, port_units, unit_of
+from harness.effects.places import port_of
+from harness.errors import InputError
+from harness.physics.parameters import Parameter
+from harness.physics.ports import SampledBlock
+from harness.signals import Channel
+
+if TYPE_CHECKING:
+    from harness.physics.ports import Port
+
+__all__ = ["fits_fmu", "surround"]
+
+
+def fits_fmu(effect: Effect) -> bool:
+    """Return True if an effect can be put around an FMU: no acceleration needed, nothing hidden behind an output."""
+    outside = {"input", "coordinate", "output"} & set(effect.kinds)
+    return bool(outside) and "a" not in effect.extras and not ("output" in effect.kinds and effect.states)
+
+
+def surround(
+    system: FmuSystem, placed: Sequence[Placed], sizes: Mapping[str, Mapping[str, float]] | None = None
+) -> FmuSystem:
+    """Return an FMU with more effects around it.
+
+    Parameters
+    ----------
+    system : FmuSystem
+    placed : sequence of Placed
+        Input effects act on the command in this order, forces are added behind them, output effects come last.
+    sizes : mapping, optional
+        Sizes of the data by port, for start values that are not given.
+
+    Raises
+    ------
+    InputError
+        If an effect does not fit its port or stands there twice.
+    """
+    import casadi as ca
+
+    sizes = sizes or {}
+
+    nominal = system if system.nominal is None else system.nominal
+    wanted = [*system.effects, *placed]
+    names = [str(one) for one in wanted]
+    for one in wanted:
+        if names.count(str(one)) > 1 or not fits_fmu(one.effect):
+            raise InputError(
+                f"effect {one} around an FMU",
+                expected="an effect on inputs, outputs or forces that needs no acceleration, once at a port",
+                got="the same twice" if names.count(str(one)) > 1 else f"an effect on: {', '.join(one.effect.kinds)}",
+                remedy="remove it, or write the model as equations",
+            )
+    old = {one.name: one for one in system.parameters}
+    parameters = [old[one.name] for one in nominal.parameters]
+    q, v = (ca.SX.sym(name, len(nominal.coordinates)) for name in "qv")
+    u, y, t = ca.SX.sym("u", nominal.nu), ca.SX.sym("y", nominal.ny), ca.SX.sym("t")
+    place = _Placing(nominal, q, v, t, u, y)
+    for one in _ordered(nominal, wanted):
+        port = port_of(cast(Any, nominal), one)
+        parameters += [
+            old.get(made.name, made)
+            for made in place.add(one, port, sizes.get(str(one), sizes.get(one.at, sizes.get("", {}))))
+        ]
+    around = Around(
+        u=u,
+        q=q,
+        v=v,
+        t=t,
+        z=ca.vertcat(*place.states) if place.states else ca.SX(0, 1),
+        p=ca.vertcat(*place.symbols) if place.symbols else ca.SX(0, 1),
+        y=y,
+        command=ca.vertcat(*place.command) if place.command else ca.SX(0, 1),
+        reading=ca.vertcat(*place.reading),
+        slopes=ca.vertcat(*place.slopes) if place.slopes else ca.SX(0, 1),
+        starts=ca.vertcat(*place.starts) if place.starts else ca.SX(0, 1),
+        rates=tuple(one.rate is not None for one in nominal.coordinates),
+        reads=any(not ca.is_equal(one, y[row]) for row, one in enumerate(place.reading)),
+    )
+    return replace(
+        nominal,
+        parameters=tuple(parameters),
+        hidden=tuple(place.hidden),
+        sampled=tuple(place.sampled),
+        effects=tuple(wanted),
+        around=around,
+        nominal=nominal,
+    )
+
+
+def _ordered(system: FmuSystem, placed: Sequence[Placed]) -> list[Placed]:
+    """Return inputs first, then forces (transmissions last), then outputs."""
+    kinds = {str(one): port_of(cast(Any, system), one).kind for one in placed}
+    forces = [one for one in placed if kinds[str(one)] == "coordinate"]
+    return [
+        *(one for one in placed if kinds[str(one)] == "input"),
+        *sorted(forces, key=lambda one: one.effect.drives),
+        *(one for one in placed if kinds[str(one)] == "output"),
+    ]
+
+
+class _Placing:
+    """Effects put around one after the other."""
+
+    def __init__(self, system: FmuSystem, q: Any, v: Any, t: Any, u: Any, y: Any) -> None:
+        self.system, self.q, self.v, self.t, self.u = system, q, v, t, u
+        self.command: list[Any] = [u[row] for row in range(system.nu)]
+        self.reading: list[Any] = [y[row] for row in range(system.ny)]
+        self.driven: list[Any] | None = None
+        self.symbols: list[Any] = []
+        self.states: list[Any] = []
+        self.slopes: list[Any] = []
+        self.starts: list[Any] = []
+        self.hidden: list[Channel] = []
+        self.sampled: list[SampledBlock] = []
+
+    def add(self, placed: Placed, port: Port, sizes: Mapping[str, float]) -> list[Parameter]:
+        """Add one effect; returns its parameters."""
+        import casadi as ca
+
+        system, effect = self.system, placed.effect
+        row = None
+        if port.kind == "coordinate":
+            row = [one.name for one in system.coordinates].index(port.name)
+            units = port_units("coordinate", port.unit, system.coordinates[row].force_unit)
+        else:
+            units = port_units(port.kind, port.unit)
+        declared, named = [], {}
+        for one, value in zip(effect.parameters, effect.complete(placed.values, sizes).values(), strict=True):
+            fixed = one.fixed
+            if one.angle_only and port.unit != "rad":
+                fixed, value = True, one.neutral or 0.0
+            symbol = ca.SX.sym(placed.name(one.name))
+            unit, low = unit_of(one.unit, units), one.lowest(sizes, value)
+            declared.append(Parameter(placed.name(one.name), unit, value, low, one.maximum, fixed))
+            named[one.name] = symbol
+            self.symbols.append(symbol)
+        if effect.sampled:
+            channels = system.inputs if port.kind == "input" else system.outputs
+            index = [one.name for one in channels].index(port.name)
+            self.sampled.append(SampledBlock(effect.sampled, index, declared[0].name))  # type: ignore[arg-type]
+            return declared
+        signal, q, v = self._arriving(port, row)
+        states = [ca.SX.sym(placed.name(name)) for name in effect.states]
+        value, slopes = effect.evaluate(signal, states, named, q, v, t=self.t, load=signal)
+        if port.kind == "coordinate":
+            assert row is not None
+            self.command[system.coordinates[row].force] += value
+        elif port.kind == "input":
+            index = [one.name for one in system.inputs].index(port.name)
+            self.command[index] = signal + value if "coordinate" in effect.kinds else value
+        else:
+            self.reading[[one.name for one in system.outputs].index(port.name)] = value
+        context = {"signal": signal, "q": q, "v": v}
+        for name, unit, symbol, slope in zip(effect.states, effect.state_units, states, slopes, strict=True):
+            self.states.append(symbol)
+            self.slopes.append(slope)
+            self.starts.append(context[effect.initial[name]] if name in effect.initial else 0.0)
+            self.hidden.append(Channel(placed.name(name), unit_of(unit, units)))
+        return declared
+
+    def _arriving(self, port: Port, row: int | None) -> tuple[Any, Any, Any]:
+        """Return the signal that arrives at a port, and the position and rate there."""
+        system = self.system
+        if port.kind == "coordinate":
+            assert row is not None
+            if self.driven is None:  # a force does not see the forces added beside it
+                self.driven = list(self.command)
+            return self.driven[system.coordinates[row].force], self.q[row], self.v[row]
+        if port.kind == "input":
+            index = [one.name for one in system.inputs].index(port.name)
+            moved = next((k for k, one in enumerate(system.coordinates) if one.force == index), None)
+            signal = self.command[index]
+            return (signal, 0.0, 0.0) if moved is None else (signal, self.q[moved], self.v[moved])
+        signal = self.reading[[one.name for one in system.outputs].index(port.name)]
+        moved = next((k for k, one in enumerate(system.coordinates) if one.name == port.name), None)
+        return (signal, signal, 0.0) if moved is None else (signal, self.q[moved], self.v[moved])

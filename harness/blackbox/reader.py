@@ -1,0 +1,249 @@
+"""Reading an FMU for the loop: its tunable parameters, settable states, and the positions that force inputs move."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.blackbox.system import FmuCoordinate, FmuSystem
+from harness.errors import HarnessError, InputError
+from harness.physics.parameters import Parameter
+from harness.signals import Channel, FloatArray, PlantSpec
+
+__all__ = ["fmu_system"]
+
+FORCES: dict[str, tuple[set[str], ...]] = {"rad": ({"N", "m"}, {"Nm"}), "m": ({"N"},)}
+"""Units (as sets of their symbols) of the force on a coordinate of a unit."""
+LOOK, NUDGE = 20, 0.01
+"""Samples after which the start of a state has moved an output, and by how much it is moved [SI unit]."""
+
+
+def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] | None = None) -> FmuSystem:
+    """Return an FMU as a nominal model for data of these channels.
+
+    Its tunable parameters are calibrated: all whose start value is not 0 (a 0 switches something off), or, where
+    ``parameters`` names any, those. Bounds are the FMU's; a positive start value without bounds stays positive.
+
+    Parameters
+    ----------
+    path : path
+        The FMU.
+    spec : PlantSpec
+        Channels and sample time of the data; names are the FMU's variables.
+    parameters : mapping, optional
+        Parameters to calibrate: a start value, or a :class:`harness.physics.Parameter` (bounds, fixed). Fixed ones
+        are set and not calibrated.
+
+    Raises
+    ------
+    InputError
+        If the file is no FMU, a name is no tunable parameter, or outputs depend directly on inputs.
+
+    Examples
+    --------
+    >>> from plants.mockups import mockup
+    >>> spec = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), 0.01)
+    >>> system = fmu_system(mockup("pendulum"), spec)
+    >>> [one.name for one in system.parameters if not one.fixed], system.coordinates[0].rate
+    (['J', 'b', 'mgl', 'vs'], 'omega')
+    """
+    from harness import registry
+
+    file = Path(path)
+    if not file.is_file():
+        raise InputError("no such FMU", expected="an FMU file", got="no file", remedy="check the path", file=path)
+    names = [one.name for one in spec.inputs], [one.name for one in spec.outputs]
+    options = {"path": file, "sample_time": spec.sample_time, "inputs": names[0], "outputs": names[1]}
+    with registry.create("plants", "fmu", **options) as plant:
+        if plant.spec.feedthrough:
+            raise InputError(
+                "an FMU as nominal model",
+                expected="outputs that do not depend on the input of the same instant",
+                got="direct feedthrough",
+                remedy="measure other outputs",
+                file=path,
+            )
+        described = plant.describe(file)
+        found = _tunable(described, dict(parameters or {}), file)
+        shown: dict[str, str] = {}
+        states = _settable(plant, described)
+        guessed = [] if plant.spec.states else _exact(described)
+        inputs = tuple(plant.spec.inputs)
+        outputs = tuple(
+            replace(theirs, period=ours.period) if theirs.period is None else theirs
+            for ours, theirs in zip(spec.outputs, plant.spec.outputs, strict=True)
+        )
+    if guessed:
+        with registry.create("plants", "fmu", **options, states=guessed) as plant:
+            states, shown = _moving(plant, _settable(plant, described))
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()[:12]
+    return FmuSystem(
+        path=file,
+        name=str(described["model"]),
+        digest=digest,
+        inputs=inputs,
+        outputs=outputs,
+        inner_states=states,
+        parameters=found,
+        coordinates=tuple(
+            replace(one, position=shown.get(one.position, one.position))
+            for one in _coordinates(described, inputs, outputs)
+        ),
+        shown=shown,
+    )
+
+
+def _tunable(described: Mapping[str, Any], given: dict[str, Any], path: Path) -> tuple[Parameter, ...]:
+    """Return the tunable real parameters: fixed, unless they are named or nothing is named and they are not 0."""
+    rows = {
+        one["name"]: one
+        for one in described["variables"]
+        if one["causality"] == "parameter"
+        and one["variability"] == "tunable"
+        and one["start"] is not None
+        and not one["shape"]
+        and one["type"] in ("Real", "Float64", "Float32")
+    }
+    for name in given:
+        if name not in rows:
+            raise InputError(
+                "parameter to calibrate",
+                expected=f"a tunable one ({', '.join(rows) or 'none'})",
+                got=repr(name),
+                remedy="correct the name",
+                file=path,
+            )
+    asked = any(not _given(one).get("fixed") for one in given.values())
+    found = []
+    for name, row in rows.items():
+        low, high = (none if row[key] is None else float(row[key]) for key, none in _BOUNDS)
+        said = _given(given[name]) if name in given else {}
+        value = float(row["start"]) if said.get("value") is None else float(said["value"])
+        fixed = bool(said.get("fixed")) if name in given else asked or value == 0.0
+        own_low, own_high = (none if said.get(key) is None else float(said[key]) for key, none in _BOUNDS)
+        low, high = max(low, own_low), min(high, own_high)
+        if not fixed and value > 0.0 and np.isinf(low):
+            low = 0.0
+        if fixed:  # a bound at 0 would have the fit take its logarithm
+            low, high = -np.inf, np.inf
+        try:
+            found.append(Parameter(name, row["si_unit"] or "1", value, low, high, fixed=fixed))
+        except InputError as error:
+            raise error.located(file=path) from error
+    for one in found:
+        if not one.fixed and one.value == 0.0 and one.minimum == 0.0:
+            raise InputError(
+                f"start value of {one.name}",
+                expected="a positive number (the parameter cannot be negative, so the fit works on its logarithm)",
+                got="0",
+                remedy="give a start value, or keep the parameter fixed",
+                file=path,
+            )
+    return tuple(found)
+
+
+_BOUNDS = (("minimum", -np.inf), ("maximum", np.inf))
+
+
+def _given(one: Any) -> dict[str, Any]:
+    """Return what is said of a parameter: a number, a Parameter, or a mapping of its fields."""
+    if isinstance(one, Mapping):
+        return dict(one)
+    if isinstance(one, Parameter):
+        return {"value": one.value, "minimum": one.minimum, "maximum": one.maximum, "fixed": one.fixed}
+    return {"value": float(one)}
+
+
+def _settable(plant: Any, described: Mapping[str, Any]) -> tuple[Channel, ...]:
+    """Return the states whose start values the FMU lets us set, one by one."""
+    rng = np.random.default_rng(0)
+    kept: list[Channel] = []
+    known = {one["name"]: one for one in described["variables"]}
+    for channel in plant.spec.states or plant.spec.outputs:
+        try:
+            plant.reset(rng=rng, x0={channel.name: float(known[channel.name]["start"] or 0.0)})
+        except (HarnessError, KeyError, ValueError):
+            continue
+        kept.append(channel)
+    plant.reset(rng=rng)
+    return tuple(kept)
+
+
+def _exact(described: Mapping[str, Any]) -> list[str]:
+    """Return what may be a state where the description names none: continuous variables that begin where they say."""
+    return [
+        one["name"]
+        for one in described["variables"]
+        if one["causality"] in ("local", "output")
+        and one["variability"] == "continuous"
+        and one["initial"] == "exact"
+        and not one["shape"]
+        and one["type"] in ("Real", "Float64", "Float32")
+    ]
+
+
+def _moving(plant: Any, states: Sequence[Channel]) -> tuple[tuple[Channel, ...], dict[str, str]]:
+    """Return the states whose start moves an output, and by output the state that it shows as it is."""
+    rng = np.random.default_rng(0)
+    quiet = np.zeros((LOOK, plant.spec.nu))
+
+    def run(x0: Mapping[str, float]) -> FloatArray:
+        first = plant.reset(rng=rng, x0=x0)
+        return np.vstack([first, plant.rollout(quiet)])
+
+    plant.reset(rng=rng)
+    begun = dict(zip([one.name for one in plant.spec.states], plant.truth().tolist(), strict=True))
+    kept: list[Channel] = []
+    shown: dict[str, str] = {}
+    try:
+        unmoved = run({})
+    except HarnessError:  # it cannot be looked at without input
+        return (), {}
+    for one in states:
+        try:
+            moved = run({one.name: begun[one.name] + NUDGE}) - unmoved
+        except HarnessError:
+            continue
+        if not np.abs(moved).max(initial=0.0) > 1e-6 * NUDGE:
+            continue
+        kept.append(one)
+        for output, change in zip(plant.spec.outputs, moved[0], strict=True):
+            if abs(change - NUDGE) < 1e-6 * NUDGE and output.unit == one.unit:
+                shown[output.name] = one.name
+    return tuple(kept), shown
+
+
+def _coordinates(
+    described: Mapping[str, Any], inputs: Sequence[Channel], outputs: Sequence[Channel]
+) -> tuple[FmuCoordinate, ...]:
+    """Return the positions that force inputs move: by unit, in the order of the inputs, where they pair up."""
+    rows = [one for one in described["variables"] if one["type"] in ("Real", "Float64", "Float32")]
+    measured = [one.name for one in outputs]
+    found: list[FmuCoordinate] = []
+    for unit, forces in FORCES.items():
+        drives = [row for row, one in enumerate(inputs) if set(one.unit.replace("*", " ").split()) in forces]
+        moved = [one.name for one in outputs if one.unit == unit]
+        if len(moved) != len(drives):
+            moved = [one["name"] for one in rows if one["causality"] == "output" and one["si_unit"] == unit]
+            moved.sort(key=lambda name: name not in measured)
+        if not drives or len(moved) != len(drives):
+            continue
+        for row, position in zip(drives, moved, strict=True):
+            rate = _rate(rows, position, unit, alone=len(moved) == 1)
+            found.append(FmuCoordinate(position, unit, inputs[row].unit, position, rate, row))
+    return tuple(found)
+
+
+def _rate(rows: Sequence[Mapping[str, Any]], position: str, unit: str, *, alone: bool) -> str | None:
+    """Return the variable that is the rate of a position: the only one of its unit, or the declared derivative."""
+    rates = [one for one in rows if one["si_unit"] == f"{unit}/s" and one["causality"] in ("output", "local")]
+    declared = [str(one["name"]) for one in rates if one["derivative_of"] == position]
+    states = [str(one["name"]) for one in rates if one["derivative_of"] is None]
+    if alone and len(states) == 1:
+        return states[0]
+    return declared[0] if declared else None

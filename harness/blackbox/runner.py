@@ -1,0 +1,55 @@
+"""One FMU, instantiated once in each process and reset for every simulation."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from harness.blackbox.system import FmuSystem
+from harness.signals import FloatArray
+
+__all__ = ["Runner"]
+
+
+class Runner:
+    """The FMU of a system, at a sample time [s]; shared by the simulators of all effects."""
+
+    def __init__(self, nominal: FmuSystem, sample_time: float) -> None:
+        self.nominal, self.sample_time = nominal, sample_time
+        self._plant: Any = None
+        self._left: Any = None
+        self._owner = 0
+        self._set: dict[str, float] = {}
+        self._rng = np.random.default_rng(0)  # an FMU draws nothing
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_plant": None, "_left": None, "_owner": 0, "_set": {}}
+
+    @property
+    def plant(self) -> Any:
+        """The plant of this process (after a fork the parent's must be left alone)."""
+        if self._plant is None or self._owner != os.getpid():
+            from harness import registry
+
+            self._left = self._plant  # closing it here would free what belongs to the parent
+            self._plant = registry.create(
+                "plants",
+                "fmu",
+                path=self.nominal.path,
+                sample_time=self.sample_time,
+                inputs=[one.name for one in self.nominal.inputs],
+                outputs=list(self.nominal.variables),
+            )
+            self._owner, self._set = os.getpid(), {}
+        return self._plant
+
+    def start(self, values: dict[str, float], x0: dict[str, float]) -> FloatArray:
+        """Set parameters, reset; returns the first row of the variables."""
+        plant = self.plant
+        for name, value in values.items():
+            if self._set.get(name) != value:
+                plant.set_parameter(name, value)
+                self._set[name] = value
+        return np.asarray(plant.reset(rng=self._rng, x0=x0))

@@ -1,0 +1,381 @@
+"""Simulating an FMU with effects around it over windows of records, with derivatives by finite differences.
+
+It offers what :class:`harness.physics.windows.Windows` asks of a simulator, so that fits of an FMU and of equations
+share one minimiser.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections import OrderedDict
+from typing import Any, Literal, cast
+
+import numpy as np
+
+from harness.blackbox.runner import Runner
+from harness.blackbox.system import FmuSystem
+from harness.errors import HarnessError
+from harness.physics.sampled import SampledBlocks
+from harness.signals import FloatArray, PlantSpec
+
+__all__ = ["STEP", "FmuSimulator"]
+
+STEP = 1e-3
+"""Relative step of central differences: where the motion reverses, a smaller one sees the steps of the integration."""
+KEPT = 6
+
+
+class FmuSimulator:
+    """Free runs of an FMU with effects, and their derivatives.
+
+    Parameters
+    ----------
+    system : FmuSystem
+    runner : Runner
+    """
+
+    def __init__(self, system: FmuSystem, runner: Runner) -> None:
+        self.system, self.runner = system, runner
+        self.dt, self.substeps, self.intersample = runner.sample_time, 1, "zoh"
+        self.spec = PlantSpec(system.inputs, system.outputs, self.dt, system.states)
+        self.nx, self.np = system.nx, system.np
+        self.sampled = SampledBlocks(cast(Any, system), self.dt)
+        columns = list(system.variables)
+        self._columns = columns
+        self._states = [columns.index(one.name) for one in system.inner_states]
+        self._q = np.array([columns.index(one.position) for one in system.coordinates], dtype=np.int64)
+        self._v = np.array(
+            [columns.index(one.rate) if one.rate is not None else 0 for one in system.coordinates], dtype=np.int64
+        )
+        self._free = [k for k, one in enumerate(system.parameters) if not one.fixed]
+        self._compilation: Any = None
+        self._library: Any = None
+        self._memory: OrderedDict[bytes, tuple[FloatArray, FloatArray, FloatArray]] = OrderedDict()
+        self.wanted: Literal["all", "states", "none"] = "all"
+        """Which derivatives are computed; the others are 0."""
+
+    def hidden_start(self, x: Any, u: Any, p: Any) -> FloatArray:
+        """Return where the hidden states of effects start (hidden_count,), x being a whole state."""
+        found: FloatArray = self.hidden_starts(np.asarray(x)[None], np.asarray(u)[None], p)[0]
+        return found
+
+    def hidden_starts(self, x: FloatArray, u: FloatArray, p: FloatArray) -> FloatArray:
+        """Return the same (N, hidden_count) for states (N, nx) and inputs (N, nu)."""
+        system, n = self.system, x.shape[0]
+        if not system.hidden_count or system.around is None:
+            return np.zeros((n, 0))
+        names = [one.name for one in system.inner_states]
+
+        def state(name: str | None) -> FloatArray:
+            return x[:, names.index(name)] if name in names else np.zeros(n)
+
+        q, v = (
+            np.array([state(name) for name in which]).reshape(len(which), n)
+            for which in ([one.position for one in system.coordinates], [one.rate for one in system.coordinates])
+        )
+        many = np.repeat(np.asarray(p, dtype=float)[system.inner_count :, None], n, axis=1)
+        found = system.around.functions["starts"](u.T, q, v, many)
+        return np.asarray(found.full().T.reshape(n, system.hidden_count), dtype=float)
+
+    def sensitivities(
+        self, p: FloatArray, x0: FloatArray, U: FloatArray, *, t0: float = 0.0
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return states (N, nx), outputs (N, ny) and derivatives of the outputs by the initial states (N, ny, nx)."""
+        seen, slope = self.sampled.inputs(U[None], p[None], True)
+        x, y, s = self.windows(p[None], x0[None], seen, slope, np.array([t0]))
+        assert s is not None
+        return x[0], y[0], s[0][..., self.np :]
+
+    def windows(
+        self,
+        p: FloatArray,
+        x0: FloatArray,
+        u: FloatArray,
+        slope: FloatArray | None,
+        t0: FloatArray,
+        *,
+        sensitivities: bool = True,
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Return states (M, N, nx), outputs (M, N, ny), derivatives (M, N, ny, np + nx) by (p, x0); see Simulator."""
+        m, n = u.shape[:2]
+        x, y = np.empty((m, n, self.nx)), np.empty((m, n, self.system.ny))
+        s = np.zeros((m, n, self.system.ny, self.np + self.nx)) if sensitivities else None
+        for k in range(m):
+            if s is None:
+                x[k], y[k] = self.run(p[k], x0[k], u[k], t0[k])
+            else:
+                late = None if slope is None else slope[k]
+                x[k], y[k], s[k] = self._differences(p[k], x0[k], u[k], late, float(t0[k]))
+        y, s = self.sampled.outputs(y, s, p)
+        return x, y, s
+
+    def run(
+        self, p: FloatArray, x0: FloatArray, u: FloatArray, t0: float = 0.0, extra: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return states (N, nx) and outputs (N, ny) of one free run; NaN from where the FMU fails.
+
+        ``extra`` (N, nu) is added to what the effects make of the input ``u`` (N, nu).
+        """
+        table, hidden, _, y = self._simulated(p, x0, u, t0, extra)
+        return np.concatenate([table[:, self._states], hidden], axis=1), y
+
+    def motion(
+        self, p: FloatArray, x0: FloatArray, u: FloatArray, t0: float = 0.0
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return positions (N, n), rates (N, n) and outputs (N, ny) of one free run."""
+        table, _, rates, y = self._simulated(p, x0, u, t0, None)
+        q = table[:, self._q]
+        if self.system.around is None:
+            v = np.gradient(q, self.dt, axis=0) if q.size else q
+            told = [one.rate is not None for one in self.system.coordinates]
+            rates = np.where(told, table[:, self._v], v)
+        return q, rates, y
+
+    def _simulated(
+        self, p: FloatArray, x0: FloatArray, u: FloatArray, t0: float, extra: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return the FMU's variables, hidden states, rates of the coordinates and readings of one free run."""
+        system, n = self.system, u.shape[0]
+        inner = system.inner_count
+        values = {one.name: float(value) for one, value in zip(system.parameters[:inner], p, strict=False)}
+        start = {one.name: float(value) for one, value in zip(system.inner_states, x0, strict=False)}
+        table = np.full((n, len(self._columns)), np.nan)
+        hidden = np.full((n, system.hidden_count), np.nan)
+        rates = np.zeros((n, len(system.coordinates)))
+        past = np.zeros(1 + 2 * len(system.coordinates))
+        z = np.array(x0[len(system.inner_states) :], dtype=float)
+        own = np.array(p[inner:], dtype=float)
+        try:
+            if not np.isfinite(x0).all():
+                raise ArithmeticError("a start that is not finite")
+            table[0] = self.runner.start(values, start)
+            if system.around is None:
+                pushed = u if extra is None else u + extra
+                table[1:] = self.runner.plant.rollout(np.ascontiguousarray(pushed[:-1]))
+            else:
+                self._coupled(table, hidden, rates, past, z, own, u, extra, t0)
+        except (HarnessError, ArithmeticError):
+            table[1:] = np.nan
+        y = table[:, : system.ny]
+        if system.around is not None and system.around.reads and np.isfinite(table).all():
+            y = self._readings(table, rates, own, t0)
+        return table, hidden, rates, y
+
+    # ---- the work ------------------------------------------------------------------------------------------------
+
+    def _differences(
+        self, p: FloatArray, x0: FloatArray, u: FloatArray, slope: FloatArray | None, t0: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return states, outputs and derivatives of one window; the last few are remembered."""
+        key = b"".join([self.wanted.encode(), p.tobytes(), x0.tobytes(), np.float64(t0).tobytes(), u.tobytes()])
+        if key in self._memory:
+            x, y, s = self._memory[key]
+            return x, y, s
+        x, y = self.run(p, x0, u, t0)
+        s = np.zeros((*y.shape, self.np + self.nx))
+        if np.isfinite(y).all() and self.wanted != "none":
+            blocks = {parameter for _, _, parameter in self.sampled.output_blocks}
+            for k in self._free if self.wanted == "all" else ():
+                if k in self.sampled.delay_columns:
+                    if slope is not None:
+                        h = 0.01 * self.dt
+                        later = u + h * slope[..., self.sampled.delay_columns.index(k)]
+                        s[..., k] = (self.run(p, x0, later, t0)[1] - y) / h
+                elif k not in blocks:
+                    s[..., k] = self._slope(k, p, x0, u, y, t0)
+            sizes = np.sqrt(np.mean(x**2, axis=0))
+            for k in range(self.nx):
+                h = STEP * (float(sizes[k]) if np.isfinite(sizes[k]) and sizes[k] > 0 else 0.01)
+                begun = x0.copy()
+                begun[k] += h
+                s[..., self.np + k] = (self.run(p, begun, u, t0)[1] - y) / h
+        self._memory[key] = (x, y, s)
+        while len(self._memory) > KEPT:
+            self._memory.popitem(last=False)
+        return x, y, s
+
+    def _slope(self, k: int, p: FloatArray, x0: FloatArray, u: FloatArray, y: FloatArray, t0: float) -> FloatArray:
+        """Return the derivative of the outputs ``y`` by a parameter (N, ny); NaN if the FMU fails on every side.
+
+        A bound itself may be refused, as a mass of 0 is, and the common step be too long for a parameter that fell far
+        below its declared value, as for damping on next to no inertia: then the difference is one-sided, or shorter.
+        """
+        one = self.system.parameters[k]
+        h = STEP * max(abs(p[k]), 0.1 * abs(one.value), 1e-6)
+        for step in (h, 1e-3 * h, 1e-6 * h):
+            ends, sides = [p[k]], [y]
+            for end in (p[k] - step, p[k] + step):
+                moved = p.copy()
+                moved[k] = end
+                there = self.run(moved, x0, u, t0)[1] if one.minimum < end < one.maximum else y * np.nan
+                if np.isfinite(there).all():
+                    ends.append(end)
+                    sides.append(there)
+            low, high = int(np.argmin(ends)), int(np.argmax(ends))
+            if low != high:
+                return np.asarray((sides[high] - sides[low]) / (ends[high] - ends[low]))
+        return np.full_like(y, np.nan)
+
+    def _coupled(
+        self,
+        table: FloatArray,
+        hidden: FloatArray,
+        rates: FloatArray,
+        past: FloatArray,
+        z: FloatArray,
+        p: FloatArray,
+        u: FloatArray,
+        extra: FloatArray | None,
+        t0: float,
+    ) -> None:
+        """Step FMU and effects together, in C where there is a compiler and the FMU lets us."""
+        step = self.runner.plant.native_step()
+        library = None if step is None else self._built()
+        if library is None or step is None:
+            self._in_python(table, hidden, rates, past, z, p, u, extra, t0)
+            return
+        u = np.ascontiguousarray(u, dtype=float)
+        added = None if extra is None else np.ascontiguousarray(extra, dtype=float)
+        n, first = u.shape[0], 0
+        while first < n - 1:
+            first = library.coupled(
+                step.call,
+                step.loop,
+                step.u.ctypes.data,
+                step.y.ctypes.data,
+                table.shape[1],
+                self._q.ctypes.data,
+                self._v.ctypes.data,
+                u.ctypes.data,
+                None if added is None else added.ctypes.data,
+                n,
+                first,
+                t0,
+                self.dt,
+                p.ctypes.data,
+                z.ctypes.data,
+                past.ctypes.data,
+                table.ctypes.data,
+                rates.ctypes.data,
+                hidden.ctypes.data,
+            )
+            if first < n - 1:  # the step was not brought to its end in C
+                if not np.isfinite(step.u).all():
+                    raise ArithmeticError("a command that is not finite")
+                self.runner.plant.finish_step()
+                first += 1
+                table[first] = step.y
+
+    def _in_python(
+        self,
+        table: FloatArray,
+        hidden: FloatArray,
+        rates: FloatArray,
+        past: FloatArray,
+        z: FloatArray,
+        p: FloatArray,
+        u: FloatArray,
+        extra: FloatArray | None,
+        t0: float,
+    ) -> None:
+        """Do the same step by step: slower, for systems without a compiler and FMUs that are stepped from Python."""
+        around = self.system.around
+        assert around is not None
+        told, h, plant = np.array(around.rates, dtype=bool), self.dt, self.runner.plant
+        for k in range(u.shape[0]):
+            hidden[k] = z
+            q, v = table[k, self._q], table[k, self._v]
+            a, b = past[1::2], past[2::2]
+            first, second = past[0] < 1, past[0] < 2
+            rest = np.zeros_like(q) if first else (q - a) / h if second else (3 * q - 4 * a + b) / (2 * h)
+            bend = np.zeros_like(q) if second else (q - 2 * a + b) / h**2
+            rates[k] = np.where(told, v, rest)
+            slope = np.where(told, 0.0 if first else (v - a) / h, bend)
+            if k == u.shape[0] - 1:
+                return
+            mean = np.zeros(self.system.nu)
+            part = h / around.points
+            for s in range(around.points):
+                passed = (s + 0.5) * part
+                moved = q + passed * (rates[k] + 0.5 * passed * slope), rates[k] + passed * slope, t0 + k * h + passed
+
+                def at(name: str, state: FloatArray, row: int = k, moved: Any = moved) -> FloatArray:
+                    return np.array(around.functions[name](u[row], *moved, state, p), dtype=float).reshape(-1)
+
+                middle = z
+                if z.size:
+                    k1 = at("slopes", z)
+                    k2 = at("slopes", z + 0.5 * part * k1)
+                    middle = z + 0.5 * part * k2
+                    k3 = at("slopes", middle)
+                    k4 = at("slopes", z + part * k3)
+                    z = z + part / 6 * (k1 + 2 * (k2 + k3) + k4)
+                mean += at("command", middle) / around.points
+            past[2::2], past[1::2] = a.copy(), np.where(told, v, q)
+            past[0] += 1
+            if extra is not None:
+                mean += extra[k]
+            if not np.isfinite(mean).all():
+                raise ArithmeticError("a command that is not finite")
+            table[k + 1] = plant.step(mean)
+
+    def _readings(self, table: FloatArray, rates: FloatArray, p: FloatArray, t0: float) -> FloatArray:
+        """Return what the sensors tell (N, ny)."""
+        around = self.system.around
+        assert around is not None
+        n = table.shape[0]
+        t = t0 + self.dt * np.arange(n)
+        many = np.repeat(p[:, None], n, axis=1)
+        found = around.functions["reading"](table[:, : self.system.ny].T, table[:, self._q].T, rates.T, t[None], many)
+        return np.asarray(found.full().T.reshape(n, self.system.ny), dtype=float)
+
+    def _built(self) -> Any:
+        """Return the compiled coupling, None where there is no compiler."""
+        if self._library is None:
+            if self._compilation is None:
+                from harness.physics.ccode import Compilation
+
+                assert self.system.around is not None
+                self._compilation = Compilation(self.system.around.source + _LOOP)
+            library = self._compilation.library()
+            if library is None:
+                return None
+            pointer, count, number = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
+            library.coupled.argtypes = [
+                *[pointer] * 4, count, *[pointer] * 4, count, count, number, number, *[pointer] * 6
+            ]  # fmt: skip
+            library.coupled.restype = count
+            self._library = library
+        return self._library
+
+
+_LOOP = """
+#include <stdint.h>
+#include <string.h>
+typedef int Call(void *loop);
+
+/* Couple from row `first` on; returns the row at which the box's step broke off, or n - 1. */
+__attribute__((visibility("default")))
+int64_t coupled(Call *call, void *loop, double *input, const double *output, int64_t width, const int64_t *at_q,
+                const int64_t *at_v, const double *u, const double *extra, int64_t n, int64_t first, double t0,
+                double h, const double *p, double *z, double *past, double *table, double *rates, double *hidden)
+{
+  double q[NC + 1], v[NC + 1], slope[NC + 1];
+  for (int64_t k = first;; k++) {
+    const double *row = table + k * width;
+    double *rate = rates + k * NC;
+    for (int i = 0; i < NZ; i++) hidden[k * NZ + i] = z[i];
+    for (int i = 0; i < NC; i++) q[i] = row[at_q[i]], v[i] = row[at_v[i]];
+    motion(past, q, v, h, rate, slope);
+    if (k == n - 1) return k;
+    ahead(u + k * NU, q, rate, slope, t0 + (double)k * h, h, p, z, input);
+    remember(past, q, v);
+    if (extra)
+      for (int i = 0; i < NU; i++) input[i] += extra[k * NU + i];
+    for (int i = 0; i < NU; i++)
+      if (!isfinite(input[i])) return k;
+    if (call(loop)) return k;
+    memcpy(table + (k + 1) * width, output, (size_t)width * sizeof(double));
+  }
+}
+"""

@@ -1,0 +1,205 @@
+"""An FMU as a nominal model: what the loop must know of it, and the effects around it (its equations stay unknown).
+
+Effects act on its inputs, on its outputs and, where an input is a force whose coordinate can be read, as forces that
+are added to that input. :func:`harness.blackbox.reader.fmu_system` makes one of a file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.physics.parameters import Parameter
+from harness.physics.ports import Port, SampledBlock
+from harness.signals import Channel, FloatArray
+
+if TYPE_CHECKING:
+    from harness.blackbox.around import Around
+    from harness.effects.effect import Placed
+
+__all__ = ["FmuCoordinate", "FmuSystem"]
+
+
+@dataclass(frozen=True)
+class FmuCoordinate:
+    """A position that a force input moves.
+
+    ``position`` and ``rate`` are variables of the FMU (``rate`` None: differences of the position); ``force`` is the
+    row of the input.
+    """
+
+    name: str
+    unit: str
+    force_unit: str
+    position: str
+    rate: str | None
+    force: int
+
+
+@dataclass(frozen=True, eq=False)
+class FmuSystem:
+    """An FMU with effects around it: read by ``fmu_system``, surrounded by :func:`harness.blackbox.effects.surround`.
+
+    Attributes
+    ----------
+    path : Path
+        The FMU.
+    name : str
+        Of its model.
+    inputs, outputs : tuple of Channel
+        As the data have them.
+    inner_states : tuple of Channel
+        States whose start values the FMU lets us set.
+    parameters : tuple of Parameter
+        Tunable parameters of the FMU, then those of effects, called ``effect@port.name``.
+    coordinates : tuple of FmuCoordinate
+    shown : dict
+        Outputs that show a state of another name, and that name.
+    hidden : tuple of Channel
+        Hidden states of effects.
+    sampled : tuple of SampledBlock
+        Delays and quantisers.
+    effects : tuple of Placed
+    around : Around or None
+        The effects as functions.
+    nominal : FmuSystem or None
+        The FMU alone.
+    """
+
+    path: Path
+    name: str
+    digest: str
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
+    inner_states: tuple[Channel, ...]
+    parameters: tuple[Parameter, ...]
+    coordinates: tuple[FmuCoordinate, ...]
+    shown: Mapping[str, str] = field(default_factory=dict)
+    hidden: tuple[Channel, ...] = ()
+    sampled: tuple[SampledBlock, ...] = ()
+    effects: tuple[Placed, ...] = ()
+    around: Around | None = field(default=None, repr=False)
+    nominal: FmuSystem | None = field(default=None, repr=False)
+
+    loads = None
+    h = None
+    process: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return " + ".join([f"{self.name} ({self.path.name}, {self.digest})", *map(str, self.effects)])
+
+    @property
+    def states(self) -> tuple[Channel, ...]:
+        """Settable states of the FMU, then hidden states of effects."""
+        return (*self.inner_states, *self.hidden)
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return len(self.inner_states) + len(self.hidden)
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return len(self.inputs)
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.outputs)
+
+    @property
+    def np(self) -> int:
+        """Number of parameters."""
+        return len(self.parameters)
+
+    @property
+    def hidden_count(self) -> int:
+        """Number of hidden states."""
+        return len(self.hidden)
+
+    @property
+    def inner_count(self) -> int:
+        """Number of parameters of the FMU itself."""
+        return len(self.parameters if self.nominal is None else self.nominal.parameters)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters, in order."""
+        return tuple(one.name for one in self.parameters)
+
+    @property
+    def ports(self) -> tuple[Port, ...]:
+        """Where effects can act."""
+        found = [Port("input", one.name, one.unit) for one in self.inputs]
+        found += [Port("coordinate", one.name, one.unit) for one in self.coordinates]
+        return (*found, *(Port("output", one.name, one.unit) for one in self.outputs))
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Variables of the FMU that a simulation reads: outputs, states, positions, rates; each once."""
+        names = [one.name for one in (*self.outputs, *self.inner_states)]
+        for one in self.coordinates:
+            names += [one.position, *([one.rate] if one.rate is not None else [])]
+        return tuple(dict.fromkeys(names))
+
+    @cached_property
+    def u(self) -> Any:
+        """Symbols (CasADi) of the inputs."""
+        import casadi as ca
+
+        return ca.SX.sym("u", self.nu)
+
+    @property
+    def input_forces(self) -> Any:
+        """Force of the inputs on each coordinate."""
+        import casadi as ca
+
+        return ca.vertcat(*(self.u[one.force] for one in self.coordinates))
+
+    def driven_by(self, name: str) -> int | None:
+        """Return the row of the coordinate that an input moves."""
+        wanted = [one.name for one in self.inputs].index(name)
+        return next((row for row, one in enumerate(self.coordinates) if one.force == wanted), None)
+
+    def coordinate(self, name: str) -> Any:
+        """Return a coordinate; its ``force`` is its row among them."""
+        row = [one.name for one in self.coordinates].index(name)
+        return replace(self.coordinates[row], force=row)
+
+    def parameter(self, name: str) -> Parameter:
+        """Return one parameter, or refuse the name."""
+        for one in self.parameters:
+            if one.name == name:
+                return one
+        raise InputError(
+            f"parameter of {self.name}",
+            expected=f"a tunable one ({', '.join(self.parameter_names) or 'none'})",
+            got=repr(name),
+            remedy="correct the name",
+            file=self.path,
+        )
+
+    def values(self, given: Mapping[str, float] | None = None) -> dict[str, float]:
+        """Return all parameter values: those given, the others as they are."""
+        known = {name: float(value) for name, value in (given or {}).items() if self.parameter(name)}
+        return {one.name: known.get(one.name, one.value) for one in self.parameters}
+
+    def vector(self, given: Mapping[str, float] | None = None) -> FloatArray:
+        """Return the same as an array (np,)."""
+        return np.array(list(self.values(given).values()))
+
+    def with_parameters(self, parameters: Mapping[str, Any]) -> FmuSystem:
+        """Return the system with other values, bounds, or parameters kept fixed."""
+        changed = {
+            name: given if isinstance(given, Parameter) else replace(self.parameter(name), value=float(given))
+            for name, given in parameters.items()
+            if self.parameter(name)
+        }
+        return replace(self, parameters=tuple(changed.get(one.name, one) for one in self.parameters))

@@ -1,0 +1,131 @@
+"""The commands of ``sysid study``: the closed loop on simulated truths, and the same records for other tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from harness import api
+from harness.terminal import progress_bar, say
+
+__all__ = ["study_app"]
+
+study_app = typer.Typer(help="Try the closed loop, or another tool, on simulated truths.", no_args_is_help=True)
+Force = Annotated[bool, typer.Option("--force", help="overwrite")]
+Seeds = Annotated[str, typer.Option(help="tuning, or judged: records that no threshold was chosen on")]
+Records = Annotated[int | None, typer.Option(help="only the first so many of the plan, a balanced part")]
+Plants = Annotated[str, typer.Option(help="separated by commas")]
+Cells = Annotated[int, typer.Option(help="records of each effect, of 8 cells noise x size x disturbance")]
+Alarms = Annotated[int, typer.Option(help="records with nothing missing, of each class")]
+
+
+def run_study(
+    context: typer.Context,
+    out: Annotated[Path, typer.Option(help="folder for rows.csv, study.md and confusion.png")],
+    seeds: Seeds = "tuning",
+    records: Records = None,
+    plants: Plants = "pendulum,cart-pole",
+    workers: Annotated[int, typer.Option(help="processes")] = 2,
+    cells: Cells = 2,
+    alarms: Alarms = 300,
+    budget: Annotated[float | None, typer.Option(metavar="MINUTES", help="then begin no more")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="continue in a folder that has rows")] = False,
+    force: Force = False,
+) -> None:
+    """Try the closed loop on simulated truths: confusion, false alarms, coverage, cost."""
+    which = str(context.info_name)
+    with progress_bar("benchmark study") as bar:
+        task = bar.add_task(which, total=None)
+
+        def show(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=what)
+
+        result = api.study(
+            which,
+            out=out,
+            seeds=seeds,
+            records=records,
+            plants=_separated(plants),
+            workers=workers,
+            cells=cells,
+            alarms=alarms,
+            budget=budget,
+            resume=resume,
+            force=force,
+            progress=show,
+        )
+    say(result.text)
+    say(f"{result.done} of {result.planned} records done; tables: {out / 'study.md'}")
+
+
+for _which, _help in {
+    "confusion": "Every effect and none, two at once, laws outside the dictionary: what is right, tied, wrong, missed.",
+    "false-alarms": "Records with nothing missing.",
+    "coverage": "The same records: how many intervals hold the truth.",
+    "cost": "Seconds for a record of 20 s, each run alone.",
+    "all": "All of these.",
+}.items():
+    study_app.command(name=_which, help=_help)(run_study)
+
+
+@study_app.command(name="generate")
+def generate_study(
+    out: Annotated[Path, typer.Option(help="folder for the records and how to answer")],
+    truth: Annotated[Path, typer.Option(help="folder for truth.csv, elsewhere")],
+    seeds: Seeds = "judged",
+    secret: Annotated[int | None, typer.Option(help="instead of seeds: a number that only you know")] = None,
+    records: Records = None,
+    plants: Plants = "pendulum,cart-pole",
+    cells: Cells = 2,
+    alarms: Alarms = 300,
+    like: Annotated[Path | None, typer.Option(metavar="ROWS", help="only the records of this rows.csv")] = None,
+) -> None:
+    """Write the records of the study for another tool, the truth apart."""
+    with progress_bar("benchmark records") as bar:
+        task = bar.add_task("records", total=None)
+        made = api.generate_study(
+            out,
+            truth=truth,
+            seeds=seeds,
+            secret=secret,
+            records=records,
+            plants=_separated(plants),
+            cells=cells,
+            alarms=alarms,
+            like=like,
+            progress=lambda done, total, what: bar.update(task, completed=done, total=total, description=what),
+        )
+    say(str(made))
+
+
+@study_app.command(name="answer")
+def answer_study(
+    source: Annotated[
+        Path, typer.Argument(metavar="FLEET|ROWS", help="folder of close-loop over records.csv, or rows.csv")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="answers.csv")],
+) -> None:
+    """Write the answer file of the closed loop's own run."""
+    say(f"wrote {out}: {api.answer_study(source, out=out)} answers")
+
+
+@study_app.command(name="score")
+def score_study(
+    truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="truth.csv")],
+    answers: Annotated[list[Path], typer.Argument(metavar="ANSWERS...", help="answer files, one a tool")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="leaderboard.md")] = None,
+) -> None:
+    """Judge answer files against the truth and put the tools side by side."""
+    text = api.score_study(truth, answers)
+    if out is None:
+        print(text, end="")
+        return
+    out.write_text(text, encoding="utf-8")
+    say(f"wrote {out}")
+
+
+def _separated(text: str) -> list[str]:
+    """Return the words of a list with commas."""
+    return [word.strip() for word in text.split(",") if word.strip()]

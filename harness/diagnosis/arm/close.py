@@ -1,0 +1,126 @@
+"""The closed loop of an arm as a user calls it: log and URDF in; a report, a page and a repaired URDF out."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from harness.diagnosis.arm.diagnose import diagnose_arm
+from harness.diagnosis.arm.found import ArmDiagnosis
+from harness.effects.effect import Effect
+from harness.errors import InputError
+from harness.physics.arm import ArmModel, load_arm
+from harness.signals import Dataset
+
+__all__ = ["close_arm", "recorded_arm", "repaired_urdf"]
+
+URDF = "repaired.urdf"
+
+
+def close_arm(
+    dataset: Dataset,
+    arm: ArmModel,
+    *,
+    folder: Path | None,
+    progress: Any = None,
+    dictionary: Sequence[Effect] | None = None,
+) -> dict[str, Any]:
+    """Diagnose an arm, write the report into a folder, and return its content.
+
+    Parameters are those of :func:`harness.diagnosis.arm.diagnose.diagnose_arm`. The folder holds ``report.json``,
+    ``report.html`` and, where the arm fits its log, ``repaired.urdf``: the URDF with the friction, damping and payload
+    that were found.
+    """
+    from harness.diagnosis.arm.page import write_arm_html
+    from harness.diagnosis.arm.report import arm_report
+    from harness.diagnosis.store import write_atomic
+
+    found = diagnose_arm(dataset, arm, progress=progress, dictionary=dictionary)
+    if progress is not None:
+        progress(0.9, "report")
+    data = arm_report(found)
+    if folder is not None:
+        write_arm_html(found, data, folder / "report.html")
+        if arm.path is not None and not found.misfit:
+            write_atomic(folder / URDF, repaired_urdf(found, data))
+        write_atomic(folder / "report.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
+    if progress is not None:
+        progress(1.0, data["summary"])
+    return data
+
+
+def recorded_arm(loaded: Any) -> ArmModel:
+    """Return the arm that a data set names, measured as its data are.
+
+    Raises
+    ------
+    InputError
+        If an option or a measured output does not fit, or parameters are given.
+    """
+    nominal = loaded.nominal
+    if nominal.parameters:
+        raise InputError(
+            "parameters of an arm",
+            expected='none: inertial parameters are in the URDF, options = {inertia = "calibrated"} frees them',
+            got=", ".join(nominal.parameters),
+            remedy="remove [nominal.parameters]",
+            file=loaded.path,
+        )
+    try:
+        arm = load_arm(nominal.model, **nominal.options)
+    except TypeError as error:
+        raise InputError(
+            "options of an arm",
+            expected="inertia, locked",
+            got=", ".join(nominal.options),
+            remedy="correct [nominal] options",
+            file=loaded.path,
+        ) from error
+    return arm.with_outputs([(port, derivative) for port, derivative in loaded.measured])
+
+
+def repaired_urdf(found: ArmDiagnosis, data: dict[str, Any]) -> str:
+    """Return the text of the URDF with what it can hold of the effects: damping, friction, a payload."""
+    assert found.arm.path is not None
+    tree = ElementTree.parse(found.arm.path)
+    root = tree.getroot()
+    joints = {joint.get("name"): joint for joint in root.findall("joint")}
+    places = {one.name: k for k, one in enumerate(found.arm.positions)}
+    left: list[str] = []
+    for effect in data["effects"]:
+        values = {name: one["value"] for name, one in effect["parameters"].items()}
+        key = {"viscous_friction": ("damping", "b"), "coulomb_friction": ("friction", "Fc")}.get(effect["name"])
+        if key is not None:
+            k = places[effect["at"]]
+            element = joints[found.arm.arm.moving[k].name]
+            dynamics = element.find("dynamics")
+            if dynamics is None:
+                dynamics = ElementTree.SubElement(element, "dynamics")
+            dynamics.set(key[0], f"{float(dynamics.get(key[0], '0')) + values[key[1]]:.9g}")
+        elif effect["name"].startswith("payload") and values["m"] > 0:
+            _hang(root, joints[found.arm.arm.moving[-1].name], values)
+        else:
+            left.append(f"{effect['name']} at {effect['at']}")
+    if left:
+        root.insert(0, ElementTree.Comment(f" a URDF cannot hold: {', '.join(left)}; see report.json "))
+    return str(ElementTree.tostring(root, encoding="unicode")) + "\n"
+
+
+def _hang(root: ElementTree.Element, last: ElementTree.Element, values: dict[str, float]) -> None:
+    """Add a payload as a link that is fixed to the last one."""
+    child = last.find("child")
+    assert child is not None
+    mass = values["m"]
+    centre = " ".join(f"{values.get('m' + axis, 0.0) / mass:.9g}" for axis in "xyz")
+    link = ElementTree.SubElement(root, "link", name="payload")
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=centre, rpy="0 0 0")
+    ElementTree.SubElement(inertial, "mass", value=f"{mass:.9g}")
+    none = {name: "0" for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")}
+    ElementTree.SubElement(inertial, "inertia", none)
+    joint = ElementTree.SubElement(root, "joint", name="payload_joint", type="fixed")
+    ElementTree.SubElement(joint, "parent", link=child.get("link", ""))
+    ElementTree.SubElement(joint, "child", link="payload")

@@ -1,0 +1,192 @@
+"""Coloured errors of a regression: a stationary autoregressive error, its density where rows are missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.signals import FloatArray
+
+__all__ = ["Before", "Coloured", "fitted_error"]
+
+STEEPEST = 0.999
+"""Largest partial autocorrelation: nearer to 1 an error is a drift without end."""
+LONGEST = 2000
+"""Rows after which an error is forgotten."""
+
+
+@dataclass(frozen=True, eq=False)
+class Before:
+    """For every row that counts, the rows that count before it.
+
+    Attributes
+    ----------
+    rows : array of int (n,)
+        Those that count.
+    place : array of int (n, order)
+        Where in ``rows`` the last ones before each stand, the nearest first; -1 where there is none.
+    lags : array of int (kinds, order)
+        Different patterns of distances, 0 where there is none.
+    kind : array of int (n,)
+        The pattern of every row.
+    """
+
+    rows: np.ndarray
+    place: np.ndarray
+    lags: np.ndarray
+    kind: np.ndarray
+
+    @classmethod
+    def of(cls, counts: FloatArray, order: int) -> Before:
+        """Return the rows before each row that counts (N,), not 0."""
+        rows = np.flatnonzero(counts)
+        place = np.arange(len(rows))[:, None] - 1 - np.arange(order)
+        place = np.where(place < 0, -1, place)
+        lags = np.where(place < 0, 0, rows[:, None] - rows[place] if len(rows) else 0)
+        lags = np.where(lags > LONGEST, 0, lags)  # all behind a gap that long are forgotten with it
+        patterns, kind = np.unique(lags, axis=0, return_inverse=True)
+        return cls(rows, place, patterns.reshape(-1, order), np.asarray(kind).reshape(-1))
+
+
+@dataclass(frozen=True, eq=False)
+class Coloured:
+    """A stationary Gaussian autoregressive error.
+
+    Attributes
+    ----------
+    partial : array (order,)
+        Partial autocorrelations, which determine the coefficients (Barndorff-Nielsen & Schou 1973, J. Multivar. Anal.
+        3:408).
+    deviation : float
+        Of the error.
+    """
+
+    partial: FloatArray
+    deviation: float
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """Return the coefficients of the recursion (order,), by Levinson's.
+
+        Examples
+        --------
+        >>> Coloured(np.array([0.5, 0.0]), 1.0).coefficients.tolist()
+        [0.5, 0.0]
+        """
+        found = np.zeros(0)
+        for one in self.partial:
+            found = np.append(found - one * found[::-1], one)
+        return found
+
+    def correlation(self, most: int) -> FloatArray:
+        """Return the autocorrelation up to a lag (most + 1,)."""
+        order, phi = len(self.partial), self.coefficients
+        rho = np.zeros(max(most, order) + 1)
+        rho[0], short = 1.0, np.zeros(0)
+        for k, one in enumerate(self.partial):  # Durbin-Levinson, read backwards
+            variance = float(np.prod(1.0 - self.partial[:k] ** 2))
+            rho[k + 1] = one * variance + short @ rho[k:0:-1]
+            short = np.append(short - one * short[::-1], one)
+        for k in range(order + 1, len(rho)):
+            rho[k] = phi @ rho[k - order : k][::-1]
+        return rho[: most + 1]
+
+    def weights(self, before: Before) -> tuple[FloatArray, FloatArray]:
+        """Return for every pattern the weights of the rows before (kinds, order), and the deviation that is left."""
+        lags = before.lags
+        rho = self.correlation(int(lags.max(initial=0)))
+        there = lags > 0
+        apart = np.abs(lags[:, :, None] - lags[:, None, :])
+        both = there[:, :, None] & there[:, None, :]
+        matrix = np.where(both, rho[np.minimum(apart, len(rho) - 1)], np.eye(lags.shape[1]))
+        matrix = matrix + 1e-10 * np.eye(lags.shape[1])
+        vector = np.where(there, rho[lags], 0.0)
+        found = np.linalg.solve(matrix, vector[..., None])[..., 0]
+        left = np.maximum(1.0 - np.sum(found * vector, axis=1), 1e-9)
+        return found, self.deviation * np.sqrt(left)
+
+    def whitened(self, values: FloatArray, before: Before) -> FloatArray:
+        """Return values (N, ...) less what the rows before say of them, over the deviation that is left (n, ...).
+
+        Every row is taken given the ``order`` rows before it that count (Vecchia 1988, J. R. Stat. Soc. B 50:297):
+        exact where none is missing, and for order 1 always.
+
+        Examples
+        --------
+        >>> error = Coloured(np.array([0.8]), 2.0)
+        >>> rng = np.random.default_rng(0)
+        >>> e = np.zeros(20000)
+        >>> for k in range(1, 20000):
+        ...     e[k] = 0.8 * e[k - 1] + 1.2 * rng.standard_normal()
+        >>> white = error.whitened(e, Before.of(np.ones(20000), 1))
+        >>> round(float(white.std()), 1), round(float(np.corrcoef(white[1:], white[:-1])[0, 1]), 1) + 0.0
+        (1.0, 0.0)
+        """
+        return self._both(values, before)[0]
+
+    def _both(self, values: FloatArray, before: Before) -> tuple[FloatArray, FloatArray]:
+        """Return whitened values, and the deviation (n,) that is left of every row."""
+        weights, left = self.weights(before)
+        chosen, left = values[before.rows], left[before.kind]
+        shape = (-1, *([1] * (values.ndim - 1)))
+        result = chosen.copy()
+        for k in range(weights.shape[1]):
+            result -= weights[before.kind, k].reshape(shape) * chosen[before.place[:, k]]
+        return result / left.reshape(shape), left
+
+    def log_density(self, values: FloatArray, before: Before) -> FloatArray:
+        """Return the logarithm of the density of every row that counts (n,)."""
+        white, left = self._both(values, before)
+        return np.asarray(-0.5 * white**2 - np.log(left) - 0.5 * np.log(2 * np.pi))
+
+
+def fitted_error(
+    values: list[FloatArray], before: list[Before], order: int, floor: float, start: Coloured | None = None
+) -> Coloured:
+    """Return the likeliest autoregressive error of some records.
+
+    Parameters
+    ----------
+    values : list of array (N_i,)
+    before : list of Before
+    order : int
+    floor : float
+        Smallest deviation.
+    start : Coloured, optional
+        Where to start from.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> e = np.zeros(4000)
+    >>> for k in range(1, 4000):
+    ...     e[k] = 0.7 * e[k - 1] + rng.standard_normal()
+    >>> keep = rng.random(4000) > 0.2
+    >>> found = fitted_error([e], [Before.of(keep.astype(float), 2)], 2, 1e-9)
+    >>> bool(abs(found.partial[0] - 0.7) < 0.05 and abs(found.deviation - 1.4) < 0.1)
+    True
+    """
+    from scipy.optimize import minimize
+
+    count = sum(len(one.rows) for one in before)
+
+    def of(z: FloatArray) -> tuple[float, float]:
+        trial = Coloured(STEEPEST * np.tanh(z), 1.0)
+        power, logs = 0.0, 0.0
+        for one, rows in zip(values, before, strict=True):
+            white, left = trial._both(one, rows)
+            power += float(white @ white)
+            logs += float(np.sum(np.log(left)))
+        deviation = max(float(np.sqrt(power / max(count, 1))), floor)
+        return 0.5 * power / deviation**2 + count * np.log(deviation) + logs, deviation
+
+    z0: FloatArray = (
+        np.zeros(order) if start is None else np.arctanh(np.clip(start.partial / STEEPEST, -0.9999, 0.9999))
+    )
+    descend: Any = minimize
+    found = descend(
+        lambda z: of(z)[0], z0, method="L-BFGS-B", bounds=[(-4.0, 4.0)] * order, options={"maxiter": 40, "ftol": 1e-7}
+    )
+    return Coloured(STEEPEST * np.tanh(found.x), of(found.x)[1])

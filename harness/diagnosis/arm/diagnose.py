@@ -1,0 +1,183 @@
+"""Closing the loop on an arm: what acts on the whole arm first, then every joint on its own torque residual."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.arm.checks import check_torques
+from harness.diagnosis.arm.found import ArmDiagnosis, JointDiagnosis
+from harness.diagnosis.arm.joint import JointBalance, joint_dictionary, white_noise
+from harness.diagnosis.arm.misfit import misfit_reasons
+from harness.diagnosis.arm.motion import ArmRun, arm_runs, standstill
+from harness.diagnosis.arm.regression import RegressionForm
+from harness.diagnosis.arm.wide import WideResult, wide_search
+from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
+from harness.diagnosis.records.prepare import checked
+from harness.diagnosis.search.leftover import left_over
+from harness.diagnosis.search.rounds import search
+from harness.effects.effect import Effect
+from harness.errors import FitError, InputError
+from harness.physics.arm import ArmModel
+from harness.signals import Dataset, FloatArray
+from harness.workers import one_thread
+
+__all__ = ["diagnose_arm"]
+
+Progress = Callable[[float, str], None]
+
+
+def diagnose_arm(
+    dataset: Dataset,
+    arm: ArmModel,
+    *,
+    progress: Progress | None = None,
+    dictionary: Sequence[Effect] | None = None,
+    policy: Policy = POLICY,
+    arm_policy: ArmPolicy = ARM_POLICY,
+) -> ArmDiagnosis:
+    """Find what an arm lacks, by inverse dynamics.
+
+    Given the measured motion of all joints, the equation of each joint stands alone. So what acts on several joints
+    (payload, tilt, a wrong link, a joint's zero, elasticity) is looked for first, with the friction of all joints
+    taken out; then every joint is searched on its own torque residual, for up to three effects. Both searches are the
+    same one, of :mod:`harness.diagnosis.search`: the likelihood of the torques, their errors coloured.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Torques and positions of every joint, estimation and validation runs.
+    arm : ArmModel
+    progress : callable, optional
+        Called as ``progress(fraction_done, what)``.
+    dictionary : sequence of Effect, optional
+        Effects to try at the joints; by default :data:`harness.diagnosis.arm.joint.JOINT_EFFECTS`.
+    policy : Policy
+    arm_policy : ArmPolicy
+        The deciding numbers.
+
+    Raises
+    ------
+    InputError
+        If the data do not fit the arm, or no joint moves.
+    FitError
+        If the torques that the arm needs along the motion are not finite.
+    """
+    began = time.monotonic()
+
+    def say(part: float, what: str) -> None:
+        if progress is not None:
+            progress(part, what)
+
+    with one_thread():
+        dataset = checked(dataset, arm)
+        warnings = [*dataset.warnings, *check_torques(dataset.runs)]
+        say(0.02, "motion of the joints")
+        runs = arm_runs(arm, dataset)
+        still = standstill(runs)
+        moving = _moving(arm, dataset, still, arm_policy)
+        warnings += [
+            f"{arm.positions[k].name} stands still for {100 * still[k]:.0f} % of the time: "
+            "its torque is not judged (record it moving)"
+            for k in range(arm.n)
+            if k not in moving
+        ]
+        directions = [] if arm.inertia == "fixed" else _inertial_directions(arm, runs["estimation"])
+        say(0.1, "effects on the whole arm")
+        wide = wide_search(
+            arm, runs, moving, calibrated=directions, say=lambda text: say(0.15, text), policy=policy,
+            arm_policy=arm_policy,
+        )  # fmt: skip
+        calibrated = _calibrated_torques(arm, runs, directions) if directions else {}
+        joints = []
+        for place, k in enumerate(moving):
+            say(0.3 + 0.55 * place / len(moving), f"joint {k + 1}")
+            joints.append(_joint(arm, k, dataset, runs, wide, calibrated, dictionary, policy, arm_policy))
+        found = ArmDiagnosis(
+            dataset, arm, runs, wide, tuple(joints), still, policy=policy, warnings=warnings + wide.notes
+        )
+        found.misfit = misfit_reasons(dataset, arm, runs, found.joints, policy, arm_policy)
+    found.seconds = time.monotonic() - began
+    return found
+
+
+def _moving(arm: ArmModel, dataset: Dataset, still: FloatArray, policy: ArmPolicy) -> list[int]:
+    """Return the joints that move enough to be judged, or refuse an arm without any."""
+    moving = [k for k in range(arm.n) if still[k] <= policy.sticks]
+    if not moving:
+        raise InputError(
+            f"no joint of {dataset.name!r} moves",
+            expected="a joint in motion for two thirds of the time",
+            got=", ".join(f"{one.name} {100 * (1 - s):.0f} %" for one, s in zip(arm.positions, still, strict=True)),
+            remedy="record the arm on a path that keeps its joints moving",
+        )
+    return moving
+
+
+def _joint(
+    arm: ArmModel,
+    k: int,
+    dataset: Dataset,
+    runs: dict[str, tuple[ArmRun, ...]],
+    wide: WideResult,
+    calibrated: Mapping[str, Sequence[FloatArray]],
+    dictionary: Sequence[Effect] | None,
+    policy: Policy,
+    arm_policy: ArmPolicy,
+) -> JointDiagnosis:
+    """Search one joint."""
+    known = {use: [wide.torque(one)[:, k] for one in parts] for use, parts in runs.items()}
+    free = _free_columns(calibrated, k) if calibrated else None
+    balance = JointBalance(arm, k, runs, known, free)
+    form = RegressionForm(balance, arm_policy)
+    nominal = form.fit((), [{}], None)
+    if nominal is None:
+        raise FitError(
+            f"the torque of joint {k + 1}",
+            expected="finite torques along the measured motion",
+            got="others",
+            remedy="check units and spikes of the positions",
+        )
+    candidates, drowned = joint_dictionary(arm, k, balance, runs["estimation"][0], dictionary)
+    outcome = search(form, nominal, candidates, policy=policy)
+    factor = runs["validation"][0].motion.factor
+    passed = 0.8 / factor if factor > 1 else 1.0  # of the power of white noise, by the decimation
+    noise = max(white_noise(run.u[:, k]) for run in dataset.validation) * float(np.sqrt(passed))
+    return JointDiagnosis(
+        k, balance, outcome, left_over(form, outcome.model, policy), tuple(drowned), noise, arm_policy
+    )
+
+
+def _inertial_directions(arm: ArmModel, runs: Sequence[ArmRun]) -> list[FloatArray]:
+    """Return an orthonormal basis of the inertial parameters that this motion moves at all."""
+    size = 10 * len(arm.arm.joints)
+    rows = slice(None, None, max(runs[0].calm.q.shape[0] // 400, 1))
+    m = runs[0].calm
+    columns = [arm.torques(m.q[rows], m.v[rows], m.a[rows], parameters=unit).reshape(-1) for unit in np.eye(size)]
+    _, singular, right = np.linalg.svd(np.stack(columns, axis=1), full_matrices=False)
+    return [row for row, value in zip(right, singular, strict=True) if value > 1e-4 * singular[0]]
+
+
+def _calibrated_torques(
+    arm: ArmModel, runs: Mapping[str, Sequence[ArmRun]], directions: Sequence[FloatArray]
+) -> dict[str, list[FloatArray]]:
+    """Return by use the torques (N, n, d) of all joints for every direction of the inertial parameters."""
+    return {
+        use: [
+            np.stack([arm.torques(m.q, m.v, m.a, parameters=one) for one in directions], axis=2)
+            for m in (run.calm for run in parts)
+        ]
+        for use, parts in runs.items()
+    }
+
+
+def _free_columns(torques: Mapping[str, Sequence[FloatArray]], k: int) -> dict[str, list[FloatArray]]:
+    """Return by use the torques (N, c) of one joint that calibrated inertial parameters can make, without doubles."""
+    joined = np.concatenate([one[:, k] for one in torques["estimation"]])
+    _, singular, right = np.linalg.svd(joined, full_matrices=False)
+    kept = singular > 1e-4 * singular[0]
+    turn: Any = right[kept].T * (np.sqrt(joined.shape[0]) / singular[kept])
+    return {use: [one[:, k] @ turn for one in parts] for use, parts in torques.items()}

@@ -1,0 +1,205 @@
+"""Effects that act on several joints of an arm: payload, tilted base, wrong link, joint zero, elasticity, gain.
+
+All of them are linear in their parameters once the motion is measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.arm.motion import ArmRun
+from harness.diagnosis.policy import ARM_POLICY, ArmPolicy
+from harness.effects.effect import Effect, EffectParameter, Placed
+from harness.physics.arm import ArmModel
+from harness.signals import FloatArray
+
+__all__ = ["GAIN", "Wide", "wide_effects"]
+
+STEP = 1e-4
+GAIN = "input_gain"
+LIGHTEST = -0.95
+"""Relative error of a link that leaves it next to no mass."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wide:
+    """An effect on several joints.
+
+    Attributes
+    ----------
+    placed : Placed
+        All of its parameters are linear, and 0 where it does nothing.
+    columns : callable
+        ``ArmRun -> (N, n, k)``: torque that the joints need more, for a parameter of 1.
+    """
+
+    placed: Placed
+    columns: Callable[[ArmRun], FloatArray]
+
+    def __str__(self) -> str:
+        return str(self.placed)
+
+
+def _on_several(signal: Any, states: Any, parameters: Any, q: Any, v: Any) -> Any:
+    """Refuse: such an effect is a column of the whole arm's torques and no block at one port."""
+    raise TypeError("an effect on several joints of an arm has no block of its own")
+
+
+def _effect(
+    name: str, parameters: Sequence[EffectParameter], words: Sequence[str], nests: tuple[str, ...] = ()
+) -> Effect:
+    """Return an effect with summary, formula and experiment; its first parameter decides."""
+    summary, formula, experiment = words
+    return Effect(name, ("base",), tuple(parameters), (), _on_several, summary=summary, formula=formula,
+                  experiment=experiment, nests=nests)  # fmt: skip
+
+
+def _par(
+    name: str, unit: str, meaning: str, most: float, *, main: bool = True, sign: Any = "any", least: Any = None
+) -> EffectParameter:
+    """Return a linear parameter that does nothing at 0, between minus and plus its largest size."""
+    low = -most if least is None else least
+    return EffectParameter(name, unit, sign=sign, minimum=low, maximum=most, neutral=0.0, main=main, linear=True,
+                           meaning=meaning)  # fmt: skip
+
+
+def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POLICY) -> list[Wide]:
+    """Return the effects on several joints that are looked for.
+
+    Parameters
+    ----------
+    arm : ArmModel
+    torques : array (n,)
+        Typical size of each joint's torque.
+    policy : ArmPolicy
+    """
+    found: list[Wide] = []
+    tip = arm.links[-1]
+    frame = arm.arm.joints[tip].name
+    whole = sum(joint.mass for joint in arm.arm.joints)
+
+    def add(effect: Effect, at: str, columns: Callable[[ArmRun], FloatArray]) -> None:
+        found.append(Wide(Placed(effect, at), columns))
+
+    def body(row: int, offset: int) -> Callable[[ArmRun], FloatArray]:
+        unit = np.zeros(10 * len(arm.arm.joints))
+        unit[10 * row + offset] = 1.0
+        return lambda run: arm.torques(run.calm.q, run.calm.v, run.calm.a, parameters=unit)[:, :, None]
+
+    # an arm carries no more than it weighs; what it carries reaches no farther than a metre beyond its flange
+    mass = _par("m", "kg", "mass at the end of the arm", whole, sign="+")
+    moments = [
+        _par(f"m{axis}", "kg m", f"mass times its distance along {axis} of the last link's frame", whole, main=False)
+        for axis in "xyz"
+    ]
+    load = [body(tip, k) for k in range(4)]
+    heavier = "the same motion with a known mass in addition: the scale of the torque tells a payload from a gain"
+    formula = f"tau = ID(q, v, a) + m ID_unit mass at {frame}"
+    add(_effect("payload", [mass], ("A point mass at the end of the arm.", formula, heavier)), "flange", load[0])
+    beside = "A mass at the end of the arm, its centre beside the frame of the last link."
+    add(
+        _effect("payload_off_centre", [mass, *moments], (beside, f"{formula} + (m c) ID_unit moment", heavier),
+                ("payload",)),
+        "flange",
+        lambda run: np.concatenate([one(run) for one in load], axis=2),
+    )  # fmt: skip
+    turning = "turn the base, or mount it on a level plate: a tilt moves with the base, an encoder's zero does not"
+
+    def tilted(run: ArmRun) -> FloatArray:
+        still = np.zeros_like(run.calm.q)
+        return np.stack(
+            [arm.torques(run.calm.q, still, still, one) for one in ((9.81, 0.0, 0.0), (0.0, 9.81, 0.0))], axis=2
+        )
+
+    tilts = [
+        _par("x", "rad", "tilt of gravity towards x of the base", policy.angle),
+        _par("y", "rad", "tilt of gravity towards y of the base", policy.angle, main=False),
+    ]
+    add(_effect("gravity_tilt", tilts, ("The base does not stand upright.", "gravity = 9.81 (x, y, -1)", turning)),
+        "base", tilted)  # fmt: skip
+    for k, channel in enumerate(arm.positions):
+        zero = _par("offset", channel.unit, "reading minus true position", policy.angle)
+        words = "The zero of the position sensor is wrong.", f"{channel.name} = true position + offset", turning
+        add(_effect("sensor_offset", [zero], words), channel.name, _zero(arm, k))
+        unit = f"{channel.unit}/({arm.inputs[k].unit})"
+        soft = _par("compliance", unit, "1/stiffness between motor and link",
+                    policy.angle / max(float(torques[k]), 1e-9), sign="+")  # fmt: skip
+        words = (
+            "The joint gives way under its torque; motor side measured.",
+            f"{channel.name} of the link = {channel.name} - compliance * {arm.inputs[k].name}",
+            "fast excitation (to half of the resonance sqrt(k/J)), or a position sensor on the link",
+        )
+        add(_effect("joint_elasticity", [soft], words), channel.name, _elastic(arm, k))
+    for number in arm.links:
+        joint = arm.arm.joints[number]
+        if joint.mass > 0:
+            scale = _par("scale", "1", "relative error of mass and inertia", policy.gain - 1, least=LIGHTEST)
+            words = (
+                "The URDF gives this link the wrong mass and inertia.",
+                "mass and inertia of the link times (1 + scale)",
+                heavier,
+            )
+            add(_effect("link_mass", [scale], words), f"link of {joint.name}", _link(arm, number))
+    for k, channel in enumerate(arm.inputs):
+        factor = _par("gain", "1", "relative error of the torque", policy.gain - 1, least=1 / policy.gain - 1)
+        words = "The torque of one joint is wrong by a factor.", "left to the search on the joint", heavier
+        add(_effect(GAIN, [factor], words), channel.name, _gain(k))
+    return found
+
+
+def _zero(arm: ArmModel, k: int) -> Callable[[ArmRun], FloatArray]:
+    """Return the column of a wrong joint zero: minus the slope of the torques over that joint's position."""
+
+    def columns(run: ArmRun) -> FloatArray:
+        m, step = run.calm, np.zeros(arm.n)
+        step[k] = STEP
+        high, low = arm.torques(m.q + step, m.v, m.a), arm.torques(m.q - step, m.v, m.a)
+        return np.asarray(-(high - low)[:, :, None] / (2 * STEP))
+
+    return columns
+
+
+def _elastic(arm: ArmModel, k: int) -> Callable[[ArmRun], FloatArray]:
+    """Return the column of a joint's compliance: the link lags the motor by compliance times torque.
+
+    The torque through the spring is what the link needs, so the torques of the motion are those at
+    q - c tau, v - c tau', a - c tau'' of the joint (Spong, J. Dyn. Sys. Meas. Control 109 (1987) 310), to first order
+    in c; smooth nominal torques stand for tau, because derivatives of measured ones are noise.
+    """
+
+    def columns(run: ArmRun) -> FloatArray:
+        m = run.calm
+        tau, first, second = run.calm.u[:, k], run.first[:, k], run.second[:, k]
+        step = STEP / max(float(np.abs(tau).max()), 1e-9)
+        parts = []
+        for sign in (1.0, -1.0):
+            q, v, a = m.q.copy(), m.v.copy(), m.a.copy()
+            q[:, k] += sign * step * tau
+            v[:, k] += sign * step * first
+            a[:, k] += sign * step * second
+            parts.append(arm.torques(q, v, a))
+        return np.asarray(-(parts[0] - parts[1])[:, :, None] / (2 * step))
+
+    return columns
+
+
+def _gain(k: int) -> Callable[[ArmRun], FloatArray]:
+    """Return the column of a wrong torque gain."""
+
+    def columns(run: ArmRun) -> FloatArray:
+        result = np.zeros((*run.calm.u.shape, 1))
+        result[:, k, 0] = run.calm.u[:, k]
+        return result
+
+    return columns
+
+
+def _link(arm: ArmModel, number: int) -> Callable[[ArmRun], FloatArray]:
+    """Return the column of one link's mass and inertia."""
+    own = np.zeros_like(arm.arm.parameters)
+    own[10 * number : 10 * number + 10] = arm.arm.parameters[10 * number : 10 * number + 10]
+    return lambda run: arm.torques(run.calm.q, run.calm.v, run.calm.a, parameters=own)[:, :, None]

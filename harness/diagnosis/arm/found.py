@@ -1,0 +1,192 @@
+"""What was found at every joint of an arm, and on the whole of it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from harness.diagnosis.arm.joint import JointBalance
+from harness.diagnosis.arm.motion import ArmRun, moving_rows
+from harness.diagnosis.arm.wide import WideResult
+from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
+from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.leftover import Axis, Leftover
+from harness.diagnosis.search.rounds import Outcome
+from harness.physics.arm import ArmModel
+from harness.signals import Dataset, FloatArray
+
+__all__ = ["ArmDiagnosis", "JointDiagnosis"]
+
+SURE = 3.0
+"""Standard errors of a noise level that are allowed for."""
+
+
+@dataclass(eq=False)
+class JointDiagnosis:
+    """What was found at one joint.
+
+    Attributes
+    ----------
+    joint : int
+        From 0.
+    balance : JointBalance
+    outcome : Outcome
+        Its nominal model is that after effects on the whole arm, before its own.
+    leftover : Leftover
+        What free torques would still gain.
+    drowned : tuple of str
+        Effects that were not tried because the torque is too noisy for them.
+    noise : float
+        Of the torque's samples, as it shows in the residual.
+    """
+
+    joint: int
+    balance: JointBalance
+    outcome: Outcome
+    leftover: Leftover
+    drowned: tuple[str, ...]
+    noise: float
+    policy: ArmPolicy = ARM_POLICY
+
+    @property
+    def nominal(self) -> Fit:
+        """The joint before its own effects."""
+        return self.outcome.nominal
+
+    @property
+    def final(self) -> Fit:
+        """The joint with them."""
+        return self.outcome.model
+
+    @functools.cached_property
+    def torque(self) -> float:
+        """Standard deviation of the joint's torque while it moves, filtered as the residual is (validation records)."""
+        rows = []
+        for run, counts in zip(self.balance.torque("validation"), self.balance.counts["validation"], strict=True):
+            rows.append(run[counts[:, 0] > 0])
+        return float(np.std(np.concatenate(rows)))
+
+    def left(self, use: str) -> float:
+        """Return the rms of the residual torque of the final model while the joint moves."""
+        return self._rms(self.final, use)
+
+    def before(self, use: str) -> float:
+        """Return the same before the joint's own effects."""
+        return self._rms(self.nominal, use)
+
+    def _rms(self, fit: Fit, use: str) -> float:
+        known = fit.detail.residual.get(use)
+        if known is None:
+            equation = self.balance.equation(fit.effects)
+            p = np.array([fit.values[name] for name in equation.system.parameter_names])
+            known = [r for r, _ in equation.residual(p, use)]
+        if not known:
+            return float("nan")
+        rows = [r[c[:, 0] > 0] for r, c in zip(known, self.balance.counts[use], strict=True)]
+        return float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
+
+    @functools.cached_property
+    def share(self) -> float:
+        """Part of the torque that stays unexplained and is no noise of its samples, on the validation records."""
+        count = sum(float(one.sum()) for one in self.balance.counts["validation"])
+        noise = self.noise**2 * (1.0 + SURE * np.sqrt(2.0 / max(count, 1.0)))  # as large as chance may make it
+        return float(np.sqrt(max(self.left("validation") ** 2 - noise, 0.0)) / max(self.torque, 1e-300))
+
+    @functools.cached_property
+    def predictable(self) -> Axis | None:
+        """What of the rest can be predicted, if it is more than the error of a torque sensor."""
+        best = self.leftover.best
+        if best is None:
+            return None
+        change = next(one for one in self.balance.free_torques() if one.names[0] == best.name)
+        force = np.concatenate(change.torque["validation"])[:, 0] @ best.values
+        moving = np.concatenate(self.balance.counts["validation"])[:, 0] > 0
+        return best if float(np.std(force[moving])) > self.policy.sensor * self.torque else None
+
+
+@dataclass(eq=False)
+class ArmDiagnosis:
+    """Everything that was found on an arm, for the reports.
+
+    Attributes
+    ----------
+    dataset, arm
+        What was given.
+    runs : dict
+        Motions by use.
+    wide : WideResult
+        Effects on the whole arm.
+    joints : tuple of JointDiagnosis
+        Those that were judged.
+    still : array (n,)
+        Share of the time in which each joint stands still.
+    misfit : tuple of str
+        Why the model does not fit at all; empty if it does.
+    policy : Policy
+    warnings : list of str
+    seconds : float
+    """
+
+    dataset: Dataset
+    arm: ArmModel
+    runs: dict[str, tuple[ArmRun, ...]]
+    wide: WideResult
+    joints: tuple[JointDiagnosis, ...]
+    still: FloatArray
+    misfit: tuple[str, ...] = ()
+    policy: Policy = POLICY
+    warnings: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+    @property
+    def verdict(self) -> str:
+        """See diagnosis: model_does_not_fit, effects_found, nothing_missing, unexplained."""
+        if self.misfit:
+            return "model_does_not_fit"
+        if self.wide.accepted or any(one.outcome.accepted for one in self.joints):
+            return "effects_found"
+        return "unexplained" if self.incomplete else "nothing_missing"
+
+    @property
+    def incomplete(self) -> list[JointDiagnosis]:
+        """The joints at which a part of the rest can be predicted, or the rest is no small disturbance."""
+        return [one for one in self.joints if one.predictable is not None or one.share > self.policy.large]
+
+    @property
+    def grade(self) -> str:
+        """How much of the torques is explained, their noise set aside, and whether more could be predicted."""
+        if self.misfit:
+            return "does_not_fit"
+        if self.incomplete:
+            return "proxy_or_incomplete"
+        left = max(one.share**2 for one in self.joints)
+        return "explained" if left <= self.policy.explained else "mostly_explained"
+
+    @property
+    def explained_share(self) -> float:
+        """Share of the variance of the torque that is explained, at the joint where it is least (validation)."""
+        return min(1.0 - (one.left("validation") / max(one.torque, 1e-300)) ** 2 for one in self.joints)
+
+    def before(self, use: str) -> FloatArray:
+        """Return the rms of the torque residual of every joint before anything was added (n,)."""
+        return self._rms(use, lambda run: run.motion.u - run.rigid)
+
+    def after(self, use: str) -> FloatArray:
+        """Return the rms of the torque residual of every joint with all that was found (n,)."""
+        result = self._rms(use, lambda run: run.motion.u - self.wide.torque(run))
+        for one in self.joints:
+            result[one.joint] = one.left(use)
+        return result
+
+    def _rms(self, use: str, pick: Callable[[ArmRun], FloatArray]) -> FloatArray:
+        """Return the rms of something by joint, while the joints move."""
+        power, count = np.zeros(self.arm.n), np.zeros(self.arm.n)
+        for run in self.runs[use]:
+            moving = moving_rows(run.motion)
+            power += np.sum((run.slim(pick(run)) * moving) ** 2, axis=0)
+            count += np.sum(moving, axis=0)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.sqrt(power / np.where(count > 0, count, np.nan)))

@@ -1,0 +1,366 @@
+"""One joint of an arm as a balance of its own: given the measured motion, inverse dynamics decouples the joints."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.arm.motion import CALM, ArmRun, moving_rows
+from harness.diagnosis.arm.regression import Change
+from harness.diagnosis.policy import ARM_POLICY
+from harness.diagnosis.records.motion import Motion, motion_band
+from harness.diagnosis.runs.equation import Equations, decimated, expressible
+from harness.effects.compose import compose
+from harness.effects.effect import Effect, Placed
+from harness.physics.arm import ArmModel
+from harness.signals import Channel, FloatArray
+
+__all__ = ["JOINT_EFFECTS", "JointBalance", "joint_dictionary", "joint_system", "white_noise"]
+
+JOINT_EFFECTS = (
+    "viscous_friction",
+    "coulomb_friction",
+    "stribeck_friction",
+    "asymmetric_friction",
+    "sublinear_friction",
+    "quadratic_drag",
+    "load_dependent_friction",
+    "position_dependent_friction",
+    "force_bias",
+    "input_gain",
+    "cogging",
+    "linear_spring",
+)
+"""What a joint of an arm may have that a rigid body has not."""
+
+MOST_CHOICES = 12
+"""Choices of an effect's nonlinear parameters that are tried."""
+WAVES, SLOWEST = 24, 2.5
+"""Wave numbers of a cogging that are tried, and the lowest [1/rad]: slower ones are gravity."""
+KNOTS, JOINT_KNOTS = 25, (9, 6)
+"""Test functions on one axis, and on each of two."""
+CLOCK = "clock"
+ON_TORQUE = ("input_gain", "load_dependent_friction")
+
+
+@dataclass(frozen=True, eq=False)
+class JointEquation:
+    """The torque balance of a joint with some effects; see :class:`harness.diagnosis.arm.regression.Equation`."""
+
+    equations: Equations
+    motions: Mapping[str, Sequence[Motion]]
+
+    @property
+    def system(self) -> Any:
+        """The joint with its effects."""
+        return self.equations.system
+
+    def residual(self, p: FloatArray, use: str) -> list[tuple[FloatArray, FloatArray]]:
+        """Return for every record the residual torque (rows, 1) and its derivatives (rows, 1, np)."""
+        return [self.equations.residual(motion, p) for motion in self.motions[use]]
+
+
+class JointBalance:
+    """Residual torque of one joint: what the rigid bodies need there, plus effects, minus the measured torque.
+
+    See :class:`harness.diagnosis.arm.regression.Balance`.
+
+    Parameters
+    ----------
+    arm : ArmModel
+    joint : int
+        Which one, from 0.
+    runs : mapping
+        Records by use.
+    known : mapping
+        By use, for each record the torque (N,) that is needed at this joint by all that is known: the rigid bodies,
+        what the URDF states, effects on the whole arm.
+    free : mapping, optional
+        By use, for each record columns (N, c) with free coefficients: inertial parameters that are calibrated.
+
+    Notes
+    -----
+    The nominal joint has one parameter of its own: ``clock``, by how long its torque is recorded too late.
+    """
+
+    def __init__(
+        self,
+        arm: ArmModel,
+        joint: int,
+        runs: Mapping[str, Sequence[ArmRun]],
+        known: Mapping[str, Sequence[FloatArray]],
+        free: Mapping[str, Sequence[FloatArray]] | None = None,
+    ) -> None:
+        self.joint = joint
+        count = 0 if free is None else free["estimation"][0].shape[1]
+        self.nominal = joint_system(arm, joint, count)
+        self.own = frozenset(name for name in self.nominal.parameter_names if name != CLOCK)
+        self.motions: dict[str, tuple[Motion, ...]] = {}
+        pick = slice(joint, joint + 1)
+        for use, parts in runs.items():
+            made = []
+            for number, run in enumerate(parts):
+                m = run.motion
+                # effects see the calm torque: a factor on the measured one would lower the residual by its noise
+                torque = run.calm.u[:, pick]
+                columns = [torque, known[use][number][:, None] + torque - m.u[:, pick], -run.first[:, pick]]
+                if free is not None:
+                    columns.append(free[use][number])
+                own = np.concatenate(columns, axis=1)
+                made.append(_thinned(replace(m, q=m.q[:, pick], v=m.v[:, pick], a=m.a[:, pick], u=own)))
+            self.motions[use] = tuple(made)
+        self.counts = {use: [moving_rows(one) for one in parts] for use, parts in self.motions.items()}
+        self.sizes = _sizes(self.nominal, self.motions["estimation"][0])
+        self._equations: dict[tuple[str, ...], JointEquation] = {}
+
+    def equation(self, effects: Sequence[Placed]) -> JointEquation:
+        """Return the balance with effects, made once; inputs beyond the torque are known columns."""
+        key = tuple(str(one) for one in effects)
+        if key not in self._equations:
+            system = compose(self.nominal, list(effects), sizes=self.sizes) if effects else self.nominal
+            self._equations[key] = JointEquation(_joint_equations(system, self.nominal.np), self.motions)
+        return self._equations[key]
+
+    def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[Change]:
+        """Return what each candidate would change, at several choices of the parameters in which it is not linear."""
+        found = []
+        for placed in candidates:
+            equation = self.equation((placed,))
+            linear = tuple(one.name for one in placed.effect.parameters if one.linear and not one.fixed)
+            for given in self._choices(placed, linear):
+                turns = [given]
+                if placed.effect.name == "cogging":  # sin(a + phi) = cos(phi) sin(a) + sin(phi) cos(a)
+                    turns = [{**given, "phi": angle} for angle in (0.0, 0.5 * np.pi)]
+                parts = [self._columns(equation, values, placed, linear, turn) for turn in turns]
+                torque = {
+                    use: [np.concatenate([part[use][k] for part in parts], axis=2) for k in range(len(parts[0][use]))]
+                    for use in parts[0]
+                }
+                names = (linear or ("effect",)) if len(turns) == 1 else ("in phase", "quarter turn")
+                known = {name: value for name, value in given.items() if len(turns) == 1 or name != "phi"}
+                if all(np.isfinite(one).all() for use in torque.values() for one in use):
+                    found.append(Change(placed, known, names, torque))
+        return found
+
+    def _choices(self, placed: Placed, linear: Sequence[str]) -> list[dict[str, float]]:
+        """Return choices of the parameters in which an effect is not linear."""
+        at = self.sizes.get(placed.at, {})
+        free = [one for one in placed.effect.parameters if one.name not in linear and not one.fixed]
+        grids: list[Sequence[float]] = []
+        for one in free:
+            if placed.effect.name == "cogging":
+                grids.append(self._waves(one.minimum, one.maximum) if one.name == "k" else (0.0,))
+            else:
+                grids.append(one.starts(at))
+        most = WAVES if placed.effect.name == "cogging" else MOST_CHOICES
+        names = [one.name for one in free]
+        return [dict(zip(names, choice, strict=True)) for choice in itertools.islice(itertools.product(*grids), most)]
+
+    def _waves(self, minimum: float, maximum: float) -> tuple[float, ...]:
+        """Return wave numbers of a torque that repeats along the joint, close enough that none is missed."""
+        q = np.concatenate([one.q[:, 0] for one in self.motions["estimation"]])
+        low, high = np.quantile(q, [0.02, 0.98])
+        step, least = np.pi / max(float(high - low), 1e-9), max(minimum, SLOWEST)
+        return tuple(float(one) for one in np.arange(least, min(maximum, least + WAVES * step), step))
+
+    def _columns(
+        self, equation: JointEquation, values: Mapping[str, float], placed: Placed, linear: Sequence[str],
+        given: Mapping[str, float],
+    ) -> dict[str, list[FloatArray]]:  # fmt: skip
+        """Return the derivatives (rows, 1, k) by the linear parameters, the effect being neutral, by use and record."""
+        system = equation.system
+        neutral = {name: placed.effect.parameter(name).neutral or 0.0 for name in linear}
+        own = {placed.name(key): value for key, value in {**given, **neutral}.items()}
+        known = {name: values[name] for name in self.nominal.parameter_names}
+        p = np.array([{**system.values(), **known, **own}[name] for name in system.parameter_names])
+        uses = ("estimation", "validation")
+        if not linear:  # the whole effect counts this many times
+            force = {use: self.force(dict(zip(system.parameter_names, p, strict=True)), (placed,), use) for use in uses}
+            return {use: [-one[:, :, None] for one in parts] for use, parts in force.items()}
+        index = [system.parameter_names.index(placed.name(name)) for name in linear]
+        return {use: [j[:, :, index] for _, j in equation.residual(p, use)] for use in uses}
+
+    def free_torques(self) -> list[Change]:
+        """Return piecewise linear torques over position, speed and torque, and over position with each other."""
+        name = self.nominal.coordinates[0].name
+        axes = {
+            name: {use: [one.q[:, 0] for one in parts] for use, parts in self.motions.items()},
+            f"{name}_rate": {use: [one.v[:, 0] for one in parts] for use, parts in self.motions.items()},
+            self.nominal.inputs[0].name: {use: [one.u[:, 0] for one in parts] for use, parts in self.motions.items()},
+        }
+        first, *others = axes
+        found = []
+        for group in [*((one,) for one in axes), *((first, other) for other in others)]:
+            counts = (KNOTS,) if len(group) == 1 else JOINT_KNOTS
+            knots = [
+                np.unique(np.quantile(np.concatenate(axes[axis]["estimation"]), np.linspace(0.01, 0.99, count)))
+                for axis, count in zip(group, counts, strict=True)
+            ]
+            if any(len(one) < 3 for one in knots):
+                continue
+            torque: dict[str, list[FloatArray]] = {}
+            for use, motions in self.motions.items():
+                torque[use] = []
+                for number, motion in enumerate(motions):
+                    hats = [
+                        np.stack([np.interp(axes[axis][use][number], at, row) for row in np.eye(len(at))], axis=1)
+                        for axis, at in zip(group, knots, strict=True)
+                    ]
+                    both = np.einsum("ni,nj->nij", hats[0], hats[-1]).reshape(len(hats[0]), -1)
+                    torque[use].append(-decimated(hats[0] if len(hats) == 1 else both, motion)[:, None, :])
+            grid = itertools.product(*knots)
+            labels = [", ".join(f"{n} {v:.3g}" for n, v in zip(group, at, strict=True)) for at in grid]
+            found.append(Change(None, {}, (f"{name} over {' and '.join(group)}", *labels), torque))
+        return found
+
+    def torque(self, use: str) -> list[FloatArray]:
+        """Return the calm torque (rows,) of every record, decimated as the residual is."""
+        return [decimated(one.u[:, :1], one)[:, 0] for one in self.motions[use]]
+
+    def force(self, values: Mapping[str, float], effects: Sequence[Placed], use: str) -> list[FloatArray]:
+        """Return the torque (rows, 1) that effects exert, decimated as the residual is, for every record."""
+        both = []
+        for equation in (self.equation(()), self.equation(tuple(effects))):
+            p = np.array([values[name] for name in equation.system.parameter_names])
+            both.append([r for r, _ in equation.residual(p, use)])
+        return [without - full for without, full in zip(*both, strict=True)]
+
+
+def _thinned(motion: Motion) -> Motion:
+    """Return a motion with an odd number of samples in each, four in one decimated sample: torques are means."""
+    step = max((motion.factor // 4 - 1) | 1, 1) if motion.factor >= 8 else 1
+    if step == 1:
+        return motion
+    rows = motion.q.shape[0] // step
+    pick = slice(step // 2, (rows - 1) * step + step // 2 + 1, step)
+    edge = -(-motion.inside.start // step)
+    return Motion(
+        motion.t[pick],
+        motion.q[pick],
+        motion.v[pick],
+        motion.a[pick],
+        motion.u[: rows * step].reshape(rows, step, -1).mean(axis=1),
+        slice(edge, rows - edge),
+        motion.factor // step,
+        motion.sample_time * step,
+    )
+
+
+def joint_system(arm: ArmModel, joint: int, free: int = 0) -> Any:
+    """Return one joint as a system: its torque, its clock, and factors of ``free`` known columns."""
+    import casadi as ca
+
+    from harness.physics.parameters import Parameter
+    from harness.physics.system import Coordinate, System
+
+    drive, position = arm.inputs[joint], arm.positions[joint]
+    x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 1 + free)
+    inertia = (Parameter(f"inertia{k + 1}", "1", 0.0) for k in range(free))
+    return System(
+        name=f"joint {joint + 1} of {arm.name}",
+        inputs=(drive,),
+        outputs=(position,),
+        states=(position, Channel(f"{position.name}_rate", f"{position.unit}/s")),
+        parameters=(Parameter(CLOCK, "s", 0.0), *inertia),
+        x=x,
+        u=u,
+        p=p,
+        t=ca.SX.sym("t"),
+        gravity=ca.SX.sym("gravity", 2),
+        mass_matrix=ca.SX(1, 1),
+        generalized_forces=ca.vertcat(u),
+        rates=ca.SX(0, 1),
+        h=x[0],
+        coordinates=(Coordinate(position.name, position.unit, drive.unit, 0, 1, 0),),
+    )
+
+
+def joint_dictionary(
+    arm: ArmModel, joint: int, balance: JointBalance, run: ArmRun, dictionary: Sequence[Effect] | None = None
+) -> tuple[list[Placed], list[str]]:
+    """Return the effects at a joint that can be judged, and the names of those that drown in the noise of the torque.
+
+    Where the URDF states a damping, viscous friction may also be too large in the model: then its sign is free.
+    An effect that acts on the torque itself (its gain, friction in proportion to it) needs a torque 20 times above its
+    noise: otherwise the noise, which is in the residual too, takes part in the fit.
+    """
+    from harness.effects import builtin, place_all
+
+    effects = [builtin()[name] for name in JOINT_EFFECTS] if dictionary is None else list(dictionary)
+    if arm.damping[joint] > 0:
+        effects = [_either_sign(one) if one.name == "viscous_friction" else one for one in effects]
+    torque = run.calm.u[:, joint]
+    dt = run.motion.sample_time
+    corner = CALM * motion_band(run.motion.q[:, joint], dt)[0]
+    noise = white_noise(run.motion.u[:, joint]) * float(np.sqrt(min(4 * corner * dt, 1.0)))
+    # inertia is known on an absolute scale here, so a factor on the torque shows
+    placed = [one for one in place_all(balance.nominal, effects) if expressible(one) or one.effect.name == "input_gain"]
+    loud = noise > ARM_POLICY.noisy * float(np.std(torque))
+    drowned = [one for one in placed if one.effect.name in ON_TORQUE and loud]
+    return [one for one in placed if one not in drowned], [str(one) for one in drowned]
+
+
+def white_noise(signal: FloatArray) -> float:
+    """Return the standard deviation of white noise in an oversampled signal (N,), from its fourth difference.
+
+    Examples
+    --------
+    >>> y = np.sin(np.arange(5000) * 0.01) + 0.01 * np.random.default_rng(0).standard_normal(5000)
+    >>> round(white_noise(y), 3)
+    0.01
+    """
+    d = np.diff(np.asarray(signal, dtype=float), 4)
+    return 1.4826 * float(np.median(np.abs(d - np.median(d)))) / float(np.sqrt(70.0))
+
+
+def _either_sign(effect: Effect) -> Effect:
+    """Return an effect whose main parameter may have both signs."""
+    return replace(effect, parameters=tuple(replace(one, sign="any") for one in effect.parameters))
+
+
+def _joint_equations(system: Any, free: int) -> Equations:
+    """Return torque needed minus torque given, with its derivatives."""
+    import casadi as ca
+
+    q, v, a, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("a"), ca.SX.sym("t")
+    u, p = ca.SX.sym("u", 2 + free), system.p
+    swap_from = ca.vertcat(system.x, system.u, system.gravity, system.t)
+    swap_to = ca.vertcat(q, v, u[0], ca.DM([0.0, -1.0]), t)
+    matrix, force, drive = (
+        ca.substitute(ca.SX(one), swap_from, swap_to)
+        for one in (system.mass_matrix, system.generalized_forces, system.input_forces)
+    )
+    left_over = matrix @ a - force + u[1] + ca.dot(p[:free], u[2:])
+    jacobian = ca.jacobian(left_over, p)
+    strong = ca.Function("strong", [q, v, a, u, p, t], [left_over, jacobian])
+    none = ca.SX.zeros(1, p.numel())
+    weak = ca.Function("weak", [q, v, u, p, t], [ca.SX(0), force, none, none])
+    return Equations(system, strong, weak, ca.Function("drive", [q, v, u, p, t], [drive]))
+
+
+def _sizes(system: Any, motion: Motion) -> dict[str, dict[str, float]]:
+    """Return the rms sizes at the ports of a joint, for start values of effects.
+
+    The force is what is unsteady of the torque: a constant weight says nothing about friction.
+    """
+
+    def rms(x: FloatArray) -> float:
+        return float(np.sqrt(np.mean(x**2)))
+
+    dt, rows = motion.sample_time, motion.q.shape[0]
+    torque = motion.u[:, 0]
+    common = {"dt": dt, "T": rows * dt}
+    sizes = {
+        **common,
+        "F": float(np.std(torque)),
+        "u": rms(torque),
+        "q": rms(motion.q[:, 0]),
+        "v": rms(motion.v[:, 0]),
+        "a": rms(motion.a[:, 0]),
+        "y": rms(motion.q[:, 0]),
+    }
+    return {system.inputs[0].name: sizes, system.outputs[0].name: sizes, "base": dict(common)}

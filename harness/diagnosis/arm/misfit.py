@@ -1,0 +1,189 @@
+"""Does the arm fit its log at all? If not, which likely mistake would explain it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from harness.diagnosis.arm.effects import GAIN
+from harness.diagnosis.arm.found import JointDiagnosis
+from harness.diagnosis.arm.motion import ArmRun, arm_runs, moving_rows
+from harness.diagnosis.arm.wide import OWN, own_columns
+from harness.diagnosis.policy import ArmPolicy, Policy
+from harness.physics.arm import ArmModel
+from harness.signals import Dataset, FloatArray
+
+__all__ = ["misfit_reasons"]
+
+DEGREES = np.pi / 180
+SHOWN = 3
+"""Joints that are named one by one."""
+NOTHING = 1e-6
+"""A factor of a torque below this is 0, its bound."""
+UNITS = {1e3: "N mm and not N m", 1e-3: "kN m and not N m", 1e2: "N cm and not N m", 9.80665: "kgf m and not N m"}
+"""Factors between a torque and what a log may hold."""
+G = 9.81
+GRAVITIES = {
+    "whether the torques are those beyond gravity's compensation": (0.0, 0.0, 0.0),
+    "whether the base hangs upside down": (0.0, 0.0, G),
+    "whether the base is turned by 90 degrees (its x axis down)": (G, 0.0, 0.0),
+    "whether the base is turned by 90 degrees (its x axis up)": (-G, 0.0, 0.0),
+    "whether the base is turned by 90 degrees (its y axis down)": (0.0, G, 0.0),
+    "whether the base is turned by 90 degrees (its y axis up)": (0.0, -G, 0.0),
+}
+"""Gravity in the frame of the base [m/s^2] where an arm is not mounted upright, or a log is without its torque."""
+SLOW = 10
+"""Samples of the filtered residual that are taken for one: it is coloured, and only a rough figure is asked for."""
+CLOSE = 1.5
+"""A factor is one of these units within so much."""
+
+
+def misfit_reasons(
+    dataset: Dataset,
+    arm: ArmModel,
+    runs: Mapping[str, Sequence[ArmRun]],
+    joints: Sequence[JointDiagnosis],
+    policy: Policy,
+    arm_policy: ArmPolicy,
+) -> tuple[str, ...]:
+    """Return why an arm does not fit its log, and what probably is wrong; empty if it fits.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    arm : ArmModel
+    runs : mapping
+        Motions by use.
+    joints : sequence of JointDiagnosis
+        With all effects that were accepted.
+    policy : Policy
+    arm_policy : ArmPolicy
+    """
+    reasons = []
+    bad = sorted((one for one in joints if not one.share <= policy.misfit_nrmse), key=lambda one: -one.share)
+    for one in bad[:SHOWN]:
+        reasons.append(
+            f"at {arm.positions[one.joint].name} what the model leaves is {100 * one.share:.0f} % as large as all that "
+            "the torque does"
+        )
+    if len(bad) > SHOWN:
+        reasons.append(f"so it is at {len(bad) - SHOWN} more joints")
+    gains = {
+        accepted.placed.at: one.final.values[accepted.placed.name("gain")]
+        for one in joints
+        for accepted in one.outcome.accepted
+        if accepted.placed.effect.name == GAIN
+    }
+    wild = {name: gain for name, gain in gains.items() if not 1 / arm_policy.gain < gain < arm_policy.gain}
+    for name, gain in list(wild.items())[:SHOWN]:
+        text = (
+            f"would have to be {gain:.3g} times what was recorded" if gain > NOTHING else "tells nothing of the motion"
+        )
+        reasons.append(f"the torque {name} {text}")
+    if reasons:  # the last one is what to do, where it is known
+        reasons += _likely(dataset, arm, runs, [one.joint for one in joints], policy)
+    return tuple(reasons)
+
+
+def _likely(
+    dataset: Dataset, arm: ArmModel, runs: Mapping[str, Sequence[ArmRun]], joints: Sequence[int], policy: Policy
+) -> list[str]:
+    """Return the mistake whose repair makes the log much likelier, if there is one."""
+    estimation = runs["estimation"]
+    base, _ = _explained([(one, one.motion.u) for one in estimation], joints)
+    best, words = base + policy.misfit_gain, ""
+    for text, pairs in _mistakes(dataset, arm, estimation, joints):
+        value, left = _explained(pairs, joints)
+        if value > best and left <= policy.misfit_nrmse**2:  # torques that belong to no motion are mended by nothing
+            best, words = value, text
+    return [f"check {words}: with that repaired the model fits far better"] if words else []
+
+
+def _mistakes(
+    dataset: Dataset, arm: ArmModel, runs: Sequence[ArmRun], joints: Sequence[int]
+) -> Iterator[tuple[str, list[tuple[ArmRun, FloatArray]]]]:
+    """Yield likely mistakes: words, and the records with the torques without it."""
+    yield from _torque_mistakes(arm, runs, joints)
+    yield from _position_mistakes(dataset, arm)
+    for text, gravity in GRAVITIES.items():
+        needed = [arm.torques(one.motion.q, one.motion.v, one.motion.a, gravity) for one in runs]
+        plain = [arm.torques(one.motion.q, one.motion.v, one.motion.a) for one in runs]
+        yield (
+            text,
+            [
+                (replace(one, rigid=one.rigid - without + with_), one.motion.u)
+                for one, without, with_ in zip(runs, plain, needed, strict=True)
+            ],
+        )
+
+
+def _torque_mistakes(
+    arm: ArmModel, runs: Sequence[ArmRun], joints: Sequence[int]
+) -> Iterator[tuple[str, list[tuple[ArmRun, FloatArray]]]]:
+    """Yield likely mistakes in the torques: words, and the records with the torques without it."""
+    names = [channel.name for channel in arm.inputs]
+
+    def with_columns(order: Sequence[int], signs: FloatArray) -> list[tuple[ArmRun, FloatArray]]:
+        return [(one, one.motion.u[:, order] * signs) for one in runs]
+
+    same = list(range(arm.n))
+    yield "the sign of all torques", with_columns(same, -np.ones(arm.n))
+    for k in joints:
+        yield f"the sign of {names[k]}", with_columns(same, np.where(np.arange(arm.n) == k, -1.0, 1.0))
+    for a, b in itertools.combinations(range(arm.n), 2):
+        order = list(same)
+        order[a], order[b] = b, a
+        yield f"whether {names[a]} and {names[b]} are exchanged", with_columns(order, np.ones(arm.n))
+    torque = np.concatenate([one.motion.u for one in runs])[:, joints]
+    rigid = np.concatenate([one.rigid for one in runs])[:, joints]
+    factor = float(np.median(torque.std(axis=0) / np.maximum(rigid.std(axis=0), 1e-12)))
+    for unit, words in UNITS.items():
+        if unit / CLOSE < factor < unit * CLOSE:
+            yield f"whether the torques are in {words}", with_columns(same, np.full(arm.n, 1 / unit))
+
+
+def _position_mistakes(dataset: Dataset, arm: ArmModel) -> Iterator[tuple[str, list[tuple[ArmRun, FloatArray]]]]:
+    """Yield the same of the positions."""
+    names = [channel.name for channel in arm.outputs]
+    cases: list[tuple[str, int | None, float]] = [
+        (f"the sign of {arm.positions[k].name}", k, -1.0) for k in range(arm.n)
+    ]
+    if all(channel.unit == "rad" for channel in arm.positions):
+        cases.append(("whether the positions are in degrees", None, DEGREES))
+    for text, k, factor in cases:
+        of_joint = [arm.positions[k].name, f"{arm.positions[k].name}_rate"] if k is not None else names
+        scale = np.array([factor if name in of_joint else 1.0 for name in names])
+        changed = tuple(
+            replace(run, trajectory=replace(run.trajectory, y=run.trajectory.y * scale)) for run in dataset.runs
+        )
+        made = arm_runs(arm, replace(dataset, runs=changed))["estimation"]
+        yield text, [(one, one.motion.u) for one in made]
+
+
+def _explained(pairs: Sequence[tuple[ArmRun, FloatArray]], joints: Sequence[int]) -> tuple[float, float]:
+    """Return how well rigid bodies and each joint's friction explain the torques.
+
+    Returns
+    -------
+    log_likelihood : float
+        Of the torques over their own size, so that units do not count; errors taken as white from ten samples on.
+    left : float
+        Share of the variance that is left, the median of the joints.
+    """
+    total, shares = 0.0, []
+    for k in joints:
+        parts = []
+        for run, torque in pairs:
+            speeds = np.maximum(0.02 * np.sqrt(np.mean(run.motion.v**2, axis=0)), 1e-6)
+            own = own_columns(run, speeds)[:, k, len(OWN) * k : len(OWN) * k + 3]
+            columns = np.concatenate([(torque - run.rigid)[:, [k]], torque[:, [k]], own], axis=1)
+            keep = moving_rows(run.motion)[:, k] > 0
+            parts.append(run.slim(columns[:, None, :])[keep, 0])
+        x = np.concatenate(parts)
+        left = x[:, 0] - x[:, 2:] @ np.linalg.lstsq(x[:, 2:], x[:, 0], rcond=1e-10)[0]
+        shares.append(float(np.mean(left**2)) / max(float(np.var(x[:, 1])), 1e-300))
+        total -= 0.5 * len(x) / SLOW * float(np.log(max(shares[-1], 1e-300)))
+    return total, float(np.median(shares))

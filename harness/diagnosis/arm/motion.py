@@ -1,0 +1,120 @@
+"""Measured motion of an arm: smoothed joints, and the torques that rigid bodies need along it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from harness.diagnosis.records.motion import ORDER, Motion, motion_band, smooth_motion
+from harness.diagnosis.runs.equation import decimated
+from harness.physics.arm import ArmModel
+from harness.signals import Dataset, FloatArray, Trajectory
+
+__all__ = ["CALM", "STILL", "ArmRun", "arm_runs", "moving_rows", "standstill"]
+
+USES = ("estimation", "validation", "test")
+CALM = 2.0
+"""Corner of the calm motion over the band of the motion."""
+STILL = 0.1
+"""A joint below this share of its rms speed counts as standing still."""
+
+
+@dataclass(frozen=True)
+class ArmRun:
+    """One record of an arm.
+
+    Attributes
+    ----------
+    motion : Motion
+        q, v, a (N, n) of all joints; u holds the measured torques.
+    calm : Motion
+        The same, filtered down to twice the band of the motion: regressors are taken from it. The residual holds
+        M times the noise of the acceleration; a regressor with that noise would follow it (a mass comes out too
+        small), and feedback carries it into the torques as well (an elasticity comes out of nothing).
+    first, second : array (N, n)
+        Time derivatives of the calm torques.
+    rigid : array (N, n)
+        Torque that the nominal arm needs along the motion, the URDF's damping and friction included.
+    """
+
+    motion: Motion
+    calm: Motion
+    first: FloatArray
+    second: FloatArray
+    rigid: FloatArray
+
+    def slim(self, columns: FloatArray) -> FloatArray:
+        """Return columns (N, n) or (N, n, k) low-passed and decimated as the residual is."""
+        flat = columns.reshape(columns.shape[0], -1)
+        result = decimated(flat, self.motion)
+        return result.reshape(result.shape[0], *columns.shape[1:])
+
+
+def arm_runs(arm: ArmModel, dataset: Dataset) -> dict[str, tuple[ArmRun, ...]]:
+    """Return the records by use, all decimated by the same factor.
+
+    Torques are means over a sample where the input is held, see :func:`harness.diagnosis.records.motion.smooth_motion`.
+    """
+    runs = {use: [_run(arm, one, dataset.intersample) for one in dataset.using(use)] for use in USES}  # type: ignore[arg-type]
+    factor = min(one.motion.factor for parts in runs.values() for one in parts)
+    return {
+        use: tuple(replace(one, motion=replace(one.motion, factor=factor)) for one in parts)
+        for use, parts in runs.items()
+    }
+
+
+def moving_rows(motion: Motion) -> FloatArray:
+    """Return 1 for every row (rows, n) of the decimated residual in which a joint moves, 0 where it stands still.
+
+    While a joint stands still its dry friction is whatever keeps it there, anywhere between minus and plus its level:
+    no law of the motion can say it, so these rows are not judged.
+    """
+    from scipy.ndimage import maximum_filter1d
+
+    v = motion.v[motion.inside]
+    still = np.abs(v) <= STILL * np.sqrt(np.mean(v**2, axis=0))
+    width = 2 * motion.factor + 1 if motion.factor > 1 else 1
+    touched = maximum_filter1d(still.astype(np.uint8), width, axis=0)
+    rows = touched[:: motion.factor]
+    if motion.factor > 1:  # the ends that decimated() cuts off
+        cut = 10 if rows.shape[0] > 200 else 2
+        rows = rows[cut:-cut]
+    return np.asarray(1.0 - rows)
+
+
+def standstill(runs: dict[str, tuple[ArmRun, ...]]) -> FloatArray:
+    """Return for every joint the share of the estimation time (n,) in which it stands still.
+
+    A sine spends 5 % of its time there, a sum of many sines 8 %; a joint that sticks far more.
+    """
+    v = np.concatenate([one.calm.v[one.motion.inside] for one in runs["estimation"]])
+    size = np.sqrt(np.mean(v**2, axis=0))
+    return np.asarray(np.mean(np.abs(v) <= STILL * size, axis=0))
+
+
+def _run(arm: ArmModel, record: Trajectory, intersample: str) -> ArmRun:
+    """Return one record as a motion."""
+    names = [channel.name for channel in record.spec.outputs]
+    columns: dict[str, tuple[int | None, int | None]] = {}
+    for k, one in enumerate(arm.positions):
+        rate = f"{one.name}_rate"
+        columns[one.name] = (k, names.index(rate) if rate in names else None)
+    motion = smooth_motion(record, columns, intersample)
+    rigid = arm.torques(motion.q, motion.v, motion.a) + arm.damped(motion.v)
+    band = max(motion_band(record.y[:, k], motion.sample_time)[0] for k in range(arm.n))
+    calm = _calmed(motion, CALM * band)
+    dt = motion.sample_time
+    first = np.gradient(calm.u, dt, axis=0)
+    return ArmRun(motion, calm, first, np.gradient(first, dt, axis=0), rigid)
+
+
+def _calmed(motion: Motion, corner: float) -> Motion:
+    """Return a motion low-passed without delay at a corner [Hz]."""
+    from scipy import signal
+
+    dt, rows = motion.sample_time, motion.q.shape[0]
+    sos = signal.butter(ORDER, min(2 * corner * dt, 0.9), output="sos")
+    pad = min(int(4 / (corner * dt)), rows - 1)
+    q, v, u = (np.asarray(signal.sosfiltfilt(sos, one, axis=0, padlen=pad)) for one in (motion.q, motion.v, motion.u))
+    return replace(motion, q=q, v=v, a=np.gradient(v, dt, axis=0), u=u)

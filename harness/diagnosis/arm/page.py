@@ -1,0 +1,110 @@
+"""``report.html`` of an arm: the verdict, one line a joint, and the residual of every joint as a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.arm.found import ArmDiagnosis
+from harness.diagnosis.arm.motion import moving_rows
+from harness.diagnosis.report.figures import AFTER, BEFORE, GREY, INK, Pictures, ResidualView, drawing
+from harness.diagnosis.report.figures import draw as draw_pictures
+from harness.diagnosis.report.html import environment
+from harness.diagnosis.runs.equation import decimated
+from harness.diagnosis.store import write_atomic
+
+__all__ = ["render_arm", "write_arm_html"]
+
+
+def write_arm_html(found: ArmDiagnosis, data: dict[str, Any], path: Path) -> None:
+    """Write the page of a diagnosis of an arm."""
+    write_atomic(path, render_arm(data, _figures(found, data)))
+
+
+def render_arm(data: dict[str, Any], figures: dict[str, str]) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    data : dict
+        Content of ``report.json``.
+    figures : dict
+        SVG texts: ``levels``, ``residual``.
+    """
+    made = environment()
+    source = made.loader.get_source(made, "evidence.html.j2")[0]
+    style = source[source.index("<style>") : source.index("</style>") + len("</style>")]
+    use = "test" if "test" in data["joints"][0]["before"] else "validation"
+    return str(made.get_template("arm.html.j2").render(data=data, figures=figures, style=style, use=use))
+
+
+def _figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
+    """Return the figures by name."""
+    views = []
+    for k, channel in enumerate(found.arm.positions):
+        run = max(found.runs["validation"], key=lambda one: one.motion.q.shape[0])
+        keep = moving_rows(run.motion)[:, k] > 0
+        before = run.slim(run.motion.u - run.rigid)[keep, k]
+        after = run.slim(run.motion.u - found.wide.torque(run))[keep, k]
+        # friction is a function of speed; what hangs on the arm, of position
+        speed = not found.wide.accepted
+        rate = run.slim(run.motion.v if speed else run.motion.q)[keep, k]
+        fitted = before - after if found.wide.accepted else None
+        joint = next((one for one in found.joints if one.joint == k), None)
+        if joint is not None and joint.outcome.accepted:
+            balance, final = joint.balance, joint.final
+            longest = int(np.argmax([one.q.shape[0] for one in balance.motions["validation"]]))
+            motion = balance.motions["validation"][longest]
+            inside = balance.counts["validation"][longest][:, 0] > 0
+            effects = [one.placed for one in joint.outcome.accepted]
+            # the torque that overcomes a force has the other sign; residuals are needed minus measured
+            own = -balance.force(final.values, effects, "validation")[longest][:, 0]
+            speed, rate = True, decimated(motion.v, motion)[inside, 0]
+            before = -joint.nominal.detail.residual["validation"][longest][inside, 0]
+            after = -final.detail.residual["validation"][longest][inside, 0]
+            fitted = own[inside]
+        changed = bool(found.wide.accepted) or any(one.outcome.accepted for one in found.joints)
+        views.append(
+            ResidualView(
+                axis=f"{channel.name}'" if speed else channel.name,
+                unit=f"{channel.unit}/s" if speed else channel.unit, x=rate, before=before,
+                after=after if changed else None, fitted=fitted, residual_unit=found.arm.inputs[k].unit,
+                port=found.arm.inputs[k].name,
+            )
+        )  # fmt: skip
+    made = {"levels": _levels(data)}
+    made.update(draw_pictures(Pictures(views=views)))
+    return made
+
+
+def _levels(data: dict[str, Any]) -> str:
+    """Draw torque, residual before and residual after of every joint."""
+    use = "test" if "test" in data["joints"][0]["before"] else "validation"
+    names = [one["joint"] for one in data["joints"]]
+    place = np.arange(len(names))
+    rows = [
+        ("torque (rms)", [one["torque_rms"] for one in data["joints"]], GREY),
+        ("residual before", [one["before"][use] for one in data["joints"]], BEFORE),
+    ]
+    if data["effects"]:
+        rows.append(("residual after", [one["after"][use] for one in data["joints"]], AFTER))
+    with drawing("levels", 10.5, 2.7) as (figure, svg):
+        axis = figure.subplots()
+        width = 0.8 / len(rows)
+        for number, (label, values, colour) in enumerate(rows):
+            offset = (number - (len(rows) - 1) / 2) * width
+            heights = [value or float("nan") for value in values]
+            axis.bar(place + offset, heights, 0.92 * width, color=colour, label=label)
+            for x, value in zip(place + offset, heights, strict=True):
+                if np.isfinite(value):
+                    axis.annotate(
+                        f"{value:.2g}", (x, value), (0, 2), textcoords="offset points", ha="center", va="bottom",
+                        fontsize=7, color=INK, rotation=90 if len(names) > 4 else 0,
+                    )  # fmt: skip
+        axis.set_xticks(place, names)
+        axis.set(yscale="log", ylabel=f"torque [{data['joints'][0]['unit']}]")
+        axis.margins(y=0.3)
+        axis.legend(loc="upper right", ncols=len(rows))
+    return svg[0]

@@ -1,0 +1,347 @@
+"""A regression on measured motion as a form of the search: residual torques with a coloured error by joint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from harness.diagnosis.arm.coloured import Before, Coloured, fitted_error
+from harness.diagnosis.policy import ARM_POLICY, ArmPolicy
+from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
+from harness.effects.effect import Placed
+from harness.errors import HarnessError
+from harness.signals import FloatArray
+
+__all__ = ["USES", "Balance", "Change", "Detail", "Equation", "RegressionForm"]
+
+USES = ("estimation", "validation")
+ROUNDS = 12
+"""Times that parameters and errors are fitted in turn, at most."""
+STEPS = 40
+"""Steps from one start, at most."""
+SETTLED = 1e-3
+"""Change of the log-likelihood below which neither moves any more."""
+EXACT = 1e-9
+"""Smallest error, in units of the torque's standard deviation: rounding of a simulation."""
+NEAR = 1e-6
+"""Share of a bound's size, or of 1, within which a value lies on it."""
+FARTHEST = 200.0
+"""Logarithm beyond which a parameter is as good as infinite."""
+
+
+class Equation(Protocol):
+    """The torque balance with some effects."""
+
+    @property
+    def system(self) -> Any:
+        """What has the parameters."""
+        ...
+
+    def residual(self, p: FloatArray, use: str) -> list[tuple[FloatArray, FloatArray]]:
+        """Return for every record the residual torque (rows, n) and its derivatives by all parameters (rows, n, np)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """By how much the residual torque changes, (rows, n, k) by use and record; see Column."""
+
+    placed: Placed | None
+    given: dict[str, float]
+    names: tuple[str, ...]
+    torque: dict[str, list[FloatArray]]
+
+
+class Balance(Protocol):
+    """What a regression is about: a model, which rows count, and what effects would change."""
+
+    @property
+    def nominal(self) -> Any:
+        """The nominal system."""
+        ...
+
+    @property
+    def counts(self) -> Mapping[str, list[FloatArray]]:
+        """By use, for every record 1 for the rows (rows, n) that are judged, else 0."""
+        ...
+
+    @property
+    def own(self) -> frozenset[str]:
+        """Names of linear parameters that the validation records fit for themselves: inertia that is calibrated."""
+        ...
+
+    def equation(self, effects: Sequence[Placed]) -> Equation:
+        """Return the balance with effects."""
+        ...
+
+    def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[Change]:
+        """Return what candidates would change, at some values of the nominal parameters."""
+        ...
+
+    def free_torques(self) -> list[Change]:
+        """Return what torques that are no effect would change, over position, speed and torque."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Detail:
+    """The errors by joint, and the residual torques (rows, n) by use and record."""
+
+    errors: tuple[Coloured, ...]
+    residual: dict[str, list[FloatArray]]
+    jacobian: dict[str, list[FloatArray]]
+
+
+class RegressionForm:
+    """Fits a torque balance by maximum likelihood; see :class:`harness.diagnosis.search.fit.Form`.
+
+    The error of every joint is Gaussian, stationary and autoregressive; its coefficients are estimated with the
+    parameters, in turn (Cochrane & Orcutt 1949, J. Am. Stat. Assoc. 44:32, with the exact density of the first rows and
+    of those behind a gap).
+
+    Parameters
+    ----------
+    balance : Balance
+    policy : ArmPolicy
+    """
+
+    def __init__(self, balance: Balance, policy: ArmPolicy = ARM_POLICY) -> None:
+        self.balance, self.policy = balance, policy
+        self.nominal = balance.nominal
+        self._before = {
+            use: [[Before.of(part[:, k], policy.order) for k in range(part.shape[1])] for part in parts]
+            for use, parts in balance.counts.items()
+        }
+        equation = balance.equation(())
+        first = equation.residual(equation.system.vector(), "estimation")
+        spread = np.sqrt(np.mean(np.concatenate([r for r, _ in first]) ** 2, axis=0))
+        self._floor = EXACT * np.maximum(spread, 1e-12)
+        self._rough = tuple(Coloured(np.zeros(policy.order), float(max(one, 1e-12))) for one in spread)
+
+    # ---- fits --------------------------------------------------------------------------------------------------------
+
+    def begin(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Begun | None:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        try:
+            equation = self.balance.equation(effects)
+        except HarnessError:  # two blocks that exclude each other
+            return None
+        errors = self._rough if base is None else base.detail.errors
+        best: tuple[float, FloatArray, tuple[Coloured, ...], bool] | None = None
+        for start in starts:
+            known = {**equation.system.values(), **start}
+            p = np.array([known[name] for name in equation.system.parameter_names])
+            trial = self._step(equation, p, errors)
+            if trial is not None and (best is None or trial[0] > best[0]):
+                best = trial
+        if best is None:
+            return None
+        value, p, errors, _ = best
+        names = equation.system.parameter_names
+        return Begun(tuple(effects), value, dict(zip(names, map(float, p), strict=True)), (equation, best))
+
+    def finish(self, begun: Begun, base: Fit | None) -> Fit | None:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        del base
+        equation, (value, p, errors, converged) = begun.detail
+        for _ in range(ROUNDS):
+            again = self._step(equation, p, errors)
+            if again is None or again[0] < value:
+                break
+            gained, (value, p, errors, converged) = again[0] - value, again
+            if gained < SETTLED:
+                break
+        return self._fitted(begun.effects, equation, p, errors, converged)
+
+    def fit(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Fit | None:
+        """Begin and finish."""
+        begun = self.begin(effects, starts, base)
+        return None if begun is None else self.finish(begun, base)
+
+    def _step(
+        self, equation: Equation, p: FloatArray, errors: Sequence[Coloured]
+    ) -> tuple[float, FloatArray, tuple[Coloured, ...], bool] | None:
+        """Fit the parameters with these errors, then the errors; None where the residual is not finite."""
+        found = self._parameters(equation, p, errors)
+        if found is None:
+            return None
+        p, converged = found
+        residual = [r for r, _ in equation.residual(p, "estimation")]
+        made = tuple(
+            fitted_error(
+                [r[:, k] for r in residual],
+                [one[k] for one in self._before["estimation"]],
+                self.policy.order, float(self._floor[k]), error,
+            )
+            for k, error in enumerate(errors)
+        )  # fmt: skip
+        value = sum(float(one.sum()) for one in self._terms(residual, "estimation", made))
+        return (value, p, made, converged) if np.isfinite(value) else None
+
+    def _parameters(
+        self, equation: Equation, p0: FloatArray, errors: Sequence[Coloured]
+    ) -> tuple[FloatArray, bool] | None:
+        """Return the likeliest parameters with these errors, and whether the fit converged."""
+        from scipy.optimize import least_squares
+
+        parameters = equation.system.parameters
+        free = [k for k, one in enumerate(parameters) if not one.fixed]
+        if not free:
+            return p0, True
+        logs = np.array([parameters[k].minimum > 0 for k in free], dtype=bool)
+        low, high = (np.array([getattr(parameters[k], side) for k in free]) for side in ("minimum", "maximum"))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            low = np.where(logs, np.log(np.where(logs, low, 1.0)), low)
+            high = np.where(logs, np.minimum(np.log(np.where(logs, high, 1.0)), FARTHEST), high)
+            z0 = np.where(logs, np.log(np.where(logs, p0[free], 1.0)), p0[free])
+        memory: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+
+        def inflated(z: FloatArray) -> FloatArray:
+            p = p0.copy()
+            p[free] = np.where(logs, np.exp(np.where(logs, z, 0.0)), z)
+            return p
+
+        def both(z: FloatArray) -> tuple[FloatArray, FloatArray]:
+            key = z.tobytes()
+            if key not in memory:
+                memory.clear()
+                p = inflated(z)
+                rows = equation.residual(p, "estimation")
+                r = self._white([one for one, _ in rows], "estimation", errors)
+                j = self._white([one[:, :, free] for _, one in rows], "estimation", errors)
+                memory[key] = r, j * np.where(logs, p[free], 1.0)
+            return memory[key]
+
+        def residual(z: FloatArray) -> FloatArray:
+            return both(z)[0]
+
+        def jacobian(z: FloatArray) -> FloatArray:
+            return both(z)[1]
+
+        inside = np.clip(z0, low + NEAR * np.isfinite(low), high - NEAR * np.isfinite(high))
+        try:
+            with np.errstate(all="ignore"):
+                found = least_squares(
+                    residual, inside, jac=jacobian, bounds=(low, high), x_scale="jac", max_nfev=STEPS
+                )  # fmt: skip
+        except (ValueError, np.linalg.LinAlgError):  # a residual that is not finite
+            return None
+        return inflated(found.x), bool(found.success)
+
+    def _fitted(
+        self, effects: Sequence[Placed], equation: Equation, p: FloatArray, errors: tuple[Coloured, ...],
+        converged: bool,
+    ) -> Fit | None:  # fmt: skip
+        """Return the fit as the search wants it."""
+        system = equation.system
+        names = system.parameter_names
+        free = [k for k, one in enumerate(system.parameters) if not one.fixed]
+        rows = {use: equation.residual(p, use) for use in USES}
+        residual = {use: [r for r, _ in parts] for use, parts in rows.items()}
+        jacobian = {use: [j[:, :, free] for _, j in parts] for use, parts in rows.items()}
+        if not all(np.isfinite(one).all() for parts in residual.values() for one in parts):
+            return None
+        own = self._own(tuple(names[k] for k in free))
+        residual["validation"], refitted = self._refitted(residual["validation"], jacobian["validation"], own, errors)
+        logs = [system.parameters[k].minimum > 0 for k in free]
+        deviations = _deviations(self._white(jacobian["estimation"], "estimation", errors))
+        values = dict(zip(names, map(float, p), strict=True))
+        bound = [
+            names[k]
+            for k in free
+            for side in (system.parameters[k].minimum, system.parameters[k].maximum)
+            if np.isfinite(side) and abs(p[k] - side) <= 2 * NEAR * max(abs(side), 1.0)
+        ]
+        relative = [abs(p[k]) if log else 1.0 for k, log in zip(free, logs, strict=True)]
+        return Fit(
+            tuple(effects), system, values, tuple(names[k] for k in free),
+            len(free) + len(errors) * (self.policy.order + 1),
+            {use: self._terms(parts, use, errors) for use, parts in residual.items()},
+            {names[k]: d / max(size, 1e-300) for k, d, size in zip(free, deviations, relative, strict=True)},
+            frozenset(names[k] for k, log in zip(free, logs, strict=True) if log),
+            converged, tuple(dict.fromkeys(bound)),
+            {names[free[k]]: values[names[free[k]]] + change for k, change in zip(own, refitted, strict=True)},
+            Detail(errors, residual, jacobian),
+        )  # fmt: skip
+
+    def _own(self, free: Sequence[str]) -> list[int]:
+        """Return the places of the parameters that every use of the records fits for itself."""
+        return [k for k, name in enumerate(free) if name in self.balance.own]
+
+    def _refitted(
+        self, residual: Sequence[FloatArray], jacobian: Sequence[FloatArray], own: Sequence[int],
+        errors: Sequence[Coloured],
+    ) -> tuple[list[FloatArray], FloatArray]:  # fmt: skip
+        """Return validation residuals with their own parameters fitted there, and by how much these change."""
+        if not own:
+            return list(residual), np.zeros(0)
+        columns = [one[:, :, own] for one in jacobian]
+        white = self._white(columns, "validation", errors)
+        change = np.asarray(np.linalg.lstsq(white, -self._white(residual, "validation", errors), rcond=1e-10)[0], float)
+        return [r + j @ change for r, j in zip(residual, columns, strict=True)], change
+
+    def _white(self, parts: Sequence[FloatArray], use: str, errors: Sequence[Coloured]) -> FloatArray:
+        """Return residuals (rows, n, ...) whitened, joint by joint, in one array."""
+        return np.concatenate(
+            [
+                error.whitened(part[:, k], before[k])
+                for part, before in zip(parts, self._before[use], strict=True)
+                for k, error in enumerate(errors)
+            ]
+        )
+
+    def _terms(self, residual: Sequence[FloatArray], use: str, errors: Sequence[Coloured]) -> list[FloatArray]:
+        """Return the log-density of every row, all joints together, 0 where none counts."""
+        found = []
+        for part, before in zip(residual, self._before[use], strict=True):
+            terms = np.zeros(len(part))
+            for k, error in enumerate(errors):
+                terms[before[k].rows] += error.log_density(part[:, k], before[k])
+            found.append(terms)
+        return found
+
+    # ---- what the score test needs -----------------------------------------------------------------------------------
+
+    def linearised(self, fit: Fit) -> Linearised:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        detail: Detail = fit.detail
+        own = self._own(fit.free)
+        shared = [k for k in range(len(fit.free)) if k not in own]
+        return Linearised(
+            {use: self._white(detail.residual[use], use, detail.errors) for use in USES},
+            {use: self._white(detail.jacobian[use], use, detail.errors)[:, [*shared, *own]] for use in USES},
+            len(shared),
+        )
+
+    def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        return [self._answered(fit, one) for one in self.balance.changes(fit.values, candidates)]
+
+    def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
+        """Return nothing: every effect on measured motion shows at first order."""
+        del base, rival, candidates
+        return []
+
+    def test_functions(self, fit: Fit) -> list[Column]:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        return [self._answered(fit, one) for one in self.balance.free_torques()]
+
+    def _answered(self, fit: Fit, change: Change) -> Column:
+        """Return what a change does to the whitened residual."""
+        errors = fit.detail.errors
+        made = {use: self._white(change.torque[use], use, errors) for use in USES}
+        return Column(change.placed, change.given, change.names, made["estimation"], made["validation"])
+
+
+def _deviations(jacobian: FloatArray) -> FloatArray:
+    """Return the standard deviations from the curvature; infinite where the data do not move a parameter."""
+    size = np.linalg.norm(jacobian, axis=0)
+    scale = np.where(size > 0, size, 1.0)
+    _, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
+    alive = singular > 1e-7 * singular.max(initial=1e-300)
+    found = np.sqrt(np.sum((right[alive] / singular[alive, None]) ** 2, axis=0)) / scale
+    lost = np.sum(right[~alive] ** 2, axis=0) > 1e-6
+    return np.asarray(np.where(lost | (size == 0), np.inf, found))

@@ -1,0 +1,287 @@
+"""``report.json`` of an arm: keys of :mod:`harness.diagnosis.report.evidence_json` as far as they apply, and joints.
+
+``joints``
+    By joint: ``joint`` (name of its position), ``link_joint`` (name in the URDF), ``judged``, ``standstill`` (share of
+    the time), ``effects``, ``before`` and ``after`` (by use: rms of the torque residual while it moves), ``unit``,
+    ``torque_rms``, ``clock_s`` (by how long its torque is recorded too late), ``not_tried``; under ``left``: ``share``
+    (of the torque's standard deviation that stays unexplained, its noise taken off), ``noise`` (of the torque's
+    samples, as it shows in the residual), ``predictable`` and ``axis`` (what could still be predicted, over what),
+    ``error`` (partial autocorrelations and deviation of the error that the likelihood found).
+``explained_share``
+    Share of the variance of the torque that is explained, at the joint where it is least.
+``closed_loop_bias``
+    Says in ``text`` why the bias that feedback puts on the parameters is not tested.
+``inertia``
+    ``fixed`` (the URDF is believed) or ``calibrated``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.arm.found import ArmDiagnosis
+from harness.diagnosis.policy import ARM_POLICY, described
+from harness.diagnosis.report.experiments import separating
+from harness.diagnosis.runs.closed_loop_bias import BiasTest
+from harness.diagnosis.search.compare import Judged
+from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.rounds import Accepted, Outcome
+
+__all__ = ["arm_report"]
+
+FORMAT = "sysid-harness/close-loop/2"
+NO_PATH = (
+    "an arm is always held by its controller, and the planned path, from outside that loop, is not used; what shakes "
+    "the arm and is answered by the controller may bias friction and gains"
+)
+"""Why the bias of feedback is not tested on an arm."""
+
+
+def arm_report(found: ArmDiagnosis) -> dict[str, Any]:
+    """Return the content of ``report.json``."""
+    before = {use: found.before(use) for use in ("estimation", "validation", "test")}
+    after = {use: found.after(use) for use in before}
+    effects, ties, apart = _effects(found)
+    data: dict[str, Any] = {
+        "format": FORMAT,
+        "dataset": found.dataset.name,
+        "model": found.arm.name,
+        "inertia": found.arm.inertia,
+        "verdict": found.verdict,
+        "adequacy": found.grade,
+        "explained_share": known(found.explained_share),
+        "misfit": list(found.misfit),
+        "summary": "",
+        "effects": effects,
+        "tie_sets": ties,
+        "separating_experiments": apart,
+        "errors": {
+            "before": {"equation_error": _errors(found, before)},
+            "after": {"equation_error": _errors(found, after)},
+        },
+        "joints": [_joint(found, k, before, after) for k in range(found.arm.n)],
+        "candidates": _candidates(found),
+        "not_visible": _not_visible(found),
+        "form": "inverse dynamics, maximum likelihood",
+        "policy": {**described(found.policy), **{f"arm_{k}": v for k, v in described(ARM_POLICY).items()}},
+        "closed_loop_bias": BiasTest((), NO_PATH).to_dict({}),
+        "warnings": list(dict.fromkeys(found.warnings)),
+        "seconds": round(found.seconds, 2),
+    }
+    data["summary"] = _summary(data, [found.arm.positions[one.joint].name for one in found.incomplete])
+    return data
+
+
+def known(value: float) -> float | None:
+    """Return a finite number, or None."""
+    return float(value) if np.isfinite(value) else None
+
+
+def _errors(found: ArmDiagnosis, values: dict[str, Any]) -> dict[str, Any]:
+    """Return the torque residual by use and joint."""
+    result: dict[str, Any] = {"meaning": "torque residual of each joint, low-passed, while the joint moves"}
+    for use, row in values.items():
+        if found.runs[use]:
+            result[use] = {
+                one.name: {"rms": known(value), "unit": drive.unit}
+                for one, drive, value in zip(found.arm.positions, found.arm.inputs, row, strict=True)
+            }
+    return result
+
+
+def _effects(found: ArmDiagnosis) -> tuple[list[dict[str, Any]], list[list[dict[str, str]]], list[list[str]]]:
+    """Return what was found, what each cannot be told from, and what would separate them."""
+    effects: list[dict[str, Any]] = []
+    ties: list[list[dict[str, str]]] = []
+    apart: list[list[str]] = []
+    for one in found.wide.accepted:
+        effects.append(_effect(found.wide.fit, one))
+        members = _members(one)
+        if one.placed.effect.name.startswith(("payload", "link_mass")):
+            members.append({"name": "parameter", "at": "inertial parameters that the URDF gives the same link"})
+        ties.append(members)
+        apart.append(separating([placed for group in one.tie for placed in group]))
+    for joint in found.joints:
+        for one in joint.outcome.accepted:
+            effects.append(_effect(joint.final, one))
+            members = _members(one)
+            if one.placed.effect.name == "input_gain":
+                others = found.wide.gains.get(one.placed.at, ())
+                members += [{"name": other.effect.name, "at": other.at} for other in others]
+                if joint.joint == found.arm.n - 1:
+                    members.append({"name": "parameter", "at": "mass and inertia of the last link"})
+            ties.append(members)
+            apart.append(separating([placed for group in one.tie for placed in group]))
+    return effects, ties, apart
+
+
+def _members(one: Accepted) -> list[dict[str, str]]:
+    """Return the tie set of an effect, itself first."""
+    return [
+        {"name": " + ".join(p.effect.name for p in group), "at": ", ".join(dict.fromkeys(p.at for p in group))}
+        for group in one.tie
+    ]
+
+
+def _effect(fit: Fit, accepted: Accepted) -> dict[str, Any]:
+    """Return one accepted effect with its parameters."""
+    placed = accepted.placed
+    parameters = {}
+    for one in placed.effect.parameters:
+        name = placed.name(one.name)
+        low, high = fit.interval(name) if name in fit.free else (np.nan, np.nan)
+        parameters[one.name] = {
+            "value": known(fit.values[name]),
+            "low": known(low),
+            "high": known(high),
+            "unit": fit.system.parameter(name).unit,
+            "meaning": one.meaning,
+        }
+    return {
+        "name": placed.effect.name,
+        "at": placed.at,
+        "parameters": parameters,
+        "evidence": known(accepted.evidence),
+        "validation_gain": known(accepted.validation),
+        "delta_bic": known(2 * accepted.evidence),
+        "formula": placed.effect.formula,
+        "summary": placed.effect.summary,
+    }
+
+
+def _joint(found: ArmDiagnosis, k: int, before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
+    """Return the entry of one joint."""
+    judged = next((one for one in found.joints if one.joint == k), None)
+    torque = np.concatenate([one.motion.u[:, k] for one in found.runs["estimation"]])
+    uses = [use for use in before if found.runs[use]]
+    entry: dict[str, Any] = {
+        "joint": found.arm.positions[k].name,
+        "link_joint": found.arm.arm.moving[k].name,
+        "judged": judged is not None,
+        "standstill": known(found.still[k]),
+        "torque_rms": known(float(np.sqrt(np.mean(torque**2)))),
+        "unit": found.arm.inputs[k].unit,
+        "before": {use: known(before[use][k]) for use in uses},
+        "after": {use: known(after[use][k]) for use in uses},
+        "effects": [],
+        "clock_s": None,
+        "left": None,
+        "not_tried": [],
+    }
+    if judged is not None:
+        error = judged.final.detail.errors[0]
+        entry["effects"] = [str(one.placed) for one in judged.outcome.accepted]
+        entry["clock_s"] = known(judged.final.values["clock"])
+        entry["left"] = {
+            "share": known(judged.share),
+            "noise": known(judged.noise),
+            "predictable": judged.predictable is not None,
+            "axis": None if judged.predictable is None else judged.predictable.name,
+            "error": {"partial": error.partial.tolist(), "deviation": known(error.deviation)},
+        }
+        entry["not_tried"] = list(judged.drowned)
+    return entry
+
+
+def _candidates(found: ArmDiagnosis) -> list[dict[str, Any]]:
+    """Return one row for each effect that was tried, with the reason against it."""
+    rows = _rows(found.wide.outcome)
+    for joint in found.joints:
+        rows += _rows(joint.outcome)
+    return rows
+
+
+def _rows(outcome: Outcome) -> list[dict[str, Any]]:
+    """Return the rows of one search: every refit, and what the score test alone set aside."""
+    accepted = {str(one.placed) for one in outcome.accepted}
+    rows = []
+    for number, here in enumerate(outcome.rounds, start=1):
+        rows += [_row(one, number, accepted) for one in sorted(here.candidates, key=lambda one: -_total(one))]
+        refitted = {one.name for one in here.candidates}
+        rows += [
+            {
+                "name": lead.placed.effect.name,
+                "at": lead.placed.at,
+                "round": number,
+                "refitted": False,
+                "accepted": False,
+                "reason": f"the score test promises {lead.gain:.1f}",
+                "evidence": None,
+                "delta_bic": None,
+                "validation_gain": None,
+                "standard_error": None,
+            }
+            for lead in here.test.leads
+            if str(lead.placed) not in refitted
+        ]
+    return rows
+
+
+def _total(one: Judged) -> float:
+    return -np.inf if one.comparison is None else one.comparison.total
+
+
+def _row(one: Judged, number: int, accepted: set[str]) -> dict[str, Any]:
+    """Return the row of one refit."""
+    answer = one.name in accepted and one.passed
+    compared = one.comparison
+    return {
+        "name": " + ".join(p.effect.name for p in one.added),
+        "at": ", ".join(p.at for p in one.added),
+        "round": number,
+        "refitted": True,
+        "accepted": answer,
+        "reason": "; ".join(one.reasons) or ("" if answer else "another one explains more, or is simpler"),
+        "evidence": None if compared is None else known(compared.evidence),
+        "delta_bic": None if compared is None else known(2 * compared.evidence),
+        "validation_gain": None if compared is None else known(compared.validation),
+        "standard_error": None if compared is None else known(compared.error),
+    }
+
+
+def _not_visible(found: ArmDiagnosis) -> list[dict[str, str]]:
+    """Return what this experiment cannot show, with what would."""
+    rows = [
+        {"name": one.placed.effect.name, "at": one.placed.at, "reason": one.placed.effect.experiment}
+        for one in sorted(found.wide.outcome.rounds[0].test.hidden, key=lambda one: str(one.placed))
+    ]
+    for joint in found.joints:
+        for name in joint.drowned:
+            effect, _, at = name.partition("@")
+            rows.append({"name": effect, "at": at, "reason": "the torque is less than 20 times its noise: move faster"})
+    return rows
+
+
+def _summary(data: dict[str, Any], incomplete: Sequence[str]) -> str:
+    """Return the verdict in one line."""
+    use = "test" if "test" in data["joints"][0]["before"] else "validation"
+    judged = [one for one in data["joints"] if one["judged"]]
+    if data["verdict"] == "model_does_not_fit":
+        first, last = data["misfit"][0], data["misfit"][-1]
+        return f"arm {data['model']} does not fit these data: {'; '.join(dict.fromkeys((first, last)))}"
+    if data["verdict"] == "effects_found":
+        ratio = [one["before"][use] / one["after"][use] for one in judged if one["after"][use]]
+        by_name: dict[str, list[str]] = {}
+        for one in data["effects"]:
+            by_name.setdefault(one["name"], []).append(one["at"])
+        names = "; ".join(f"{name.replace('_', ' ')} at {', '.join(places)}" for name, places in by_name.items())
+        gained = f"torque residual of a joint up to {max(ratio):.3g} times smaller ({use})"
+        return f"arm {data['model']} lacks {names}; {gained}; {_explained(data)}"
+    if data["verdict"] == "nothing_missing":
+        return (
+            f"nothing is missing in arm {data['model']}: {_explained(data)}, and nothing of the rest can be predicted"
+        )
+    return (
+        f"something is missing in arm {data['model']} at {', '.join(incomplete)}, and no effect of the dictionary "
+        f"explains it; {_explained(data)}"
+    )
+
+
+def _explained(data: dict[str, Any]) -> str:
+    """Say how much of the torques is explained, rounded down; at a joint of noise the noise is what is left."""
+    left = max(one["left"]["share"] ** 2 for one in data["joints"] if one["judged"])
+    share = np.floor(1000.0 * max(1.0 - left, 0.0)) / 10.0
+    return f"{share:g} % of the variance of every joint's torque is explained, its noise set aside"

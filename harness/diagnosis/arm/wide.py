@@ -1,0 +1,298 @@
+"""Effects that act on several joints of an arm at once: payload, tilted base, wrong link, joint zero, elasticity.
+
+They are tested beside the friction that a joint could have by itself (dry, viscous, in proportion to its torque, a
+constant), so that friction is never mistaken for a payload and hides none. A wrong torque gain of one joint competes
+with them on equal terms: what it explains better is left to the search on that joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from harness.diagnosis.arm.effects import GAIN, Wide, wide_effects
+from harness.diagnosis.arm.motion import ArmRun, moving_rows
+from harness.diagnosis.arm.regression import USES, Change, RegressionForm
+from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
+from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.rounds import Accepted, Outcome, search
+from harness.effects.effect import Placed
+from harness.errors import FitError
+from harness.physics.arm import ArmModel
+from harness.physics.parameters import Parameter
+from harness.signals import FloatArray
+
+__all__ = ["WideBalance", "WideResult", "own_columns", "wide_search"]
+
+OWN = ("dry", "viscous", "constant", "load", "clock")
+"""Columns of each joint in :func:`own_columns`."""
+FRICTION = ("dry", "load")
+LEVEL = 0.02
+"""Width of the sign of a joint's speed, over its rms speed."""
+SILENT = 1e-3
+"""An effect whose largest torque is below this share of the error shows nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """What has the parameters of a linear balance."""
+
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Their names, in order."""
+        return tuple(one.name for one in self.parameters)
+
+    def parameter(self, name: str) -> Parameter:
+        """Return one by name."""
+        return self.parameters[self.parameter_names.index(name)]
+
+    def values(self) -> dict[str, float]:
+        """Return where a fit starts."""
+        return {one.name: one.value for one in self.parameters}
+
+    def vector(self) -> FloatArray:
+        """Return the same as an array."""
+        return np.array([one.value for one in self.parameters])
+
+
+@dataclass(frozen=True, eq=False)
+class LinearEquation:
+    """Columns times parameters minus the torque; see :class:`harness.diagnosis.arm.regression.Equation`."""
+
+    system: Linear
+    target: Mapping[str, Sequence[FloatArray]]
+    columns: Mapping[str, Sequence[FloatArray]]
+
+    def residual(self, p: FloatArray, use: str) -> list[tuple[FloatArray, FloatArray]]:
+        """Return for every record the residual torque (rows, n) and the columns (rows, n, np)."""
+        return [(x @ p - y, x) for x, y in zip(self.columns[use], self.target[use], strict=True)]
+
+
+class WideBalance:
+    """Residual torques of the joints that move; see :class:`harness.diagnosis.arm.regression.Balance`.
+
+    Parameters
+    ----------
+    arm : ArmModel
+    runs : mapping
+        From :func:`harness.diagnosis.arm.motion.arm_runs`.
+    joints : sequence of int
+        Those that move: while a joint sticks, its torque says nothing.
+    calibrated : sequence of array (10 * bodies,)
+        Directions in which inertial parameters are free.
+    policy : ArmPolicy
+    """
+
+    def __init__(
+        self,
+        arm: ArmModel,
+        runs: Mapping[str, Sequence[ArmRun]],
+        joints: Sequence[int],
+        calibrated: Sequence[FloatArray] = (),
+        policy: ArmPolicy = ARM_POLICY,
+    ) -> None:
+        self.runs, self.joints = runs, list(joints)
+        self.counts = {use: [moving_rows(one.motion)[:, self.joints] for one in runs[use]] for use in USES}
+        speeds = np.sqrt(np.mean(runs["estimation"][0].motion.v ** 2, axis=0))
+        level = np.maximum(LEVEL * speeds, 1e-6)
+        self._target = {use: [self._slim(one, one.motion.u - one.rigid) for one in runs[use]] for use in USES}
+        self._base: dict[str, list[FloatArray]] = {}
+        for use in USES:
+            self._base[use] = []
+            for run in runs[use]:
+                m = run.calm
+                free = [arm.torques(m.q, m.v, m.a, parameters=p)[:, :, None] for p in calibrated]
+                own = own_columns(run, level)[:, :, [len(OWN) * k + c for k in joints for c in range(len(OWN))]]
+                self._base[use].append(self._slim(run, np.concatenate([own, *free], axis=2)))
+        names = [f"{arm.positions[k].name} {word}" for k in joints for word in OWN]
+        self.own = frozenset(f"inertia{k + 1}" for k in range(len(calibrated)))
+        names += [f"inertia{k + 1}" for k in range(len(calibrated))]
+        self.nominal = Linear(tuple(Parameter(name, "1", 0.0) for name in names))
+        torques = np.sqrt(np.mean(np.concatenate([one.calm.u for one in runs["estimation"]]) ** 2, axis=0))
+        self.effects = {str(one): one for one in wide_effects(arm, torques, policy)}
+        self._columns: dict[str, dict[str, list[FloatArray]]] = {}
+
+    def _slim(self, run: ArmRun, columns: FloatArray) -> FloatArray:
+        """Return columns (N, n) or (N, n, k) of the joints, decimated."""
+        return run.slim(columns[:, self.joints])
+
+    def columns(self, effect: Wide) -> dict[str, list[FloatArray]]:
+        """Return the columns (rows, n, k) of an effect by use, made once; 0 where it cannot show."""
+        key = str(effect)
+        if key not in self._columns:
+            made = {use: [self._slim(one, effect.columns(one)) for one in self.runs[use]] for use in USES}
+            most = [one.maximum for one in effect.placed.effect.parameters]
+            size = np.sqrt(np.mean(np.concatenate(made["estimation"]) ** 2, axis=0)) * most
+            left = np.sqrt(np.mean(np.concatenate(self._target["estimation"]) ** 2, axis=0))
+            shows = (size >= SILENT * left[:, None]).any(axis=0)
+            self._columns[key] = {use: [part * shows for part in parts] for use, parts in made.items()}
+        return self._columns[key]
+
+    def equation(self, effects: Sequence[Placed]) -> LinearEquation:
+        """Return the balance with effects, the parameters of the effects last."""
+        parameters = list(self.nominal.parameters)
+        columns = {use: [[part] for part in parts] for use, parts in self._base.items()}
+        for placed in effects:
+            parameters += [
+                Parameter(placed.name(one.name), one.unit, 0.0, one.minimum, one.maximum)
+                for one in placed.effect.parameters
+            ]
+            for use, parts in self.columns(self.effects[str(placed)]).items():
+                for whole, part in zip(columns[use], parts, strict=True):
+                    whole.append(part)
+        joined = {use: [np.concatenate(parts, axis=2) for parts in each] for use, each in columns.items()}
+        return LinearEquation(Linear(tuple(parameters)), self._target, joined)
+
+    def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[Change]:
+        """Return the columns of candidates."""
+        del values
+        return [
+            Change(placed, {}, placed.effect.parameter_names, self.columns(self.effects[str(placed)]))
+            for placed in candidates
+        ]
+
+    def free_torques(self) -> list[Change]:
+        """Return nothing: what is left is asked joint by joint."""
+        return []
+
+    def beside_friction(self, placed: Placed, fit: Fit) -> float:
+        """Return the torque of an effect over that of the dry friction at the joint where it weighs most."""
+        own = np.array([fit.values[placed.name(one.name)] for one in placed.effect.parameters])
+        torque = np.concatenate(self.columns(self.effects[str(placed)])["estimation"]) @ own
+        size = np.sqrt(np.mean(torque**2, axis=0))
+        joint = int(np.argmax(size))
+        places = [len(OWN) * joint + OWN.index(word) for word in FRICTION]
+        values = np.array([fit.values[self.nominal.parameter_names[k]] for k in places])
+        friction = np.concatenate(self._base["estimation"])[:, joint, places] @ values
+        return float(size[joint] / max(np.sqrt(np.mean(friction**2)), 1e-300))
+
+
+@dataclass(frozen=True, eq=False)
+class WideResult:
+    """What acts on the whole arm.
+
+    Attributes
+    ----------
+    fit : Fit
+        With all that was accepted, wrong gains among it.
+    accepted : tuple of Accepted
+        Without wrong gains.
+    outcome : Outcome
+        The rounds, for the report.
+    gains : dict
+        Inputs whose gain explained more than any effect on the whole arm, with what ties with it.
+    effects : dict
+        All that was looked for, by name.
+    notes : list of str
+    """
+
+    fit: Fit
+    accepted: tuple[Accepted, ...]
+    outcome: Outcome
+    gains: dict[str, tuple[Placed, ...]]
+    effects: dict[str, Wide]
+    notes: list[str] = field(default_factory=list)
+
+    def torque(self, run: ArmRun) -> FloatArray:
+        """Return the torque (N, n) that the arm needs with all that was accepted."""
+        result = run.rigid.copy()
+        sharp = replace(run, calm=replace(run.motion, u=run.calm.u))  # the true motion, not the calm one
+        for one in self.accepted:
+            values = np.array([self.fit.values[one.placed.name(p.name)] for p in one.placed.effect.parameters])
+            result += self.effects[str(one.placed)].columns(sharp) @ values
+        return result
+
+
+def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
+    """Return what every joint could do by itself (N, n, 5 n).
+
+    Sign of the speed, speed, 1, size of the torque times the sign, slope of the torque.
+
+    The slope stands for a torque that is recorded a fraction of a sample too late (tau - s tau'), and for the half
+    step by which an integrator is late.
+
+    Parameters
+    ----------
+    run : ArmRun
+    level : sequence of float
+        Width of the sign of each joint.
+    """
+    rows, n = run.motion.u.shape
+    result = np.zeros((rows, n, len(OWN) * n))
+    for k in range(n):
+        v = run.motion.v[:, k]
+        sign = np.tanh(v / level[k])
+        parts = (sign, v, np.ones(rows), np.abs(run.calm.u[:, k]) * sign, -run.first[:, k])
+        for place, column in enumerate(parts):
+            result[:, k, len(OWN) * k + place] = column
+    return result
+
+
+def wide_search(
+    arm: ArmModel,
+    runs: Mapping[str, Sequence[ArmRun]],
+    joints: Sequence[int],
+    *,
+    calibrated: Sequence[FloatArray] = (),
+    say: Callable[[str], None] = lambda text: None,
+    policy: Policy = POLICY,
+    arm_policy: ArmPolicy = ARM_POLICY,
+) -> WideResult:
+    """Find what acts on the whole arm.
+
+    Parameters
+    ----------
+    arm : ArmModel
+    runs : mapping
+        From :func:`harness.diagnosis.arm.motion.arm_runs`.
+    joints : sequence of int
+        Those that move.
+    calibrated : sequence of array (10 * bodies,)
+        Directions in which inertial parameters are free.
+    say : callable
+        Called with words about what is being done.
+    policy : Policy
+    arm_policy : ArmPolicy
+
+    Raises
+    ------
+    FitError
+        If the torques are not finite.
+    """
+    balance = WideBalance(arm, runs, joints, calibrated, arm_policy)
+    form = RegressionForm(balance, arm_policy)
+    nominal = form.fit((), [{}], None)
+    if nominal is None:
+        raise FitError(
+            f"the torques of arm {arm.name}",
+            expected="finite torques along the measured motion",
+            got="others",
+            remedy="check units and spikes of the positions",
+        )
+    candidates = [one.placed for one in balance.effects.values()]
+    found = search(form, nominal, candidates, policy=replace(policy, most=arm_policy.wide), say=say)
+    small = [
+        one for one in found.accepted
+        if one.placed.effect.name != GAIN and balance.beside_friction(one.placed, found.model) < arm_policy.detail
+    ]  # fmt: skip
+    notes = []
+    if small:
+        found.accepted = [one for one in found.accepted if one not in small]
+        again = form.fit([one.placed for one in found.accepted], [found.model.values], found.model)
+        found.model = found.nominal if again is None else again
+        names = ", ".join(str(one.placed) for one in small)
+        notes.append(
+            f"{names} left out: less than {100 * arm_policy.detail:g} % of the friction beside it, whose law is not "
+            "known so well"
+        )
+    gains = {
+        one.placed.at: tuple(other for group in one.tie[1:] for other in group)
+        for one in found.accepted
+        if one.placed.effect.name == GAIN
+    }
+    kept = tuple(one for one in found.accepted if one.placed.effect.name != GAIN)
+    return WideResult(found.model, kept, found, gains, balance.effects, notes)

@@ -1,0 +1,128 @@
+"""The likelihood form of an FMU: its state is not disturbed, its directions are pushes on its inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from harness.blackbox.effects import fits_fmu, surround
+from harness.blackbox.runner import Runner
+from harness.blackbox.simulator import FmuSimulator
+from harness.blackbox.system import FmuSystem
+from harness.diagnosis.fmu.passes import FreePass, Run
+from harness.diagnosis.fmu.prepare import measured_states, rough_values, sizes_of
+from harness.diagnosis.fmu.pushes import Moved, pushes, test_pushes
+from harness.diagnosis.search.directions import Direction
+from harness.diagnosis.search.fit import Column, Fit
+from harness.diagnosis.search.likelihood_form import USES, LikelihoodForm, whitened
+from harness.effects.effect import Placed
+from harness.physics.kalman_pass import Filtered, Pass
+from harness.physics.smoother import Smoothed
+from harness.signals import Dataset, FloatArray, Trajectory
+
+__all__ = ["FmuForm"]
+
+PUSH = 1e-3
+"""Size of a push in the difference quotients, over that of the inputs: well above what the solver rounds off."""
+
+
+class FmuForm(LikelihoodForm):
+    """Fits an FMU with effects around it; see :class:`harness.diagnosis.search.likelihood_form.LikelihoodForm`."""
+
+    def __init__(self, system: FmuSystem, dataset: Dataset, sizes: Mapping[str, Mapping[str, float]]) -> None:
+        self.runner = Runner(system, dataset.spec.sample_time)
+        super().__init__(system, dataset, sizes)
+
+    def judges(self, placed: Placed) -> bool:
+        """Return True for an effect that can be put around an FMU."""
+        return fits_fmu(placed.effect)
+
+    def has_latent_forces(self) -> bool:
+        """Return False: only what the FMU lets us set could be disturbed."""
+        return False
+
+    def composed(self, effects: Sequence[Placed]) -> Any:
+        """Return the FMU with effects around it; rounding of readings counts as noise."""
+        made = surround(self.nominal, effects, self.sizes) if effects else self.nominal
+        return replace(made, sampled=tuple(block for block in made.sampled if block.kind != "quantise"))
+
+    def substeps(self, system: Any, values: Mapping[str, float]) -> int:
+        """Return 1: the FMU chooses its own steps."""
+        return 1
+
+    def passes(self, system: Any, substeps: int) -> Pass:
+        """Return the free runs of a system."""
+        return FreePass(FmuSimulator(system, self.runner))
+
+    def first_state(self, system: Any, record: Trajectory, p: FloatArray) -> FloatArray:
+        """Return the initial state that a record tells, (nx,)."""
+        simulator = FmuSimulator(self.nominal, self.runner)
+        return np.asarray(measured_states(self.nominal, simulator, record, p[: self.nominal.np])[0][0])
+
+    def smooth(self, passed: Filtered) -> Smoothed:
+        """Return the states of the free run itself."""
+        assert isinstance(passed, Run)
+        return Smoothed(passed.x, np.zeros_like(passed.x))
+
+    def first_starts(self) -> list[dict[str, float]]:
+        """Return parameters to start the nominal fit from: as declared, and fitted over short windows."""
+        declared = self.nominal.values()
+        rough = rough_values(self.nominal, self.dataset, self.runner)
+        return [declared] if rough is None else [rough, declared]
+
+    def resize(self, nominal: Fit) -> None:
+        """Take the sizes of positions and rates from the nominal fit."""
+        self.sizes = sizes_of(self.nominal, [one for use in USES for one in self._moved(nominal)[use]])
+
+    # ---- what the score test needs -----------------------------------------------------------------------------------
+
+    def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        return self._pushed(fit, pushes(self.nominal, self._moved(fit), candidates, self.sizes))
+
+    def test_functions(self, fit: Fit) -> list[Column]:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        return self._pushed(fit, test_pushes(self.nominal, self._moved(fit)))
+
+    def _moved(self, fit: Fit) -> dict[str, list[Moved]]:
+        """Return the motion of every record along the free run of a fit."""
+        simulator: Any = fit.detail.passes.simulator
+        found: dict[str, list[Moved]] = {}
+        for use in USES:
+            point = fit.detail.points[use]
+            found[use] = []
+            for record, x0 in zip(self.records[use], point.x0, strict=True):
+                seen = simulator.sampled.inputs(record.u[None], point.p[None], False)[0][0]
+                q, v, y = simulator.motion(point.p, x0, seen, float(record.t[0]))
+                found[use].append(Moved(record, seen, q, v, y, self.dt))
+        return found
+
+    def _pushed(self, fit: Fit, found: Sequence[Direction]) -> list[Column]:
+        """Return the columns of directions: pushes by difference quotients of runs, readings as they are."""
+        made: list[dict[str, list[FloatArray]]] = [{use: [] for use in USES} for _ in found]
+        for use in USES:
+            passed, _ = self.paths(fit, use)
+            for number, one in enumerate(passed):
+                assert isinstance(one, Run)
+                u = self.records[use][number].u
+                size = PUSH * max(float(np.sqrt(np.mean(u**2))) if u.size else 0.0, 1e-9)
+                still = one.pushed(np.zeros_like(u))
+                for direction, columns in zip(found, made, strict=True):
+                    response = -direction.readings[use][number]
+                    forces = direction.forces[use][number]
+                    forces = 0.5 * (forces + np.concatenate([forces[1:], forces[-1:]]))
+                    for k in range(forces.shape[2]):
+                        largest = float(np.sqrt(np.mean(forces[..., k] ** 2)))
+                        if largest > 0:
+                            step = size / largest
+                            response[..., k] -= (one.pushed(step * forces[..., k]) - still) / step
+                    columns[use].append(whitened(response, one.s[..., None]))
+        return [
+            Column(direction.placed, direction.given, direction.names,
+                   np.concatenate(columns["estimation"]), np.concatenate(columns["validation"]))
+            for direction, columns in zip(found, made, strict=True)
+            if all(np.isfinite(part).all() for parts in columns.values() for part in parts)
+        ]  # fmt: skip

@@ -1,0 +1,114 @@
+"""Free runs of an FMU as a pass of the likelihood: nothing disturbs the plant, so the innovations are output errors."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.blackbox.simulator import FmuSimulator
+from harness.physics.kalman_pass import Filtered, Noise
+from harness.physics.latent import LatentForce
+from harness.signals import FloatArray, Trajectory
+
+__all__ = ["FreePass", "Run"]
+
+KEPT = 8
+"""Runs that are kept: where only the noise changes nothing is simulated again."""
+
+
+@dataclass(eq=False)
+class Run(Filtered):
+    """A free run with the states (K, nx) that it went through, and how to push its inputs.
+
+    Attributes
+    ----------
+    x : array (K, nx)
+    pushed : callable
+        From what is added to the FMU's inputs (K, nu) to the outputs (K, ny).
+    """
+
+    x: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    pushed: Callable[[FloatArray], FloatArray] = field(default=lambda extra: extra, repr=False)
+
+
+class FreePass:
+    """Simulates records with an FMU and effects around it; a :class:`harness.physics.kalman_pass.Pass`.
+
+    Parameters
+    ----------
+    simulator : FmuSimulator
+    """
+
+    def __init__(self, simulator: FmuSimulator) -> None:
+        self.simulator: Any = simulator
+        system = simulator.system
+        self.forces: tuple[LatentForce, ...] = ()
+        self.nl, self.substeps = 0, 1
+        self.dt, self.ny, self.parameter_count, self.start_size = simulator.dt, system.ny, system.np, system.nx
+        self.state_names = tuple(channel.name for channel in system.states)
+        self.parameter_names = system.parameter_names
+        self._period = np.array([channel.period or 0.0 for channel in system.outputs])
+        self._runs: OrderedDict[Any, tuple[FloatArray, FloatArray]] = OrderedDict()
+
+    def __call__(
+        self,
+        record: Trajectory,
+        p: Any,
+        x0: Any,
+        noise: Noise,
+        *,
+        columns: npt.NDArray[np.intp] | None = None,
+        keep: bool = False,
+    ) -> Filtered | None:
+        """Simulate a record; see :meth:`harness.physics.kalman_pass.KalmanPass.__call__`.
+
+        Derivatives are difference quotients of whole runs.
+        """
+        p, x0 = np.ascontiguousarray(p, dtype=float), np.ascontiguousarray(x0, dtype=float)
+        j = None
+        if columns is None:
+            x, y = self._run(record, p, x0)
+        else:
+            seen, slope = self.simulator.sampled.inputs(record.u[None], p[None], True)
+            self.simulator.wanted = "all" if (columns < self.parameter_count).any() else "states"
+            try:
+                states, outputs, s = self.simulator.windows(p[None], x0[None], seen, slope, record.t[:1])
+            finally:
+                self.simulator.wanted = "all"
+            assert s is not None
+            x, y, j = states[0], outputs[0], -s[0][..., columns]
+            if not np.isfinite(j).all():
+                return None
+        if not np.isfinite(y).all():
+            return None
+        e = record.y - y
+        turning = self._period > 0
+        e[:, turning] = (e[:, turning] + self._period[turning] / 2) % self._period[turning] - self._period[turning] / 2
+        variance = np.broadcast_to(noise.r**2, e.shape).copy()
+        if j is not None:
+            j = np.where(np.isfinite(e)[..., None], j, 0.0)
+        if not keep:
+            return Filtered(e, variance, j)
+        return Run(e, variance, j, x=x, pushed=lambda extra: self._pushed(record, p, x0, extra))
+
+    def _run(self, record: Trajectory, p: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return states and outputs of a free run; the last few are kept."""
+        key = (id(record), p.tobytes(), x0.tobytes())
+        if key not in self._runs:
+            seen = self.simulator.sampled.inputs(record.u[None], p[None], False)[0][0]
+            x, y = self.simulator.run(p, x0, seen, float(record.t[0]))
+            self._runs[key] = x, self.simulator.sampled.outputs(y[None], None, p[None])[0][0]
+            while len(self._runs) > KEPT:
+                self._runs.popitem(last=False)
+        return self._runs[key]
+
+    def _pushed(self, record: Trajectory, p: FloatArray, x0: FloatArray, extra: FloatArray) -> FloatArray:
+        """Return the outputs of a run with something added to the FMU's inputs."""
+        seen = self.simulator.sampled.inputs(record.u[None], p[None], False)[0][0]
+        y = self.simulator.run(p, x0, seen, float(record.t[0]), extra)[1]
+        return np.asarray(self.simulator.sampled.outputs(y[None], None, p[None])[0][0])

@@ -1,0 +1,205 @@
+"""Before the loop, where the nominal model is an FMU: its parameters, a rough fit, the horizon, sizes of effects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from harness.blackbox.reader import fmu_system
+from harness.blackbox.runner import Runner
+from harness.blackbox.simulator import FmuSimulator
+from harness.blackbox.system import FmuSystem
+from harness.diagnosis.records.horizon import GROWTH, Horizon, short_window
+from harness.errors import InputError
+from harness.physics.levenberg import minimise, minimise_states
+from harness.physics.smoothing import smooth
+from harness.physics.windows import Evaluation, Windows
+from harness.signals import Dataset, FloatArray, Trajectory
+
+if TYPE_CHECKING:
+    from harness.diagnosis.fmu.pushes import Moved
+
+__all__ = ["FmuWindows", "choose_horizon", "measured_states", "nominal_fmu", "rough_values", "sizes_of"]
+
+SHORTEST = 50
+"""Samples that a window has at least."""
+LOOK = 2000
+"""Samples on which a parameter must move an output to be calibrated."""
+ROUGH = 40
+"""Iterations of the rough fit."""
+DECREASE = 1e-5
+"""Relative decrease of the cost at which it ends: finite differences see no more."""
+
+
+def nominal_fmu(path: str | Path, dataset: Dataset, parameters: Mapping[str, Any] | None = None) -> FmuSystem:
+    """Return an FMU as the nominal model of a data set; parameters that do not move its outputs are kept fixed.
+
+    Raises
+    ------
+    InputError
+        See :func:`harness.blackbox.reader.fmu_system`; or the inputs of the data are not held.
+    """
+    if dataset.intersample != "zoh":
+        raise InputError(
+            "an FMU as nominal model",
+            expected="inputs that are held (intersample 'zoh')",
+            got=repr(dataset.intersample),
+            remedy="resample the records, or write the model as equations",
+            file=path,
+        )
+    system = fmu_system(path, dataset.spec, parameters)
+    simulator = FmuSimulator(system, Runner(system, dataset.spec.sample_time))
+    run = dataset.estimation[0].measured()[:LOOK] if dataset.estimation else None
+    if run is None:
+        return system
+    p = system.vector()
+    x0 = measured_states(system, simulator, run, p)[0][0]
+    slopes = simulator.windows(p[None], x0[None], run.u[None], None, run.t[:1])[2]
+    assert slopes is not None
+    moved = np.abs(slopes[0]).max(axis=(0, 1))
+    kept = tuple(
+        replace(one, fixed=True, minimum=-np.inf, maximum=np.inf) if not one.fixed and not moved[k] > 0 else one
+        for k, one in enumerate(system.parameters)
+    )
+    return replace(system, parameters=kept)
+
+
+def rough_values(system: FmuSystem, dataset: Dataset, runner: Runner) -> dict[str, float] | None:
+    """Return the parameters fitted over windows of a few periods of the motion; None if the simulation diverges."""
+    simulator, p = FmuSimulator(system, runner), system.vector()
+    records = [run.measured() for run in dataset.estimation]
+    windows = FmuWindows(simulator, records, short_window(dataset), _spread(dataset))  # type: ignore[arg-type]
+    starts = windows.starts_from([measured_states(system, simulator, one, p)[0] for one in records])
+    free = np.array([not one.fixed for one in system.parameters], dtype=bool)
+    simulator.wanted = "states"
+    try:
+        x0 = minimise_states(windows, p, starts, 8)
+    finally:
+        simulator.wanted = "all"
+    solution = minimise(windows, p, x0, free, ROUGH, decrease=DECREASE)
+    if not np.isfinite(solution.evaluation.cost):
+        return None
+    return system.values(dict(zip(system.parameter_names, map(float, solution.p), strict=True)))
+
+
+def choose_horizon(system: FmuSystem, values: Mapping[str, float], dataset: Dataset, runner: Runner) -> Horizon:
+    """Decide from how an error of the initial state grows whether whole records can be simulated.
+
+    The derivative of the outputs by each settable state, over the sizes of both, must not grow beyond
+    :data:`harness.diagnosis.records.horizon.GROWTH`. The size of a state is that of the record: a free run of an
+    unstable FMU soon has left it.
+    """
+    simulator = FmuSimulator(system, runner)
+    p = system.vector(values)
+    shortest = np.inf
+    for run in (one.measured() for one in dataset.estimation):
+        seen, told = measured_states(system, simulator, run, p)
+        x, y, slopes = simulator.windows(p[None], seen[:1], run.u[None], None, run.t[:1])
+        assert slopes is not None
+        finite = np.isfinite(y[0]).all(axis=1)
+        span = np.maximum(np.std(run.y, axis=0), 1e-12)
+        begun = x[0][:SHORTEST][finite[:SHORTEST]]
+        simulated = np.std(begun, axis=0) if begun.size else np.ones(system.nx)
+        states = np.maximum(np.where(told, np.std(seen, axis=0), simulated), 1e-12)
+        grown = np.abs(slopes[0][..., system.np :]) * states / span[:, None]
+        worst = np.where(finite, np.nan_to_num(grown, nan=np.inf).max(axis=(1, 2), initial=0.0), np.inf)
+        beyond = np.flatnonzero(worst > GROWTH)
+        if beyond.size:
+            shortest = min(shortest, beyond[0] * dataset.spec.sample_time)
+    if not np.isfinite(shortest):
+        return Horizon(None, "an error of the initial state does not grow: whole records are simulated")
+    length = float(max(shortest, SHORTEST * dataset.spec.sample_time))
+    return Horizon(float(f"{length:.2g}"), f"an error of the initial state grows {GROWTH:g} times in {shortest:.2g} s")
+
+
+def sizes_of(system: FmuSystem, moved: Sequence[Moved]) -> dict[str, dict[str, float]]:
+    """Return the rms sizes at every port along the FMU's own motion, for start values of effects."""
+    dt = moved[0].dt
+    common = {"dt": dt, "T": max(len(one.u) for one in moved) * dt}
+    u, y = (np.concatenate([getattr(one, name) for one in moved]) for name in ("u", "y"))
+    result: dict[str, dict[str, float]] = {"base": dict(common)}
+    for k, channel in enumerate(system.outputs):
+        result[channel.name] = {**common, "y": _size(y[:, k])}
+    for k, channel in enumerate(system.inputs):
+        result.setdefault(channel.name, dict(common)).update(u=_size(u[:, k]), F=_size(u[:, k]))
+    for row, one in enumerate(system.coordinates):
+        q, v = (np.concatenate([getattr(part, name)[:, row] for part in moved]) for name in ("q", "v"))
+        own = {"q": _size(q), "v": _size(v), "a": _size(np.gradient(v, dt)), "F": _size(u[:, one.force])}
+        result.setdefault(one.name, dict(common)).update(own)
+    return result
+
+
+class FmuWindows(Windows):
+    """Windows of an FMU: simulated once for the cost, once for every column of the Jacobian."""
+
+    def evaluate(self, p: FloatArray, x0: FloatArray, *, keep: bool = False, jacobian: bool = False) -> Evaluation:
+        """Simulate all windows; the normal equations follow on demand."""
+        simulator: Any = self.simulator
+        if simulator.wanted != "all" or jacobian:
+            return super().evaluate(p, x0, keep=keep, jacobian=jacobian)
+        simulator.wanted = "none"
+        try:
+            plain = super().evaluate(p, x0, keep=keep)
+        finally:
+            simulator.wanted = "all"
+        return _Lazy(plain, self, p, x0)
+
+    def complete(self, p: FloatArray, x0: FloatArray) -> Evaluation:
+        """Simulate with all derivatives."""
+        return super().evaluate(p, x0)
+
+
+class _Lazy(Evaluation):
+    """An evaluation whose normal equations are computed when they are asked for: a step that is rejected needs none."""
+
+    def __init__(self, plain: Evaluation, windows: FmuWindows, p: FloatArray, x0: FloatArray) -> None:
+        self.__dict__.update({k: v for k, v in plain.__dict__.items() if k not in ("gram", "slope")})
+        self._ask = windows, p.copy(), x0.copy()
+        self._full: Evaluation | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("gram", "slope"):
+            raise AttributeError(name)
+        if self._full is None:
+            windows, p, x0 = self._ask
+            self._full = windows.complete(p, x0)
+        return getattr(self._full, name)
+
+
+def measured_states(
+    system: FmuSystem, simulator: FmuSimulator, record: Trajectory, p: FloatArray
+) -> tuple[FloatArray, list[bool]]:
+    """Return states (N, nx) along a record, and which of them it tells: smoothed outputs and their derivatives."""
+    names = [one.name for one in system.outputs]
+    states = [one.name for one in system.inner_states]
+    x, known = np.zeros((len(record), system.nx)), [False] * system.nx
+    rates = {one.position: one.rate for one in system.coordinates}
+    names = [system.shown.get(name, name) for name in names]
+    for row, name in enumerate(names):
+        if name not in states and rates.get(name) not in states:
+            continue
+        found = smooth(record.y[:, row], simulator.dt, period=record.spec.outputs[row].period)
+        if name in states:
+            x[:, states.index(name)], known[states.index(name)] = found.value, True
+        rate = rates.get(name)
+        if rate in states and rate not in names:
+            x[:, states.index(rate)], known[states.index(rate)] = found.rate, True
+    if system.hidden_count:
+        x[:, len(states) :] = simulator.hidden_starts(x, record.u, p)
+    return x, known
+
+
+def _spread(dataset: Dataset) -> FloatArray:
+    """Return weights (ny,) of outputs: a tenth of their spread."""
+    spread = np.std(np.concatenate([run.y for run in dataset.estimation]), axis=0)
+    return np.asarray(np.maximum(0.1 * spread, 1e-12))
+
+
+def _size(x: FloatArray) -> float:
+    """Return the rms of what is finite."""
+    kept = x[np.isfinite(x)]
+    return float(np.sqrt(np.mean(kept**2))) if kept.size else 0.0

@@ -1,0 +1,179 @@
+"""What effects around an FMU would add to its inputs, or to its readings, along the motion of a free run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.blackbox.effects import surround
+from harness.blackbox.system import FmuSystem
+from harness.diagnosis.search.directions import Direction, choices, input_behind, reading_directions, spline_directions
+from harness.effects.effect import Placed
+from harness.effects.places import port_of
+from harness.errors import HarnessError
+from harness.signals import FloatArray, Trajectory
+
+__all__ = ["Moved", "pushes", "test_pushes"]
+
+PARTS = 4
+"""Steps of a hidden state within a sample."""
+LINES = 3
+"""Strongest lines of the output error that a periodic push is tried at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """A record with what the FMU did: inputs behind delays (K, nu), positions and rates (K, n), outputs (K, ny)."""
+
+    record: Trajectory
+    u: FloatArray
+    q: FloatArray
+    v: FloatArray
+    y: FloatArray
+    dt: float
+
+    @property
+    def expected(self) -> FloatArray:
+        """Outputs of the model (K, ny)."""
+        return self.y
+
+
+def pushes(
+    nominal: FmuSystem,
+    moved: Mapping[str, Sequence[Moved]],
+    candidates: Sequence[Placed],
+    sizes: Mapping[str, Mapping[str, float]],
+) -> list[Direction]:
+    """Return the directions of candidates, several for one whose parameters are not all linear."""
+    found: list[Direction] = []
+    for placed in candidates:
+        kind = port_of(nominal, placed).kind  # type: ignore[arg-type]
+        try:
+            if kind == "output":
+                found += reading_directions(moved, nominal, placed, sizes, ports=nominal.nu)
+            else:
+                found += _commands(nominal, moved, placed, sizes, kind)
+        except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
+            continue
+    return [one for one in found if all(np.isfinite(part).all() for side in (one.forces, one.readings)
+                                        for parts in side.values() for part in parts)]  # fmt: skip
+
+
+def test_pushes(nominal: FmuSystem, moved: Mapping[str, Sequence[Moved]]) -> list[Direction]:
+    """Return piecewise linear pushes over positions, rates, outputs and inputs, at every input of the FMU."""
+    names = [name for one in nominal.coordinates for name in (one.name, f"{one.name}'")]
+    shown = [row for row, one in enumerate(nominal.outputs) if one.name not in names]
+    values = {
+        name: {use: [one.q[:, row] if not rate else one.v[:, row] for one in parts] for use, parts in moved.items()}
+        for row, one in enumerate(nominal.coordinates)
+        for rate, name in enumerate((one.name, f"{one.name}'"))
+    }
+    for row in shown:
+        values[nominal.outputs[row].name] = {use: [one.y[:, row] for one in parts] for use, parts in moved.items()}
+    for row, one in enumerate(nominal.inputs):
+        values[one.name] = {use: [part.u[:, row] for part in parts] for use, parts in moved.items()}
+    inputs = [one.name for one in nominal.inputs]
+    pairs = [(one.name, other) for one in nominal.coordinates for other in (f"{one.name}'", *inputs)]
+    return spline_directions(values, pairs, inputs, {use: [one.y for one in parts] for use, parts in moved.items()})
+
+
+def _commands(
+    nominal: FmuSystem,
+    moved: Mapping[str, Sequence[Moved]],
+    placed: Placed,
+    sizes: Mapping[str, Mapping[str, float]],
+    kind: str,
+) -> list[Direction]:
+    """Return the directions of an effect before the FMU: what it makes of the command, less the command."""
+    at = sizes.get(placed.at, {})
+    found = []
+    for given, linear, phase in _tried(placed, at, moved):
+        names = linear or ("effect",)
+        complete = placed.effect.complete(given, at)
+        cases = [{**complete, **one} for one in _cases(placed, linear, phase)]
+        forces: dict[str, list[FloatArray]] = {}
+        for use, parts in moved.items():
+            forces[use] = []
+            for one in parts:
+                if kind == "input":
+                    each = [input_behind(placed, one, nominal, case) - one.record.u for case in cases]
+                else:
+                    each = [_added(nominal, placed, one, case) for case in cases]
+                columns = [later - each[0] for later in each[1:]] if linear else each
+                forces[use].append(np.stack(columns, axis=2))
+        readings = {use: [np.zeros((len(one.y), nominal.ny, len(names))) for one in parts]
+                    for use, parts in moved.items()}  # fmt: skip
+        found.append(Direction(placed, given, names, forces, readings))
+    return found
+
+
+def _cases(placed: Placed, linear: Sequence[str], phase: bool) -> list[dict[str, float]]:
+    """Return values of the linear parameters: none of them, then each alone; sine and cosine of a phase."""
+    if not linear:
+        return [{}]
+    amplitude = next((one.name for one in placed.effect.parameters if one.linear and not one.fixed), "")
+    if phase:
+        return [{amplitude: 0.0, "phi": 0.0}, {amplitude: 1.0, "phi": 0.0}, {amplitude: 1.0, "phi": 0.5 * np.pi}]
+    nothing = {name: placed.effect.parameter(name).neutral or 0.0 for name in linear}
+    return [nothing, *({**nothing, name: nothing[name] + 1.0} for name in linear)]
+
+
+def _tried(
+    placed: Placed, at: Mapping[str, float], moved: Mapping[str, Sequence[Moved]]
+) -> list[tuple[dict[str, float], tuple[str, ...], bool]]:
+    """Return choices of the nonlinear parameters; of a periodic push the strongest lines of the output error."""
+    if "periodic" not in placed.effect.name:
+        return [(given, linear, False) for given, linear in choices(placed, at)]
+    longest = max(moved["estimation"], key=lambda one: len(one.y))
+    error = np.nan_to_num(longest.record.y - longest.y)
+    n = len(error)
+    power = (np.abs(np.fft.rfft((error - error.mean(axis=0)) * np.hanning(n)[:, None], 4 * n, axis=0)) ** 2).sum(axis=1)
+    omega = 2 * np.pi * np.arange(len(power)) / (4 * n * longest.dt)
+    power[omega * n * longest.dt < 2 * 2 * np.pi] = 0.0  # two periods at least
+    found: list[tuple[dict[str, float], tuple[str, ...], bool]] = []
+    for _ in range(LINES):
+        peak = int(np.argmax(power))
+        if omega[peak] > 0:
+            found.append(({"omega": float(omega[peak])}, ("in phase", "quarter turn"), True))
+        power[max(peak - 12, 0) : peak + 13] = 0.0
+    return found
+
+
+def _added(nominal: FmuSystem, placed: Placed, one: Moved, values: Mapping[str, float]) -> FloatArray:
+    """Return what an effect adds to the command along a motion (K, nu); hidden states by Runge-Kutta steps."""
+    import casadi as ca
+
+    made = surround(nominal, [placed])
+    around = made.around
+    assert around is not None
+    n = len(one.u)
+    pairs = zip(placed.effect.parameters, made.parameters[made.inner_count :], strict=True)
+    p = np.array([parameter.value if parameter.fixed else values[short.name] for short, parameter in pairs])
+    functions, z = around.functions, np.zeros((around.z.shape[0], n))
+    motion = [one.u.T, one.q.T, one.v.T, one.record.t[None]]
+    if around.z.shape[0]:
+        here = [ca.SX.sym(name, part.shape[0]) for name, part in zip("uqvt", motion, strict=True)]
+        there = [ca.SX.sym(name, part.shape[0]) for name, part in zip("uqvt", motion, strict=True)]
+        first, own = ca.SX.sym("z", around.z.shape[0]), ca.SX.sym("p", len(p))
+        state, h = first, one.dt / PARTS
+
+        def slope(now: Any, share: float) -> Any:
+            mixed = [here[0], *((1 - share) * a + share * b for a, b in zip(here[1:], there[1:], strict=True))]
+            return functions["slopes"](*mixed, now, own)
+
+        for part in range(PARTS):
+            k1 = slope(state, part / PARTS)
+            k2 = slope(state + 0.5 * h * k1, (part + 0.5) / PARTS)
+            k3 = slope(state + 0.5 * h * k2, (part + 0.5) / PARTS)
+            k4 = slope(state + h * k3, (part + 1) / PARTS)
+            state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        step = ca.Function("step", [first, *here, *there, own], [state])
+        begun = np.array(functions["starts"](one.u[0], one.q[0], one.v[0], p)).ravel()
+        run = step.mapaccum(n - 1)(begun, *(part[:, :-1] for part in motion), *(part[:, 1:] for part in motion),
+                                   np.tile(p[:, None], n - 1))  # fmt: skip
+        z = np.concatenate([begun[:, None], run.full()], axis=1)
+    command = functions["command"].map(n)(*motion, z, np.tile(p[:, None], n)).full().T
+    return np.asarray(command - one.u)

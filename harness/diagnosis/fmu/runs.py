@@ -1,0 +1,69 @@
+"""Free runs of an FMU with the effects that were found, window by window."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from harness.blackbox.effects import surround
+from harness.blackbox.runner import Runner
+from harness.blackbox.simulator import FmuSimulator
+from harness.blackbox.system import FmuSystem
+from harness.diagnosis.fmu.prepare import DECREASE, FmuWindows, measured_states
+from harness.diagnosis.runs.form import FreeRunForm
+from harness.effects.effect import Placed
+from harness.physics.levenberg import minimise_states
+from harness.physics.windows import Windows
+from harness.signals import Dataset, FloatArray, Trajectory
+
+__all__ = ["FmuRuns"]
+
+
+class FmuRuns(FreeRunForm):
+    """Simulates an FMU with effects around it; see :class:`harness.diagnosis.runs.form.FreeRunForm`."""
+
+    decrease = DECREASE
+
+    def __init__(
+        self,
+        nominal: FmuSystem,
+        dataset: Dataset,
+        *,
+        sizes: Mapping[str, Mapping[str, float]],
+        horizon: float | None,
+        weights: FloatArray,
+        runner: Runner,
+    ) -> None:
+        super().__init__(nominal, dataset, sizes=sizes, horizon=horizon, weights=weights)
+        self.runner = runner
+        self._simulators: dict[int, tuple[Any, FmuSimulator]] = {}
+
+    def system(self, effects: Sequence[Placed]) -> Any:
+        """Return the FMU with effects around it, made once."""
+        key = tuple(str(one) for one in effects)
+        if key not in self._systems:
+            self._systems[key] = surround(self.nominal, effects, self.sizes) if effects else self.nominal
+        return self._systems[key]
+
+    def simulator(self, system: Any, p: FloatArray, *, quick: bool = False) -> Any:
+        """Return the simulator of a system, made once."""
+        if id(system) not in self._simulators:
+            self._simulators[id(system)] = (system, FmuSimulator(system, self.runner))
+        return self._simulators[id(system)][1]
+
+    def _cut(self, simulator: Any, records: list[Trajectory], horizon: float | None) -> Windows:
+        """Return the windows of records."""
+        return FmuWindows(simulator, records, horizon, self.weights)
+
+    def _fit_states(self, windows: Windows, p: FloatArray, x0: FloatArray, most: int) -> FloatArray:
+        """Return fitted initial states (W, nx); no derivative by a parameter is needed for that."""
+        simulator: Any = windows.simulator
+        simulator.wanted = "states"
+        try:
+            return minimise_states(windows, p, x0, most)
+        finally:
+            simulator.wanted = "all"
+
+    def _from_data(self, simulator: Any, record: Trajectory, p: FloatArray) -> tuple[FloatArray, list[bool]]:
+        """Return smoothed measurements for states that are outputs, their derivatives for rates, else 0."""
+        return measured_states(simulator.system, simulator, record, p)

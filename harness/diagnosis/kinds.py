@@ -1,0 +1,62 @@
+"""What a diagnosis does in its own way for each kind of nominal model: one given by equations here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from harness.diagnosis.records.columns_check import check_columns
+from harness.diagnosis.records.horizon import Horizon, choose_horizon
+from harness.diagnosis.records.prepare import sizes_of
+from harness.diagnosis.records.thinning import thinned_dataset
+from harness.diagnosis.runs.form import FreeRunForm
+from harness.diagnosis.search.likelihood_form import LikelihoodForm
+from harness.errors import HarnessError
+from harness.signals import Dataset, FloatArray
+
+__all__ = ["Equations", "Kind"]
+
+
+class Kind(Protocol):
+    """How a kind of nominal model is prepared, fitted and simulated."""
+
+    def prepared(self, dataset: Dataset, system: Any) -> tuple[Dataset, list[str]]:
+        """Return the data as they are judged, and what is suspicious about their columns."""
+        ...
+
+    def horizon(self, system: Any, values: Mapping[str, float], dataset: Dataset) -> Horizon:
+        """Return how far a free run is compared."""
+        ...
+
+    def form(self, system: Any, dataset: Dataset) -> LikelihoodForm:
+        """Return the likelihood of the data."""
+        ...
+
+    def runs(self, form: LikelihoodForm, dataset: Dataset, noise: FloatArray, horizon: Horizon) -> FreeRunForm:
+        """Return what simulates fitted models along the data, its residuals over the sensor noise."""
+        ...
+
+
+class Equations:
+    """A system given by its equations."""
+
+    def prepared(self, dataset: Dataset, system: Any) -> tuple[Dataset, list[str]]:
+        """See :class:`Kind`."""
+        return thinned_dataset(dataset), check_columns(system, dataset)
+
+    def horizon(self, system: Any, values: Mapping[str, float], dataset: Dataset) -> Horizon:
+        """See :class:`Kind`."""
+        try:
+            return choose_horizon(system, values, dataset)
+        except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
+            return Horizon(None, "the poles of the nominal model are unknown: whole records are simulated")
+
+    def form(self, system: Any, dataset: Dataset) -> LikelihoodForm:
+        """See :class:`Kind`."""
+        return LikelihoodForm(system, dataset, sizes_of(system, system.values(), dataset))
+
+    def runs(self, form: LikelihoodForm, dataset: Dataset, noise: FloatArray, horizon: Horizon) -> FreeRunForm:
+        """See :class:`Kind`."""
+        return FreeRunForm(form.nominal, dataset, sizes=form.sizes, horizon=horizon.seconds, weights=noise)

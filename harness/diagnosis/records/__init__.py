@@ -1,0 +1,1 @@
+"""The data before they are judged: checked, thinned, cut; what their columns and motions tell."""

@@ -1,0 +1,100 @@
+"""How far a model can be simulated freely before its errors are those of the start: the horizon of the free runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.records.motion import motion_band
+from harness.signals import Dataset, FloatArray
+
+__all__ = ["GROWTH", "Horizon", "choose_horizon", "short_window", "vanished"]
+
+GROWTH = 20.0
+"""By how much an error of the initial state may grow within a window."""
+
+
+@dataclass(frozen=True)
+class Horizon:
+    """Window length of the simulation error [s] (None: whole records), and why."""
+
+    seconds: float | None
+    reason: str
+
+
+def choose_horizon(system: Any, values: Mapping[str, float], dataset: Dataset) -> Horizon:
+    """Decide from the nominal model whether whole records can be simulated, or windows.
+
+    An integrating plant (a pole at 0) is judged over four of its slowest time constants, an unstable one over the
+    time in which an error grows 20 times; a stable one over the whole record.
+    """
+    import casadi as ca
+
+    longest = max(len(run) for run in dataset.estimation) * dataset.spec.sample_time
+    shortest = 50 * dataset.spec.sample_time
+    points = _operating_points(system, dataset)
+    jacobian = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
+    p = system.vector(values)
+    u = np.mean(np.concatenate([run.u for run in dataset.estimation]), axis=0) if system.nu else np.zeros(0)
+    centre = np.linalg.eigvals(np.array(jacobian(points.mean(axis=0), u, p, 0.0), dtype=float))
+    if not np.isfinite(centre).all():
+        return Horizon(None, "the poles of the nominal model are not finite at its operating point")
+    size = max(float(np.abs(centre).max()), 1e-12)
+    integrating = bool((np.abs(centre) < 1e-6 * size).any())
+    rates = []
+    for point in points[:: max(len(points) // 60, 1)]:
+        poles = np.linalg.eigvals(np.array(jacobian(point, u, p, 0.0), dtype=float))
+        if np.isfinite(poles).all():
+            rates.append(float(poles.real.max()))
+    typical = float(np.median(rates)) if rates else 0.0
+    if typical * longest > np.log(GROWTH) and typical > 1e-3 * size:
+        seconds = _round(float(np.clip(np.log(GROWTH) / typical, shortest, longest / 4)))
+        return Horizon(seconds, f"the nominal model is unstable where it was operated (a pole at +{typical:.3g} 1/s)")
+    lost = vanished(system, values) if integrating else []
+    if lost:  # a rough fit to readings that no model explains may lose gravity: then the model itself says what it is
+        other = choose_horizon(system, {**values, **{name: system.values()[name] for name in lost}}, dataset)
+        if other.seconds is None:
+            return other
+    if integrating:
+        decaying = -centre.real[np.abs(centre) >= 1e-6 * size]
+        slow = 1 / decaying[decaying > 1e-6 * size].min() if (decaying > 1e-6 * size).any() else longest
+        seconds = _round(float(np.clip(4 * slow, shortest, longest / 4)))
+        return Horizon(seconds, "the nominal model integrates: an error of the force never leaves the position")
+    return Horizon(None, "the nominal model is stable: whole records are simulated")
+
+
+def short_window(dataset: Dataset) -> float:
+    """Return a window [s] of four periods of the motion, 50 samples at least: short, yet longer than a start-up."""
+    run, dt = max(dataset.estimation, key=len), dataset.spec.sample_time
+    band = max(motion_band(run.y[:, j], dt)[0] for j in range(run.spec.ny))
+    return float(np.clip(4.0 / max(band, 1e-12), 50 * dt, len(run) * dt / 3))
+
+
+def _operating_points(system: Any, dataset: Dataset) -> FloatArray:
+    """Return states (N, nx) along the estimation data, as far as they are measured."""
+    from harness.physics.windows import data_states
+
+    simulator = system.simulator(dataset.spec.sample_time, intersample=dataset.intersample, backend="casadi")
+    found = [data_states(simulator, run, system.vector())[0] for run in dataset.estimation]
+    joined = np.concatenate(found)
+    return joined[np.isfinite(joined).all(axis=1)]
+
+
+def _round(seconds: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is not above (one part in ten of grace)."""
+    power = 10.0 ** np.floor(np.log10(seconds * 1.1))
+    return float(next(step * power for step in (5, 2, 1) if step * power <= seconds * 1.1))
+
+
+def vanished(system: Any, values: Mapping[str, float]) -> list[str]:
+    """Return the free parameters of a nominal model that cannot be negative and have gone to 0."""
+    return [
+        one.name
+        for one in system.parameters
+        if one.name in values
+        and "." not in one.name and not one.fixed and one.minimum == 0.0
+        and 0.0 <= values[one.name] < 1e-3 * abs(one.value)
+    ]  # fmt: skip

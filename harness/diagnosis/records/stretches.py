@@ -1,0 +1,138 @@
+"""Long records: the search looks at stretches of them; plants that cannot be simulated freely for long: at windows.
+
+A search simulates thousands of times; what 20 000 samples cannot decide, it does not need 50 000 for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from harness.signals import Dataset, FloatArray, Run
+
+__all__ = ["cut_alike", "stretched", "windowed"]
+
+LONG = 40_000
+"""Samples of the estimation records together, beyond which the search looks at stretches."""
+LENGTH, COUNT = 5_000, 4
+
+
+def stretched(dataset: Dataset, *, long: int = LONG, length: int = LENGTH, count: int = COUNT) -> Dataset:
+    """Return a data set whose long estimation records are cut down to stretches; the other runs stay as they are.
+
+    Beyond ``long`` samples together, every estimation record is cut into equal parts, ``count`` in all or one for each
+    record, and the middle of each part is kept: ``length`` samples, less where there are more records than stretches.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    long, length, count : int
+
+    Returns
+    -------
+    Dataset
+        The same one if its records are not long; else with a warning that says what was cut.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec, Trajectory
+    >>> spec = PlantSpec((Channel("u", "N"),), (Channel("q", "m"),), 0.5)
+    >>> record = Trajectory(np.arange(80) * 0.5, np.zeros((80, 1)), np.ones((80, 1)), spec)
+    >>> short = stretched(Dataset("x", (Run(record),)), long=50, length=10, count=2)
+    >>> [(len(one), float(one.t[0])) for one in short.estimation]
+    [(10, 7.5), (10, 27.5)]
+    """
+    total = sum(len(one) for one in dataset.estimation)
+    if total <= long:
+        return dataset
+    records = len(dataset.estimation)
+    size = min(length, length * count // records)
+    runs: list[Run] = []
+    for run in dataset:
+        n = len(run.trajectory)
+        if run.use != "estimation" or n <= size:
+            runs.append(run)
+            continue
+        pieces = max(1, min(round(count * n / total), n // size))
+        edges = np.linspace(0, n, pieces + 1)
+        for first, last in pairwise(edges):
+            start = int(0.5 * (first + last - size))
+            runs.append(replace(run, trajectory=run.trajectory[start : start + size]))
+    seen = sum(run.use == "estimation" for run in runs)
+    kept = sum(len(run.trajectory) for run in runs if run.use == "estimation")
+    note = (
+        f"the {total} estimation samples are many: effects are searched for, and estimation errors given, on {seen} "
+        f"stretches of them, {kept} samples spread evenly"
+    )
+    return replace(dataset, runs=tuple(runs), warnings=(*dataset.warnings, note))
+
+
+def cut_alike(
+    references: Sequence[Mapping[str, FloatArray]], whole: Dataset, short: Dataset
+) -> Sequence[Mapping[str, FloatArray]]:
+    """Return signals of the runs of a data set for the stretches that were cut from it.
+
+    Parameters
+    ----------
+    references : sequence of mapping
+        For each run of ``whole`` signals by name, arrays (N,).
+    whole, short : Dataset
+        Before and after :func:`stretched`.
+
+    Returns
+    -------
+    sequence of mapping
+        For each run of ``short``; the signals unchanged where its runs are no stretches of the others.
+    """
+    if len(references) != len(whole.runs):
+        return references
+    found: list[Mapping[str, FloatArray]] = []
+    sources = zip(whole.runs, references, strict=True)
+    source = next(sources, None)
+    for piece in short.runs:
+        first = None
+        while source is not None and (first := _place(piece, source[0])) is None:
+            source = next(sources, None)
+        if source is None or first is None:
+            return references
+        found.append({name: signal[first : first + len(piece.trajectory)] for name, signal in source[1].items()})
+    return found
+
+
+def _place(piece: Run, run: Run) -> int | None:
+    """Return the sample of a run at which a stretch of it begins; None if it is no stretch of this run."""
+    if piece.use != run.use:
+        return None
+    first = round(float(piece.trajectory.t[0] - run.trajectory.t[0]) / run.trajectory.spec.sample_time)
+    inside = 0 <= first <= len(run.trajectory) - len(piece.trajectory)
+    same = inside and np.array_equal(run.trajectory.y[first : first + len(piece.trajectory)], piece.trajectory.y)
+    return first if same else None
+
+
+def windowed(dataset: Dataset, seconds: float | None) -> Dataset:
+    """Return a data set whose estimation and validation records are cut into windows, each a record of its own.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    seconds : float or None
+        Length of a window [s]; None leaves the records whole.
+    """
+    if seconds is None:
+        return dataset
+    length = max(round(seconds / dataset.spec.sample_time), 2)
+    runs: list[Run] = []
+    for run in dataset:
+        n = len(run.trajectory)
+        if run.use == "test" or n < 2 * length:
+            runs.append(run)
+            continue
+        edges = [*range(0, n - length + 1, length)]
+        runs += [
+            replace(run, trajectory=run.trajectory[first:last])
+            for first, last in zip(edges, [*edges[1:], n], strict=True)
+        ]
+    return replace(dataset, runs=tuple(runs))

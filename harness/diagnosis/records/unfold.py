@@ -1,0 +1,289 @@
+"""Sensors that hide the sign: what the output was before they did, as a start for fits that no descent could reach.
+
+A linear screen never sees such a sensor and no descent finds it, because the sign of the model is lost with that of
+the data. So the output is unfolded first, and the refit also starts from a fit to the unfolded output.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.records.tracked_signs import LONGEST, Path, fourth_difference, tracked
+from harness.effects.effect import Placed
+from harness.physics.windows import Windows, data_states
+from harness.signals import FloatArray, Trajectory
+
+__all__ = ["HIDING", "Unfolding", "hidden_signs", "signs_by_model", "unfoldings"]
+
+HIDING = ("sensor_rectification",)
+"""Effects on an output that hide its sign."""
+NEAR = 0.1
+"""A reading below this share of the rms is near zero."""
+PERIODS = np.geomspace(6.0, 120.0, 16)  # samples
+DAMPING = (0.03, 0.08, 0.15, 0.3, 0.6, 0.9)
+SLOW = np.geomspace(1.5, 60.0, 6)  # samples
+TRIES = 8
+_TURNS = 15
+_LONGEST = 3000
+"""Samples of each record that are unfolded: signs found so far start the fit, the model tells the others."""
+
+
+@dataclass(frozen=True)
+class Unfolding:
+    """Signs of an output.
+
+    Attributes
+    ----------
+    signs : tuple of array (N_i,)
+        Of every record.
+    chance : float
+        How likely an output that keeps its sign looks so: one half for each turn at zero, or, where the motion could be
+        followed, how much less likely it is that it only turns there.
+    """
+
+    signs: tuple[FloatArray, ...]
+    chance: float
+
+
+_known: dict[tuple[int, int], list[Unfolding]] = {}
+"""Of the records seen last: every refit of one diagnosis asks for the same."""
+
+
+def unfoldings(runs: Sequence[Trajectory], column: int, *, most: int = 3) -> list[Unfolding]:
+    """Return the likeliest signs of an output that never changes its sign, best first.
+
+    Parameters
+    ----------
+    runs : sequence of Trajectory
+    column : int
+        Which output.
+    most : int
+
+    Returns
+    -------
+    list of Unfolding
+        Empty if the output changes its sign, or never turns near zero.
+
+    Notes
+    -----
+    Where the sampling is fine enough the motion is followed through its zeros, see
+    :func:`harness.diagnosis.records.tracked_signs.tracked`; there are two answers then: nobody knows the first sign.
+    Elsewhere, over a grid of poles (a real one and a complex pair) the free run of a linear model is linear in
+    everything else, so the signs follow by turns with a least-squares fit, from several starts: error reduction by
+    alternating projections (Fienup 1982, *Phase retrieval algorithms*, section II), here with a sign as the phase.
+    This needs an input: a free swing of little damping is not unfolded by it.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec
+    >>> spec = PlantSpec((Channel("u", "V"),), (Channel("y", "V"),), 0.1)
+    >>> t = np.arange(300) * 0.1
+    >>> u = np.sign(np.sin(0.9 * t) + np.sin(2.3 * t))
+    >>> y = np.zeros(300)
+    >>> for k in range(299):
+    ...     y[k + 1] = 0.9 * y[k] + 0.1 * u[k]
+    >>> def run(y):
+    ...     return Trajectory(t, u[:, None], y[:, None], spec)
+    >>> found = unfoldings([run(np.abs(y))], 0)[0]
+    >>> bool(abs(np.mean(found.signs[0] * np.sign(y))) > 0.9), unfoldings([run(y)], 0)
+    (True, [])
+    """
+    key = column, hash(tuple(part.tobytes() for run in runs for part in (run.u, run.y[:, column])))
+    if key not in _known:
+        if len(_known) > 8:
+            _known.clear()
+        _known[key] = _unfolded(runs, column)
+    return _known[key][:most]
+
+
+def _unfolded(runs: Sequence[Trajectory], column: int) -> list[Unfolding]:
+    """Return the likeliest signs, three at most."""
+    whole = [np.asarray(run.y[:, column], dtype=float) for run in runs]
+    size = float(np.sqrt(np.mean(np.concatenate(whole) ** 2)))
+    if size == 0 or any(one.min() < -max(1e-3 * size, 5 * fourth_difference(one)) for one in whole):
+        return []
+    if not any(_low_turns(one, NEAR * size) for one in whole):
+        return []
+    paths = [one for one in (_path(y.tobytes()) for y in whole) if one is not None]
+    if len(paths) == len(whole):
+        return _both_ways(runs, column, paths)
+    records = tuple(run[: min(len(run), _LONGEST)] for run in runs)
+    folded = [one[:_LONGEST] for one in whole]
+    # records of different amplitude count alike
+    weight = np.concatenate([np.full(len(one), 1.0 / max(np.sqrt(np.mean(one**2)), 1e-12 * size)) for one in folded])
+    z = np.concatenate(folded) * weight
+    rng = np.random.default_rng(0)
+    found: list[tuple[float, FloatArray]] = []
+    for period in PERIODS:
+        for damping in DAMPING:
+            for slow in SLOW:
+                columns = _responses(records, 2 * np.pi / period, damping, slow) * weight[:, None]
+                basis = np.linalg.qr(columns)[0]
+                guess = rng.standard_normal((basis.shape[1], TRIES))
+                signs = np.where(basis @ guess >= 0, 1.0, -1.0)
+                for _ in range(_TURNS):
+                    model = basis @ (basis.T @ (signs * z[:, None]))
+                    following = np.where(model >= 0, 1.0, -1.0)
+                    if np.array_equal(following, signs):
+                        break
+                    signs = following
+                errors = np.sqrt(np.mean((np.abs(model) - z[:, None]) ** 2, axis=0))
+                best = int(np.argmin(errors))
+                found.append((float(errors[best]), signs[:, best]))
+    found.sort(key=lambda one: one[0])
+    cuts = np.cumsum([len(one) for one in folded])[:-1]
+    likeliest = [tuple(np.split(signs, cuts)) for _, signs in found[:3]]
+    return [Unfolding(signs, 2.0 ** -min(_turns(signs), 1000)) for signs in likeliest]
+
+
+def _turns(signs: Sequence[FloatArray]) -> int:
+    """Return how often signs change."""
+    return sum(int(np.count_nonzero(np.diff(one))) for one in signs)
+
+
+@functools.lru_cache(maxsize=32)
+def _path(y: bytes) -> Path | None:
+    """Return the path of an output (its numbers as bytes) that was followed, made once."""
+    return tracked(np.frombuffer(y))
+
+
+def _both_ways(runs: Sequence[Trajectory], column: int, paths: Sequence[Path]) -> list[Unfolding]:
+    """Return the signs of followed records and their opposite; records are turned to answer the input alike."""
+    signs = [path.signs for path in paths]
+    first = _regression(runs[0], column, signs[0])
+    coefficients = np.linalg.lstsq(*first, rcond=None)[0]
+    for number in range(1, len(signs)):
+        errors = []
+        for sense in (1.0, -1.0):
+            columns, after = _regression(runs[number], column, sense * signs[number])
+            errors.append(float(np.sum((after - columns @ coefficients) ** 2)))
+        if errors[1] < errors[0]:
+            signs[number] = -signs[number]
+    chance = float(np.exp(-min(sum(path.gain for path in paths), 700.0)))
+    return [Unfolding(tuple(sense * one for one in signs), chance) for sense in (1.0, -1.0)]
+
+
+def _regression(run: Trajectory, column: int, signs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return regressors (4 outputs and 4 of each input before) and outputs of an ARX model of an unfolded record."""
+    y, n = np.asarray(run.y[: len(signs), column]) * signs, len(signs)
+    past = [y[4 - lag : n - lag] for lag in range(1, 5)]
+    past += [run.u[4 - lag : n - lag, port] for lag in range(1, 5) for port in range(run.u.shape[1])]
+    return np.column_stack(past), y[4:]
+
+
+def hidden_signs(form: Any, candidates: Sequence[Placed]) -> dict[str, float]:
+    """Return the candidates whose sensor may hide a sign, each with how likely the output looks so by chance."""
+    found: dict[str, float] = {}
+    names = [column[0] for column in form.columns]
+    for one in candidates:
+        if one.effect.name in HIDING and one.at in names and hasattr(form, "records"):
+            signs = unfoldings(form.records["estimation"], names.index(one.at), most=1)
+            if signs:
+                found[str(one)] = signs[0].chance
+    return found
+
+
+def signs_by_model(form: Any, simulator: Any, record: Trajectory, p: FloatArray) -> FloatArray | None:
+    """Return states (N, nx) of a record whose sensor hides the sign; None if the system has no such sensor.
+
+    Where the output could be followed through its zeros its signs are known but for the first, and the model without
+    the sensor decides about that. Elsewhere this model is run with the input from several states; its signs unfold the
+    output, its initial state follows from the unfolded output, and so on until the signs stay.
+    """
+    system = simulator.system
+    effects = tuple(system.effects)
+    hiding = [one for one in effects if one.effect.name in HIDING]
+    if len(hiding) != 1:
+        return None
+    rest = [one for one in effects if one.effect.name not in HIDING]
+    plain = form.system(rest)
+    values = dict(zip(system.parameter_names, p, strict=True))
+    q = plain.vector({name: values[name] for name in plain.parameter_names})
+    column = [channel.name for channel in plain.outputs].index(hiding[0].at)
+    runner = form.simulator(plain, q)
+    path = _path(np.asarray(record.y[:, column], dtype=float).tobytes()) if len(record) <= LONGEST else None
+    if path is not None:
+        return _states_of_path(form, runner, record, column, path, q)
+    guess = data_states(runner, record, q)[0]
+    tries = [guess, np.zeros_like(guess)]
+    tries.append(data_states(runner, _signed(record, column, -np.ones(len(record))), q)[0])
+    best: tuple[float, FloatArray] | None = None
+    for x in tries:
+        windows = Windows(runner, [record], None, form.weights)
+        x0 = windows.starts_from([x])
+        signs = np.zeros(len(record))
+        for _ in range(6):
+            result = windows.evaluate(q, x0, keep=True)
+            if not np.isfinite(result.cost):
+                break
+            simulated = windows.trajectories[0].y - result.residuals[0]
+            now = np.where(simulated[:, column] >= 0, 1.0, -1.0)
+            if np.array_equal(now, signs):
+                break
+            signs = now
+            windows = Windows(runner, [_signed(record, column, signs, fold=True)], None, form.weights)
+            x0 = form._fit_states(windows, q, x0, 25)
+        result = windows.evaluate(q, x0, keep=True)
+        if np.isfinite(result.cost) and (best is None or result.cost < best[0]):
+            best = (float(result.cost), windows.together(result.states)[0])
+    return None if best is None else best[1]
+
+
+def _states_of_path(
+    form: Any, runner: Any, record: Trajectory, column: int, path: Path, q: FloatArray
+) -> FloatArray | None:
+    """Return the states (N, nx) by a model without the sensor, of the first sign that it explains better."""
+    best: tuple[float, FloatArray] | None = None
+    for sense in (1.0, -1.0):
+        unfolded = _signed(record, column, sense * path.signs)
+        windows = Windows(runner, [unfolded], form.horizon, form.weights)
+        with np.errstate(all="ignore"):  # the wrong sign may diverge
+            x0 = form._fit_states(windows, q, windows.starts_from([data_states(runner, unfolded, q)[0]]), 25)
+            result = windows.evaluate(q, x0, keep=True)
+        if np.isfinite(result.cost) and (best is None or result.cost < best[0]):
+            best = (float(result.cost), windows.together(result.states)[0])
+    return None if best is None else best[1]
+
+
+def _signed(run: Trajectory, column: int, signs: FloatArray, *, fold: bool = False) -> Trajectory:
+    """Return a run with signs put to one output."""
+    y = np.array(run.y, dtype=float)
+    y[:, column] = (np.abs(y[:, column]) if fold else y[:, column]) * signs
+    return replace(run, y=y)
+
+
+def _low_turns(y: FloatArray, level: float) -> int:
+    """Return how often a record has a local minimum below a level."""
+    inside = (y[1:-1] <= y[:-2]) & (y[1:-1] <= y[2:]) & (y[1:-1] < level)
+    return int(np.count_nonzero(inside))
+
+
+def _responses(records: Sequence[Trajectory], frequency: float, damping: float, slow: float) -> FloatArray:
+    """Return what a linear model with these poles can do (N, k): by each input, by each initial state, a constant."""
+    from scipy.signal import lfilter
+
+    decay, pole = np.exp(-damping * frequency), np.exp(-1.0 / slow)
+    pair = [1.0, -2 * decay * np.cos(frequency), decay * decay]
+    total, nu = sum(len(run) for run in records), records[0].u.shape[1]
+    forced = np.zeros((total, 3 * nu))
+    free = np.zeros((total, 3 * len(records)))
+    row = 0
+    for number, run in enumerate(records):
+        rows, k = slice(row, row + len(run)), np.arange(len(run))
+        for j in range(nu):
+            late = np.r_[0.0, run.u[:-1, j]]
+            swing = lfilter([1.0], pair, late)
+            parts = (lfilter([1.0], [1.0, -pole], late), swing, np.r_[0.0, swing[:-1]])
+            forced[rows, 3 * j : 3 * j + 3] = np.column_stack(parts)
+        fade = decay**k
+        free[rows, 3 * number : 3 * number + 3] = np.column_stack(
+            [pole**k, fade * np.cos(frequency * k), fade * np.sin(frequency * k)]
+        )
+        row += len(run)
+    size = np.sqrt(np.mean(forced**2, axis=0))
+    return np.column_stack([forced[:, size > 0] / size[size > 0], free, np.ones(total)])

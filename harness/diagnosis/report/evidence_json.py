@@ -1,0 +1,398 @@
+"""``report.json`` of the likelihood's diagnosis: stable and documented; unknown figures are null, never 0.
+
+Keys of ``sysid-harness/close-loop/2``:
+
+``verdict``
+    ``model_does_not_fit`` (``misfit`` says why, and what to check); ``effects_found``; ``nothing_missing``;
+    ``unexplained`` (no effect accepted, though a free force still predicts the validation records).
+``adequacy``
+    ``explained``, ``mostly_explained``, ``proxy_or_incomplete``, ``does_not_fit``; ``explained_share`` is the share of
+    the validation outputs' variance that the final model explains over the horizon, the worst output.
+``stand_in``
+    ``flagged``: the accepted effects imitate something that is not in the dictionary; ``reasons``.
+``effects``, ``tie_sets``, ``separate_with``
+    Accepted effects (``name``, ``at``, ``evidence``, ``validation_gain`` in units of log-likelihood, ``delta_bic``,
+    ``parameters`` with ``value``, ``low``, ``high``, ``unit``); all that these data cannot tell from each, itself
+    first; the experiments that would.
+``errors``
+    ``before`` and ``after``: ``equation_error``, ``simulation_error`` (free runs over the horizon, by use and output),
+    ``log_likelihood`` by use.
+``parameters``
+    ``before`` and ``after``: every parameter with its 95 % interval from the curvature of the likelihood (null limits:
+    fixed, or on a bound).
+``noise``
+    ``before`` and ``after``: ``sensors`` (r by output) and ``forces`` (by port: s and tau of the latent force, its
+    white part w).
+``candidates``
+    Every refit with the reason it was rejected; then what the score test alone set aside.
+``left_over``
+    What free forces over position, speed and input would gain beside the final model, axis by axis.
+``policy``
+    Every deciding number with its reason, source and what it was tuned on.
+``tests``, ``isolability``, ``not_visible``, ``closed_loop``, ``closed_loop_bias``, ``horizon``
+    The rest of the evidence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from harness.diagnosis.policy import described
+from harness.diagnosis.records.motion import measured_coordinates
+from harness.diagnosis.report.experiments import Bench, separate_with, separating
+from harness.diagnosis.runs import residual_tests
+from harness.diagnosis.runs.closed_loop_bias import closed_loop_bias
+from harness.diagnosis.runs.equation_form import EquationForm
+from harness.diagnosis.runs.errors import equation_error, figures, simulation_error
+from harness.diagnosis.runs.fitted import Fitted
+from harness.diagnosis.search.compare import Judged
+from harness.diagnosis.search.fit import Fit
+from harness.effects.effect import Placed
+from harness.signals import FloatArray
+
+if TYPE_CHECKING:
+    from harness.diagnosis.algorithm import Diagnosis
+
+__all__ = ["FORMAT", "evidence_data", "innovations"]
+
+FORMAT = "sysid-harness/close-loop/2"
+SELECTED = "validation used for selection: there is no test run, so the figures after are not independent of the choice"
+AROUND = (
+    "an FMU shows no equations: only effects on its inputs and outputs and forces at its force inputs were tried, none "
+    "that needs an acceleration (a payload) or the base (a tilt)"
+)
+FREE = "a free swing tells ratios of inertia, damping and stiffness only: one of them must be known for the others"
+
+
+def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray]] = ()) -> dict[str, Any]:
+    """Return the content of ``report.json``; ``references`` as :func:`harness.diagnosis.close_loop` takes them."""
+    warnings = list(found.warnings)
+    if not found.dataset.test:
+        warnings.append(SELECTED)
+    if found.system.coordinates and not any(np.ptp(run.u, axis=0).any() for run in found.dataset.estimation):
+        warnings.append(FREE)
+    if found.system.h is None:
+        warnings.append(AROUND)
+    if not found.final.converged:
+        warnings.append("the final fit did not converge: its figures are not those of a maximum")
+    accepted = found.outcome.accepted
+    names, cosines = found.test.cosines([str(one.placed) for one in accepted])
+    bench = Bench(found.system, found.final.system, found.final.values, found.dataset)
+    bias = closed_loop_bias(
+        found.runs.output, found.runs.after, list(found.dataset.estimation), _used(found, references)
+    ) if found.runs.after is not None else None  # fmt: skip
+    data: dict[str, Any] = {
+        "format": FORMAT,
+        "dataset": found.dataset.name,
+        "model": found.system.name,
+        "verdict": found.verdict,
+        "adequacy": found.grade,
+        "explained_share": known(1.0 - found.runs.left),
+        "misfit": list(found.misfit),
+        "stand_in": {"flagged": bool(found.stand_in), "reasons": list(found.stand_in)},
+        "summary": "",
+        "effects": [_effect(found.final, one) for one in accepted],
+        "tie_sets": [[_named(member) for member in one.tie] for one in accepted],
+        "separating_experiments": [separating([p for member in one.tie for p in member]) for one in accepted],
+        "separate_with": [separate_with(bench, one.tie) for one in accepted],
+        "errors": {
+            "before": _errors(found, found.nominal, found.runs.before),
+            "after": _errors(found, found.final, found.runs.after),
+        },
+        "parameters": {"before": _parameters(found.nominal), "after": _parameters(found.final)},
+        "noise": {"before": _noise(found, found.nominal), "after": _noise(found, found.final)},
+        "candidates": _candidates(found),
+        "left_over": [one.to_dict() for one in found.leftover.axes],
+        "tests": {"before": _tests(found, found.nominal), "after": _tests(found, found.final)},
+        "isolability": {"effects": list(names), "cosine": np.round(cosines, 4).tolist()},
+        "not_visible": [
+            {"name": one.placed.effect.name, "at": one.placed.at,
+             "reason": "the nominal parameters and initial states can do the same"}
+            for one in found.not_visible
+        ],
+        "closed_loop": _closed_loop(found),
+        "closed_loop_bias": {"text": "not tested: free runs diverge", "p": None, "statistic": None}
+        if bias is None
+        else bias.to_dict({one.name: one.unit for one in found.final.system.parameters}),
+        "horizon": {"seconds": found.runs.horizon.seconds, "reason": found.runs.horizon.reason},
+        "form": "maximum likelihood" if found.form.latent else "maximum likelihood of free runs",
+        "converged": {"nominal": found.nominal.converged, "final": found.final.converged},
+        "policy": described(found.policy),
+        "warnings": list(dict.fromkeys(warnings)),
+        "seconds": round(found.seconds, 2),
+    }  # fmt: skip
+    data["summary"] = _summary(data)
+    return data
+
+
+def known(value: float | None) -> float | None:
+    """Return a finite number, or None."""
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+def innovations(found: Diagnosis, fit: Fit, use: str) -> list[FloatArray]:
+    """Return the innovations of a fit over their standard deviations, (N, ny) by record."""
+    passed, _ = found.form.paths(fit, use)
+    return [np.asarray(np.where(np.isfinite(one.e), one.e, 0.0) / np.sqrt(one.s)) for one in passed]
+
+
+def _used(found: Diagnosis, references: Sequence[Mapping[str, FloatArray]]) -> list[Mapping[str, FloatArray]]:
+    """Return the references of the estimation runs."""
+    return [one for one, run in zip(references, found.dataset, strict=False) if run.use == "estimation"]
+
+
+def _named(member: Sequence[Placed]) -> dict[str, Any]:
+    """Return one member of a tie set."""
+    return {"name": " + ".join(one.effect.name for one in member), "at": ", ".join(one.at for one in member)}
+
+
+def _effect(fit: Fit, one: Any) -> dict[str, Any]:
+    """Return one accepted effect with its parameters."""
+    parameters = {}
+    for parameter in one.placed.effect.parameters:
+        name = one.placed.name(parameter.name)
+        parameters[parameter.name] = {**_value(fit, name), "meaning": parameter.meaning}
+    return {
+        "name": one.placed.effect.name,
+        "at": one.placed.at,
+        "parameters": parameters,
+        "evidence": known(one.evidence),
+        "validation_gain": known(one.validation),
+        "delta_bic": known(2 * one.evidence),
+        "formula": one.placed.effect.formula,
+        "summary": one.placed.effect.summary,
+    }
+
+
+def _value(fit: Fit, name: str) -> dict[str, Any]:
+    """Return a parameter with its interval and unit."""
+    unit = fit.system.parameter(name).unit
+    low: float | None = None
+    high: float | None = None
+    if name in fit.free and fit.deviations.get(name, 0.0) > 0:
+        low, high = fit.interval(name)
+    return {"value": known(fit.values[name]), "low": known(low), "high": known(high), "unit": unit}
+
+
+def _parameters(fit: Fit) -> dict[str, Any]:
+    """Return every parameter with its interval."""
+    return {one.name: _value(fit, one.name) for one in fit.system.parameters}
+
+
+def _noise(found: Diagnosis, fit: Fit) -> dict[str, Any]:
+    """Return the noise of sensors and forces."""
+    noise = fit.detail.points["estimation"].noise
+    return {
+        "sensors": {
+            channel.name: {"r": known(float(r)), "unit": channel.unit}
+            for channel, r in zip(found.dataset.spec.outputs, noise.r, strict=True)
+        },
+        "forces": {
+            one.port: {"s": known(float(s)), "tau_s": known(float(tau)), "w": known(float(w)), "unit": one.unit}
+            for one, s, tau, w in zip(fit.detail.passes.forces, noise.s, noise.tau, noise.w, strict=True)
+        },
+    }
+
+
+def _errors(found: Diagnosis, fit: Fit, fitted: Fitted | None) -> dict[str, Any]:
+    """Return equation error, simulation error at several horizons, and log-likelihood."""
+    likelihood = {use: known(fit.log_likelihood(use)) for use in ("estimation", "validation")}
+    output = found.runs.output
+    if fitted is None:
+        nothing: dict[str, Any] = {use: {} for use in ("estimation", "validation", "test")}
+        bare: dict[str, Any] = {
+            "horizon_s": None,
+            "whole_record": True,
+            "initial_state": "estimated",
+            "other_horizons": [],
+        }
+        meaning = {"meaning": "unknown: the simulation diverges"}
+        return {"equation_error": {**nothing, **meaning}, "simulation_error": {**nothing, **bare},
+                "log_likelihood": likelihood}  # fmt: skip
+    strong = None
+    if measured_coordinates(found.system) is not None and not (output.nominal.ny and _sensors(fitted)):
+        strong = EquationForm(found.system, found.dataset, sizes=found.form.sizes)
+    usable = strong is not None and all(map(strong.judges, fitted.effects))
+    return {
+        "equation_error": equation_error(output, strong if usable else None, fitted, found.dataset, inverse=usable),
+        "simulation_error": simulation_error(
+            output, fitted, found.dataset, found.runs.horizon.seconds, _other_horizons(found)
+        ),
+        "one_step": {
+            use: figures(
+                [one * np.sqrt(p.s) for one, p in zip(innovations(found, fit, use), found.form.paths(fit, use)[0],
+                                                      strict=True)],
+                [run.y for run in found.form.records[use]],
+                [(channel.name, channel.unit) for channel in found.dataset.spec.outputs],
+            )
+            for use in ("estimation", "validation")
+        },
+        "log_likelihood": likelihood,
+    }  # fmt: skip
+
+
+def _sensors(fitted: Fitted) -> bool:
+    """Return True if a model has effects on its outputs: measured motion is not the true one then."""
+    names = {channel.name for channel in fitted.system.outputs}
+    return any(one.at in names and "output" in one.effect.kinds for one in fitted.effects)
+
+
+def _other_horizons(found: Diagnosis) -> list[float]:
+    """Return other horizons worth reporting [s]: a tenth, and ten times, within the records."""
+    dt = found.dataset.spec.sample_time
+    shortest = min(len(run.trajectory) for run in found.dataset) * dt
+    seconds = found.runs.horizon.seconds
+    wanted = [0.02 * shortest, 0.2 * shortest] if seconds is None else [0.1 * seconds, 5 * seconds]
+    return [float(f"{one:.2g}") for one in wanted if 20 * dt <= one < shortest]
+
+
+def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
+    """Return one row for each refit of each round, then what the score test set aside."""
+    accepted = {str(one.placed) for one in found.outcome.accepted}
+    tied = {str(p) for one in found.outcome.accepted for member in one.tie for p in member} - accepted
+    rows = []
+    for number, here in enumerate(found.outcome.rounds, start=1):
+        ranked = sorted(here.candidates, key=lambda one: -np.inf if one.comparison is None else -one.comparison.total)
+        rows += [_row(one, number, accepted, tied) for one in ranked]
+        refitted = {one.name for one in here.candidates}
+        for lead in [*here.test.leads, *here.test.hidden]:
+            if str(lead.placed) in refitted:
+                continue
+            hidden = lead.share < found.policy.seen
+            rows.append(
+                {
+                    "name": lead.placed.effect.name,
+                    "at": lead.placed.at,
+                    "round": number,
+                    "refitted": False,
+                    "accepted": False,
+                    "reason": "cannot be told from the nominal parameters"
+                    if hidden
+                    else "the score test promises less",
+                    "promise": known(lead.gain),
+                    "evidence": None,
+                }
+            )
+    return rows
+
+
+def _row(one: Judged, number: int, accepted: set[str], tied: set[str]) -> dict[str, Any]:
+    """Return the row of one refitted candidate."""
+    reason = "; ".join(one.reasons)
+    if one.passed and one.name not in accepted:
+        reason = "tied with the answer" if one.name in tied else "another candidate explains more"
+    found = one.comparison
+    return {
+        "name": " + ".join(p.effect.name for p in one.added),
+        "at": ", ".join(p.at for p in one.added),
+        "round": number,
+        "refitted": True,
+        "converged": bool(one.fit is not None and one.fit.converged),
+        "accepted": one.name in accepted and one.passed,
+        "passed": one.passed,
+        "reason": reason,
+        "evidence": known(None if found is None else found.evidence),
+        "validation_gain": known(None if found is None else found.validation),
+        "validation_error": known(None if found is None else found.error),
+        "main": {}
+        if one.fit is None
+        else {
+            name: [known(v) for v in (one.fit.values[name], *one.fit.interval(name))]
+            for name in (p.main() for p in one.added)
+            if name is not None and name in one.fit.free
+        },
+    }
+
+
+def _tests(found: Diagnosis, fit: Fit) -> dict[str, Any]:
+    """Return the tests of the innovations by output, on the longest validation record: white if the model is right."""
+    result: dict[str, Any] = {}
+    record = max(found.form.records["validation"], key=len)
+    longest = max(innovations(found, fit, "validation"), key=len)
+    for j, channel in enumerate(found.dataset.spec.outputs):
+        r = longest[:, j]
+        tests = [residual_tests.ljung_box(r)]
+        for k, port in enumerate(found.dataset.spec.inputs):
+            if np.ptp(record.u[:, k]) > 0:
+                one = residual_tests.input_correlation(record.u[: r.size, k], r)
+                tests.append(residual_tests.Outcome(f"{one.name} ({port.name})", one.statistic, one.dof, one.p))
+        result[channel.name] = {
+            "largest_autocorrelation": known(residual_tests.max_autocorrelation(r)),
+            "tests": [one.to_dict() for one in tests],
+        }
+    return result
+
+
+def _closed_loop(found: Diagnosis) -> dict[str, Any]:
+    """Test whether the innovations act back on the input, as under feedback (Ljung 1999, sec. 13.4)."""
+    result: dict[str, Any] = {}
+    run = found.form.records["estimation"][0]
+    r = innovations(found, found.final, "estimation")[0][:, 0]
+    for k, channel in enumerate(found.dataset.spec.inputs):
+        u = run.u[: len(r), k]
+        if len(u) < 100 or np.ptp(u) == 0:
+            continue
+        backwards = residual_tests.input_correlation(u[::-1], r[::-1], lags=10)
+        feedback = bool(backwards.p < 0.01)
+        result[channel.name] = {
+            "p": known(backwards.p),
+            "statistic": known(backwards.statistic),
+            "dof": backwards.dof,
+            "feedback": feedback,
+            "text": "the innovations are related to later inputs: data of a closed loop"
+            if feedback
+            else "no relation of the innovations to later inputs was found",
+        }
+    return result
+
+
+def _summary(data: dict[str, Any]) -> str:
+    """Return the verdict in one line."""
+    before = data["errors"]["before"]["simulation_error"]["validation"]
+    after = data["errors"]["after"]["simulation_error"]["validation"]
+    if data["verdict"] == "model_does_not_fit":
+        return f"{data['model']} does not fit these data: {'; '.join(data['misfit'])}"
+    change = ", ".join(
+        f"{name} {_short(before[name]['rms'])} -> {_short(after[name]['rms'])} {before[name]['unit']}"
+        for name in before
+        if name in after
+    )
+    share = data["explained_share"]
+    # four digits, rounded down: 100 % would be said of what leaves noise
+    words = (
+        f"{math.floor(1e4 * share) / 100:g} % of the validation variance is explained"
+        if share is not None
+        else "no free run"
+    )
+    if data["verdict"] == "effects_found":
+        names = " and ".join(f"{one['name'].replace('_', ' ')} at {one['at']}" for one in data["effects"])
+        more = " (tied with others, see below)" if any(len(one) > 1 for one in data["tie_sets"]) else ""
+        if data["stand_in"]["flagged"]:
+            return (
+                f"{names}{more} stand in for what {data['model']} lacks, which the dictionary does not have "
+                f"({data['stand_in']['reasons'][0]}); validation simulation error {change}; {words}"
+            )
+        return f"{data['model']} lacks {names}{more}; validation simulation error {change}; {words}"
+    plain = change.split(" -> ")[0] if ", " not in change else ", ".join(p.split(" -> ")[0] for p in change.split(", "))
+    units = ", ".join(dict.fromkeys(one["unit"] for one in before.values()))
+    if data["verdict"] == "nothing_missing":
+        return f"nothing is missing in {data['model']}: validation simulation error {plain} {units}; {words}"
+    best = data["left_over"][0] if data["left_over"] else None
+    cause = (
+        f"a force at {best['axis']} would"
+        if best and best["evidence"] + best["validation"] > 0
+        else ("the force that nobody measured is too large for a disturbance")
+    )
+    return (
+        f"something is missing in {data['model']}, and no effect of the dictionary explains it: {cause} "
+        f"({plain} {units}; {words})"
+    )
+
+
+def _short(value: float | None) -> str:
+    """Return a number in few digits."""
+    return "unknown" if value is None else f"{value:.3g}"

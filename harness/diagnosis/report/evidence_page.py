@@ -1,0 +1,160 @@
+"""``report.html`` of the likelihood's diagnosis: one self-contained page, the latent force first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from harness.diagnosis.report.evidence_json import innovations
+from harness.diagnosis.report.figures import Overlay, Pictures, ResidualView, draw
+from harness.diagnosis.report.html import environment, error_rows
+from harness.diagnosis.store import write_atomic
+from harness.signals import FloatArray
+
+if TYPE_CHECKING:
+    from harness.diagnosis.algorithm import Diagnosis
+    from harness.diagnosis.search.fit import Fit
+
+__all__ = ["pictures", "write_evidence"]
+
+MOST_PORTS = 3
+"""Latent forces that the page shows."""
+
+
+def write_evidence(found: Diagnosis, data: dict[str, Any], path: Path) -> None:
+    """Write the page of a diagnosis."""
+    rows = error_rows(data)
+    text = (
+        environment()
+        .get_template("evidence.html.j2")
+        .render(
+            data=data,
+            figures=draw(pictures(found)),
+            rows=rows,
+            cards=_cards(rows, bool(data["effects"])),
+            refits=[row for row in data["candidates"] if row["refitted"]],
+            aside=[row for row in data["candidates"] if not row["refitted"] and row["round"] == 1],
+            parameter_names=list(data["parameters"]["after"]),
+        )
+    )
+    write_atomic(path, text)
+
+
+def _cards(rows: list[dict[str, Any]], changed: bool) -> list[dict[str, Any]]:
+    """Return the figures of the first cards: those that fell most first."""
+    first = [row for row in rows if row["use"] == "validation" and row["kind"] == "simulation error"]
+    horizon = first[0]["horizon"] if first else ""
+    chosen = [row for row in first if row["horizon"] == horizon]
+    chosen += [row for row in rows if row["use"] == "validation" and row["kind"] == "equation error"]
+    return sorted(chosen, key=lambda row: -(row["factor"] or 0.0)) if changed else chosen
+
+
+def pictures(found: Diagnosis) -> Pictures:
+    """Return the arrays behind the figures."""
+    accepted = [str(one.placed) for one in found.outcome.accepted]
+    names, cosines = found.test.cosines(accepted)
+    made = Pictures(isolability=(names, cosines))
+    record = max(found.form.records["validation"], key=len)
+    made.sample_time = found.dataset.spec.sample_time
+    made.output_name = found.dataset.spec.outputs[0].name
+    made.before = max(innovations(found, found.nominal, "validation"), key=len)[:, 0]
+    made.after = max(innovations(found, found.final, "validation"), key=len)[:, 0] if accepted else None
+    if found.dataset.spec.inputs and np.ptp(record.u[:, 0]) > 0:
+        made.u, made.input_name = record.u[:, 0], found.dataset.spec.inputs[0].name
+    made.overlays = _overlays(found, bool(accepted))
+    made.views = _views(found, bool(accepted))
+    made.coverage = _coverage(found)
+    return made
+
+
+def _overlays(found: Diagnosis, changed: bool) -> list[Overlay]:
+    """Return measured and simulated outputs of the longest validation record."""
+    runs = found.runs
+    if runs.before is None or runs.after is None:
+        return []
+    number = int(np.argmax([len(run) for run in found.dataset.validation]))
+    record = found.dataset.validation[number]
+    errors = {
+        name: runs.output.simulated(one, "validation", runs.horizon.seconds)[0][number]
+        for name, one in (("before", runs.before), ("after", runs.after))
+    }
+    return [
+        Overlay(
+            channel.name,
+            channel.unit,
+            record.t,
+            record.y[:, j],
+            record.y[:, j] - errors["before"][:, j],
+            record.y[:, j] - errors["after"][:, j] if changed else None,
+        )
+        for j, channel in enumerate(found.dataset.spec.outputs)
+    ]
+
+
+def _force(found: Diagnosis, fit: Fit, port: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return states (N, nx), a latent force (N,) and its standard deviation on the first estimation record."""
+    _, smooth = found.form.paths(fit, "estimation")
+    row = fit.detail.passes.start_size + port
+    return smooth[0].x, smooth[0].x[:, row], smooth[0].deviation[:, row]
+
+
+def _views(found: Diagnosis, changed: bool) -> list[ResidualView]:
+    """Return what is left against position, speed, input and time, before and after: forces, or output errors."""
+    return _force_views(found, changed) if found.form.latent else _output_views(found, changed)
+
+
+def _force_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
+    """Return the smoothed latent forces."""
+    record = found.form.records["estimation"][0]
+    views = []
+    ports = list(found.nominal.detail.passes.forces)
+    sizes = [float(np.std(_force(found, found.nominal, k)[1])) / s for k, s in
+             enumerate(found.form.noise_model.force_scale)]  # fmt: skip
+    shown = sorted(np.argsort(sizes)[::-1][:MOST_PORTS])
+    for port in shown:
+        one = ports[port]
+        _, before, band = _force(found, found.nominal, port)
+        x, after, later = _force(found, found.final, port)
+        coordinate = next(c for c in found.system.coordinates if c.name == one.port)
+        axes = [
+            (coordinate.name, coordinate.unit, x[:, coordinate.q]),
+            (f"{coordinate.name}'", f"{coordinate.unit}/s", x[:, coordinate.v]),
+        ]
+        axes += [(c.name, c.unit, record.u[:, k]) for k, c in enumerate(found.dataset.spec.inputs[:1])]
+        axes.append(("time", "s", record.t))
+        for name, unit, values in axes:
+            sd = float(np.median(later if changed else band))
+            title = f"latent force at {one.port}"
+            shown_after = after if changed else None
+            views.append(ResidualView(name, unit, values, before, shown_after, None, one.unit, title, deviation=sd))
+    return views
+
+
+def _output_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
+    """Return the output errors of the free runs."""
+    record = found.form.records["estimation"][0]
+    before, after = (found.form.paths(fit, "estimation")[0][0].e for fit in (found.nominal, found.final))
+    views = []
+    for j, channel in enumerate(found.dataset.spec.outputs[:MOST_PORTS]):
+        axes = [(channel.name, channel.unit, record.y[:, j])]
+        axes += [(c.name, c.unit, record.u[:, k]) for k, c in enumerate(found.dataset.spec.inputs[:1])]
+        axes.append(("time", "s", record.t))
+        sd = float(found.final.detail.points["estimation"].noise.r[j])
+        for name, unit, values in axes:
+            views.append(
+                ResidualView(name, unit, values, before[:, j], after[:, j] if changed else None, None, channel.unit,
+                             f"error of {channel.name}", deviation=sd)
+            )  # fmt: skip
+    return views
+
+
+def _coverage(found: Diagnosis) -> list[tuple[str, str, FloatArray, FloatArray, FloatArray, FloatArray]]:
+    """Return where estimation and validation have been, coordinate by coordinate."""
+    both = [np.concatenate([one.x for one in found.form.paths(found.final, use)[1]]) for use in
+            ("estimation", "validation")]  # fmt: skip
+    return [
+        (one.name, one.unit, both[0][:, one.q], both[0][:, one.v], both[1][:, one.q], both[1][:, one.v])
+        for one in (found.system.coordinates if found.form.latent else ())
+    ]

@@ -1,0 +1,262 @@
+"""The experiment that would separate a tie: a scenario that can be run, its options computed from the fitted model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.effects.effect import Placed
+from harness.signals import Dataset, FloatArray
+
+__all__ = ["Bench", "separate_with", "separating"]
+
+SHORTEST, LONGEST = 20.0, 60.0
+PERIODS = 6
+UPRIGHT = 1.2
+"""Slow swings stay below this angle [rad]: beyond 90 deg a pendulum falls, and then it is not slow."""
+MOST_STRONGER = 32.0
+"""An input is never asked to grow more than this over what the data show that the plant bears."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What is known of the plant when an experiment is planned: the fitted model, and the data it was fitted to."""
+
+    nominal: Any
+    system: Any
+    values: Mapping[str, float]
+    dataset: Dataset
+
+    @property
+    def sample_time(self) -> float:
+        """Of the data [s]."""
+        return self.dataset.spec.sample_time
+
+    @property
+    def peaks(self) -> FloatArray:
+        """Return the largest excursion of each input about its mean in the data (nu,)."""
+        u = np.concatenate([run.u for run in self.dataset.estimation])
+        return np.asarray(np.abs(u - u.mean(axis=0)).max(axis=0), dtype=float)
+
+    def resonance(self) -> float:
+        """Return the fastest oscillation of the nominal model, typical for where it was operated [Hz].
+
+        Of the nominal model: dry friction near standstill hides the resonance.
+        """
+        import casadi as ca
+
+        from harness.physics.windows import data_states
+
+        system = self.nominal
+        p = system.vector({name: self.values[name] for name in system.parameter_names})
+        simulator = system.simulator(self.sample_time, intersample=self.dataset.intersample, backend="casadi")
+        states = np.concatenate([data_states(simulator, run, p)[0] for run in self.dataset.estimation])
+        states = states[np.isfinite(states).all(axis=1)]
+        u = np.mean(np.concatenate([run.u for run in self.dataset.estimation]), axis=0)
+        jacobian = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
+        found = []
+        for point in states[:: max(len(states) // 60, 1)]:
+            poles = np.linalg.eigvals(np.array(jacobian(point, u, p, 0.0), dtype=float))
+            swinging = np.abs(poles[np.abs(poles.imag) > 0.3 * np.abs(poles)])
+            found.append(swinging.max() if swinging.size else np.abs(poles).max())
+        rates = [one for one in found if 0 < one < 0.5 * np.pi / self.sample_time]
+        return float(np.median(rates)) / (2 * np.pi) if rates else 0.02 / self.sample_time
+
+    def moves(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the largest and the rms excursion of the coordinates, and of their rates, under an input (N, nu).
+
+        Both are arrays (2, n): largest, rms. Infinite where the model cannot follow. The model starts at rest.
+        """
+        system = self.system
+        simulator = system.simulator(self.sample_time, intersample=self.dataset.intersample, backend="casadi")
+        with np.errstate(all="ignore"):
+            x = simulator.states(system.vector(self.values), np.zeros(system.nx), u)
+        found = []
+        for names in ([one.q for one in system.coordinates], [one.v for one in system.coordinates]):
+            z = x[:, names] if names else x
+            z = z if np.isfinite(z).all() else np.full_like(z, np.inf)
+            found.append(np.stack([np.abs(z).max(axis=0), np.sqrt(np.mean(z**2, axis=0))]))
+        return found[0], found[1]
+
+    def seen(self) -> tuple[FloatArray, FloatArray]:
+        """Return the same for the inputs of the data."""
+        return self.moves(max(self.dataset.estimation, key=len).u)
+
+
+def separating(members: Sequence[Placed]) -> list[str]:
+    """Return in words the experiments that would separate the members of a tie set, each once."""
+    texts = [f"{one.effect.name}: {one.effect.experiment}" for one in members if one.effect.experiment]
+    return list(dict.fromkeys(texts))
+
+
+def separate_with(bench: Bench, members: Sequence[Sequence[Placed]]) -> list[dict[str, Any]]:
+    """Return the experiments that would tell the members of a tie set apart.
+
+    Parameters
+    ----------
+    bench : Bench
+    members : sequence of (effects)
+        The tie set, the answer first.
+
+    Returns
+    -------
+    list of dict
+        ``separates`` (names of the members), ``why``; and either ``scenario``, ``options`` and ``command``, or an
+        ``instruction`` where no input can do it.
+    """
+    names = list(dict.fromkeys(placed.effect.name for member in members for placed in member))
+    if len(members) < 2:
+        return []
+    found = []
+    for group, why, plan in _RULES:
+        here = [name for name in names if name in group]
+        if len(here) < 2:
+            continue
+        row: dict[str, Any] = {"separates": here, "why": why, "scenario": None, "options": {}, "command": None,
+                               "instruction": None}  # fmt: skip
+        if isinstance(plan, str):
+            row["instruction"] = plan
+        elif not bench.dataset.spec.inputs:
+            row["instruction"] = "no input of this plant is recorded: move it by hand as said"
+        elif not hasattr(bench.nominal, "f"):
+            row["instruction"] = "the model has no equations to plan with: choose the amplitudes by hand"
+        else:
+            scenario, options, more = plan(bench, members)
+            row.update(scenario=scenario, options=options, command=_command(scenario, options), instruction=more)
+        found.append(row)
+    return found
+
+
+_Plan = Callable[[Bench, Sequence[Sequence[Placed]]], tuple[str, dict[str, Any], str | None]]
+
+
+def _slow_triangle(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[str, Any], str | None]:
+    """Plan a triangle of an eighth of the resonance at three amplitudes, its swing within what the data show."""
+    seen, _ = bench.seen()
+    angles = np.array([one.unit == "rad" for one in bench.system.coordinates], dtype=bool)
+    most = np.where(angles, np.minimum(seen[0], UPRIGHT), seen[0]) if angles.size else seen[0]
+    frequency = bench.resonance() / 8
+    wave = _triangle(int(PERIODS / frequency / bench.sample_time), bench.sample_time, frequency)
+    peaks = bench.peaks
+    for _ in range(12):
+        if np.all(bench.moves(wave * peaks)[0][0] <= most):
+            break
+        peaks = 0.75 * peaks
+    options = {**_amplitude(bench, peaks), "frequency": _two(frequency), "levels": 3}
+    return "triangle", {**options, "duration": _duration(PERIODS / frequency)}, None
+
+
+def _chirp(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[str, Any], str | None]:
+    """Plan a chirp up to 5/tau, tau being the longest delay or time constant of the tie set that was fitted.
+
+    So far above its resonance a plant hardly moves, so that four times the data's amplitude does no harm.
+    """
+    found = [
+        abs(bench.values[name])
+        for member in members
+        for placed in member
+        for one in placed.effect.parameters
+        if one.unit == "s" and (name := placed.name(one.name)) in bench.values
+    ]
+    tau = max([one for one in found if one > 0], default=2 * bench.sample_time)
+    top = float(np.clip(5 / (2 * np.pi * tau), 2 * bench.resonance(), 0.4 / bench.sample_time))
+    options = {**_amplitude(bench, 4 * bench.peaks), "band": [_two(0.1 * top), _two(top)], "law": "logarithmic"}
+    return "chirp", {**options, "duration": SHORTEST}, None
+
+
+def _swing(target: float) -> _Plan:
+    """Plan sweeps about the resonance, just strong enough to reach an angle (or twice the data's range)."""
+
+    def plan(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[str, Any], str | None]:
+        seen, _ = bench.seen()
+        angles = np.array([one.unit == "rad" for one in bench.system.coordinates], dtype=bool)
+        wanted = np.where(angles, target, 2 * seen[0]) if angles.size else 2 * seen[0]
+        centre, dt = bench.resonance(), bench.sample_time
+        band = [_two(0.3 * centre), _two(1.5 * centre)]
+        t = np.arange(int(SHORTEST / dt)) * dt
+        sweep = np.sin(2 * np.pi * (band[0] * t + 0.5 * (band[1] - band[0]) / SHORTEST * t**2))
+        for factor in np.geomspace(0.5, MOST_STRONGER, 19):
+            reached, _ = bench.moves(sweep[:, None] * factor * bench.peaks)
+            if np.all(reached[0] >= wanted):
+                break
+        options = {**_amplitude(bench, factor * bench.peaks), "band": band, "duration": SHORTEST}
+        return "chirp", options, f"the swing must pass {np.degrees(target):.0f} deg" if angles.any() else None
+
+    return plan
+
+
+def _reversals(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[str, Any], str | None]:
+    """Plan small reversals: a triangle at a quarter of the resonance, a third of the data's amplitude at most."""
+    frequency = bench.resonance() / 4
+    options = {**_amplitude(bench, bench.peaks / 3), "frequency": _two(frequency), "levels": 3}
+    return "triangle", {**options, "duration": _duration(15 / frequency)}, "add a sensor on the load's side if you can"
+
+
+def _rest(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[str, Any], str | None]:
+    """Plan a run without excitation."""
+    return "free-swing", {"duration": SHORTEST, "spread": 0.0}, None
+
+
+_FRICTION = ("coulomb_friction", "stribeck_friction", "asymmetric_friction", "viscous_friction", "hysteresis",
+             "load_dependent_friction", "position_dependent_friction")  # fmt: skip
+_RULES: tuple[tuple[tuple[str, ...], str, _Plan | str], ...] = (
+    (_FRICTION, "slow motion through standstill: the laws of friction differ there, at speed they are alike",
+     _slow_triangle),
+    (("input_delay", "actuator_lag", "rate_limit", "sensor_delay"),
+     "a lag loses amplitude at 5/tau, a delay does not; a rate limit grows with amplitude", _chirp),
+    (("gravity_tilt", "sensor_offset", "eccentric_load"), "gravity turns with the base, a zero of a sensor does not",
+     "turn the base by a known angle and record again: no input of the joint can do this"),
+    (("force_bias", "gravity_tilt", "sensor_offset", "eccentric_load"),
+     "gravity makes a constant force differ from a turned zero only at large angles", _swing(np.radians(75.0))),
+    (("linear_spring", "quadratic_spring", "cubic_spring", "sensor_gain", "end_stop", "saturation"),
+     "springs are alike at small angles; beyond 90 deg gravity turns back and a spring does not",
+     _swing(np.radians(100.0))),
+    (("backlash", "elasticity", "dead_zone", "hysteresis"), "small reversals: play opens, an elastic joint does not",
+     _reversals),
+    (("quadratic_drag", "viscous_friction", "coulomb_friction"), "the decay of large swings: drag needs speed",
+     _swing(np.radians(75.0))),
+    (("periodic_disturbance", "cogging"), "without excitation a line in time stays, one in the angle goes", _rest),
+    (("payload_step", "input_gain"), "a mass is known on a scale only", "record again with a known added mass"),
+)  # fmt: skip
+
+
+def _triangle(n: int, dt: float, frequency: float) -> FloatArray:
+    """Return a plain triangle (n, 1) from 0, of peak 1."""
+    phase = np.arange(n) * dt * frequency
+    return np.asarray((np.abs((4 * phase - 1) % 4 - 2) - 1)[:, None], dtype=float)
+
+
+def _amplitude(bench: Bench, sizes: FloatArray) -> dict[str, Any]:
+    """Return the option ``amplitude``, within the declared limits of the inputs; a table where there are several."""
+    channels = bench.dataset.spec.inputs
+    limits = [0.5 * (one.maximum - one.minimum) for one in channels]
+    kept = [_two(float(min(size, limit))) for size, limit in zip(sizes, limits, strict=True)]
+    if len(kept) == 1:
+        return {"amplitude": kept[0]}
+    return {"amplitude": {one.name: size for one, size in zip(channels, kept, strict=True)}}
+
+
+def _duration(seconds: float) -> float:
+    """Return whole seconds, between 20 and 60."""
+    return float(np.clip(np.ceil(seconds), SHORTEST, LONGEST))
+
+
+def _two(value: float) -> float:
+    """Return a number in two digits, as a person would set it."""
+    return float(f"{value:.2g}")
+
+
+def _command(scenario: str, options: Mapping[str, Any]) -> str:
+    """Return the command line that runs the scenario on a plant."""
+    words = [f"sysid simulate PLANT --scenario {scenario}"]
+    for key, value in options.items():
+        if isinstance(value, Mapping):
+            words += [f"-S {key}.{name}={one:g}" for name, one in value.items()]
+        elif isinstance(value, list):
+            words.append(f"-S '{key}=[{', '.join(f'{one:g}' for one in value)}]'")
+        else:
+            words.append(f"-S {key}={value if isinstance(value, str) else format(value, 'g')}")
+    return " ".join([*words, "-o separate.csv"])

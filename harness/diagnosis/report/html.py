@@ -1,0 +1,90 @@
+"""What the pages share: the environment of the templates, and the rows of the before/after table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+__all__ = ["environment", "error_rows"]
+
+
+def environment() -> Any:
+    """Return the jinja2 environment of the pages."""
+    import jinja2
+
+    made = jinja2.Environment(
+        loader=jinja2.PackageLoader("harness.diagnosis.report", "templates"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    made.filters.update(number=_number, percent=_percent, words=_words, p=_probability)
+    return made
+
+
+def error_rows(data: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows of the before/after table: use, output, figures."""
+    rows = []
+    for use in ("estimation", "validation", "test"):
+        for kind, label in (("equation_error", "equation error"), ("simulation_error", "simulation error")):
+            before, after = data["errors"]["before"][kind].get(use, {}), data["errors"]["after"][kind].get(use, {})
+            horizon = ""
+            if kind == "simulation_error":
+                error = data["errors"]["before"][kind]
+                horizon = "whole record" if error["whole_record"] else f"{error['horizon_s']:g} s windows"
+            for name in before:
+                rows.append(_error_row(use, label, horizon, name, before[name], after.get(name)))
+        begun = [data["errors"][key]["simulation_error"].get("from_measured_state", {}) for key in ("before", "after")]
+        for name, one in begun[0].get(use, {}).items():
+            text = f"{data['errors']['before']['simulation_error']['horizon_s']:g} s windows from the measured state"
+            rows.append(_error_row(use, "simulation error", text, name, one, begun[1][use].get(name)))
+        others = data["errors"]["before"]["simulation_error"]["other_horizons"]
+        later = data["errors"]["after"]["simulation_error"]["other_horizons"]
+        for one, two in zip(others, later, strict=True):
+            for name in one.get(use, {}):
+                text = f"{one['horizon_s']:g} s windows"
+                rows.append(_error_row(use, "simulation error", text, name, one[use][name], two[use].get(name)))
+    return rows
+
+
+def _error_row(
+    use: str, label: str, horizon: str, name: str, before: dict[str, Any], after: dict[str, Any] | None
+) -> dict[str, Any]:
+    """Return one row of the table, with the factor gained."""
+    a, b = before["rms"], None if after is None else after["rms"]
+    return {
+        "use": use,
+        "kind": label,
+        "horizon": horizon,
+        "output": name,
+        "unit": before["unit"],
+        "before": a,
+        "after": b,
+        "nrmse_before": before["nrmse"],
+        "nrmse_after": None if after is None else after["nrmse"],
+        "factor": a / b if a is not None and b else None,
+    }
+
+
+def _number(value: float | None) -> str:
+    """Return a number in four digits, a dash where it is unknown."""
+    if value is None:
+        return "–"  # noqa: RUF001
+    return f"{value:.4g}"
+
+
+def _percent(value: float | None) -> str:
+    """Return a share in percent."""
+    return "–" if value is None else f"{100 * value:.3g} %"  # noqa: RUF001
+
+
+def _words(value: str) -> str:
+    """Return a name with spaces."""
+    return value.replace("_", " ")
+
+
+def _probability(value: float | None) -> str:
+    """Return a p-value."""
+    if value is None:
+        return "–"  # noqa: RUF001
+    return "< 0.001" if value < 0.001 else f"{value:.3f}"

@@ -1,0 +1,1 @@
+"""Free runs and equation errors of a fitted model: the figures that users know, before and after."""

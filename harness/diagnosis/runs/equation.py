@@ -1,0 +1,185 @@
+"""The equation form: put the measured motion into the equations of motion and see which force is left over.
+
+Two forms of one residual. The strong form M a - Q needs the acceleration; it is low-passed and decimated together
+with its regressors (the published method for the EMPS benchmark). The weak form multiplies with bump functions and
+integrates the momentum by parts, so that no acceleration is needed (momentum form of a mechanical model).
+Effects with hidden states or on samples cannot be judged here; see :func:`expressible`.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from harness.diagnosis.records.motion import Motion
+from harness.signals import FloatArray
+
+__all__ = ["Equations", "bump_rows", "decimated", "equations_of", "expressible"]
+
+Form = Literal["strong", "weak"]
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Residual force of a system on measured motion, with its derivatives to the parameters.
+
+    Attributes
+    ----------
+    strong : casadi.Function
+        (q, v, a, u, p, t) -> M a - Q (n,), its Jacobian (n, np).
+    weak : casadi.Function
+        (q, v, u, p, t) -> momentum M v, force Q + M' v, and their Jacobians.
+    drive : casadi.Function
+        (q, v, u, p, t) -> force of the inputs (n,).
+    """
+
+    system: Any
+    strong: Any
+    weak: Any
+    drive: Any
+
+    def _values(self, name: str, *arguments: FloatArray) -> list[FloatArray]:
+        """Return the outputs of a function along a record (N, size), matrices column by column."""
+        from harness.physics.vectorised import OnRecords
+
+        known: dict[str, OnRecords] = self.__dict__.setdefault("_on_records", {})
+        if name not in known:
+            known[name] = OnRecords(getattr(self, name))
+        return known[name](*arguments)
+
+    def input_size(self, motion: Motion, p: FloatArray) -> float:
+        """Return the rms force of the inputs as the model passes them on; 0 without inputs."""
+        return float(np.sqrt(np.mean(self.force_of(motion, motion.u, p) ** 2)))
+
+    def force_of(self, motion: Motion, u: FloatArray, p: FloatArray) -> FloatArray:
+        """Return the force (N, n) of inputs u (N, nu) along a motion."""
+        return self._values("drive", motion.q, motion.v, u, np.asarray(p, dtype=float), motion.t[:, None])[0]
+
+    def balance(self, motion: Motion, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residual of the weak form and the change of momentum in it, both (rows, n), never filtered."""
+        momentum = self._values("weak", motion.q, motion.v, motion.u, np.asarray(p, dtype=float), motion.t[:, None])[0]
+        return Equations.residual(self, motion, p, "weak", ())[0], bump_rows(momentum, motion, slope=True)
+
+    def residual(
+        self, motion: Motion, p: FloatArray, form: Form = "strong", columns: Sequence[int] | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the residual force (rows, n) [force units] and its derivative (rows, n, np).
+
+        Parameters
+        ----------
+        motion : Motion
+            Of one record.
+        p : array (np,)
+            Parameters in the order of the system's.
+        form : {"strong", "weak"}
+            Rows are decimated samples, or bumps (half overlapping) with the mean force over each.
+        columns : sequence of int, optional
+            Parameters whose derivatives are wanted; all if not given.
+        """
+        n, npar, rows = motion.q.shape[1], p.size, motion.q.shape[0]
+        wanted = list(range(npar)) if columns is None else list(columns)
+        k = len(wanted)
+        p, t = np.asarray(p, dtype=float), motion.t[:, None]
+        if form == "strong":
+            out = self._values("strong", motion.q, motion.v, motion.a, motion.u, p, t)
+            r, j = _unpack(out, n, npar, rows)
+            slim = decimated(r, motion)
+            if k == 0:
+                return slim, np.zeros((*slim.shape, 0))
+            return slim, decimated(j[:, :, wanted].reshape(rows, n * k), motion).reshape(-1, n, k)
+        momentum, force, dm, df = self._values("weak", motion.q, motion.v, motion.u, p, t)
+        (m, jm), (f, jf) = _unpack((momentum, dm), n, npar, rows), _unpack((force, df), n, npar, rows)
+        shape = (rows, n * k)
+        jm, jf = jm[:, :, wanted], jf[:, :, wanted]
+        r = bump_rows(m, motion, slope=True) - bump_rows(f, motion)
+        if k == 0:
+            return r, np.zeros((*r.shape, 0))
+        j = bump_rows(jm.reshape(shape), motion, slope=True) - bump_rows(jf.reshape(shape), motion)
+        return r, j.reshape(-1, n, k)
+
+
+def expressible(placed: Any) -> bool:
+    """Return True if an effect acts on the forces without a state of its own, so that it has an equation form."""
+    effect = placed.effect
+    if effect.name == "input_gain":  # a common factor on all forces: the equation alone cannot know it
+        return False
+    return not effect.states and not effect.sampled and bool({"coordinate", "input", "base"} & set(effect.kinds))
+
+
+def equations_of(system: Any) -> Equations:
+    """Return the equation form of a system.
+
+    Parameters
+    ----------
+    system : System
+        With coordinates and without hidden states.
+    """
+    import casadi as ca
+
+    n = len(system.coordinates)
+    q, v, a = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("a", n)
+    t = ca.SX.sym("t")
+    swap = [ca.vertcat(system.x, system.gravity, system.t), ca.vertcat(q, v, ca.DM([0.0, -1.0]), t)]
+    matrix = ca.substitute(system.mass_matrix, *swap)
+    force = ca.substitute(system.generalized_forces, *swap)
+    u, p = system.u, system.p
+    momentum = matrix @ v
+    drift = force + ca.jtimes(momentum, q, v)  # Q + M'(q) v, so that d(M v)/dt equals it
+    left_over = matrix @ a - force
+    strong = ca.Function("strong", [q, v, a, u, p, t], [left_over, ca.jacobian(left_over, p)])
+    weak = ca.Function("weak", [q, v, u, p, t], [momentum, drift, ca.jacobian(momentum, p), ca.jacobian(drift, p)])
+    driving = ca.substitute(system.input_forces, *swap)
+    return Equations(system, strong, weak, ca.Function("drive", [q, v, u, p, t], [driving]))
+
+
+@functools.cache
+def _low_pass(factor: int) -> FloatArray:
+    """Return the filter of a decimation, as second-order sections."""
+    from scipy import signal
+
+    return np.asarray(signal.cheby1(8, 0.05, 0.8 / factor, output="sos"))
+
+
+def decimated(rows: FloatArray, motion: Motion) -> FloatArray:
+    """Return rows (N, k), low-passed without delay, decimated, the touched ends cut off."""
+    from scipy import signal
+
+    factor = motion.factor
+    if factor == 1:
+        return rows[motion.inside]
+    sos = _low_pass(factor)
+    inner = rows[motion.inside]
+    smooth = signal.sosfiltfilt(sos, inner, axis=0, padlen=min(6 * factor, inner.shape[0] - 1))
+    result = smooth[::factor]
+    cut = 10 if result.shape[0] > 200 else 2
+    return np.asarray(result[cut:-cut])
+
+
+def bump_rows(rows: FloatArray, motion: Motion, *, slope: bool = False) -> FloatArray:
+    """Return the mean of rows (N, k) over half overlapping bumps, or of minus their product with the bump's slope.
+
+    The bump is (1 - s^2)^2 on s in (-1, 1), so both it and its slope vanish at its ends; it is as wide as five
+    decimated samples. With ``slope`` the result is the mean of the derivative of the rows, by parts.
+    """
+    dt = motion.sample_time
+    width = max(5 * motion.factor, 8)
+    rows = rows[motion.inside]
+    width = min(width, rows.shape[0] // 4)
+    s = (np.arange(width) + 0.5) / width * 2 - 1
+    bump = (1 - s**2) ** 2
+    norm = bump.sum()
+    weights = 4 * s * (1 - s**2) * (2 / (width * dt)) if slope else bump
+    starts = np.arange(0, rows.shape[0] - width + 1, max(width // 2, 1))
+    windows = np.lib.stride_tricks.sliding_window_view(rows, width, axis=0)[starts]
+    return np.asarray(windows @ (weights / norm))
+
+
+def _unpack(values: Sequence[FloatArray], n: int, npar: int, rows: int) -> tuple[FloatArray, FloatArray]:
+    """Return results by column as (rows, n) and (rows, n, npar)."""
+    r = values[0]
+    j = values[1].reshape(rows, npar, n).transpose(0, 2, 1) if npar else np.zeros((rows, n, 0))
+    return r, j

@@ -1,0 +1,131 @@
+"""The errors of a model for the before/after table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.records.motion import measured_coordinates
+from harness.diagnosis.runs.equation_form import EquationForm
+from harness.diagnosis.runs.fitted import Fitted
+from harness.diagnosis.runs.form import FreeRunForm
+from harness.signals import Dataset, FloatArray
+
+__all__ = ["equation_error", "figures", "simulation_error"]
+
+USES = ("estimation", "validation", "test")
+
+
+def figures(parts: Sequence[FloatArray], measured: Sequence[FloatArray], channels: Sequence[Any]) -> dict[str, Any]:
+    """Return rms, NRMSE (over the standard deviation of the measurement) and unit by output; unknown ones are None.
+
+    Parameters
+    ----------
+    parts : sequence of array (N_i, ny)
+        Errors.
+    measured : sequence of array (N_i, ny)
+        What the NRMSE divides by the standard deviation of.
+    channels : sequence of (name, unit)
+    """
+    if not parts:
+        return {}
+    error, truth = np.concatenate(list(parts)), np.concatenate(list(measured))
+    result = {}
+    for j, (name, unit) in enumerate(channels):
+        rms = float(np.sqrt(np.mean(error[:, j] ** 2)))
+        spread = float(np.std(truth[:, j]))
+        known = bool(np.isfinite(rms))
+        result[name] = {
+            "rms": rms if known else None,
+            "nrmse": rms / spread if known and spread > 0 else None,
+            "unit": unit,
+        }
+    return result
+
+
+def simulation_error(
+    form: FreeRunForm,
+    fitted: Fitted,
+    dataset: Dataset,
+    horizon: float | None,
+    others: Sequence[float | None],
+) -> dict[str, Any]:
+    """Return the simulation error of every use at the horizon, and at other horizons.
+
+    Parameters
+    ----------
+    form : FreeRunForm
+    fitted : Fitted
+        From either form.
+    dataset : Dataset
+    horizon : float or None
+        Seconds; None is the whole record.
+    others : sequence of float or None
+        More horizons.
+
+    Notes
+    -----
+    Initial states are fitted to each window. Where windows are used and the state is measured, the same windows
+    started from the smoothed measurement are reported as well: a velocity read off a record is never exact.
+    """
+    longest = max(len(run.trajectory) for run in dataset) * dataset.spec.sample_time
+
+    def at(length: float | None, start: str = "estimated") -> dict[str, Any]:
+        row: dict[str, Any] = {}
+        for use in USES:
+            if dataset.using(use):  # type: ignore[arg-type]
+                errors, _, _ = form.simulated(fitted, use, length, start=start)
+                row[use] = figures(errors, [run.y for run in form.records[use]], form.columns)
+            else:
+                row[use] = {}
+        return row
+
+    result = at(horizon)
+    result["horizon_s"] = longest if horizon is None else horizon
+    result["whole_record"] = horizon is None
+    result["initial_state"] = "estimated on each window"
+    if horizon is not None and measured_coordinates(form.nominal) is not None:
+        result["from_measured_state"] = at(horizon, "data")
+    result["other_horizons"] = [
+        {**at(other), "horizon_s": longest if other is None else other, "whole_record": other is None}
+        for other in others
+    ]
+    return result
+
+
+def equation_error(
+    output: FreeRunForm, strong: EquationForm | None, fitted: Fitted, dataset: Dataset, *, inverse: bool
+) -> dict[str, Any]:
+    """Return the equation error of every use.
+
+    For inverse-dynamics models the residual force on measured motion (decimated); else the one-step prediction error
+    from the smoothed measured state, None where the state is not measured.
+    """
+    result: dict[str, Any] = {}
+    if inverse and strong is not None:
+        equations = strong.equations(fitted.effects)
+        p = equations.system.vector(fitted.values)
+        for use in USES:
+            parts = [equations.residual(motion, p, "strong", ())[0] for motion in strong.motions[use]]
+            pushes = [equations.force_of(motion, motion.u, p) for motion in strong.motions[use]]
+            result[use] = figures(parts, pushes, strong.columns)
+        result["meaning"] = "residual force on measured motion, low-passed and decimated"
+        return result
+    known = measured_coordinates(output.nominal) is not None
+    for use in USES:
+        if not dataset.using(use) or not known:  # type: ignore[arg-type]
+            result[use] = {}
+            continue
+        errors, _, _ = output.simulated(fitted, use, 2 * dataset.spec.sample_time, start="data")
+        steps = [one[1::2] for one in errors]
+        result[use] = figures(steps, [run.y for run in output.records[use]], output.columns)
+    result["meaning"] = (
+        "one-step prediction from the smoothed measured state"
+        if known
+        else "unknown: the model shows no equations"
+        if output.nominal.h is None
+        else "unknown: the state is not measured"
+    )
+    return result

@@ -1,0 +1,99 @@
+"""A fitted model as free runs or forces show it: residuals, Jacobian, intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.records.horizon import vanished
+from harness.diagnosis.runs.intervals import Interval, block_interval
+from harness.effects.effect import Placed
+from harness.signals import FloatArray
+
+__all__ = ["Fitted", "rms", "stacked"]
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A model fitted to the estimation runs and tried on the validation runs.
+
+    Attributes
+    ----------
+    effects : tuple of Placed
+        What was added to the nominal model.
+    system : System
+        Nominal model with the effects.
+    values : dict
+        All parameters by full name.
+    free : tuple of str
+        The fitted ones, in the order of the Jacobian.
+    converged : bool
+    message : str
+        How the fit ended.
+    estimation, validation : tuple of array (N_i, ny)
+        Weighted residuals (each column over its weight).
+    jacobian : tuple of array (N_i, ny, len(free))
+        Weighted derivative of the estimation outputs, what the initial states can do taken out.
+    refitted : dict
+        Parameters of the validation records themselves (phase, instant of a change).
+    record : dict
+        Initial states and what else belongs to the records.
+    unaided : tuple of array (N_i, ny)
+        The validation residual with hidden states of effects starting where the effects say, not where they fit best: a
+        slow hidden state that is fitted anew in every window is a free force. Empty without hidden states.
+    starts : tuple of array (L_w * ny, k_w)
+        For each estimation window an orthonormal basis of what its initial state can do. Empty where nothing is fitted.
+    """
+
+    effects: tuple[Placed, ...]
+    system: Any
+    values: dict[str, float]
+    free: tuple[str, ...]
+    converged: bool
+    message: str
+    estimation: tuple[FloatArray, ...]
+    validation: tuple[FloatArray, ...]
+    jacobian: tuple[FloatArray, ...]
+    refitted: dict[str, float] = field(default_factory=dict)
+    record: dict[str, Any] = field(default_factory=dict, repr=False)
+    unaided: tuple[FloatArray, ...] = ()
+    starts: tuple[FloatArray, ...] = ()
+
+    @property
+    def finite(self) -> bool:
+        """True if both residuals are finite."""
+        return all(np.isfinite(one).all() for one in (*self.estimation, *self.validation))
+
+    def intervals(self, *, adapt: bool = True) -> dict[str, Interval]:
+        """Return 95 % intervals of the free parameters; see :func:`harness.diagnosis.runs.intervals.block_interval`.
+
+        A parameter of the nominal model that the fit has driven to 0, its lower bound, does not move any more: the
+        intervals of the others are those of a fit without it.
+        """
+        if not self.free:
+            return {}
+        lost = vanished(self.system, self.values)
+        gone = [name in lost for name in self.free]
+        found: dict[str, Interval] = {}
+        for chosen in ([not one for one in gone], [True] * len(gone)):
+            names = [name for name, use in zip(self.free, chosen, strict=True) if use]
+            if names and not found.keys() >= set(names):
+                columns = [one[:, :, np.array(chosen)] for one in self.jacobian]
+                values = np.array([self.values[name] for name in names])
+                intervals = block_interval(values, columns, self.estimation, starts=self.starts, adapt=adapt)
+                for name, one in zip(names, intervals, strict=True):
+                    found.setdefault(name, one)
+        return {name: found[name] for name in self.free}
+
+
+def stacked(parts: Sequence[FloatArray]) -> FloatArray:
+    """Return columns (N_i, ny, k) as one matrix (sum N_i * ny, k)."""
+    return np.concatenate([one.reshape(-1, one.shape[2]) for one in parts])
+
+
+def rms(parts: Sequence[FloatArray]) -> FloatArray:
+    """Return the root mean square of each column (ny,)."""
+    return np.asarray(np.sqrt(np.mean(np.concatenate(list(parts)) ** 2, axis=0)))

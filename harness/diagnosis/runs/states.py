@@ -1,0 +1,125 @@
+"""What belongs to a record and not to the plant: initial states, phases, instants of change.
+
+They are fitted on every use of the data alike, parameters held; ``form`` is the simulation form that asks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.runs.fitted import Fitted
+from harness.physics.levenberg import minimise
+from harness.physics.windows import Windows
+from harness.signals import FloatArray
+
+__all__ = ["PER_RECORD", "carried_states", "on_validation", "settled_states", "state_bases"]
+
+PER_RECORD = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
+"""Parameters that belong to a record: refitted on validation."""
+
+
+def on_validation(form: Any, system: Any, record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the initial states of the validation windows, and what belongs to the record refitted there."""
+    records = form.records["validation"]
+    if not records:
+        return {"x0_validation": [], "refitted": {}}
+    p = system.vector(record["values"])
+    windows = form._windows(system, p, "validation")
+    x0 = windows.starts_from([form._from_data(windows.simulator, one, p)[0] for one in records])
+    x0 = settled_states(form, system, p, "validation", windows, x0)
+    own = {one.name(name) for one in system.effects for name in PER_RECORD.get(one.effect.name, ())}
+    own = {name for name in own if not system.parameter(name).fixed}
+    refitted: dict[str, float] = {}
+    if own:
+        free = np.array([one.name in own for one in system.parameters], dtype=bool)
+        best = None
+        for start in _own_starts(form, system, p, own, max(len(one) for one in records)):
+            solution = minimise(windows, start, x0, free, 25, decrease=form.decrease)
+            if best is None or solution.evaluation.cost < best.evaluation.cost:
+                best = solution
+        if best is not None and np.isfinite(best.evaluation.cost):
+            x0 = best.x0
+            refitted = {name: float(best.p[system.parameter_names.index(name)]) for name in sorted(own)}
+    return {"x0_validation": x0.tolist(), "refitted": refitted}
+
+
+def _own_starts(form: Any, system: Any, p: FloatArray, own: set[str], samples: int) -> list[FloatArray]:
+    """Return several starts for phases and instants of change."""
+    starts = []
+    for part in (0.0, 0.25, 0.5, 0.75):
+        q = p.copy()
+        for name in own:
+            k = system.parameter_names.index(name)
+            q[k] = 2 * np.pi * part if name.endswith("phi") else (part + 0.125) * samples * form.sample_time
+        starts.append(q)
+    return starts
+
+
+def settled_states(form: Any, system: Any, p: FloatArray, use: str, windows: Windows, x0: FloatArray) -> FloatArray:
+    """Return fitted initial states (W, nx), found over short windows first where the windows are long."""
+    records = list(form.records[use])
+    longest = max(last - first for _, first, last in windows.places) * form.sample_time
+    short = max(longest / 8, 50 * form.sample_time)
+    if short < 0.6 * longest:
+        first = form._cut(windows.simulator, records, short)
+        states = [form._from_data(windows.simulator, one, p)[0] for one in records]
+        found = form._fit_states(first, p, first.starts_from(states), 8)
+        kept = first.together(first.evaluate(p, found, keep=True).states)
+        better = windows.starts_from(kept)
+        x0 = np.where(np.isfinite(better), better, x0)
+    fitted: FloatArray = form._fit_states(windows, p, x0, 25)
+    return fitted
+
+
+def carried_states(form: Any, system: Any, p: FloatArray, windows: Windows, x0: FloatArray) -> FloatArray:
+    """Return initial states (W, nx) of validation windows with the hidden ones handed on from window to window.
+
+    They start where their effects say, and are carried over the seams by how far they are from there (a twist, a bent
+    bristle); the other states are fitted to each window. So hidden states are what the motion made them.
+    """
+    result, first = x0.copy(), system.nx - system.hidden_count
+    simulator, records = windows.simulator, form.records["validation"]
+    away, before = np.zeros(system.hidden_count), -1
+    for row, (number, place, last) in enumerate(windows.places):
+        record = records[number][place:last]
+        alone = Windows(simulator, [record], None, form.weights)
+        away = away if number == before else np.zeros(system.hidden_count)
+        before = number
+        for _ in range(3):  # Gauss-Newton over the states of the nominal model
+            result[row, first:] = simulator.hidden_start(result[row], record.u[0], p) + away
+            rest = alone.evaluate(p, result[row : row + 1], keep=True).residuals[0]
+            _, _, slope = simulator.sensitivities(p, result[row], record.u, t0=float(record.t[0]))
+            known = (slope[..., :first] / form.weights[:, None]).reshape(slope.shape[0] * slope.shape[1], first)
+            wanted = (rest / form.weights).reshape(-1)
+            if not (np.isfinite(known).all() and np.isfinite(wanted).all()):
+                break
+            result[row, :first] += np.linalg.lstsq(known, wanted, rcond=1e-10)[0]
+        result[row, first:] = simulator.hidden_start(result[row], record.u[0], p) + away
+        end = alone.evaluate(p, result[row : row + 1], keep=True).states[0][-1]
+        if np.isfinite(end).all():
+            away = end[first:] - simulator.hidden_start(end, record.u[-1], p)
+    return result
+
+
+def state_bases(form: Any, base: Fitted, use: str) -> tuple[list[FloatArray], list[tuple[int, int, int]]]:
+    """Return for each window an orthonormal basis of what its initial state can do, and the windows; found once."""
+    cache: dict[str, Any] = base.__dict__.setdefault("_state_bases", {})
+    if use not in cache:
+        system = base.system
+        p = system.vector({**base.values, **(base.refitted if use != "estimation" else {})})
+        windows = form._windows(system, p, use)
+        key = "x0" if use == "estimation" else "x0_validation"
+        x0 = np.array(base.record[key], dtype=float).reshape(len(windows), system.nx)
+        lefts = []
+        for row, (number, first, last) in enumerate(windows.places):
+            record = form.records[use][number]
+            _, _, slope = windows.simulator.sensitivities(p, x0[row], record.u[first:last], t0=record.t[first])
+            flat = (slope / form.weights[:, None]).reshape(slope.shape[0] * slope.shape[1], system.nx)
+            left, sizes, _ = np.linalg.svd(flat, full_matrices=False)
+            lefts.append(left[:, sizes > 1e-10 * max(sizes.max(initial=0.0), 1e-300)])
+        cache[use] = (lefts, windows.places)
+    found: tuple[list[FloatArray], list[tuple[int, int, int]]] = cache[use]
+    return found

@@ -1,0 +1,218 @@
+"""The record of an estimate of one-step equations: covariance and intervals, or why there are none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from harness.errors import FitError
+from harness.estimate import Estimate, RankDecision
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.excitation import Columns
+from identifiers.records import lagged
+from identifiers.regression import Solution
+
+__all__ = ["jackknife_estimate", "least_squares_estimate"]
+
+LEVEL = 0.95
+LARGEST = 200
+"""Coefficients beyond which no record is kept: nobody reads so many, and their covariance fills the stored model."""
+CHECKED = 20_000
+"""Equations that the test for correlated residuals looks at: at so many it sees a correlation of 0.03."""
+DOUBT = 1e-3
+"""Probability, over all outputs, of calling white residuals correlated."""
+EXACT = 1e-9
+"""Residuals below this share of the outputs are rounding."""
+GROUPS = 20
+"""Groups of the jackknife: each a stretch of 5 % of the equations, long beside the memory of the noise."""
+
+
+def least_squares_estimate(
+    records: Sequence[Trajectory], solution: Solution, lags: int, offset: bool
+) -> Estimate | None:
+    """Return the record of a least-squares fit; intervals only where the residuals bear them out.
+
+    Covariance ``kron(S, (Phi' Phi)^-1)`` with S that of the residuals, Student's quantile (Ljung 1999, eq. 9.42). It
+    holds for noise that enters the equations afresh at every sample. Noise on measured outputs does not: it leaves
+    residuals that the ones before foretell (Breusch 1978, Aust. Econ. Papers 17:334; Godfrey 1978, Econometrica
+    46:1293), and then no interval is claimed.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    solution : Solution
+        Of ``y[k+1] = theta' [y[k], ..., u[k], ..., 1]`` over all of them.
+    lags : int
+    offset : bool
+
+    Returns
+    -------
+    Estimate or None
+        None beyond 200 coefficients.
+    """
+    spec = records[0].spec
+    theta = solution.coefficients
+    p = len(theta)
+    free = solution.rows - p
+    if theta.size > LARGEST:
+        return None
+    spread = np.sqrt(np.mean(np.concatenate([one.y for one in records]) ** 2, axis=0))
+    if free < 1 or np.all(solution.residual_rms <= EXACT * spread):
+        why = "as many coefficients as equations" if free < 1 else "the residuals are rounding"
+        return _record(spec, lags, solution, theta, None, None, f"no interval: {why}")
+    from scipy.stats import t
+
+    inverse: FloatArray = np.linalg.pinv(solution.factor) / solution.scale[:, None]
+    covariance = np.asarray(
+        np.kron(_residual_covariance(records, theta, lags, offset, free), inverse @ inverse.T), dtype=np.float64
+    )
+    if (output := _foretold(records, theta, lags, offset)) is not None:
+        why = f"the residuals of {output} are correlated in time, as noise on measured outputs leaves them"
+        return _record(spec, lags, solution, theta, covariance, None, f"no interval: {why}; use method iv")
+    half = float(t.ppf(0.5 + LEVEL / 2, free)) * np.sqrt(np.diag(covariance))
+    return _record(spec, lags, solution, theta, covariance, half, "least squares, white residuals")
+
+
+def jackknife_estimate(
+    records: Sequence[Trajectory],
+    solution: Solution,
+    theta: FloatArray,
+    refit: Callable[[list[Trajectory]], FloatArray],
+    groups: int = GROUPS,
+) -> Estimate | None:
+    """Return the record of a fit of any criterion, by leaving out one stretch of the records at a time.
+
+    Delete-a-group jackknife (Kott 2001, J. Official Statistics 17:521): what the noise is, and how long it remembers,
+    need not be known; a stretch is 5 % of the samples and none reaches across a seam.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    solution : Solution
+        The least-squares fit, for rank and condition.
+    theta : array (p, ny)
+        The fit to all records.
+    refit : callable
+        Returns theta (p, ny) of other records.
+    groups : int
+    """
+    from scipy.stats import t
+
+    spec = records[0].spec
+    if theta.size > LARGEST:
+        return None
+    total = sum(map(len, records))
+    cuts = np.linspace(0, total, groups + 1).astype(int)
+    found = []
+    try:
+        for low, high in pairwise(cuts):
+            found.append(refit(_without(records, int(low), int(high))).T.ravel())
+    except FitError as error:
+        return _record(spec, 1, solution, theta, None, None, f"no interval: without a stretch of the records: {error}")
+    away = np.array(found) - theta.T.ravel()
+    covariance = (groups - 1) / groups * away.T @ away
+    half = float(t.ppf(0.5 + LEVEL / 2, groups - 1)) * np.sqrt(np.diag(covariance))
+    return _record(spec, 1, solution, theta, covariance, half, f"jackknife over {groups} stretches of the records")
+
+
+def _record(
+    spec: PlantSpec,
+    lags: int,
+    solution: Solution,
+    theta: FloatArray,
+    covariance: FloatArray | None,
+    half: FloatArray | None,
+    method: str,
+) -> Estimate:
+    """Return the record; coefficients run over the regressors of the first output, then of the second."""
+    columns = Columns(spec, lags).names[: len(theta)]
+    sides = [c.unit for side in (spec.outputs, spec.inputs) for _ in range(lags) for c in side]
+    sides = [*sides, "1"][: len(theta)]
+    values = theta.T.ravel()
+    return Estimate(
+        tuple(f"{output.name} on {column}" for output in spec.outputs for column in columns),
+        tuple(_quotient(output.unit, unit) for output in spec.outputs for unit in sides),
+        values,
+        covariance,
+        None if half is None else np.column_stack([values - half, values + half]),
+        LEVEL,
+        method,
+        RankDecision(len(theta), len(theta), rule="inputs and states move by more than their noise"),
+        solution.condition,
+    )
+
+
+def _quotient(unit: str, by: str) -> str:
+    """Return the unit of a coefficient.
+
+    Examples
+    --------
+    >>> _quotient("rad", "m"), _quotient("m/s", "m/s"), _quotient("m", "1"), _quotient("m/s", "N s")
+    ('rad/m', '1', 'm', '(m/s)/(N s)')
+    """
+    if unit == by:
+        return "1"
+    over, under = (text if text.isalnum() else f"({text})" for text in (unit, by))
+    return unit if by == "1" else f"{over}/{under}"
+
+
+def _rows(one: Trajectory, lags: int, offset: bool) -> FloatArray:
+    """Return the regressors of a record (N - lags, p)."""
+    rows = lagged(one, lags)
+    return np.hstack([rows, np.ones((len(rows), 1))]) if offset else rows
+
+
+def _residual_covariance(
+    records: Sequence[Trajectory], theta: FloatArray, lags: int, offset: bool, free: int
+) -> FloatArray:
+    """Return that of the residuals (ny, ny), over all records, block by block."""
+    total = np.zeros((theta.shape[1],) * 2)
+    for one in records:
+        for start in range(0, len(one) - lags, CHECKED):
+            part = one[start : start + CHECKED + lags]
+            rest = part.y[lags:] - _rows(part, lags, offset) @ theta
+            total += rest.T @ rest
+    return total / free
+
+
+def _foretold(records: Sequence[Trajectory], theta: FloatArray, lags: int, offset: bool) -> str | None:
+    """Return the output whose residuals those one sample before foretell most, None where chance explains all."""
+    from scipy.stats import chi2
+
+    rows, before, rest, left = [], [], [], CHECKED
+    for one in records:
+        part = one[: min(len(one), left + lags + 1)]
+        if len(part) < lags + 2 or left <= 0:
+            continue
+        phi = _rows(part, lags, offset)
+        miss = part.y[lags:] - phi @ theta
+        rows.append(phi[1:])
+        before.append(miss[:-1])
+        rest.append(miss[1:])
+        left -= len(miss)
+    if not rows:
+        return None
+    phi, past, now = map(np.concatenate, (rows, before, rest))
+    if len(now) <= phi.shape[1] + past.shape[1]:
+        return None
+    both = np.hstack([phi, past])
+    size = np.linalg.norm(both, axis=0)
+    q, values, _ = np.linalg.svd(both / np.where(size > 0, size, 1.0), full_matrices=False)
+    q = q[:, values > 1e-10 * values[0]]
+    power = np.sum(now**2, axis=0)
+    share = np.sum((q.T @ now) ** 2, axis=0) / np.where(power > 0, power, 1.0)
+    probability = chi2.sf(len(now) * share, past.shape[1])
+    worst = int(np.argmin(probability))
+    return records[0].spec.outputs[worst].name if probability[worst] < DOUBT / share.size else None
+
+
+def _without(records: Sequence[Trajectory], low: int, high: int) -> list[Trajectory]:
+    """Return the records without samples low .. high - 1, counted through all of them; a hole is a seam."""
+    kept, place = [], 0
+    for one in records:
+        first, last = (min(max(edge - place, 0), len(one)) for edge in (low, high))
+        kept += [one[part] for part in (slice(0, first), slice(last, len(one))) if part.stop - part.start >= 2]
+        place += len(one)
+    return kept

@@ -1,0 +1,103 @@
+"""The coloured error of a joint: its density against dense matrices, its estimate, and intervals beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness.diagnosis.arm.coloured import Before, Coloured, fitted_error
+from harness.diagnosis.arm.regression import RegressionForm
+from harness.diagnosis.arm.wide import Linear, LinearEquation
+from harness.physics.parameters import Parameter
+from harness.signals import FloatArray
+
+
+def dense(error: Coloured, values: FloatArray, rows: np.ndarray) -> float:
+    """Return the log-density of the rows that count, from the covariance matrix of all."""
+    rho = error.correlation(int(rows.max()))
+    matrix = error.deviation**2 * rho[np.abs(rows[:, None] - rows[None, :])]
+    part = values[rows]
+    _, logarithm = np.linalg.slogdet(2 * np.pi * matrix)
+    return float(-0.5 * logarithm - 0.5 * part @ np.linalg.solve(matrix, part))
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    partial=st.lists(st.floats(-0.9, 0.9), min_size=1, max_size=4),
+    deviation=st.floats(0.01, 100.0),
+    seed=st.integers(0, 10**6),
+)
+def test_density_is_that_of_the_covariance_matrix(partial: list[float], deviation: float, seed: int) -> None:
+    error = Coloured(np.array(partial), deviation)
+    values = deviation * np.random.default_rng(seed).standard_normal(60)
+    before = Before.of(np.ones(60), len(partial))
+    assert error.log_density(values, before).sum() == pytest.approx(
+        dense(error, values, before.rows), rel=1e-6, abs=1e-4
+    )
+
+
+@settings(max_examples=40, deadline=None)
+@given(phi=st.floats(-0.95, 0.95), seed=st.integers(0, 10**6))
+def test_density_of_order_one_is_exact_with_gaps(phi: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    counts = (rng.random(80) > 0.3).astype(float)
+    counts[0] = 1.0
+    error, values = Coloured(np.array([phi]), 1.5), rng.standard_normal(80)
+    before = Before.of(counts, 1)
+    assert error.log_density(values, before).sum() == pytest.approx(
+        dense(error, values, before.rows), rel=1e-6, abs=1e-4
+    )
+
+
+class Line:
+    """A constant and a slope under a coloured error; see Balance."""
+
+    def __init__(self, seed: int) -> None:
+        self.nominal = Linear((Parameter("level", "1", 0.0), Parameter("slope", "1", 0.0)))
+        self.own: frozenset[str] = frozenset()
+        self.counts, self._target, self._columns = {}, {}, {}
+        for role, use in enumerate(("estimation", "validation")):
+            rng = np.random.default_rng([seed, role])
+            e = np.zeros(400)
+            for k in range(1, 400):
+                e[k] = 0.8 * e[k - 1] + rng.standard_normal()
+            x = np.stack([np.ones(400), np.linspace(-1, 1, 400)], axis=1)[:, None, :]
+            self.counts[use], self._columns[use] = [np.ones((400, 1))], [x]
+            self._target[use] = [x @ np.array([3.0, -1.0]) + e[:, None]]
+
+    def equation(self, effects: object) -> LinearEquation:
+        return LinearEquation(self.nominal, self._target, self._columns)
+
+    def changes(self, values: object, candidates: object) -> list[object]:
+        return []
+
+    def free_torques(self) -> list[object]:
+        return []
+
+
+def test_intervals_hold_under_a_coloured_error() -> None:
+    inside = []
+    for seed in range(60):
+        fit = RegressionForm(Line(seed)).fit((), [{}], None)  # type: ignore[arg-type]
+        assert fit is not None
+        for name, true in (("level", 3.0), ("slope", -1.0)):
+            low, high = fit.interval(name)
+            inside.append(low <= true <= high)
+    assert 0.88 <= np.mean(inside) <= 0.99  # white errors would give 50 %
+
+
+def test_the_estimate_is_the_likeliest() -> None:
+    rng = np.random.default_rng(3)
+    values = np.convolve(rng.standard_normal(900), [1.0, 0.6, 0.3], "same")
+    before = Before.of((rng.random(900) > 0.1).astype(float), 4)
+    best = fitted_error([values], [before], 4, 1e-9)
+    top = best.log_density(values, before).sum()
+    for k in range(4):
+        for step in (-0.03, 0.03):
+            other = best.partial.copy()
+            other[k] += step
+            assert Coloured(other, best.deviation).log_density(values, before).sum() < top
+    for factor in (0.97, 1.03):
+        assert Coloured(best.partial, factor * best.deviation).log_density(values, before).sum() < top

@@ -1,0 +1,106 @@
+"""Does an arm fit its log at all? Logs of an arm of known dynamics, with mistakes that people make."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from harness.diagnosis.close import close_loop
+from harness.effects import builtin
+from harness.physics.arm import ArmModel, load_arm
+from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
+
+pytest.importorskip(
+    "pybullet_data", reason="the URDF of the iiwa comes with pybullet, which has wheels for CPython 3.10 and 3.11 only"
+)
+
+DT, N = 0.005, 2000
+T = np.arange(N) * DT
+Mistake = Callable[[ArmModel, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+
+
+def log(mistake: Mistake) -> tuple[Dataset, ArmModel]:
+    """Return the log of an iiwa on two sines a joint, torques noisy, and the arm."""
+    arm = load_arm("iiwa")
+    spec = PlantSpec(arm.inputs, arm.outputs, DT)
+    runs = []
+    for seed, use in enumerate(("estimation", "validation")):
+        rng = np.random.default_rng(seed)
+        phases = rng.uniform(0, 6, 7)
+        q = 0.5 * np.sin(2 * np.pi * np.linspace(0.3, 0.6, 7) * T[:, None] + phases)
+        q += 0.2 * np.sin(2 * np.pi * np.linspace(0.5, 0.2, 7) * T[:, None] + 2 * phases)
+        v = np.gradient(q, DT, axis=0)
+        u = arm.torques(q, v, np.gradient(v, DT, axis=0)) + arm.damped(v)
+        u, measured = mistake(arm, u, q)
+        u = u + 0.05 * rng.standard_normal(u.shape)
+        runs.append(Run(Trajectory(T, u, measured + 1e-5 * rng.standard_normal(q.shape), spec), use))  # type: ignore[arg-type]
+    return Dataset("iiwa", tuple(runs)), arm
+
+
+def flipped(values: FloatArray, joint: int) -> FloatArray:
+    """Return values with the sign of one column wrong."""
+    return values * np.where(np.arange(7) == joint, -1.0, 1.0)
+
+
+def weightless(arm: ArmModel, u: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the torques that a controller adds to its compensation of gravity."""
+    still = np.zeros_like(q)
+    return u - arm.torques(q, still, still), q
+
+
+@pytest.mark.parametrize(
+    ("mistake", "words"),
+    [
+        (lambda arm, u, q: (flipped(u, 1), q), "check the sign of tau2:"),
+        (lambda arm, u, q: (-u, q), "check the sign of all torques:"),
+        (lambda arm, u, q: (u, flipped(q, 3)), "check the sign of q4:"),
+        (lambda arm, u, q: (1000 * u, q), "in N mm and not N m:"),
+        (lambda arm, u, q: (u, np.degrees(q)), "whether the positions are in degrees:"),
+        (lambda arm, u, q: (u[:, [0, 3, 2, 1, 4, 5, 6]], q), "whether tau2 and tau4 are exchanged:"),
+        (weightless, "beyond gravity's compensation:"),
+    ],
+    ids=["sign of a torque", "sign of all", "sign of a position", "N mm", "degrees", "exchanged", "compensated"],
+)
+def test_a_mistake_in_the_log_is_no_effect_and_is_named(mistake: Mistake, words: str) -> None:
+    report = close_loop(*log(mistake), dictionary=[])
+    assert report.verdict == "model_does_not_fit", report.data["summary"]
+    assert report.data["adequacy"] == "does_not_fit"
+    assert words in report.data["summary"]
+
+
+def test_an_arm_that_does_not_fit_gets_no_green_badge_and_no_urdf(tmp_path: Path) -> None:
+    """The torques have nothing to do with the motion: the residual was 1600 % of the torque, and nothing missing."""
+
+    def unrelated(arm: ArmModel, u: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return np.roll(u[::-1], 700, axis=0) / 16, q
+
+    report = close_loop(*log(unrelated), out=tmp_path / "out")
+    assert report.verdict == "model_does_not_fit", report.data["summary"]
+    assert any("% as large as all that the torque does" in text for text in report.data["misfit"])
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert 'class="badge model_does_not_fit"' in page
+    assert 'class="badge explained"' not in page
+    assert not (tmp_path / "out" / "repaired.urdf").exists()
+
+
+def test_the_right_log_fits_and_says_how_much_is_explained() -> None:
+    report = close_loop(*log(lambda arm, u, q: (u, q)), dictionary=[])
+    assert report.verdict == "nothing_missing", report.data["summary"]
+    assert report.data["misfit"] == []
+    assert "% of the variance of every joint's torque is explained" in report.data["summary"]
+    assert report.data["policy"]["arm_order"]["reason"]
+
+
+def test_friction_is_found_beside_inertia_that_is_calibrated_on_few_rows() -> None:
+    """Forty inertial parameters on a hundred rows predict no other record: validation must not judge them."""
+
+    def sticky(arm: ArmModel, u: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return u + 2.0 * np.tanh(np.gradient(q, DT, axis=0) / 0.01) * (np.arange(7) == 3), q
+
+    data, _ = log(sticky)
+    report = close_loop(data, load_arm("iiwa", inertia="calibrated"), dictionary=[builtin()["coulomb_friction"]])
+    assert [(one["name"], one["at"]) for one in report.data["effects"]] == [("coulomb_friction", "q4")]
+    assert report.data["effects"][0]["parameters"]["Fc"]["value"] == pytest.approx(2.0, rel=0.03)

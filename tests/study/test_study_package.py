@@ -1,0 +1,133 @@
+"""The study for other tools: records that tell nothing, answers that are judged as our own are."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from harness.command import main
+from harness.data import load_dataset
+from harness.errors import InputError
+from harness.study.leaderboard import answers_of_rows, read_answers, read_truth, score, write_answers
+from harness.study.outcome import Answer, judge_answer
+from harness.study.package import SECRET_FROM, generate, record_name
+from harness.study.plan import plan
+from harness.study.records import make_records
+from harness.study.store import read_rows
+
+ROWS = Path(__file__).parents[2] / "docs" / "studies" / "rows.csv"
+SAMPLES = 400
+
+
+def make(folder: Path, **options: object) -> Path:
+    """Generate a few short records; return the file of the truth."""
+    asked = {"records": 6, "plants": ["pendulum"], "cells": 1, "alarms": 1, "samples": SAMPLES, **options}
+    return generate(folder / "for-tools", truth=folder / "truth", **asked).truth  # type: ignore[arg-type]
+
+
+def test_the_records_are_those_of_the_study_and_tell_nothing(tmp_path: Path) -> None:
+    known = read_truth(make(tmp_path))
+    tasks = [task for task in plan("all", base=100_000, plants=["pendulum"], cells=1, alarms=1) if task.study != "cost"]
+    assert set(known) == {record_name(task.key) for task in tasks[:6]}
+    hidden = {effect.partition("@")[0] for row in known.values() for effect in row["truth"].split(" + ") if effect}
+    assert hidden
+    for path in (tmp_path / "for-tools" / "records").rglob("*"):
+        text = str(path) + (path.read_text(encoding="utf-8") if path.is_file() else "")
+        assert not any(word in text for word in (*hidden, "confusion", "quarter", "nominal size", "truth"))
+    task = next(task for task in tasks if task.effects)
+    loaded = load_dataset(tmp_path / "for-tools" / "records" / record_name(task.key) / "dataset.toml")
+    made = make_records(task, samples=SAMPLES)
+    assert [run.use for run in loaded.dataset] == [run.use for run in made.dataset]
+    for ours, theirs in zip(made.dataset, loaded.dataset, strict=True):
+        np.testing.assert_array_equal(ours.trajectory.y, theirs.trajectory.y)
+        np.testing.assert_array_equal(ours.trajectory.u, theirs.trajectory.u)
+
+
+def test_a_secret_number_makes_other_records_and_the_truth_stays_outside(tmp_path: Path) -> None:
+    mine, again, other = (
+        read_truth(make(tmp_path / name, secret=secret, records=2))
+        for name, secret in (("a", 987_654), ("b", 987_654), ("c", 987_655))
+    )
+    assert mine == again
+    assert {row["sizes"] for row in mine.values()}.isdisjoint(row["sizes"] for row in other.values())
+    with pytest.raises(InputError, match="secret"):
+        make(tmp_path, secret=SECRET_FROM - 1)
+    with pytest.raises(InputError, match="truth"):
+        generate(tmp_path / "x", truth=tmp_path / "x" / "truth")
+
+
+def test_our_own_rows_are_judged_as_they_were(tmp_path: Path) -> None:
+    answers = answers_of_rows(ROWS)
+    path = tmp_path / "ours.csv"
+    write_answers(path, answers)
+    assert read_answers(path) == answers
+    rows = [row for row in read_rows(ROWS).values() if row["status"] == "ok" and row["study"] != "cost"]
+    assert len(rows) == len(answers) > 50
+    for row in rows:
+        truth = [name for name in row["truth"].split(" + ") if name]
+        assert judge_answer(truth, answers[record_name(row["key"])], row["plant"]).word == row["outcome"], row["key"]
+
+
+def test_tools_stand_side_by_side(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    truth = make(tmp_path)
+    known = read_truth(truth)
+    right, blind, alarmist = {}, {}, {}
+    for record, row in known.items():
+        effects = tuple(name for name in row["truth"].split(" + ") if name)
+        inside = row["study"] != "outside"
+        verdict = ("effects_found" if inside else "unexplained") if effects else "nothing_missing"
+        right[record] = Answer(verdict, effects if inside else ())
+        blind[record] = Answer("nothing_missing", ())
+        alarmist[record] = Answer("effects_found", ("backlash@theta", "leak@theta"))
+    del alarmist[next(iter(alarmist))]
+    for name, answers in (("blind", blind), ("right", right), ("alarmist", alarmist)):
+        write_answers(tmp_path / f"{name}.csv", answers)
+    files = [tmp_path / f"{name}.csv" for name in ("blind", "right", "alarmist")]
+    scores, text = score(truth, files)
+    by_name = {own.name: own for own in scores}
+    assert scores[0].name == "right"
+    hidden = sum(bool(row["truth"]) for row in known.values())
+    assert hidden < len(known)  # a record with nothing missing is among them
+    assert by_name["right"].count(("right", "flagged")) == (len(known), len(known))
+    assert by_name["blind"].count(("missed",)) == (hidden, len(known))
+    assert by_name["blind"].count(("wrong",))[0] == 0
+    assert by_name["alarmist"].count(("wrong",)) == (len(known) - 1, len(known))
+    assert by_name["alarmist"].count(("not answered",))[0] == 1
+    assert "| right |" in text
+    with pytest.raises(SystemExit) as left:
+        main(["study", "score", str(truth), *map(str, files), "-o", str(tmp_path / "board.md")])
+    assert not left.value.code
+    assert (tmp_path / "board.md").read_text(encoding="utf-8") == text
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("r-1,perhaps,", "effects_found"),
+        ("r-1,effects_found,", "only there"),
+        ("r-1,nothing_missing,coulomb_friction@theta", "only there"),
+        ("r-1,effects_found,coulomb_friction", "EFFECT@PLACE"),
+        ("r-1,nothing_missing,\nr-1,nothing_missing,", "once"),
+    ],
+)
+def test_answers_that_say_nothing_clear_are_refused(tmp_path: Path, line: str, says: str) -> None:
+    path = tmp_path / "answers.csv"
+    path.write_text(f"record,verdict,effects\n{line}\n")
+    with pytest.raises(InputError, match=says):
+        read_answers(path)
+
+
+def test_wrong_columns_and_strangers_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "answers.csv"
+    path.write_text("record,verdict\nr-1,nothing_missing\n")
+    with pytest.raises(InputError, match="no effects"):
+        read_answers(path)
+    truth = make(tmp_path, records=1)
+    path.write_text("record,verdict,effects\nr-1,nothing_missing,\n")
+    with pytest.raises(InputError, match="r-1"):
+        score(truth, [path])
+    with truth.open(newline="", encoding="utf-8") as file:
+        assert len(list(csv.DictReader(file))) == 1
