@@ -1,4 +1,4 @@
-"""Draw docs/learned.svg: five experiments with finite, hidden, switching and learned models.
+"""Draw docs/learned.svg: six experiments with finite, hidden, switching and learned models.
 
 Run ``python docs/learned_figures.py``; about half a minute of CPU.
 """
@@ -13,9 +13,9 @@ import numpy as np
 from harness import registry
 from harness.rng import Streams
 from harness.rollout import run
-from harness.scoring import predict, states_ahead
+from harness.scoring import predict
 from harness.signals import Trajectory
-from identifiers.bisimulation import bisimulation
+from identifiers.bisimulation import bisimulation, quotient
 from identifiers.decision import optimal_values
 from identifiers.gaussian_process import GaussianProcess
 from identifiers.hmm import HiddenMarkov
@@ -23,6 +23,7 @@ from identifiers.hybrid import PiecewiseAffine
 from identifiers.lag_state import regression_data
 from identifiers.linear import Arx
 from identifiers.mdp import MdpCounting, weissman_bound
+from identifiers.recurrent import NeuralOutputError
 from plants.finite import FiniteMdp
 from plants.pomdp import FinitePomdp
 
@@ -70,21 +71,23 @@ def hidden(axes: Any) -> None:
 
 
 def lumping(axes: Any) -> None:
-    """Values of 40 states, which are those of 8 classes."""
-    small, reward = RNG.dirichlet(np.ones(8), size=(8, 2)), RNG.random((8, 2))
+    """Transition probabilities of 40 states before, and of the 8 classes that bisimulation finds after."""
+    small, reward = RNG.dirichlet(np.full(8, 0.4), size=(8, 2)), RNG.random((8, 2))
     labels = RNG.permutation(np.repeat(np.arange(8), 5))
     table = np.zeros((40, 2, 40))
     for s, label in enumerate(labels):
         for a in range(2):
             for b in range(8):
                 table[s, a, labels == b] = small[label, a, b] * RNG.dirichlet(np.ones(5))
-    values, _ = optimal_values(table, reward[labels], 0.9)
     found = bisimulation(table, reward[labels])
-    axes.plot(np.arange(40), values, "o", ms=3, label="40 states")
-    order = np.argsort(found, kind="stable")
-    axes.plot(np.arange(40), values[order], "-", drawstyle="steps-mid", label=f"sorted into {found.max() + 1} classes")
-    axes.set(title="Exact bisimulation", xlabel="state", ylabel="optimal value")
-    axes.legend(fontsize=7)
+    reduced, earned = quotient(table, reward[labels], found)
+    gap = np.abs(optimal_values(table, reward[labels], 0.9)[0] - optimal_values(reduced, earned, 0.9)[0][found]).max()
+    count = int(found.max()) + 1
+    axes.imshow(table[:, 0], extent=(0, 40, 40, 0), cmap="Blues", vmax=0.3)
+    axes.imshow(reduced[:, 0], extent=(48, 88, 40, 0), cmap="Blues", vmax=1.0)
+    axes.annotate("", (47, 20), (41, 20), arrowprops={"arrowstyle": "->"})
+    axes.set(xlim=(0, 88), xticks=[20, 68], yticks=[], xticklabels=["40 states, before", f"{count} classes, after"])
+    axes.set(title=f"Exact bisimulation: values differ by {gap:.0e}")
 
 
 def bands(axes: Any) -> None:
@@ -128,22 +131,29 @@ def switching(axes: Any) -> None:
     axes.legend(fontsize=7)
 
 
-def bands_in_time(axes: Any) -> None:
-    """One-step bands of the Gaussian process along a run that leaves its data."""
-    plant = registry.create("plants", "pendulum-ode", sample_time=0.1, outputs=[["theta", 0], ["theta", 1]])
-    data = record(plant, "multisine", samples=150, amplitude=0.4, band=[0.05, 2.0], noise=0.01).measured()
-    held = record(
-        plant, "multisine", "validation/0", samples=60, amplitude=1.6, band=[0.05, 1.0], noise=0.01
-    ).measured()
-    model = GaussianProcess().fit([data], rng=RNG)
-    said = model.predictive(states_ahead(model, held), held.u[1:])
-    miss = held.y[1:, 1] - said.mean[:, 1]
-    axes.fill_between(held.t[1:], -1.645 * said.std[:, 1], 1.645 * said.std[:, 1], alpha=0.3, label="90 % band")
-    axes.plot(held.t[1:], miss, "k.", ms=3, label="one-step error")
-    outside = np.abs(held.y[:-1, 0]) > np.abs(data.y[:, 0]).max()
-    axes.plot(held.t[1:][outside], miss[outside], "r.", ms=4, label="angle beyond the data")
-    axes.set(title="The same along a run", xlabel="time [s]", ylabel="rate error [rad/s]")
-    axes.legend(fontsize=7)
+def ensemble(axes: Any) -> None:
+    """Bands of an ensemble of networks along a free run that leaves the inputs which it learned from."""
+    plant = registry.create("plants", "pendulum-ode", sample_time=0.1)
+    learn = record(plant, "multisine", samples=600, amplitude=0.4, band=[0.05, 2.0], noise=0.005).measured()
+    calm = record(plant, "multisine", "v/0", samples=120, amplitude=0.4, band=[0.05, 2.0], noise=0.005).measured()
+    wild = record(plant, "multisine", "v/1", samples=120, amplitude=0.8, band=[0.05, 2.0], noise=0.005).measured()
+    model = NeuralOutputError(order=2, starts=16, members=5, ridge=0.1).fit([learn], rng=RNG)
+    for part, late, name in ((calm, 0.0, "as learned from"), (wild, 13.0, "wilder")):
+        x, mean, low, high = model.initial_state(part), [], [], []
+        for k in range(len(part)):
+            said = model.predictive(x, part.u[k])
+            ends = said.interval(0.9)
+            mean.append(said.mean[0])
+            low.append(ends[0][0])
+            high.append(ends[1][0])
+            x = model.step(x, part.u[k])
+        t, y, middle = part.t + late, part.y[:, 0], np.array(mean)
+        inside = np.mean((y >= low) & (y <= high))
+        label = f"90 %, {name}: holds {100 * inside:.0f} %"
+        axes.fill_between(t, low - middle, high - middle, alpha=0.4, label=label)
+        axes.plot(t, y - middle, "k.", ms=3)
+    axes.set(title="Ensemble of networks, free run", xlabel="time [s]", ylabel="theta error [rad]", ylim=(-0.2, 0.2))
+    axes.legend(fontsize=7, loc="lower left")
 
 
 def main() -> None:
@@ -155,7 +165,7 @@ def main() -> None:
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(2, 3, figsize=(11, 6), layout="constrained")
-    for draw, place in zip((counting, hidden, lumping, switching, bands, bands_in_time), axes.ravel(), strict=True):
+    for draw, place in zip((counting, hidden, lumping, switching, bands, ensemble), axes.ravel(), strict=True):
         draw(place)
     figure.savefig(Path(__file__).with_name("learned.svg"), metadata={"Date": None})
 

@@ -26,7 +26,15 @@ def excerpt(result: BenchResult) -> str:
     """Return the lines of one plant and scenario as Markdown."""
     lines = render(result, "markdown").splitlines()
     chosen = lines[:2] + [line for line in lines[2:] if line.startswith(f"| {PLACE[0]} | {PLACE[1]} |")]
-    return "\n".join(map(timeless, chosen)) + "\n"
+    return "\n".join(without_empty([timeless(line) for line in chosen])) + "\n"
+
+
+def without_empty(lines: Sequence[str]) -> list[str]:
+    """Return the lines of a table without the columns of other places: those that are empty here behind the regret."""
+    cells = [line.strip().strip("|").split("|") for line in lines]
+    first = next(i for i, title in enumerate(cells[0]) if title.strip() == "regret") + 1
+    kept = [i for i in range(len(cells[0])) if i < first or any(row[i].strip() for row in cells[2:])]
+    return ["|" + "|".join(row[i] for i in kept) + "|" for row in cells]
 
 
 def whole(result: BenchResult) -> str:

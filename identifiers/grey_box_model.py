@@ -14,7 +14,7 @@ from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.filters import stationary_gain
-from identifiers.observers import best_gain, riccati_gains
+from identifiers.observers import best_gain, riccati_gains, run_in_steps
 from identifiers.physical import Recipe, recipe_for
 
 if TYPE_CHECKING:
@@ -184,11 +184,7 @@ class GreyBoxModel:
         before, _ = self._memory
         state, clock, inputs, _ = self._parts(x, u[:, 0])
         if self.simulator.sampled.output_blocks:
-            outputs = np.empty((*u.shape[:2], self.spec.ny))
-            for k in range(u.shape[1]):
-                outputs[:, k] = self.output(x, u[:, k])
-                x = self.step(x, u[:, k]) if k + 1 < u.shape[1] else x
-            return outputs
+            return run_in_steps(self, x, u)
         values = np.ascontiguousarray(np.broadcast_to(self._values, (len(state), self._values.size)))
         whole = np.concatenate([inputs[:, :before], u], axis=1)
         seen = self.simulator.sampled.inputs(whole, values, False)[0][:, before:]
@@ -269,6 +265,10 @@ class GreyBoxModel:
             recipe = recipe_for(
                 spec, "grey box", model=str(content["model"]), options=content.get("options", {}), effects=effects
             )
+            if content.get("unnamed_forces"):
+                from harness.physics.residual_force import ResidualForce
+
+                recipe = recipe.with_unnamed([ResidualForce.from_dict(force) for force in content["unnamed_forces"]])
             gain, steps = content.get("filter_gain"), content.get("substeps")
             return cls(
                 spec,

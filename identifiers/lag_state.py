@@ -12,7 +12,7 @@ from harness.distributions import NormalMixture, normal
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_to_dict
-from identifiers.observers import fitted_start
+from identifiers.observers import fitted_start, run_in_steps
 
 __all__ = ["LagModel", "Scaling", "regression_data"]
 
@@ -92,6 +92,10 @@ class LagModel(ABC):
     @abstractmethod
     def ahead(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and variance (..., ny) of the next output from regressors (..., p), all in the units of data."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
 
     @property
     def y_size(self) -> FloatArray:
@@ -173,12 +177,7 @@ class LagModel(ABC):
 
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (M, N, ny) from states x (M, nx) under inputs u (M, N, nu)."""
-        outputs = np.empty((*u.shape[:2], self.spec.ny))
-        for k in range(u.shape[1]):
-            outputs[:, k] = x[..., : self.spec.ny]
-            if k + 1 < u.shape[1]:
-                x = self.step(x, u[:, k])
-        return outputs
+        return run_in_steps(self, x, u)
 
     def head(self, kind: str) -> dict[str, Any]:
         """Return what the descriptions of all kinds have."""

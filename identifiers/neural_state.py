@@ -13,8 +13,9 @@ from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.linear import Arx
-from identifiers.observers import best_gain, fitted_start, riccati_gains
+from identifiers.observers import best_gain, fitted_start, riccati_gains, run_in_steps
 from identifiers.records import moving, real_signals, usable
+from identifiers.scaling import centred
 from identifiers.training import draw_layers, need_torch, one_thread, train
 
 __all__ = ["NeuralStateModel", "NeuralStateSpace"]
@@ -96,12 +97,7 @@ class NeuralStateModel:
 
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (M, N, ny) from states x (M, nx) under inputs u (M, N, nu)."""
-        outputs = np.empty((*u.shape[:2], self.spec.ny))
-        for k in range(u.shape[1]):
-            outputs[:, k] = self.output(x, u[:, k])
-            if k + 1 < u.shape[1]:
-                x = self.step(x, u[:, k])
-        return outputs
+        return run_in_steps(self, x, u)
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
@@ -185,9 +181,7 @@ class NeuralStateSpace:
         moving(records, what, inputs=False)
         records.sort(key=lambda one: (len(one), one.y.tobytes()))
         torch = need_torch(what)
-        y_all, u_all = np.concatenate([one.y for one in records]), np.concatenate([one.u for one in records])
-        y_mean, y_std = y_all.mean(axis=0), np.where(y_all.std(axis=0) > 0, y_all.std(axis=0), 1.0)
-        u_mean, u_std = u_all.mean(axis=0), np.where(u_all.std(axis=0) > 0, u_all.std(axis=0), 1.0)
+        (u_mean, u_std), (y_mean, y_std) = centred([one.u for one in records]), centred([one.y for one in records])
         scaled = [Trajectory(one.t, (one.u - u_mean) / u_std, (one.y - y_mean) / y_std, one.spec) for one in records]
         cuts = [len(one) - max(len(one) // 5, lags + 6) for one in scaled]
         learn = [one[:cut] for one, cut in zip(scaled, cuts, strict=True)]

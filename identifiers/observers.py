@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from harness.protocols import Model
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
 from identifiers.linear_model import LinearModel
 
-__all__ = ["alpha_beta_gains", "best_gain", "fitted_start", "innovation_form", "riccati_gains"]
+__all__ = ["alpha_beta_gains", "best_gain", "fitted_start", "innovation_form", "riccati_gains", "run_in_steps"]
 
 Step = Callable[[FloatArray, FloatArray], FloatArray]
 
@@ -160,6 +161,16 @@ def fitted_start(
         if count == len(data):
             break
     return best
+
+
+def run_in_steps(model: Model, x: FloatArray, u: FloatArray) -> FloatArray:
+    """Return the outputs (M, N, ny) of free runs from states x (M, nx) under inputs u (M, N, nu), all side by side."""
+    outputs = np.empty((*u.shape[:2], model.spec.ny))
+    for k in range(u.shape[1]):
+        outputs[:, k] = model.output(x, u[:, k])
+        if k + 1 < u.shape[1]:
+            x = model.step(x, u[:, k])
+    return outputs
 
 
 def innovation_form(

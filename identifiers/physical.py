@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from harness.errors import FitError, HarnessError, InputError
@@ -12,6 +12,7 @@ from identifiers.records import moving, real_signals, usable
 
 if TYPE_CHECKING:
     from harness.physics import System
+    from harness.physics.residual_force import ResidualForce
 
 __all__ = ["PhysicalFit", "Recipe", "recipe_for"]
 
@@ -30,12 +31,19 @@ class Recipe:
         Ports measured and which derivative of each.
     effects : tuple of str
         ``"coulomb_friction@theta"``.
+    unnamed : tuple of ResidualForce
+        Forces without a name, added last.
     """
 
     model: str
     options: Mapping[str, Any] = field(default_factory=dict)
     outputs: tuple[tuple[str, int], ...] = ()
     effects: tuple[str, ...] = ()
+    unnamed: tuple[ResidualForce, ...] = ()
+
+    def with_unnamed(self, forces: Sequence[ResidualForce]) -> Recipe:
+        """Return the recipe with forces without a name added (see :mod:`harness.physics.residual_force`)."""
+        return replace(self, unnamed=(*self.unnamed, *forces))
 
     def system(self, spec: PlantSpec) -> System:
         """Return the system that speaks like a spec.
@@ -62,7 +70,10 @@ class Recipe:
                     "effect of a grey box", expected="NAME@PORT", got=repr(text), remedy="write coulomb_friction@theta"
                 )
             placed.append(Placed(find(name), at))
-        return compose(system, placed) if placed else system
+        system = compose(system, placed) if placed else system
+        for force in self.unnamed:
+            system = force.attach(system)
+        return system
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
@@ -70,6 +81,7 @@ class Recipe:
             "model": self.model,
             "options": dict(self.options),
             "effects": [text.split("@", 1) for text in self.effects],
+            **({"unnamed_forces": [force.to_dict() for force in self.unnamed]} if self.unnamed else {}),
         }
 
 

@@ -96,7 +96,7 @@ class ResidualModel(GreyBoxModel):
                 remedy="write the model anew",
             ) from error
         own = plain.recipe
-        recipe = ResidualRecipe(own.model, own.options, own.outputs, own.effects, forces)
+        recipe = ResidualRecipe(own.model, own.options, own.outputs, own.effects, forces=forces)
         return cls(
             plain.spec, recipe, plain.parameters, plain.filter_gain, plain.intersample, plain.substeps, plain.notes
         )
@@ -299,7 +299,7 @@ class ResidualPhysics:
             "ridge": solved.ridge,
             "functions": [int(np.count_nonzero(weights)) for _, _, weights in forces],
         }
-        own = ResidualRecipe(recipe.model, recipe.options, recipe.outputs, recipe.effects, tuple(forces))
+        own = ResidualRecipe(recipe.model, recipe.options, recipe.outputs, recipe.effects, forces=tuple(forces))
         model = ResidualModel(spec, own, parameters, notes=notes)
         return replace(model, filter_gain=tuned_gain(model, records))
 

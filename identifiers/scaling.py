@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Scaling", "scaled", "sizes"]
+__all__ = ["Scaling", "centred", "scaled", "sizes"]
 
 # A column that moves by less than this fraction of its value counts as constant: what moves may be rounding.
 _STILL = 1e-12
@@ -54,3 +54,17 @@ def scaled(records: Sequence[Trajectory]) -> tuple[list[Trajectory], Scaling]:
     """
     found = Scaling(sizes([one.u for one in records]), sizes([one.y for one in records]))
     return [replace(one, u=one.u / found.inputs, y=one.y / found.outputs) for one in records], found
+
+
+def centred(parts: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Return mean and standard deviation (n,) of signals (N_i, n) over all records; 1 where a signal never moves.
+
+    Examples
+    --------
+    >>> mean, std = centred([np.array([[0.0, 3.0]]), np.array([[2.0, 3.0]])])
+    >>> mean.tolist(), std.tolist()
+    ([1.0, 3.0], [1.0, 1.0])
+    """
+    every = np.concatenate(parts)
+    std = every.std(axis=0)
+    return np.asarray(every.mean(axis=0)), np.where(std > 0, std, 1.0)

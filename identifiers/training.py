@@ -14,7 +14,7 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["Schedule", "draw_layers", "need_torch", "one_thread", "train"]
+__all__ = ["Schedule", "bar", "draw_layers", "need_torch", "one_thread", "train"]
 
 _LOOK = 50
 """Steps between two looks at the held-out loss."""
@@ -137,7 +137,7 @@ def train(
                 for member in np.flatnonzero(better):
                     kept[member] = one[member]
 
-    with _bar(title, steps, progress) as move:
+    with bar(title, steps, progress) as move:
         for step in range(first, steps):
             # One stream for each step, so that a training that is continued draws the same batches.
             draw = np.random.default_rng([seed, step])
@@ -180,7 +180,7 @@ def _key(parameters: Sequence[Any], schedule: Schedule, count: int, seed: int) -
 
 
 @contextmanager
-def _bar(title: str, steps: int, shown: bool) -> Iterator[Callable[[int], None]]:
+def bar(title: str, steps: int, shown: bool) -> Iterator[Callable[[int], None]]:
     """Give a function that moves a progress bar, or does nothing."""
     if not shown:
         yield lambda done: None

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from harness.errors import InputError
-from harness.signals import Channel, FloatArray, PlantSpec
+from harness.signals import Channel, FloatArray
 from plants.checking import positive
-from plants.pymunk_plant import PymunkPlant, State, put
+from plants.pymunk_plant import PymunkPlant, State, mechanism_spec, pin_forces, put
 
 __all__ = ["PymunkBallBeam"]
 
@@ -94,12 +94,7 @@ class PymunkBallBeam(PymunkPlant):
             raise InputError(
                 "length of the beam", expected="more than two balls", got=f"{length:g} m", remedy="lengthen it"
             )
-        limit = positive("u_limit", u_limit, infinite=True)
-        places = (Channel("r", "m"), Channel("alpha", "rad"))
-        rates = (Channel("r_rate", "m/s"), Channel("alpha_rate", "rad/s"))
-        spec = PlantSpec(
-            (Channel("u", "N m", -limit, limit),), places, positive("sample_time", sample_time), places + rates
-        )
+        spec = mechanism_spec((Channel("r", "m"), Channel("alpha", "rad")), "N m", u_limit, sample_time)
         super().__init__(spec, substeps, [0.0] * 4, outputs)
 
     def truth(self) -> FloatArray:
@@ -138,13 +133,7 @@ class PymunkBallBeam(PymunkPlant):
         for shape in (surface, round_shape):
             shape.friction, shape.elasticity = math.sqrt(p["friction"]), 0.0  # Chipmunk multiplies the two
         pin = pymunk.PivotJoint(space.static_body, beam, (0.0, 0.0), (0.0, 0.0))
-        joints: list[pymunk.Constraint] = [pin]
-        if p["b"] or self._spring:
-            joints.append(pymunk.DampedRotarySpring(space.static_body, beam, 0.0, self._spring, p["b"]))
-        if self._dry:
-            motor = pymunk.SimpleMotor(space.static_body, beam, 0.0)
-            motor.max_force = self._dry
-            joints.append(motor)
+        joints = [pin, *pin_forces(space.static_body, beam, spring=self._spring, damping=p["b"], dry=self._dry)]
         for joint in joints:
             joint.error_bias = 0.0
         space.add(beam, ball, surface, round_shape, *joints)

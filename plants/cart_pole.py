@@ -134,11 +134,7 @@ class PymunkCartPole(PymunkPlant):
 
     def _advance(self, force: float) -> None:
         """Hold a force for one sample; Chipmunk forgets forces after every step."""
-        cart, step, dt = self._cart, self._space.step, self._dt
-        push = (force, 0.0)
-        for _ in range(self._substeps):
-            cart.force = push
-            step(dt)
+        self._push(self._cart, force)
 
     def _read(self) -> FloatArray:
         """Return x and theta."""

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from harness.signals import Channel, FloatArray, PlantSpec
+from harness.signals import Channel, FloatArray
 from plants.checking import positive
-from plants.pymunk_plant import PymunkPlant, State, point_mass_pole, put
+from plants.pymunk_plant import PymunkPlant, State, mechanism_spec, pin_forces, point_mass_pole, put
 
 __all__ = ["PymunkDoubleCartPole"]
 
@@ -82,12 +82,8 @@ class PymunkDoubleCartPole(PymunkPlant):
         outer = point_mass_pole(mp2, l2, from_first)
         inner = point_mass_pole(mp1 - from_first, l1, from_cart)
         self._cart_mass, self._poles = mc - from_cart, (inner, outer)
-        limit = positive("u_limit", u_limit, infinite=True)
         places = (Channel("x", "m"), Channel("theta1", "rad"), Channel("theta2", "rad"))
-        rates = tuple(Channel(f"{c.name}_rate", f"{c.unit}/s") for c in places)
-        spec = PlantSpec(
-            (Channel("u", "N", -limit, limit),), places, positive("sample_time", sample_time), places + rates
-        )
+        spec = mechanism_spec(places, "N", u_limit, sample_time)
         super().__init__(spec, substeps, [0.0] * 6, outputs)
 
     def truth(self) -> FloatArray:
@@ -135,12 +131,7 @@ class PymunkDoubleCartPole(PymunkPlant):
             (cart, inner, p["b1"], self._dry[0]),
             (inner, outer, p["b2"], self._dry[1]),
         ):
-            if damping:
-                joints.append(pymunk.DampedRotarySpring(body, other, 0.0, 0.0, damping))
-            if dry:
-                motor = pymunk.SimpleMotor(body, other, 0.0)
-                motor.max_force = dry
-                joints.append(motor)
+            joints += pin_forces(body, other, spring=0.0, damping=damping, dry=dry)
         for joint in joints:
             joint.error_bias = 0.0
         space.add(cart, inner, outer, *joints)
@@ -148,11 +139,7 @@ class PymunkDoubleCartPole(PymunkPlant):
 
     def _advance(self, value: float) -> None:
         """Hold a force on the cart for one sample."""
-        cart, step, dt = self._bodies[0], self._space.step, self._dt
-        push = (value, 0.0)
-        for _ in range(self._substeps):
-            cart.force = push
-            step(dt)
+        self._push(self._bodies[0], value)
 
     def _read(self) -> FloatArray:
         """Return x, theta1, theta2."""

@@ -12,10 +12,10 @@ import numpy as np
 
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability
-from harness.signals import FloatArray, PlantSpec
-from plants.checking import checked_inputs, initial_values, refuse_input
+from harness.signals import Channel, FloatArray, PlantSpec
+from plants.checking import checked_inputs, initial_values, positive, refuse_input
 
-__all__ = ["PymunkPlant", "State", "point_mass_pole", "put"]
+__all__ = ["PymunkPlant", "State", "mechanism_spec", "pin_forces", "point_mass_pole", "put"]
 
 State = tuple[float, ...]
 """Of each moving body: position x, y, velocity x, y, angle, angular velocity."""
@@ -154,6 +154,13 @@ class PymunkPlant(ABC):
     def _advance(self, value: float) -> None:
         """Hold an input for one sample; Chipmunk forgets forces after every step."""
 
+    def _push(self, body: Any, force: float) -> None:
+        """Hold a horizontal force on a body for one sample."""
+        step, dt, push = self._space.step, self._dt, (force, 0.0)
+        for _ in range(self._substeps):
+            body.force = push
+            step(dt)
+
     @abstractmethod
     def _read(self) -> FloatArray:
         """Return the usual outputs."""
@@ -166,6 +173,50 @@ class PymunkPlant(ABC):
         """Refuse the use of a closed plant."""
         if self._closed:
             raise PlantError("the plant is closed: make a new one", status="terminated")
+
+
+def mechanism_spec(places: Sequence[Channel], unit: str, u_limit: float, sample_time: float) -> PlantSpec:
+    """Return the spec of a mechanism: one input ``u``, places as outputs, and their rates as further states.
+
+    Parameters
+    ----------
+    places : sequence of Channel
+        Positions and angles.
+    unit : str
+        Of the input.
+    u_limit : float
+        Declared range of the input; may be infinite.
+    sample_time : float
+
+    Raises
+    ------
+    InputError
+        If the limit or the sample time is not positive.
+
+    Examples
+    --------
+    >>> spec = mechanism_spec([Channel("x", "m")], "N", 5.0, 0.02)
+    >>> print(spec, "/", ", ".join(map(str, spec.states)))
+    u [N] -> x [m] every 0.02 s / x [m], x_rate [m/s]
+    """
+    limit = positive("u_limit", u_limit, infinite=True)
+    rates = tuple(Channel(f"{place.name}_rate", f"{place.unit}/s") for place in places)
+    force = Channel("u", unit, -limit, limit)
+    return PlantSpec((force,), tuple(places), positive("sample_time", sample_time), (*places, *rates))
+
+
+def pin_forces(body: Any, other: Any, *, spring: float, damping: float, dry: float) -> list[Any]:
+    """Return the constraints that act on a pin between two bodies: spring [N m/rad] and damping, dry friction [N m]."""
+    import pymunk
+
+    joints: list[Any] = []
+    if spring or damping:
+        joints.append(pymunk.DampedRotarySpring(body, other, 0.0, spring, damping))
+    if dry:
+        motor = pymunk.SimpleMotor(body, other, 0.0)
+        motor.max_force = dry
+        joints.append(motor)
+    return joints
 
 
 def _chosen(spec: PlantSpec, outputs: Sequence[str] | None) -> list[int] | None:

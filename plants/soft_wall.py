@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from harness.signals import Channel, FloatArray, PlantSpec
+from harness.signals import Channel, FloatArray
 from plants.checking import positive
-from plants.pymunk_plant import PymunkPlant, State, put
+from plants.pymunk_plant import PymunkPlant, State, mechanism_spec, put
 
 __all__ = ["PymunkCartWall"]
 
@@ -77,9 +77,7 @@ class PymunkCartWall(PymunkPlant):
             "wall_stiffness": positive("wall_stiffness", wall_stiffness, zero=True),
         }
         self.wall = float(wall)
-        limit = positive("u_limit", u_limit, infinite=True)
-        states = (Channel("x", "m"), Channel("x_rate", "m/s"))
-        spec = PlantSpec((Channel("u", "N", -limit, limit),), states[:1], positive("sample_time", sample_time), states)
+        spec = mechanism_spec([Channel("x", "m")], "N", u_limit, sample_time)
         super().__init__(spec, substeps, [0.0, 0.0], outputs)
 
     def truth(self) -> FloatArray:
@@ -109,10 +107,7 @@ class PymunkCartWall(PymunkPlant):
 
     def _advance(self, value: float) -> None:
         """Hold a force for one sample."""
-        (cart,), step, dt, push = self._bodies, self._space.step, self._dt, (value, 0.0)
-        for _ in range(self._substeps):
-            cart.force = push
-            step(dt)
+        self._push(self._bodies[0], value)
 
     def _read(self) -> FloatArray:
         """Return x."""

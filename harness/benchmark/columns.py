@@ -16,8 +16,9 @@ __all__ = ["FORMAT", "arrow_table", "columns_of_files", "plain_values", "rows_of
 
 FORMAT = "sysid-harness/bench/1"
 UNITS = {
-    **{name: "1" for name in ("equation_error", "simulation_error", "noise_floor", "control_score")},
+    **{name: "1" for name in ("equation_error", "simulation_error", "noise_floor", "coverage", "control_score")},
     "control_regret": "samples of the optimal cost",
+    "log_score": "nats",
     "memory_mib": "MiB",
     **{
         name: "see the column units, one for each output"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from harness.benchmark.result import BenchResult
-from harness.benchmark.summary import CONTROL, Quartiles, Summary, figure
+from harness.benchmark.summary import CONTROL, OPTIONAL, Quartiles, Summary, figure, optional_scores
 from harness.errors import InputError
 
 __all__ = ["FORMATS", "render"]
@@ -48,23 +48,24 @@ def render(result: BenchResult, form: str) -> str:
 
 
 def _markdown(lines: Sequence[Summary]) -> str:
-    control = _asked(lines)
-    head = (*HEAD, *CONTROL * control)
+    control, more = _asked(lines), optional_scores(lines)
+    head = (*HEAD[:-1], *more.values(), HEAD[-1], *CONTROL * control)
     rows = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    rows += ["| " + " | ".join(_cells(line, "**{}**", _plain, control)) + " |" for line in lines]
+    rows += ["| " + " | ".join(_cells(line, more, "**{}**", _plain, control)) + " |" for line in lines]
     return "\n".join(rows) + "\n"
 
 
 def _latex(lines: Sequence[Summary]) -> str:
-    control = _asked(lines)
-    head = (*HEAD, *CONTROL * control)
-    rows = [rf"\begin{{tabular}}{{lllrlllll{'lll' * control}}}", r"\toprule", " & ".join(head) + r" \\", r"\midrule"]
+    control, more = _asked(lines), optional_scores(lines)
+    head = " & ".join(map(_escaped, (*HEAD[:-1], *more.values(), HEAD[-1], *CONTROL * control)))
+    columns = f"lllrlllll{'l' * len(more)}{'lll' * control}"
+    rows = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head + r" \\", r"\midrule"]
     place = None
     for line in lines:
         if place not in (None, (line.plant, line.scenario)):
             rows.append(r"\addlinespace")
         place = (line.plant, line.scenario)
-        rows.append(" & ".join(_cells(line, r"\textbf{{{}}}", _escaped, control)) + r" \\")
+        rows.append(" & ".join(_cells(line, more, r"\textbf{{{}}}", _escaped, control)) + r" \\")
     return "\n".join([*rows, r"\bottomrule", r"\end{tabular}", ""])
 
 
@@ -73,7 +74,7 @@ def _csv(lines: Sequence[Summary]) -> str:
     writer = csv.writer(stream, lineterminator="\n")
     scores = ["equation_error", "simulation_error", "noise_floor", "regret", "fit_seconds", "memory_mib"]
     control = _asked(lines)
-    scores += ["control_score", "control_regret"] * control
+    scores += [*OPTIONAL, *["control_score", "control_regret"] * control]
     writer.writerow(
         ["plant", "scenario", "identifier", "ok", "run", "best_or_tied"]
         + [f"{name}_{part}" for name in scores for part in ("median", "low", "high")]
@@ -100,7 +101,7 @@ def _asked(lines: Sequence[Summary]) -> bool:
     return any(line.control for line in lines)
 
 
-def _cells(line: Summary, bold: str, quote: Callable[[str], str], control: bool) -> list[str]:
+def _cells(line: Summary, more: Mapping[str, str], bold: str, quote: Callable[[str], str], control: bool) -> list[str]:
     """Return the cells of a line; a line without scores says why instead."""
     simulation = _score(line.simulation_error) or (line.problems[0][0] if not line.ok and line.problems else "")
     texts = [
@@ -112,6 +113,7 @@ def _cells(line: Summary, bold: str, quote: Callable[[str], str], control: bool)
         simulation,
         figure(line.noise_floor.median) if line.noise_floor else "",
         _score(line.regret),
+        *(_score(getattr(line, name)) for name in more),
         f"{figure(line.fit_seconds.median, 2)} s" if line.fit_seconds and line.ok else "",
     ]
     if control:

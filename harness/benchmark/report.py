@@ -10,7 +10,7 @@ from harness.benchmark.plots import axis_plot, error_plot, rank_plot, regret_plo
 from harness.benchmark.result import BenchResult
 from harness.benchmark.row import Row
 from harness.benchmark.statistics import MINIMUM_SEEDS
-from harness.benchmark.summary import Summary, figure, places_of, rankings
+from harness.benchmark.summary import Summary, figure, optional_scores, places_of, rankings
 
 __all__ = ["filled", "render_html"]
 
@@ -36,6 +36,7 @@ def render_html(result: BenchResult, overlays: Mapping[str, str] | None = None) 
         control=any(line.control for line in lines),
         links=_links(result.rows, overlays or {}),
         figure=figure,
+        more=optional_scores(lines),
         enough=any(line.run >= MINIMUM_SEEDS for line in lines),
         ranks=[(made, rank_plot(made)) for made in rankings(result.rows)],
         curves=axis_plot(result.rows),

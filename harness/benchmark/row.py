@@ -23,6 +23,9 @@ class Row(msgspec.Struct, kw_only=True, gc=False):
     NRMSE (rms of the residual over the standard deviation of the output), so they carry no unit; the rms of each
     output in its own unit stands beside them. ``noise_floor`` is the same figure of the sensor noise in the held-out
     records: what the true plant from the true initial state would score, so no model can do better but by luck.
+    ``log_score`` and ``coverage`` judge models that predict distributions, one step ahead, as means over outputs and
+    held-out records: the log score [nats a sample] above that of the record's own normal distribution or frequencies,
+    and the share of samples in the 90 % sets.
     ``trace_t``, ``trace_measured`` and ``trace_residual`` (output by output) are what the overlay of a cell is drawn
     from: samples of its first held-out record, and measured minus simulated there.
     ``control_score`` is the cost of the regulator designed on a linear model over that of the best, on the true plant;
@@ -44,6 +47,8 @@ class Row(msgspec.Struct, kw_only=True, gc=False):
     noise_floor: float | None = None
     equation_error: float | None = None
     simulation_error: float | None = None
+    log_score: float | None = None
+    coverage: float | None = None
     regret: float | None = None
     average_regret: float | None = None
     regret_exact: bool | None = None

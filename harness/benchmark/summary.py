@@ -11,11 +11,23 @@ import numpy as np
 from harness.benchmark.row import Row
 from harness.benchmark.statistics import Ranking, no_worse, ranking
 
-__all__ = ["CONTROL", "Quartiles", "Summary", "figure", "places_of", "rankings", "summarise"]
+__all__ = [
+    "CONTROL",
+    "OPTIONAL",
+    "Quartiles",
+    "Summary",
+    "figure",
+    "optional_scores",
+    "places_of",
+    "rankings",
+    "summarise",
+]
 
 SCORES = (
     "equation_error",
     "simulation_error",
+    "log_score",
+    "coverage",
     "regret",
     "control_score",
     "control_regret",
@@ -25,6 +37,8 @@ SCORES = (
 )
 CONTROL = ("control score", "control regret", "model for control")
 """Columns that stand there only where a suite asks for them (``score.control``)."""
+OPTIONAL = {"log_score": "log score", "coverage": "90 % sets hold"}
+"""Scores of predicted distributions, with a column only where a line has them, and its title."""
 BASELINES = ("true-model",)
 """Identifiers that know the truth: they show what is possible and do not compete."""
 
@@ -52,6 +66,8 @@ class Summary:
     run: int
     equation_error: Quartiles | None
     simulation_error: Quartiles | None
+    log_score: Quartiles | None
+    coverage: Quartiles | None
     regret: Quartiles | None
     control_score: Quartiles | None
     control_regret: Quartiles | None
@@ -64,6 +80,11 @@ class Summary:
     """(status, reason, count) of the rows that are not ok, the most frequent first."""
     control: str
     """What is said of the models for control: how many states are controllable and observable, or why no score."""
+
+
+def optional_scores(lines: Sequence[Summary]) -> dict[str, str]:
+    """Return the scores that not every model has and some line does, with the title of their column."""
+    return {name: title for name, title in OPTIONAL.items() if any(getattr(line, name) for line in lines)}
 
 
 def figure(value: float | None, digits: int = 3) -> str:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from harness.benchmark.result import BenchResult
-from harness.benchmark.summary import CONTROL, Quartiles, Summary, figure
+from harness.benchmark.summary import CONTROL, Quartiles, Summary, figure, optional_scores
 
 if TYPE_CHECKING:
     from rich.console import Group, RenderableType
+    from rich.table import Table
 
 __all__ = ["rich_table"]
 
@@ -60,9 +61,25 @@ def rich_table(result: BenchResult) -> Group:
         style="not bold",
     )
     parts: list[RenderableType] = [heading, made]
+    if more := optional_scores(lines):
+        parts.append(_optional_table(lines, more))
     parts += [Text(text, style="dim") for text in _reasons(lines)]
     parts.append(Text(f"{result.ok} ok of {len(result.rows)} run, {result.planned} planned"))
     return Group(*parts)
+
+
+def _optional_table(lines: Sequence[Summary], more: Mapping[str, str]) -> Table:
+    """Return a second, narrow table of the scores that not every model has: beside the first they would squeeze it."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    made = Table(box=SIMPLE_HEAD, header_style="bold", padding=(0, 1), collapse_padding=True, pad_edge=False)
+    for title in ("plant", "scenario", "identifier", *more.values()):
+        made.add_column(title, no_wrap=True)
+    for line in lines:
+        if any(getattr(line, name) for name in more):
+            made.add_row(line.plant, line.scenario, line.identifier, *(_shown(getattr(line, name)) for name in more))
+    return made
 
 
 def _shown(score: Quartiles | None) -> str:

@@ -20,6 +20,7 @@ from harness.benchmark.row import Row, blank, encoded, one_line
 from harness.errors import HarnessError, InputError, PlantError, PluginError
 from harness.jobs import Desk
 from harness.plant_files import make_plant
+from harness.protocols import Predictive
 from harness.rng import Streams, stream
 from harness.signals import FloatArray, Trajectory, residual
 
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
     from harness.scoring import Score
 
 __all__ = ["CellBatch"]
+
+_SETS = 0.9
+"""Probability of the sets whose coverage is shown: a few held-out samples in a hundred are enough to judge it."""
 
 POINTS = 40
 """Lengths of the stream at which R[n] is taken, each against the best fixed model of the samples so far."""
@@ -290,7 +294,19 @@ def _fit_and_score(
         raise PlantError("the one-step predictions of the model are not finite", status="diverged")
     if row.simulation_error is None:
         raise PlantError("the free run of the model diverges on held-out data", status="diverged")
+    if isinstance(model, Predictive):
+        _score_distributions(model, [record.measured() for record in held_out], row)
     return model  # type: ignore[no-any-return]
+
+
+def _score_distributions(model: Any, held_out: Sequence[Trajectory], row: Row) -> None:
+    """Fill in log score and coverage, one step ahead; an outcome that was called impossible leaves no log score."""
+    from harness.predictive import probability_score
+
+    scores = [probability_score(model, record, levels=(_SETS,)) for record in held_out]
+    gain = float(np.mean([np.mean(score.skill) for score in scores]))
+    row.log_score = gain if np.isfinite(gain) else None
+    row.coverage = float(np.mean([np.mean(score.coverage) for score in scores]))
 
 
 def _trace(model: Model, record: Trajectory, horizon: float | None, row: Row) -> None:

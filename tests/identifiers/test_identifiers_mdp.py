@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from harness.errors import FitError
 from harness.scoring import predict, regret
@@ -116,3 +118,23 @@ def test_signals_that_are_no_categories_are_refused(spec):
     data = Trajectory(np.arange(9.0), np.zeros((9, spec.nu)), np.zeros((9, spec.ny)), spec)
     with pytest.raises(FitError, match="finite process"):
         MdpCounting().fit([data], rng=RNG)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(2, 5), st.integers(0, 10_000))
+def test_more_data_never_widens_the_sets_and_they_cover(states, seed):
+    rng = np.random.default_rng(seed)
+    table = rng.dirichlet(np.ones(states), size=(states, 1))
+    walk = [0]
+    for _ in range(1500):
+        walk.append(int(rng.choice(states, p=table[walk[-1], 0])))
+    spec = PlantSpec((), (Channel("s", kind="category", minimum=0, maximum=states - 1),), 1.0)
+    y = np.array(walk, dtype=float)[:, None]
+    data = Trajectory(np.arange(float(len(y))), np.zeros((len(y), 0)), y, spec)
+    bounds = []
+    for n in (100, 400, 1500):
+        model = MdpCounting().fit([data[:n]], rng=rng)
+        bounds.append(model.bound)
+        assert model.transition.sum(axis=2) == pytest.approx(1.0)
+    assert (np.diff(bounds, axis=0) <= 1e-12).all()
+    assert (np.abs(model.transition - table).sum(axis=2) <= model.bound).mean() >= 0.5  # each holds with 95 %

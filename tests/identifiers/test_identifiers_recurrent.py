@@ -1,0 +1,137 @@
+"""Networks fitted by simulation error: exact derivatives, a hidden saturating state, calibrated bands, resuming."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness.conformance import check_identifier
+from harness.errors import FitError, InputError
+from harness.predictive import probability_score
+from harness.registry import create
+from harness.scoring import simulation_error
+from harness.signals import Channel, PlantSpec, Trajectory
+from identifiers import recurrent
+from identifiers.linear import Arx
+from identifiers.recurrent import NeuralOutputError, RecurrentEnsemble
+from identifiers.recurrent_pass import Layout, native_library
+
+SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "V"),), 1.0)
+
+
+def cascade(samples: int, seed: int, noise: float = 0.01) -> Trajectory:
+    """Two tanks that empty by Torricelli's law; the upper one, which nobody measures, is full at 1."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(0.1, 1.0, samples // 20 + 1), 20)[:samples]
+    upper, lower, y = 0.3, 0.3, np.empty(samples)
+    for k in range(samples):
+        y[k] = lower
+        out = np.sqrt(max(upper, 0.0))
+        lower += 0.1 * out - 0.1 * np.sqrt(max(lower, 0.0))
+        upper = min(upper + 0.15 * u[k] - 0.1 * out, 1.0)
+    return Trajectory(np.arange(float(samples)), u[:, None], (y + noise * rng.normal(size=samples))[:, None], SPEC)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(1, 3), st.integers(0, 2), st.integers(1, 2), st.integers(1, 3), st.integers(0, 999))
+def test_derivatives_are_those_of_differences(nx, nu, ny, hidden, seed):
+    layout, rng = Layout(nx, nu, ny, hidden, 2), np.random.default_rng(seed)
+    theta, start, u = 0.2 * rng.normal(size=layout.count), rng.normal(size=nx), rng.normal(size=(12, nu))
+    y, slopes = layout.run(theta, start, u, slopes=True)
+    assert slopes is not None
+    joint = np.concatenate([theta, start])
+    way = rng.normal(size=joint.size)
+
+    def moved(by: float) -> np.ndarray:
+        z = joint + by * way
+        return layout.run(z[: layout.count], z[layout.count :], u, slopes=False)[0]
+
+    assert slopes @ way == pytest.approx((moved(1e-5) - moved(-1e-5)) / 2e-5, rel=1e-4, abs=1e-6)
+    x, stepped = start, []
+    for value in u:
+        stepped.append(layout.output(theta, x, value))
+        x = layout.step(theta, x, value)
+    assert np.array(stepped) == pytest.approx(y, abs=1e-9)
+
+
+def test_compiled_and_numpy_runs_agree_also_where_they_diverge():
+    if native_library() is None:
+        pytest.skip("no C compiler: install gcc")
+    layout, rng = Layout(2, 1, 2, 3, 2), np.random.default_rng(0)
+    u = rng.normal(size=(60, 1))
+    for size in (0.2, 3.0):  # the second grows beyond all bounds
+        theta, start = size * rng.normal(size=layout.count), rng.normal(size=2)
+        fast, slow = (layout.run(theta, start, u, slopes=True, native=native) for native in (True, False))
+        assert np.array_equal(np.isnan(fast[0]), np.isnan(slow[0]))
+        ends = int(np.isfinite(slow[0]).all(axis=1).sum())
+        assert fast[0][:ends] == pytest.approx(slow[0][:ends], rel=1e-9, abs=1e-9)
+        assert fast[1][:ends] == pytest.approx(slow[1][:ends], rel=1e-6, abs=1e-9)
+    assert ends < 60
+
+
+def test_it_learns_a_full_tank_that_nobody_measures_and_knows_how_well():
+    learn, held = cascade(800, 0), cascade(800, 1)
+    model = NeuralOutputError(order=2, starts=12, members=4, ridge=0.1).fit([learn], rng=np.random.default_rng(0))
+    arx = Arx(order=2).fit([learn], rng=np.random.default_rng(0))
+    ours, theirs = simulation_error(model, held).rms[0], simulation_error(arx, held).rms[0]
+    assert ours < 0.4 * theirs
+    score = probability_score(model, held)
+    assert 0.8 < score.coverage[2, 0] < 0.98  # of the 90 % bands
+    assert score.skill[0] > 1.0
+
+
+def test_records_of_different_length_have_initial_states_of_their_own():
+    parts = [cascade(500, seed)[low:] for seed, low in ((0, 0), (1, 137))]
+    model = NeuralOutputError(order=2, starts=6, members=2, ridge=0.1).fit(parts, rng=np.random.default_rng(0))
+    turned = NeuralOutputError(order=2, starts=6, members=2, ridge=0.1).fit(parts[::-1], rng=np.random.default_rng(0))
+    assert json.dumps(model.to_dict()) == json.dumps(turned.to_dict())
+    assert simulation_error(model, cascade(400, 2)).nrmse[0] < 0.15
+
+
+def test_a_fit_that_was_interrupted_goes_on_and_ends_where_a_whole_one_does(tmp_path, monkeypatch):
+    learn, options = cascade(200, 0), dict(order=1, starts=4, members=2, iterations=10)
+    whole = NeuralOutputError(**options).fit([learn], rng=np.random.default_rng(3))
+    kept = NeuralOutputError(checkpoint=str(tmp_path / "fit.npz"), **options)
+    descend, calls = recurrent.descend, []
+
+    def stop(*args, **more):
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return descend(*args, **more)
+
+    monkeypatch.setattr(recurrent, "descend", stop)
+    with pytest.raises(KeyboardInterrupt):
+        kept.fit([learn], rng=np.random.default_rng(3))
+    resumed = kept.fit([learn], rng=np.random.default_rng(3))
+    assert len(calls) == 5, "two starts were kept, two are made"
+    assert json.dumps(resumed.to_dict()) == json.dumps(whole.to_dict())
+    other = kept.fit([learn], rng=np.random.default_rng(4))
+    assert json.dumps(other.to_dict()) != json.dumps(whole.to_dict()), "another fit is not continued"
+
+
+def test_the_model_comes_back_from_its_file():
+    learn = cascade(200, 0)
+    model = NeuralOutputError(order=1, starts=2, members=2, iterations=10).fit([learn], rng=np.random.default_rng(0))
+    read = RecurrentEnsemble.from_dict(json.loads(json.dumps(model.to_dict())))
+    assert np.array_equal(simulation_error(read, learn).rms, simulation_error(model, learn).rms)
+    assert np.array_equal(probability_score(read, learn).log_score, probability_score(model, learn).log_score)
+
+
+def test_options_that_make_no_sense_and_unstable_plants_are_refused_in_words():
+    with pytest.raises(InputError, match="no more members than starts"):
+        NeuralOutputError(starts=2, members=3).fit([cascade(200, 0)], rng=np.random.default_rng(0))
+    with pytest.raises(FitError, match="records too short"):
+        NeuralOutputError().fit([cascade(20, 0)], rng=np.random.default_rng(0))
+
+
+def test_the_contract():
+    options = dict(order=2, hidden=2, outside=1, starts=4, members=2, iterations=30, ridge=0.01)
+    results = check_identifier(
+        lambda: create("identifiers", "neural-output-error", **options), kinds=("linear",), examples=1
+    )
+    assert [f"{one.name}: {one.reason}" for one in results if not one.passed] == []
