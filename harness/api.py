@@ -706,7 +706,7 @@ def _as_is(
             got=f"the plant {plant}",
             remedy="add --scenario, for example --scenario multisine",
         )
-    found = registry.load("plants", "fmu").as_is(
+    found = registry.load("tools", "fmu-as-is")(
         plant, **{**asked, "progress": progress, "isolated": os.name == "posix", **options}
     )
     for text in found.notes if note is not None else ():

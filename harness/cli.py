@@ -14,8 +14,8 @@ from typing import Annotated
 import typer
 
 from harness import __version__, api
-from harness.command import INTERRUPTED, Interrupts, main
 from harness.errors import HarnessError, InputError
+from harness.interrupts import INTERRUPTED, Interrupts
 from harness.terminal import (
     completed,
     fail,
@@ -35,7 +35,7 @@ from harness.terminal import (
     wide_console,
 )
 
-__all__ = ["app", "main", "run"]
+__all__ = ["app", "run"]
 
 app = typer.Typer(
     name="sysid",

@@ -6,7 +6,7 @@ import logging
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -23,10 +23,6 @@ from plants.fmu_stops import finish, stopped
 from plants.fmu_trust import FirstRun
 from plants.fmu_variables import Port, channels, choose, describe, feeds_through, starts, states_of
 from plants.mockups import mockup
-
-if TYPE_CHECKING:
-    from plants.fmu_as_is import AsIs
-    from plants.fmu_probe import ProbeResult
 
 __all__ = ["FmuPlant", "describe"]
 
@@ -92,23 +88,10 @@ class FmuPlant(Beyond):
     [0.0999]
     """
 
+    probe_tool: ClassVar[str] = "fmu-probe"
+    """Registered tool that tells whether a plant of this class can be trusted."""
     describe = staticmethod(describe)
-
-    @staticmethod
-    def as_is(path: str | Path, **options: Any) -> AsIs:
-        """Run an FMU with its default experiment; see :func:`plants.fmu_as_is.run_as_is`."""
-        from plants.fmu_as_is import run_as_is
-
-        return run_as_is(path, **options)
-
     mockup = staticmethod(mockup)
-
-    @staticmethod
-    def probe(path: str | Path, **options: Any) -> ProbeResult:
-        """Run an FMU a few times and tell whether it can be trusted; see :func:`plants.fmu_probe.probe`."""
-        from plants.fmu_probe import probe
-
-        return probe(path, **options)
 
     def __init__(
         self,
@@ -401,16 +384,3 @@ class FmuPlant(Beyond):
 def _rebuilt(kind: type[FmuPlant], options: dict[str, Any]) -> FmuPlant:
     """Make a plant again where a pickle of it is opened."""
     return kind(**options)
-
-
-def __getattr__(name: str) -> Any:
-    """Find our own FMUs and the probe here too (their modules import this one)."""
-    if name.endswith("_fmu"):
-        from plants import fmu_mockups
-
-        return getattr(fmu_mockups, name)
-    if name == "probe":
-        from plants.fmu_probe import probe
-
-        return probe
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

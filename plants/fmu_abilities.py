@@ -13,7 +13,8 @@ from plants.fmu_engine import Engine
 from plants.fmu_instance import Instance
 from plants.fmu_options import encoded, refused
 from plants.fmu_slopes import slopes
-from plants.fmu_states import Snapshot, packed, unpacked
+from plants.fmu_snapshot import Snapshot
+from plants.fmu_states import packed, unpacked
 from plants.fmu_trust import FirstRun, state_error
 
 __all__ = ["Beyond", "idle"]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from harness.cli import main
+from harness.command import main
 
 ESTIMATION = "u [N m],theta [rad],time [s]\n" + "".join(
     f"{0.1 * (-1) ** (k // 7)},{0.01 * k * (40 - k)},{0.01 * k:.2f}\n" for k in range(60)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from harness import api, registry
-from harness.cli import main
+from harness.command import main
 from harness.errors import InputError
 
 COMMAND = [  # Ctrl-C is heard also where the tests were started in the background, which ignores it

@@ -32,7 +32,7 @@ file = "validation.csv"
 use = "validation"
 """
 PYTHON = [sys.executable, "-c", "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-          "from harness.cli import main; main()"]  # fmt: skip
+          "from harness.command import main; main()"]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

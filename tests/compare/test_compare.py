@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from harness import api
-from harness.cli import main
+from harness.command import main
 from harness.comparison import correlations, spectrum
 from harness.errors import InputError
 from harness.signals import Channel, PlantSpec, Trajectory

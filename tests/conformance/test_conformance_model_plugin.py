@@ -64,7 +64,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def sysid(environment: dict[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
-    code = "import sys; from harness.cli import main; main(sys.argv[1:])"
+    code = "import sys; from harness.command import main; main(sys.argv[1:])"
     return subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
         env=environment,

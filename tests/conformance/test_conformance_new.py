@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from harness import api
-from harness.cli import main
+from harness.command import main
 from harness.errors import InputError
 from harness.scaffold import KINDS, new
 

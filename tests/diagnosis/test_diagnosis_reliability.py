@@ -181,7 +181,7 @@ def test_a_tilt_is_an_instruction_and_no_input() -> None:
 
 
 def test_what_an_experiment_can_tell_apart_is_known_before_it(capsys) -> None:
-    from harness.cli import main
+    from harness.command import main
 
     with pytest.raises(SystemExit) as done:
         main(
@@ -199,7 +199,7 @@ def test_what_an_experiment_can_tell_apart_is_known_before_it(capsys) -> None:
 
 
 def test_a_plant_without_equations_cannot_be_asked(capsys) -> None:
-    from harness.cli import main
+    from harness.command import main
 
     with pytest.raises(SystemExit) as done:
         main(["isolability", "arm-bullet", "--scenario", "multisine"])

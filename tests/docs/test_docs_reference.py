@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from harness import api, registry
-from harness.cli import main
+from harness.command import main
 from harness.data.description import Description, SignalSection
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"

@@ -9,7 +9,7 @@ import pytest
 from fmpy.validation import validate_fmu
 
 from harness import registry
-from harness.cli import main
+from harness.command import main
 from harness.errors import InputError
 from harness.export import export, to_control, write_linear_fmu
 from harness.physics.models import pendulum

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from harness import api
-from harness.cli import main
+from harness.command import main
 from harness.data import read_trajectory
 from harness.errors import InputError, PlantError
 from plants.mockups import mockup

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from harness import api
-from harness.cli import main
+from harness.command import main
 from harness.errors import InputError
 from plants.fmu import FmuPlant, describe
 from plants.fmu_as_is import run_as_is
