@@ -1,4 +1,4 @@
-"""Write the excerpt of ``quick`` into README.md and docs/benchmarks.md, from a folder that ``sysid bench quick`` wrote.
+"""Write the excerpt of ``quick`` into docs/benchmarks.md, from a folder that ``sysid bench quick`` wrote.
 
 Run ``sysid bench quick --seeds 0..5 --out DIR`` and then ``python docs/make_benchmark_table.py DIR``.
 """
@@ -13,7 +13,7 @@ from harness.benchmark import table
 from harness.benchmark.exports import render
 from harness.benchmark.running import BenchResult
 
-PAGES = [Path(__file__).parents[1] / "README.md", Path(__file__).parent / "benchmarks.md"]
+PAGE = Path(__file__).parent / "benchmarks.md"
 BEGIN, END = "<!-- table: linear-ode prbs -->\n", "<!-- end of table -->"
 PLACE = ("linear-ode", "prbs")
 
@@ -26,11 +26,9 @@ def excerpt(result: BenchResult) -> str:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Write the excerpt between the marks of every page."""
-    text = excerpt(table(arguments[0]))
-    for page in PAGES:
-        before, rest = page.read_text(encoding="utf-8").split(BEGIN)
-        page.write_text(before + BEGIN + text + rest[rest.index(END) :], encoding="utf-8")
+    """Write the excerpt between the marks of the page."""
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    PAGE.write_text(before + BEGIN + excerpt(table(arguments[0])) + rest[rest.index(END) :], encoding="utf-8")
 
 
 if __name__ == "__main__":
