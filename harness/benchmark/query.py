@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.benchmark.store import Store
+from harness.data.binary_files import optional
 from harness.errors import InputError
 
 __all__ = ["Answer", "query"]
@@ -108,10 +109,9 @@ def query(directory: str | Path, sql: str) -> Answer:
     Raises
     ------
     InputError
-        If the folder holds no benchmark, or DuckDB refuses the query.
+        If the folder holds no benchmark, DuckDB refuses the query, or the extra ``query`` is not installed.
     """
-    import duckdb
-
+    duckdb = optional("duckdb", "a query", "'sysid-harness[query]'")
     store = Store(Path(directory))
     if store.shares():
         store.merge()
