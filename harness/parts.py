@@ -49,7 +49,7 @@ def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
         )
     return {
         name: [
-            {"id": entry.id, "summary": _plain(entry.summary), "distribution": entry.distribution}
+            {"id": entry.id, "summary": OF_CLASS.sub(".", _plain(entry.summary)), "distribution": entry.distribution}
             for entry in registry.entries(name)
         ]
         for name in ((kind,) if kind is not None else LISTED)
