@@ -1,104 +1,235 @@
-"""Write docs/reference.md from the sources: run ``python docs/make_reference.py`` after a change of a part."""
+"""Write docs/reference/*.md from the sources: ``python docs/make_reference.py`` after a change of a part."""
 
 from __future__ import annotations
 
+import ast
 import inspect
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+import harness
 from harness import api
-from harness.data import description
-from harness.effects import builtin
+from harness.benchmark import suite
+from harness.data import sections
+from harness.schemas import report_schema
 
-TARGET = Path(__file__).with_name("reference.md")
+TARGET = Path(__file__).with_name("reference")
+MADE = "<!-- written by docs/make_reference.py from the sources -->"
+DATASET = {
+    "(top level)": sections.Description,
+    "[time]": sections.TimeSection,
+    "[signals.NAME]": sections.SignalSection,
+    "[[runs]]": sections.RunSection,
+    "[nominal]": sections.NominalSection,
+    "[nominal.parameters] NAME": sections.NominalParameter,
+    "[resample]": sections.ResampleSection,
+    "[filter]": sections.FilterSection,
+    "[source]": sections.SourceSection,
+    "[[source.files]]": sections.SourceFile,
+}
+SUITE = {
+    "(top level)": suite.Suite,
+    "[[groups]]": suite.Group,
+    "plants, scenarios, identifiers of a group": suite.Part,
+    "[groups.score]": suite.Score,
+}
+EFFECTS = (
+    "Letters in units: F force, q position, v rate, a acceleration of the coordinate, u input, y output, dt sample "
+    "time, T length of the record."
+)
+CHOOSING = "[choosing an identifier](../choosing.md)"
+SUITE_KEYS = {
+    "name": "Name in tables and folders; of a group: what its tables are called.",
+    "groups": "Each group is a full product of its parts.",
+    "description": "A sentence about the suite.",
+    "seeds": "Seeds of every cell; those of a group count before those of the suite.",
+    "time_limit": "Seconds that one cell may take; then its row says `timeout`.",
+    "plants": "Parts, see below.",
+    "scenarios": "Parts, see below.",
+    "identifiers": "Parts, see below.",
+    "score": "How the models are scored.",
+    "axes": "Options with several values, by `kind.option`: each value makes a cell of its own.",
+    "id": "Id of a registered part; a plant may also be a file or `recording:NAME`.",
+    "options": "Options of the part.",
+    "label": "Name in the table; by default the id.",
+    "streams": "Name of the random streams; parts that share it meet the same random numbers.",
+    "at": "Filled by `axes`.",
+    "horizon": "Horizon of the simulation error [s]; the whole record without it.",
+    "runs": "Records that a model is fitted to.",
+    "held_out": "Records that it is scored on.",
+}
 
 
 def cell(value: object) -> str:
     """Return a value as the cell of a table."""
-    return " ".join(str(value).split()).replace("|", "\\|")
+    return " ".join(str(value).split()).replace("|", "\\|").replace("<", "&lt;")
 
 
 def rows(titles: list[str], lines: list[list[object]]) -> list[str]:
     """Return a table."""
+    if not lines:
+        return []
     head = ["| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
     return [*head, *("| " + " | ".join(map(cell, line)) + " |" for line in lines), ""]
 
 
-def keys() -> list[str]:
-    """Return every key of a dataset.toml."""
-    sections: list[tuple[str, Any]] = [
-        ("(top level)", description.Description),
-        ("[time]", description.TimeSection),
-        ("[signals.NAME]", description.SignalSection),
-        ("[[runs]]", description.RunSection),
-        ("[nominal]", description.NominalSection),
-        ("[nominal.parameters] NAME", description.NominalParameter),
-        ("[resample]", description.ResampleSection),
-        ("[source]", description.SourceSection),
-        ("[[source.files]]", description.SourceFile),
-    ]
-    text = ["## Keys of dataset.toml", ""]
-    for title, struct in sections:
-        text += [f"### {title}", "", inspect.getdoc(struct) or "", ""]
+def plain(text: str) -> str:
+    """Return a docstring as Markdown."""
+    return re.sub(r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"`\1`", text).replace("``", "`")
+
+
+def meanings(struct: type) -> dict[str, str]:
+    """Return what stands under each field of a record."""
+    (tree,) = ast.parse(inspect.getsource(struct)).body
+    assert isinstance(tree, ast.ClassDef)
+    found = {}
+    for field, after in zip(tree.body, [*tree.body[1:], ast.Pass()], strict=True):
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name):
+            text = after.value.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else ""
+            found[field.target.id] = inspect.cleandoc(str(text))
+    return found
+
+
+def keys(title: str, structs: Mapping[str, Any], told: Mapping[str, str] | None = None) -> list[str]:
+    """Return every key of a file of settings."""
+    text = [f"# {title}", ""]
+    for place, struct in structs.items():
+        text += [f"## {place}", "", plain(inspect.getdoc(struct) or ""), ""]
+        about = told or meanings(struct)
         lines: list[list[object]] = []
         for field in msgspec.structs.fields(struct):
             needed = field.default is msgspec.NODEFAULT and field.default_factory is msgspec.NODEFAULT
-            default = "" if field.default is msgspec.NODEFAULT else repr(field.default)
-            kind = str(field.type).replace("typing.", "").replace("harness.data.description.", "")
+            kind = re.sub(r"typing\.|harness\.[\w.]*\.", "", str(field.type))
             kind = kind.removeprefix("<class '").removesuffix("'>")
-            lines.append([f"`{field.name}`", f"`{kind}`", "needed" if needed else f"`{default or 'empty'}`"])
-        text += rows(["key", "type", "default"], lines)
+            default = "empty" if field.default is msgspec.NODEFAULT or field.default == "" else repr(field.default)
+            if isinstance(field.default, msgspec.Struct):
+                default = "see below"
+            lines.append([f"`{field.name}`", f"`{kind}`", "needed" if needed else f"`{default}`", about[field.name]])
+        text += rows(["key", "type", "default", "meaning"], lines)
     return text
 
 
-def effects() -> list[str]:
-    """Return the catalogue of effects."""
-    text = ["## Effects", "", "Letters in units: F force, q position, v rate, a acceleration of the coordinate.", ""]
-    for name, one in sorted(builtin().items()):
-        summary = next(row["summary"] for row in api.list_parts("effects")["effects"] if row["id"] == name)
-        text += [f"### {name}", "", summary, ""]
-        facts = [
-            ("acts on", ", ".join(one.kinds)),
-            ("law", f"`{one.formula}`" if one.formula else ""),
-            ("easily confused with", ", ".join(one.family)),
-            ("what tells it apart", one.experiment),
-        ]
-        text += [f"- {title}: {cell(value)}" for title, value in facts if value]
-        text += [
-            "",
-            *rows(["parameter", "unit", "meaning"], [[f"`{p.name}`", p.unit, p.meaning] for p in one.parameters]),
-        ]
-    return text
-
-
-def parts(kind: str, title: str) -> list[str]:
-    """Return registered parts with their options."""
-    text = [f"## {title}", ""]
+def parts(kind: str, title: str, head: str) -> list[str]:
+    """Return registered parts with their text, their facts and their options."""
+    text = [f"# {title}", "", head, ""]
     for row in api.list_parts(kind)[kind]:
         if row["distribution"] != "sysid-harness":
             continue
-        part = api.describe_part(row["id"])
+        part = api.describe_part(row["id"], kind)
         assert part is not None
-        text += [f"### {row['id']}", "", row["summary"], ""]
-        if part["options"]:
+        text += [f"## {row['id']}", "", part["text"], ""]
+        text += [f"- {name}: `{cell(fact)}`" if name == "law" else f"- {name}: {cell(fact)}"
+                 for name, fact in part["facts"].items()]  # fmt: skip
+        text += [""] * bool(part["facts"])
+        if kind == "effects":
+            lines = [[f"`{one['name']}`", one["meaning"]] for one in part["options"]]
+            text += rows(["parameter", "meaning [unit]"], lines)
+        else:
             lines = [[f"`{one['name']}`", f"`{one['default']}`", one["meaning"]] for one in part["options"]]
             text += rows(["option", "default", "meaning"], lines)
     return text
 
 
-def reference() -> str:
-    """Return the page."""
-    head = [
-        "# Reference",
-        "",
-        "Written by `docs/make_reference.py` from the sources; `sysid list ID` shows one part.",
-        "",
-    ]
-    body = keys() + effects() + parts("identifiers", "Identifiers") + parts("plants", "Plants")
-    return "\n".join([*head, *body, *parts("scenarios", "Scenarios")]).rstrip() + "\n"
+def commands() -> list[str]:
+    """Return every command with its arguments and options."""
+    from typer.core import TyperGroup
+    from typer.main import get_command
+
+    from harness.cli import app
+
+    group = get_command(app)
+    assert isinstance(group, TyperGroup)
+    text = ["# Commands", "", "`sysid COMMAND --help` shows the same; ids complete in the shell after",
+            "`sysid --install-completion`. Each command is a call of the same name in `harness.api`.", ""]  # fmt: skip
+    for name, command in sorted(group.commands.items()):
+        text += [f"## sysid {name}", "", plain(inspect.cleandoc(command.help or "")), ""]
+        lines: list[list[object]] = []
+        for one in command.params:
+            shown = str(one.metavar or one.name).upper() if one.param_type_name == "argument" else ", ".join(one.opts)
+            described = getattr(one, "help", None) or ""
+            default = "" if one.default is None or one.default is False or callable(one.default) else one.default
+            default = "" if "UNSET" in repr(default).upper() else default
+            lines.append([f"`{shown}`", f"`{default}`" if default != "" else "", described])
+        text += rows(["argument or option", "default", "meaning"], lines)
+    return text
+
+
+def python() -> list[str]:
+    """Return what `import harness` shows."""
+    text = ["# Python", "", "What `import harness` shows; each name is loaded when it is used.", ""]
+    for name in harness.__all__:
+        value = getattr(harness, name)
+        doc = inspect.getdoc(value) or ""
+        head = re.split(r"\n(?:Parameters|Attributes|Returns|Raises|Notes|Examples)\n-+\n", doc)[0]
+        signature = ""
+        if callable(value):
+            signature = re.sub(
+                r"harness\.[\w.]*\.|typing\.|collections\.abc\.|pathlib\.", "", str(inspect.signature(value))
+            )
+            signature = re.sub(r"(: |-> )(['\"])(.*?)\2", r"\1\3", signature)
+            signature = re.sub(r"<function _*(\w+) at \w+>", r"\1", signature)
+        text += [
+            f"## {name}",
+            "",
+            *(["```text", f"{name}{signature}", "```", ""] if signature else []),
+            plain(head),
+            "",
+        ]
+        found = re.search(r"\nParameters\n-+\n(.*?)(?=\n\w+\n-+\n|\Z)", doc, re.DOTALL)
+        lines = []
+        for entry in re.split(r"\n(?=\S)", found[1].strip()) if found else ():
+            title, _, body = entry.partition("\n")
+            parameter, _, kind = title.partition(" : ")
+            lines.append([f"`{parameter}`", kind, plain(inspect.cleandoc(body))])
+        text += rows(["parameter", "type", "meaning"], lines)
+    return text
+
+
+def report() -> list[str]:
+    """Return the content of report.json, from its schema."""
+    schema = report_schema()
+    text = ["# report.json", "", schema["description"], "",
+            "JSON Schema 2020-12: `harness/schemas/report.json`, `harness.schemas.report_schema()`.", ""]  # fmt: skip
+
+    def table(title: str, node: Mapping[str, Any]) -> None:
+        lines: list[list[object]] = []
+        needed = node.get("required", ())
+        for name, one in node["properties"].items():
+            kind = one.get("type", one.get("$ref", "").rpartition("/")[2] or "any")
+            kind = " or ".join(kind) if isinstance(kind, list) else kind
+            lines.append([f"`{name}`", kind, "always" if name in needed else "", one.get("description", "")])
+        text.extend([f"## {title}", "", *([node["description"], ""] if title != "Top level" else [])])
+        text.extend(rows(["key", "type", "there", "meaning"], lines))
+
+    table("Top level", schema)
+    for name, node in schema.get("$defs", {}).items():
+        if "properties" in node:
+            table(name, node)
+    return text
+
+
+def pages() -> dict[str, str]:
+    """Return every page by its file name."""
+    made = {
+        "dataset.md": keys("Keys of dataset.toml", DATASET),
+        "suites.md": keys("Keys of a suite", SUITE, SUITE_KEYS),
+        "effects.md": parts("effects", "Effects", EFFECTS),
+        "identifiers.md": parts("identifiers", "Identifiers", f"When to use which: {CHOOSING}."),
+        "plants.md": parts("plants", "Plants", "How exact they are and what they can do: [plants](../plants.md)."),
+        "scenarios.md": parts("scenarios", "Scenarios", "What excites a plant, sets its start and its sensors' noise."),
+        "models.md": parts("models", "Models", "Nominal models by name: `--model NAME`."),
+        "commands.md": commands(),
+        "python.md": python(),
+        "report.md": report(),
+    }  # fmt: skip
+    return {name: "\n".join([MADE, "", *text]).rstrip() + "\n" for name, text in made.items()}
 
 
 if __name__ == "__main__":
-    TARGET.write_text(reference(), encoding="utf-8")
+    TARGET.mkdir(exist_ok=True)
+    for name, text in pages().items():
+        (TARGET / name).write_text(text, encoding="utf-8")

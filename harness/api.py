@@ -5,9 +5,7 @@ The heavy rooms are imported inside the calls, so that asking for help stays fas
 
 from __future__ import annotations
 
-import inspect
 import os
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from harness import registry
 from harness.errors import HarnessError, InputError, PluginError
+from harness.parts import LISTED, describe_part, list_parts
 from harness.plant_files import is_plant_file, make_plant
 from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
 from harness.rng import Streams, stream
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from harness.study.package import Package
 
 __all__ = [
+    "LISTED",
     "Identified",
     "answer_study",
     "bench",
@@ -57,97 +57,6 @@ __all__ = [
     "study",
     "table",
 ]
-
-LISTED = ("plants", "identifiers", "scenarios", "effects", "models", "suites", "recordings")
-
-
-def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
-    """Return what is registered: for each kind the id, one line about it, and the distribution that brought it.
-
-    Parameters
-    ----------
-    kind : str, optional
-        One of plants, identifiers, scenarios, effects, models, suites, recordings; all of them if not given.
-
-    Raises
-    ------
-    InputError
-        If the kind is unknown.
-
-    Examples
-    --------
-    >>> "dmdc" in [row["id"] for row in list_parts("identifiers")["identifiers"]]
-    True
-    """
-    if kind is not None and kind not in LISTED:
-        raise InputError(
-            "nothing to list",
-            expected=f"one of {', '.join(LISTED)}, or a file that ends in .fmu",
-            got=repr(kind),
-            remedy="correct the word",
-        )
-    return {
-        name: [
-            {"id": entry.id, "summary": _plain(entry.summary), "distribution": entry.distribution}
-            for entry in registry.entries(name)
-        ]
-        for name in ((kind,) if kind is not None else LISTED)
-    }
-
-
-def describe_part(id: str) -> dict[str, Any] | None:
-    """Return what a registered part is and which options it takes; None if there is none of this id.
-
-    Returns
-    -------
-    dict or None
-        ``kind``, ``id``, ``distribution``, ``text`` (its docstring) and ``options``: rows with name, default, meaning.
-
-    Examples
-    --------
-    >>> [row["name"] for row in describe_part("hold")["options"]], describe_part("prbs")["kind"]
-    ([], 'scenarios')
-    """
-    for kind in ("plants", "identifiers", "scenarios", "effects", "models"):
-        for entry in registry.entries(kind):
-            if entry.id == id:
-                made = registry.load(kind, id)
-                text = inspect.getdoc(made) or entry.summary
-                options = [] if kind == "effects" else registry.named_options(kind, id).values()
-                rows = [
-                    {
-                        "name": one.name,
-                        "default": "needed" if one.default is one.empty else _default(one.default),
-                        "meaning": _meaning(text, one.name),
-                    }
-                    for one in options
-                ]
-                about = text.partition("\nExamples\n")[0].partition("\nParameters\n")[0].strip()
-                return {
-                    "kind": kind,
-                    "id": id,
-                    "distribution": entry.distribution,
-                    "text": _plain(about if kind != "effects" else entry.summary),
-                    "options": rows,
-                }
-    return None
-
-
-def _default(value: Any) -> str:
-    """Return a default as one writes it."""
-    return "(its own)" if "factory" in repr(value) else repr(value)
-
-
-def _meaning(text: str, name: str) -> str:
-    """Return what a docstring says of a parameter."""
-    found = re.search(rf"^(?:\w+, )*{re.escape(name)}(?:, \w+)* : [^\n]*\n((?:[ ]+[^\n]*\n?)+)", text, re.MULTILINE)
-    return _plain(" ".join(found[1].split())) if found else ""
-
-
-def _plain(text: str) -> str:
-    """Return a docstring's line without its markup."""
-    text = re.sub(r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"\1", text)
-    return re.sub(r"``(.+?)``", r"\1", text)
 
 
 def describe_fmu(path: str | Path) -> dict[str, Any]:
@@ -807,7 +716,7 @@ def _as_is(
             got=f"the plant {plant}",
             remedy="add --scenario, for example --scenario multisine",
         )
-    found = registry.load("plants", "fmu").as_is(
+    found = registry.load("tools", "fmu-as-is")(
         plant, **{**asked, "progress": progress, "isolated": os.name == "posix", **options}
     )
     for text in found.notes if note is not None else ():

@@ -81,6 +81,8 @@ def list_command(
             print_json(part)
             return
         say(f"{part['id']} ({part['kind'][:-1]} of {part['distribution']}): {part['text']}")
+        for title, fact in part["facts"].items():
+            say(f"{title}: {fact}")
         print_rows(part["options"])
         return
     parts = api.list_parts(what)

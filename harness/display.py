@@ -7,8 +7,7 @@ from html import escape
 from itertools import pairwise
 
 import numpy as np
-
-from harness.signals import FloatArray
+import numpy.typing as npt
 
 __all__ = ["drawing", "page", "table"]
 
@@ -31,7 +30,7 @@ def table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def drawing(values: FloatArray, label: str) -> str:
+def drawing(values: npt.NDArray[np.float64], label: str) -> str:
     """Return a line as SVG: extremes of every stretch, so that nothing short is lost.
 
     Parameters

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
-from harness.signals import Trajectory
+import numpy as np
+import numpy.typing as npt
 
-__all__ = ["plot_trajectory"]
+__all__ = ["plot_record"]
+
+Table = tuple[npt.NDArray[np.float64], Sequence[str]]
 
 
-def plot_trajectory(record: Trajectory, axes: Any = None) -> Any:
+def plot_record(t: npt.NDArray[np.float64], inputs: Table, outputs: Table, axes: Any = None) -> Any:
     """Draw inputs as they are held and outputs as they are sampled, each with its unit.
 
     Parameters
     ----------
-    record : Trajectory
+    t : array (N,)
+        [s].
+    inputs, outputs : (array (N, n), sequence of n str)
+        Values and labels.
     axes : sequence of matplotlib axes, optional
         One for each channel; made if not given.
 
@@ -24,17 +31,15 @@ def plot_trajectory(record: Trajectory, axes: Any = None) -> Any:
     """
     from matplotlib.figure import Figure
 
-    spec = record.spec
-    count = spec.nu + spec.ny
+    count = len(inputs[1]) + len(outputs[1])
     if axes is None:
         figure = Figure(figsize=(8, 1.6 * count + 0.6), layout="constrained")
         axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
-    for column, channel in enumerate(spec.inputs):
-        axes[column].step(record.t, record.u[:, column], where="post", color="#888888", linewidth=0.8)
-        axes[column].set_ylabel(str(channel))
-    for column, channel in enumerate(spec.outputs):
-        axis = axes[spec.nu + column]
-        axis.plot(record.t, record.y[:, column], color="#4477aa", linewidth=0.8)
-        axis.set_ylabel(str(channel))
+    for axis, values, label in zip(axes, inputs[0].T, inputs[1], strict=False):
+        axis.step(t, values, where="post", color="#888888", linewidth=0.8)
+        axis.set_ylabel(label)
+    for axis, values, label in zip(axes[len(inputs[1]) :], outputs[0].T, outputs[1], strict=False):
+        axis.plot(t, values, color="#4477aa", linewidth=0.8)
+        axis.set_ylabel(label)
     axes[count - 1].set_xlabel("time [s]")
     return axes[0].figure

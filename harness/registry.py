@@ -24,7 +24,7 @@ from harness.options import check_options, instead
 __all__ = ["KINDS", "Entry", "create", "dataset_path", "entries", "entry", "load", "named_options"]
 
 DISTRIBUTION = "sysid-harness"
-KINDS = ("plants", "identifiers", "scenarios", "effects", "models", "suites", "recordings", "model_readers")
+KINDS = ("plants", "identifiers", "scenarios", "effects", "models", "suites", "recordings", "model_readers", "tools")
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def _all(kind: str) -> dict[str, Entry]:
     result: dict[str, Entry] = {}
     for item in found:
         result.setdefault(item.id, item)
-    if not result and kind not in ("model_readers",):
+    if not result and kind not in ("model_readers", "tools"):
         raise PluginError(
             f"no {kind} are registered: expected the entry points of an installed {DISTRIBUTION}, got none; "
             "remedy: install the project (pip install -e .)"

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from harness.display import drawing, page, table
 from harness.errors import InputError
+from harness.plots import plot_record
 
 __all__ = ["Channel", "Dataset", "FloatArray", "PlantSpec", "Run", "Trajectory", "Use", "residual"]
 
@@ -238,14 +239,14 @@ class Trajectory:
         return f"<Trajectory: {self}>"
 
     def _repr_html_(self) -> str:
-        display = import_module("harness.display")
         lines = [(channel, self.u[:, k]) for k, channel in enumerate(self.spec.inputs)]
         lines += [(channel, self.y[:, k]) for k, channel in enumerate(self.spec.outputs)]
-        return str(display.page(str(self), *(display.drawing(values, str(channel)) for channel, values in lines)))
+        return page(str(self), *(drawing(values, str(channel)) for channel, values in lines))
 
     def plot(self, axes: Any = None) -> Any:
         """Draw inputs and outputs over time; returns the matplotlib figure (see :mod:`harness.plots`)."""
-        return import_module("harness.plots").plot_trajectory(self, axes)
+        inputs, outputs = self.spec.inputs, self.spec.outputs
+        return plot_record(self.t, (self.u, [*map(str, inputs)]), (self.y, [*map(str, outputs)]), axes)
 
     @property
     def duration(self) -> float:
@@ -359,11 +360,10 @@ class Dataset:
         return f"<Dataset {self}>"
 
     def _repr_html_(self) -> str:
-        display = import_module("harness.display")
         rows = [(k, r.use, r.label, len(r.trajectory), f"{r.trajectory.duration:g}") for k, r in enumerate(self.runs)]
-        runs = display.table(["run", "use", "label", "samples", "seconds"], rows)
-        notes = display.table(["what was noticed"], [[text] for text in self.warnings]) if self.warnings else ""
-        return str(display.page(str(self), runs, notes))
+        runs = table(["run", "use", "label", "samples", "seconds"], rows)
+        notes = table(["what was noticed"], [[text] for text in self.warnings]) if self.warnings else ""
+        return page(str(self), runs, notes)
 
 
 def residual(outputs: Sequence[Channel], measured: FloatArray, predicted: FloatArray) -> FloatArray:

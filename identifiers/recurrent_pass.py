@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import functools
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,16 +12,16 @@ import numpy as np
 from harness.signals import FloatArray
 from identifiers import native
 
-__all__ = ["FAR", "Layout", "native_library"]
+__all__ = ["FAR", "Layout", "library"]
 
 FAR = 1e3
 """A scaled state beyond it has diverged, as in :mod:`identifiers.neural_state`."""
 
 
 @functools.cache
-def native_library() -> Any:
+def library() -> Any:
     """Return the compiled run, or None where there is no C compiler."""
-    compiled = native.native_library(Path(__file__).with_name("recurrent_loop.c"))
+    compiled = native.library("recurrent_loop")
     if compiled is not None:
         call = compiled.sysid_recurrent_run
         call.restype = ctypes.c_long
@@ -110,7 +109,7 @@ class Layout:
         n, q = len(u), self.count + self.nx
         y = np.full((n, self.ny), np.nan)
         table = np.zeros((n, self.ny, q)) if slopes else None
-        compiled = native_library() if native else None
+        compiled = library() if native else None
         if compiled is None:
             self._plain(theta, start, u, y, table)
             return y, table

@@ -13,7 +13,7 @@ from harness.errors import InputError
 from harness.options import check_options, instead
 from harness.signals import Channel, FloatArray, PlantSpec
 
-__all__ = ["checked_inputs", "checked_options", "initial_values", "per_item", "positive", "refuse_input"]
+__all__ = ["checked_inputs", "checked_options", "finite", "initial_values", "per_item", "positive", "refuse_input"]
 
 
 def refuse_input(u: Any, spec: PlantSpec) -> NoReturn:
@@ -34,6 +34,18 @@ def refuse_input(u: Any, spec: PlantSpec) -> NoReturn:
         got=str(array[bad]),
         remedy="check the controller or the excitation",
     )
+
+
+def finite(values: FloatArray) -> bool:
+    """Return True if every number of a short row is finite; faster than NumPy's for rows of a few numbers.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> finite(np.array([1.0, -2.0])), finite(np.array([1.0, np.nan])), finite(np.array([1e300]))
+    (True, False, True)
+    """
+    return all(map(math.isfinite, values.tolist()))
 
 
 def checked_inputs(inputs: FloatArray, spec: PlantSpec) -> FloatArray:

@@ -6,7 +6,7 @@ import logging
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -23,10 +23,6 @@ from plants.fmu_stops import finish, stopped
 from plants.fmu_trust import FirstRun
 from plants.fmu_variables import Port, channels, choose, describe, feeds_through, starts, states_of
 from plants.mockups import mockup
-
-if TYPE_CHECKING:
-    from plants.fmu_as_is import AsIs
-    from plants.fmu_probe import ProbeResult
 
 __all__ = ["FmuPlant", "describe"]
 
@@ -92,23 +88,10 @@ class FmuPlant(Beyond):
     [0.0999]
     """
 
+    probe_tool: ClassVar[str] = "fmu-probe"
+    """Registered tool that tells whether a plant of this class can be trusted."""
     describe = staticmethod(describe)
-
-    @staticmethod
-    def as_is(path: str | Path, **options: Any) -> AsIs:
-        """Run an FMU with its default experiment; see :func:`plants.fmu_as_is.run_as_is`."""
-        from plants.fmu_as_is import run_as_is
-
-        return run_as_is(path, **options)
-
     mockup = staticmethod(mockup)
-
-    @staticmethod
-    def probe(path: str | Path, **options: Any) -> ProbeResult:
-        """Run an FMU a few times and tell whether it can be trusted; see :func:`plants.fmu_probe.probe`."""
-        from plants.fmu_probe import probe
-
-        return probe(path, **options)
 
     def __init__(
         self,
@@ -165,27 +148,27 @@ class FmuPlant(Beyond):
         self._instance = Instance(self.file, self.kind, event_mode=event_mode, early_return=early_return, debug=debug)
         self._finalizer = weakref.finalize(self, self._instance.close)
         try:
-            self._engine = self._made_engine(self._inputs, self._outputs, rollback, solver)
-            self._observer = Engine(self._instance, (), self._truth, None, rollback=rollback)
+            self._engine = self._made_engine(self._inputs, self._outputs, solver)
+            self._observer = Engine(self._instance, (), self._truth, None)
         except BaseException:
             self.close()
             raise
         self._first: FirstRun | None = None  # the beginning of the first run, until the way back is known
         self.way_back: str | None = None  # "reset", "instance" or "process", known from the second reset on
         self._both: Engine | None = None  # reads outputs and states at once; made when it is needed
-        self._rollback, self._solver = rollback, solver
+        self._solver = solver
         self._shape = (self.spec.nu,)
         self._one: Callable[[], int] = idle
 
-    def _made_engine(self, inputs: Sequence[Port], outputs: Sequence[Port], rollback: bool, solver: str) -> Engine:
+    def _made_engine(self, inputs: Sequence[Port], outputs: Sequence[Port], solver: str) -> Engine:
         """Return what steps the instance."""
         timing = Timing(self._t0, self.spec.sample_time, self._substeps)
         if self.kind == "cs" and self._instance.event_mode:
             from plants.fmu_events import EventEngine
 
-            return EventEngine(self._instance, inputs, outputs, timing, rollback=rollback)
+            return EventEngine(self._instance, inputs, outputs, timing)
         if self.kind == "cs":
-            return Engine(self._instance, inputs, outputs, timing, rollback=rollback)
+            return Engine(self._instance, inputs, outputs, timing)
         from plants.fmu_exchange import ExchangeEngine
 
         return ExchangeEngine(self._instance, inputs, outputs, timing, solver=solver, tolerance=self.tolerance)
@@ -221,6 +204,7 @@ class FmuPlant(Beyond):
         for engine in (self._engine, self._observer, *(() if self._both is None else (self._both,))):
             engine.renew()
         self._engine.loop.k = 0
+        self._engine.loop.rollback = bool(self._instance.states)
         self._engine.loop.warnings = 0
         if self._engine.look():
             raise stopped(self._engine)
@@ -282,8 +266,8 @@ class FmuPlant(Beyond):
             got, remedy = f"kind {self.kind!r}, {len(self._truth)} states", "step, and ask truth() after every step"
             raise refused(self.file, "a batch with the truth", "co-simulation and known states", got, remedy)
         if self._both is None:
-            self._both = self._made_engine(self._inputs, (*self._outputs, *self._truth), self._rollback, self._solver)
-        self._both.loop.k = self._engine.loop.k
+            self._both = self._made_engine(self._inputs, (*self._outputs, *self._truth), self._solver)
+        self._both.loop.k, self._both.loop.rollback = self._engine.loop.k, self._engine.loop.rollback
         try:
             table = self._rolled(self._both, inputs)
         finally:
@@ -401,16 +385,3 @@ class FmuPlant(Beyond):
 def _rebuilt(kind: type[FmuPlant], options: dict[str, Any]) -> FmuPlant:
     """Make a plant again where a pickle of it is opened."""
     return kind(**options)
-
-
-def __getattr__(name: str) -> Any:
-    """Find our own FMUs and the probe here too (their modules import this one)."""
-    if name.endswith("_fmu"):
-        from plants import fmu_mockups
-
-        return getattr(fmu_mockups, name)
-    if name == "probe":
-        from plants.fmu_probe import probe
-
-        return probe
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -13,7 +13,8 @@ from plants.fmu_engine import Engine
 from plants.fmu_instance import Instance
 from plants.fmu_options import encoded, refused
 from plants.fmu_slopes import slopes
-from plants.fmu_states import Snapshot, packed, unpacked
+from plants.fmu_snapshot import Snapshot
+from plants.fmu_states import packed, unpacked
 from plants.fmu_trust import FirstRun, state_error
 
 __all__ = ["Beyond", "idle"]
@@ -50,11 +51,14 @@ class Beyond:
         """Return the present state of the FMU, and where the plant is in its run."""
         taken = self._instance.take()
         taken.k = self._engine.loop.k
+        self._engine.loop.rollback = True
+        self._engine.touched()
         return taken
 
     def _set_back(self, state: Snapshot) -> None:
         """Go back to a state."""
         self._instance.put(state)
+        self._engine.loop.rollback = True
         self._engine.loop.k = state.k
         self._engine.settle()
 
@@ -159,6 +163,7 @@ class Beyond:
             if variability != "tunable":
                 raise refused(self.file, "a fixed parameter", "a tunable one", repr(name), "reset first", name)
             self._instance.set_now(name, as_fmu[name])
+            self._engine.touched()
         self._start.update(as_fmu)
 
     def _not_ready(self, what: str = "a step") -> NoReturn:

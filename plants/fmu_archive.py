@@ -73,15 +73,20 @@ class FmuFile:
         """
         import fmpy
 
-        library = f"binaries/{fmpy.platform_tuple if self.version == 3 else fmpy.platform}/"
+        # some tools name the folder of an FMI 2.0 binary as FMI 3.0 does; it also tells processors apart
+        asked = [fmpy.platform_tuple, *([fmpy.platform] if self.version < 3 else [])]
         with zipfile.ZipFile(self.path) as archive:
-            names = [plain_name(entry) for entry in archive.infolist()]
-        if not any(name.startswith(library) and not name.endswith("/") for name in names):
+            names = [plain_name(entry) for entry in archive.infolist() if not entry.is_dir()]
+        folders = [f"binaries/{place}/" for place in asked]
+        library = next((one for one in folders if any(name.startswith(one) for name in names)), None)
+        if library is None:
             raise InputError(
                 "the FMU has no binary for this system",
-                expected=library,
+                expected=" or ".join(folders),
                 got=", ".join(self.platforms) or "no binaries",
-                remedy="export it for this system, or compile its sources (fmusim, fmpy compile)",
+                remedy=f"fmpy compile {self.path} (needs cmake and a C compiler)"
+                if "c-code" in self.platforms
+                else "export it for this system",
                 file=self.path,
             )
         folder = temporary_folder("sysid-fmu-")
@@ -91,7 +96,11 @@ class FmuFile:
                 for entry in archive.infolist():
                     name = plain_name(entry)
                     if name.startswith(wanted) and not name.endswith("/"):
-                        target = folder / name
+                        # where fmpy looks for it
+                        place = (
+                            f"binaries/{asked[-1]}/{name.removeprefix(library)}" if name.startswith(library) else name
+                        )
+                        target = folder / place
                         target.parent.mkdir(parents=True, exist_ok=True)
                         with archive.open(entry) as packed, target.open("wb") as file:
                             shutil.copyfileobj(packed, file)

@@ -16,7 +16,7 @@ from harness.errors import InputError, PlantError
 from harness.signals import FloatArray, Trajectory
 from plants.fmu import FmuPlant
 from plants.fmu_archive import FmuFile, read_fmu
-from plants.fmu_options import chosen_kind, default
+from plants.fmu_options import default
 from plants.fmu_variables import INTEGERS, REALS, states_of
 from plants.isolated import IsolatedPlant
 
@@ -102,7 +102,6 @@ def run_as_is(
     ([[0.0, 0.0], [0.0, 0.0], [0.0, 0.0]], None)
     """
     file = read_fmu(path)
-    kind = chosen_kind(file, options.get("kind"))
     notes: list[str] = []
     first = _first(start, default(file, "startTime"), 0.0)
     end = _first(stop, default(file, "stopTime"))
@@ -150,7 +149,7 @@ def run_as_is(
     if ended is not None:
         at = first + (len(rows) - 1) * dt
         notes.append(f"the run ends at t = {at:g} s of {end:g} s ({len(rows)} of {count} samples are kept): {ended}")
-    elif kind == "me" and tolerance is None and wanted is not None:
+    elif tolerance is None and wanted is not None:
         notes += _dominated(made, starts, rows, wanted)
     time: FloatArray = np.arange(len(rows), dtype=np.float64) * spec.sample_time
     inputs: FloatArray = np.tile(starts, (len(rows), 1))

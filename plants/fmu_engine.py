@@ -139,6 +139,8 @@ class NativeStep(NamedTuple):
 class Engine:
     """Steps one co-simulation instance; row buffers ``u`` and ``y`` are shared with the plant.
 
+    ``loop.rollback`` tells the FMU that the run may go back to an earlier state (FMI 2.0.5 sec. 4.2.2,
+    noSetFMUStatePriorToCurrentPoint): only while somebody holds one, because some FMUs then stand still.
     ``one``, ``look`` and ``peek`` return 0 or what stopped them: step with ``u``; read ``y``; apply ``u`` and read
     ``y`` while no time passes. Without a ``timing`` it only reads.
     """
@@ -153,8 +155,6 @@ class Engine:
         inputs: Sequence[Port],
         outputs: Sequence[Port],
         timing: Timing | None,
-        *,
-        rollback: bool,
     ) -> None:
         self.instance = instance
         self.error: PlantError | None = None  # what a step raised where it runs in Python
@@ -175,7 +175,6 @@ class Engine:
             ny=len(self.y),
             substeps=substeps,
             version=v,
-            rollback=rollback,
             u=self.u.ctypes.data,
             y=self.y.ctypes.data,
         )
@@ -211,6 +210,9 @@ class Engine:
 
     def settle(self) -> None:
         """Take notice that the FMU's state was set from outside; co-simulation keeps nothing here."""
+
+    def touched(self) -> None:
+        """Take notice that the state was taken, or a parameter changed; co-simulation keeps nothing here."""
 
     def many(self, inputs: FloatArray) -> FloatArray:
         """Step through the rows of ``inputs`` (N, nu); returns the completed rows (done, ny), see ``loop.what``."""

@@ -33,10 +33,8 @@ EVENTS = 1000  # in one sample, before it counts as endless
 class EventEngine(Engine):
     """Steps one instance in event mode; the same buffers and calls as :class:`plants.fmu_engine.Engine`."""
 
-    def __init__(
-        self, instance: Instance, inputs: Sequence[Port], outputs: Sequence[Port], timing: Timing, *, rollback: bool
-    ) -> None:
-        super().__init__(instance, inputs, outputs, timing, rollback=rollback)
+    def __init__(self, instance: Instance, inputs: Sequence[Port], outputs: Sequence[Port], timing: Timing) -> None:
+        super().__init__(instance, inputs, outputs, timing)
         self.native = False
         self._timing = timing
         self._slow = SlowLoop(self)

@@ -14,7 +14,7 @@ from typing import Any
 
 from harness.errors import InputError, PlantError
 from plants.fmu_archive import FmuFile, Kind
-from plants.fmu_states import Snapshot
+from plants.fmu_snapshot import Snapshot
 from plants.temporary import release
 
 __all__ = ["Instance"]

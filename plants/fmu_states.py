@@ -1,42 +1,19 @@
-"""States that an FMU keeps for us, and the same states as bytes."""
+"""States that an FMU keeps for us as bytes, and back."""
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import math
 import struct
-import weakref
-from typing import TYPE_CHECKING
 
 from harness.errors import InputError
+from plants.fmu_instance import Instance
+from plants.fmu_snapshot import Snapshot
 
-if TYPE_CHECKING:
-    from plants.fmu_instance import Instance
-
-__all__ = ["Snapshot", "packed", "unpacked"]
+__all__ = ["packed", "unpacked"]
 
 HEAD = struct.Struct("<8s16sqd")  # mark, digest of the FMU's token and kind, samples since reset, next event or NaN
 MARK = b"sysidfmu"
-
-
-class Snapshot:
-    """A state that the FMU keeps for us; freed with this object, or with the instance."""
-
-    def __init__(self, owner: Instance, pointer: ctypes.c_void_p) -> None:
-        self.owner = weakref.ref(owner)
-        self.pointer: ctypes.c_void_p | None = pointer
-        self.k = 0
-        self.next_event: float | None = None  # [s], FMI 3.0 in event mode
-
-    def free(self) -> None:
-        """Give the memory back to the FMU."""
-        owner, pointer, self.pointer = self.owner(), self.pointer, None
-        if owner is not None and pointer is not None and owner.fmu is not None and not owner.dead:
-            owner.fmu.freeFMUState(pointer)
-
-    def __del__(self) -> None:
-        self.free()
 
 
 def packed(instance: Instance, state: Snapshot) -> bytes:

@@ -161,6 +161,7 @@ def state_error(engine: Engine, take: Callable[[], Any], put: Callable[[Any], No
     try:
         engine.look()
         here = engine.y.copy()
+        engine.loop.rollback = False  # some FMUs stand still where a way back is asked for: then these two differ
         first = engine.many(rows)
         done = len(first)
         put(before)

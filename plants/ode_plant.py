@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 import numpy as np
 
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability
 from harness.signals import FloatArray, PlantSpec
-from plants.checking import checked_inputs, initial_values, positive, refuse_input
+from plants.checking import checked_inputs, finite, initial_values, positive, refuse_input
 from plants.ode_adaptive import AdaptiveEngine, Integrator, checked_integrator
 from plants.ode_engine import (
     Engine,
@@ -139,6 +139,9 @@ class OdePlant:
         self._delays_out = [(b.index, DelayLine(value[b.parameter], dt)) for b in sampled if b.kind == "output_delay"]
         self._rounding = [(b.index, value[b.parameter]) for b in sampled if b.kind == "quantise"]
         self._closed = False
+        self._shape = (self._spec.nu,)
+        # nothing between the caller and the engine: no memory, no noise, no rounding
+        self._direct = not (self._delays_in or self._delays_out or self._rounding or self._noises)
         self._rng = np.random.default_rng(0)
         self._x = np.zeros(self.system.nx)
         self._k = 0
@@ -199,8 +202,16 @@ class OdePlant:
         """
         if self._closed:
             self._need_open()
-        if not (isinstance(u, np.ndarray) and u.shape == (self._spec.nu,) and np.isfinite(u).all()):
+        if not (isinstance(u, np.ndarray) and u.shape == self._shape and finite(u)):
             refuse_input(u, self._spec)
+        if self._direct:
+            t = self._k * self._spec.sample_time
+            self._hold = self._x, u, t
+            self._x, y = self._engine.step(self._x, u, t)
+            self._k += 1
+            if not finite(self._x):
+                self._diverged(t)
+            return y
         held = u
         if self._delays_in:
             held = u.copy()
@@ -214,9 +225,13 @@ class OdePlant:
         self._k += 1
         if self._spec.feedthrough and self._delays_in:
             y = self._engine.output(self._x, held, t)
-        if not np.isfinite(self._x).all():
-            raise PlantError(f"the state is not finite at t = {t + self._spec.sample_time:g} s", status="diverged")
+        if not finite(self._x):
+            self._diverged(t)
         return self._sense(y, advance=True)
+
+    def _diverged(self, t: float) -> NoReturn:
+        """Say that the sample from ``t`` on has no end."""
+        raise PlantError(f"the state is not finite at t = {t + self._spec.sample_time:g} s", status="diverged")
 
     def rollout(self, inputs: FloatArray) -> FloatArray:
         """Apply ``inputs`` (N, nu) from the present state; row k of the result (N, ny) is what ``step`` returned.

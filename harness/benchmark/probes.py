@@ -54,19 +54,19 @@ def probe_plants(tasks: Sequence[Task], file: Path) -> None:
 
 
 def _probeable(plant: str) -> bool:
-    """Return True if what makes the plant says that it makes one with a ``probe``."""
+    """Return True if what makes the plant says that it makes one with a ``probe_tool``."""
     try:
         factory = registry.load("plants", plant)
         made = factory if inspect.isclass(factory) else inspect.signature(factory, eval_str=True).return_annotation
     except (HarnessError, NameError, TypeError, ValueError):
         return False  # the rows of this plant will tell what is wrong with it
-    return callable(getattr(made, "probe", None))
+    return getattr(made, "probe_tool", None) is not None
 
 
 def _probe(plant: str, options: dict[str, Any]) -> dict[str, Any]:
     """Make a plant, and probe it with the options that it was really made with."""
     with registry.create("plants", plant, **options) as made:
-        found: dict[str, Any] = type(made).probe(**made.options).to_dict()
+        found: dict[str, Any] = registry.load("tools", made.probe_tool)(**made.options).to_dict()
     return found
 
 

@@ -24,7 +24,7 @@ def query(directory: str | Path, sql: str) -> Answer:
     Raises
     ------
     InputError
-        If the folder holds no benchmark, or DuckDB refuses the query.
+        If the folder holds no benchmark, DuckDB refuses the query, or the extra ``query`` is not installed.
     """
     store = Store(Path(directory))
     if store.shares():

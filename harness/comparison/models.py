@@ -148,7 +148,16 @@ def read_model(path: str | Path, *, trust: bool = False) -> Model:
             remedy="fit another",
             file=path,
         )
-    model: Model = registry.load("model_readers", kind).from_dict(content)
+    try:
+        model: Model = registry.load("model_readers", kind).from_dict(content)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise InputError(
+            "not a model",
+            expected=f"the whole description of a {kind} model",
+            got=f"{type(error).__name__}: {' '.join(str(error).split())[:200]}",
+            remedy="give the file as sysid identify -o wrote it",
+            file=path,
+        ) from error
     return model
 
 

@@ -40,28 +40,25 @@ def _owner(wire: Wire, parts: Sequence[Part]) -> Part:
 
 
 def strong_components(nodes: Sequence[Part], followers: Callable[[Part], list[Part]]) -> list[list[Part]]:
-    """Return the strongly connected components in topological order (Tarjan 1972, SIAM J. Comput. 1:146)."""
-    index: dict[int, int] = {}
-    low: dict[int, int] = {}
-    stack: list[Part] = []
-    done: list[list[Part]] = []
+    """Return the strongly connected components in topological order, each in the order of ``nodes``."""
+    from graphlib import TopologicalSorter
 
-    def visit(node: Part) -> None:
-        index[id(node)] = low[id(node)] = len(index)
-        stack.append(node)
-        for follower in followers(node):
-            if id(follower) not in index:
-                visit(follower)
-                low[id(node)] = min(low[id(node)], low[id(follower)])
-            elif follower in stack:
-                low[id(node)] = min(low[id(node)], index[id(follower)])
-        if low[id(node)] == index[id(node)]:
-            group: list[Part] = []
-            while not group or group[-1] is not node:
-                group.append(stack.pop())
-            done.append(group[::-1])
+    import numpy as np
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
 
-    for node in nodes:
-        if id(node) not in index:
-            visit(node)
-    return done[::-1]
+    if not nodes:
+        return []
+    places = {id(node): place for place, node in enumerate(nodes)}
+    edges = np.array(
+        [(place, places[id(one)]) for place, node in enumerate(nodes) for one in followers(node)], dtype=np.intp
+    ).reshape(-1, 2)
+    graph = csr_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(nodes), len(nodes)))
+    count, labels = connected_components(graph, directed=True, connection="strong")
+    order: TopologicalSorter[int] = TopologicalSorter({group: set() for group in range(count)})
+    for before, after in labels[edges].tolist():
+        if before != after:
+            order.add(after, before)
+    return [
+        [node for node, label in zip(nodes, labels, strict=True) if label == group] for group in order.static_order()
+    ]

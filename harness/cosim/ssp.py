@@ -6,6 +6,7 @@ import shutil
 import tempfile
 import weakref
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -130,7 +131,17 @@ def _unpack(path: Path, structure: Structure, folder: Path) -> None:
                     remedy="put it into resources/ and export the package again",
                     file=path,
                 )
-            archive.extract(component.source, folder)
+            try:
+                archive.extract(component.source, folder)
+            except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError) as error:
+                raise InputError(
+                    f"source of component {component.name!r}",
+                    expected="a sound zip archive",
+                    got=f"{type(error).__name__}: {error}",
+                    remedy="copy or export the package again",
+                    file=path,
+                    place=component.source,
+                ) from error
 
 
 def _made(

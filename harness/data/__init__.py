@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from harness.data.description import NominalParameter, SourceSection, parse_description, read_description
+from harness.data.description import parse_description, read_description
 from harness.data.load import DATA_FOLDER, load_dataset
 from harness.data.loaded import LoadedDataset, Nominal
+from harness.data.sections import NominalParameter, SourceSection
 from harness.data.si import si_unit
 from harness.data.trajectories import columns_of, read_trajectory, write_trajectory
 from harness.data.views import from_control, from_fmpy, to_pandas, to_polars, to_xarray

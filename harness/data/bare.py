@@ -7,9 +7,9 @@ from pathlib import Path
 
 import msgspec
 
-from harness.data.description import Description, NominalSection, RunSection, SignalSection, TimeSection
 from harness.data.headers import split_header
 from harness.data.ports import Ports, located_model, ports_of
+from harness.data.sections import Description, NominalSection, RunSection, SignalSection, TimeSection
 from harness.data.tables import BARE, REFERENCE, Table, open_table, suffix_of
 from harness.data.trajectories import stored_spec
 from harness.errors import InputError

@@ -146,8 +146,9 @@ class NumpyFile(_Variables):
 
     def __init__(self, path: Path) -> None:
         try:
-            content = np.load(path, allow_pickle=False)
-            variables = {"array": content} if isinstance(content, np.ndarray) else dict(content)
+            with path.open("rb") as file:  # given the path, numpy leaves the file open where it fails
+                content = np.load(file, allow_pickle=False)
+                variables = {"array": content} if isinstance(content, np.ndarray) else dict(content)
         except Exception as error:
             raise broken(path, "numpy", error) from error
         super().__init__(variables)
@@ -175,7 +176,7 @@ class Hdf5File(_Variables):
                             self._units[name] = text.decode() if isinstance(text, bytes) else str(text)
 
                 file.visititems(visit)
-        except OSError as error:
+        except Exception as error:  # the library raises whatever its walk through a damaged file meets
             raise broken(path, "HDF5", error) from error
         super().__init__(variables)
 

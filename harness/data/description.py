@@ -1,4 +1,4 @@
-"""dataset.toml: what may stand in it, read into frozen records; every mistake is named with its place."""
+"""dataset.toml, read into frozen records; every mistake is named with its place."""
 
 from __future__ import annotations
 
@@ -7,145 +7,24 @@ import math
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 
+from harness.data.sections import (
+    Description,
+    FilterSection,
+    NominalParameter,
+    NominalSection,
+    ResampleSection,
+    RunSection,
+    SignalSection,
+    SourceSection,
+    TimeSection,
+)
 from harness.errors import InputError
 
-__all__ = [
-    "Description",
-    "Gaps",
-    "NominalParameter",
-    "NominalSection",
-    "ResampleSection",
-    "RunSection",
-    "SignalSection",
-    "SourceFile",
-    "SourceSection",
-    "TimeSection",
-    "parse_description",
-    "read_description",
-]
-
-Gaps = Literal["refuse", "split"]
-Column = str | int
-
-
-class NominalParameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What is known of a parameter of the nominal model.
-
-    ``value`` alone is a known value (fixed). ``start`` is where the fit begins; ``minimum`` and ``maximum`` are bounds.
-    """
-
-    value: float | None = None
-    start: float | None = None
-    minimum: float | None = None
-    maximum: float | None = None
-
-    @property
-    def fixed(self) -> bool:
-        """True for a known value, which is not fitted."""
-        return self.value is not None
-
-
-class NominalSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The model that the user believes in: its name, options of its definition, what is known of its parameters.
-
-    With ``analogy = true`` the model's equations are meant and the units are those of the data (an electrical circuit
-    as a mass, spring and damper).
-    """
-
-    model: str
-    analogy: bool = False
-    options: dict[str, Any] = {}
-    parameters: dict[str, NominalParameter | float] = {}
-
-
-class SignalSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One signal: which column it is, what it means to the model, its unit."""
-
-    role: Literal["input", "output", "reference"]
-    unit: str | None = None
-    port: str | None = None
-    derivative: int = 0
-    column: Column | None = None
-    scale: float = 1.0
-    offset: float = 0.0
-    noise: float | None = None
-    categories: int | None = None
-
-
-class TimeSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The time column: its name and unit (by default what its title says, else s)."""
-
-    column: Column = "time"
-    unit: str | None = None
-
-
-class RunSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One uninterrupted piece of a file, and what it is used for."""
-
-    file: str
-    use: Literal["estimation", "validation", "test"] = "estimation"
-    label: str = ""
-    rows: tuple[int, int] | None = None
-    discard: int = 0
-    columns: dict[str, Column] = {}
-
-
-class ResampleSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The declared remedy for time that is not uniform: the new sample time [s] and how to interpolate outputs.
-
-    ``max_gap`` [s] is the longest hole that may be bridged; without it, five new sample times. Towards a lower rate
-    ``antialias`` filters before, so that nothing folds back: see :mod:`harness.data.decimation`.
-    """
-
-    sample_time: float | None = None
-    method: Literal["linear", "cubic"] = "linear"
-    max_gap: float | None = None
-    antialias: bool = True
-
-
-class SourceFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One file of a public recording with its SHA-256."""
-
-    file: str
-    sha256: str
-
-
-class SourceSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where a public recording comes from."""
-
-    citation: str
-    download: str
-    licence: str
-    files: tuple[SourceFile, ...]
-    doi: str = ""
-    package: str = ""
-
-
-class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The whole of a dataset.toml.
-
-    ``undriven`` names the inputs of the nominal model that nothing drove while the data were recorded: they count as 0
-    (an FMU keeps their start values). An input that is neither recorded nor named there is refused. ``duplicates`` says
-    which of several rows with one time stamp counts.
-    """
-
-    name: str
-    signals: dict[str, SignalSection]
-    runs: tuple[RunSection, ...]
-    nominal: NominalSection | None = None
-    sample_time: float | None = None
-    time: TimeSection | None = None
-    intersample: Literal["zoh", "foh", "smooth"] = "zoh"
-    gaps: Gaps = "refuse"
-    duplicates: Literal["refuse", "first", "last", "mean"] = "refuse"
-    resample: ResampleSection | None = None
-    undriven: tuple[str, ...] = ()
-    source: SourceSection | None = None
-    description: str = ""
+__all__ = ["parse_description", "read_description"]
 
 
 def read_description(path: str | Path) -> Description:
@@ -186,7 +65,8 @@ def parse_description(text: str, *, file: str | Path | None = None) -> Descripti
     ... except InputError as error:
     ...     print(error)
     sampel_time: unknown key: expected one of name, signals, runs, nominal, sample_time, time, intersample, gaps,
-    duplicates, resample, undriven, source, description, got 'sampel_time'; remedy: did you mean sample_time?
+    duplicates, resample, detrend, filter, undriven, source, description, got 'sampel_time'; remedy: did you mean
+    sample_time?
     """
     try:
         content = tomllib.loads(text)
@@ -208,6 +88,7 @@ _TABLES: dict[str, type[msgspec.Struct]] = {
     "nominal": NominalSection,
     "time": TimeSection,
     "resample": ResampleSection,
+    "filter": FilterSection,
     "source": SourceSection,
 }
 
@@ -271,6 +152,16 @@ def _check(read: Description) -> None:
             ("resample.sample_time", read.resample.sample_time),
             ("resample.max_gap", read.resample.max_gap),
         ]
+    if read.filter is not None:
+        positive += [("filter.low", read.filter.low), ("filter.high", read.filter.high)]
+        if not 1 <= read.filter.order <= 12:
+            raise InputError(
+                "order of a filter",
+                expected="1 to 12",
+                got=str(read.filter.order),
+                remedy="4 is usual",
+                place="filter.order",
+            )
     positive += [(f"signals.{name}.noise", one.noise) for name, one in read.signals.items()]
     for place, value in positive:
         if value is not None and not (value > 0 and math.isfinite(value)):

@@ -12,11 +12,13 @@ import msgspec
 import numpy as np
 
 from harness.data.bare import describe_bare
-from harness.data.description import Description, RunSection, read_description
+from harness.data.conditioning import conditioned
+from harness.data.description import read_description
 from harness.data.loaded import LoadedDataset
 from harness.data.memory import in_memory
 from harness.data.plan import Plan
 from harness.data.sanity import check_run, check_runs
+from harness.data.sections import Description, RunSection
 from harness.data.tables import BARE, FORMATS, Table, nearest, open_table, suffix_of
 from harness.data.timebase import Piece, TimeRules, pieces_of
 from harness.errors import InputError
@@ -141,6 +143,7 @@ class _Reader:
         runs: list[Run] = []
         references: list[dict[str, FloatArray]] = []
         self._refuse_unrecorded()
+        self._refuse_conditioning()
         measured = tuple((plan.port(name), plan.signal(name).derivative) for name in plan.outputs)
         self._check_files()
         for number, section in enumerate(self.description.runs):
@@ -153,6 +156,7 @@ class _Reader:
                     spec = spec or self._spec(piece.sample_time)
                     trajectory, extra = self._trajectory(piece, spec)
                     notes += check_run(trajectory, measured)
+                    trajectory = conditioned(trajectory, self.description.detrend, self.description.filter)
                     label = section.label + (f"/{order}" if len(pieces) > 1 else "")
                     runs.append(Run(trajectory, section.use, label.lstrip("/")))
                     references.append(extra)
@@ -169,6 +173,24 @@ class _Reader:
             self.description.name, tuple(runs), self.description.intersample, plan.noise(), tuple(self.notes)
         )
         return LoadedDataset(dataset, plan.nominal, measured, tuple(references), self.path, self.description.source)
+
+    def _refuse_conditioning(self) -> None:
+        """Refuse trends and bands taken from signals that a nonlinear model is to explain."""
+        declared = ["detrend"] * (self.description.detrend != "none") + ["[filter]"] * bool(self.description.filter)
+        if not declared:
+            return
+        nominal = self.plan.nominal
+        if nominal is not None and nominal.model != "linear":
+            raise InputError(
+                " and ".join(declared),
+                expected="the nominal model linear, or none: other models know where they are only from whole signals",
+                got=f"the model {nominal.model}",
+                remedy="leave it out here, or leave out [nominal]",
+                place=declared[0].strip("[]"),
+            )
+        steps = [] if self.description.detrend == "none" else [f"without their {self.description.detrend} trend"]
+        steps += [] if self.description.filter is None else ["filtered"]
+        self.notes.append(f"all signals are {' and '.join(steps)}, as declared: scores are those of what is left")
 
     def _refuse_unrecorded(self) -> None:
         """Refuse inputs of the model that no column gives: taken as 0 they would pass for something that is missing."""

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from harness.data.description import NominalParameter, SourceSection
 from harness.data.ports import ANY_PORTS, model_options
+from harness.data.sections import NominalParameter, SourceSection
 from harness.errors import InputError
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 

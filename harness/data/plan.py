@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from harness.data.description import Description, NominalParameter, SignalSection
 from harness.data.loaded import Nominal
 from harness.data.ports import Ports, located_model, ports_of, rate_unit, runs_python
+from harness.data.sections import Description, NominalParameter, SignalSection
 from harness.data.si import si_unit
 from harness.errors import InputError
 from harness.signals import Channel

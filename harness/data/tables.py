@@ -70,7 +70,7 @@ def _feather(path: Path) -> Source:
 
 
 def _excel(path: Path) -> Source:
-    from harness.data.memory import ExcelFile
+    from harness.data.excel import ExcelFile
 
     return ExcelFile(path)
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.data.decimation import EDGE, filtered, hold_means
-from harness.data.description import Gaps, ResampleSection
+from harness.data.sections import Gaps, ResampleSection
 from harness.errors import InputError
 from harness.signals import FloatArray
 

@@ -11,7 +11,13 @@ from xml.etree import ElementTree
 
 from harness.errors import InputError
 
-__all__ = ["Variable", "describe", "identifier"]
+__all__ = ["RIGHTS", "Variable", "describe", "identifier"]
+
+RIGHTS = (
+    "The equations and values of this model (sources/model.c, modelDescription.xml) belong to whoever made it.\n"
+    "The interface around them (sources/fmi.c, sources/fmi2.h or fmi3.h) is part of sysid-harness, under this licence:"
+)
+"""What stands above the licence in an exported FMU."""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from harness.errors import InputError
 from harness.export.c_model import description, model_source
+from harness.export.describe import RIGHTS
 from harness.export.linear import Linear, linear_description, linear_source
 
 if TYPE_CHECKING:
@@ -161,7 +162,7 @@ def _packed(source: str, text: str, target: Path, version: int) -> Path:
         (folder / "modelDescription.xml").write_text(text, encoding="utf-8")
         part = target.with_name(target.name + ".part")
         try:
-            build.build_fmu(folder, version, part, sources=True)
+            build.build_fmu(folder, version, part, others=True, note=RIGHTS)
             part.replace(target)
         except build.BuildError as error:
             raise InputError(

@@ -11,12 +11,13 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.export.describe import Variable, describe
-from harness.signals import FloatArray, PlantSpec
+from harness.protocols import Model
+from harness.signals import Channel, FloatArray, PlantSpec
 
 if TYPE_CHECKING:
     import control
 
-__all__ = ["Linear", "linear_description", "linear_source", "to_control"]
+__all__ = ["Linear", "from_state_space", "linear_description", "linear_source", "to_control"]
 
 
 class Linear(Protocol):
@@ -89,6 +90,79 @@ def to_control(model: Any) -> control.StateSpace:
         inputs=[channel.name for channel in model.spec.inputs],
         outputs=[channel.name for channel in model.spec.outputs],
     )
+
+
+def from_state_space(
+    system: control.StateSpace, *, sample_time: float | None = None, units: Mapping[str, str] | None = None
+) -> Model:
+    """Return a state-space system of python-control as a model that can be scored, compared and exported.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        In continuous time it is sampled with held inputs; its labels become names of channels.
+    sample_time : float, optional
+        [s]; needed in continuous time, and where ``dt`` is True (discrete, of no stated step).
+    units : mapping, optional
+        Units by name of input or output; ``"1"`` otherwise.
+
+    Returns
+    -------
+    LinearModel
+        Its free runs are those of the system; nothing corrects its state (``filter_gain`` 0).
+
+    Raises
+    ------
+    InputError
+        If it is no state-space system, the sample time is missing or another one, or a unit is given for no channel.
+
+    Examples
+    --------
+    >>> import control
+    >>> model = from_state_space(control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), sample_time=0.1, units={"u[0]": "V"})
+    >>> print(model.spec), model.a_matrix.round(4).tolist()
+    u[0] [V] -> y[0] [1] every 0.1 s
+    (None, [[0.9048]])
+    """
+    import control
+
+    from harness import registry
+
+    if not isinstance(system, control.StateSpace):
+        raise InputError(
+            "a system of python-control",
+            expected="a StateSpace",
+            got=type(system).__name__,
+            remedy="convert it with control.ss(system)",
+        )
+    continuous = system.dt is None or (system.dt is not True and system.dt == 0)  # a dt of 1 s equals True
+    stated = None if continuous or system.dt is True else float(system.dt)
+    if (sample_time is None and stated is None) or (None not in (sample_time, stated) and sample_time != stated):
+        raise InputError(
+            "sample time of a system",
+            expected="a number of seconds" if stated is None else f"{stated:g} s, its own, or none",
+            got="none" if sample_time is None else f"{sample_time:g} s",
+            remedy="give sample_time",
+        )
+    dt = float(stated or sample_time or 0.0)
+    sampled = control.c2d(system, dt, "zoh") if continuous else system
+    unknown = sorted(set(units or {}) - {*system.input_labels, *system.output_labels})
+    if unknown:
+        raise InputError(
+            "units",
+            expected=f"names among {', '.join([*system.input_labels, *system.output_labels])}",
+            got=", ".join(unknown),
+            remedy="correct the names",
+        )
+    named = [tuple(Channel(name, (units or {}).get(name, "1")) for name in labels)
+             for labels in (system.input_labels, system.output_labels)]  # fmt: skip
+    d = np.asarray(sampled.D, dtype=float)
+    spec = PlantSpec(named[0], named[1], dt, (), bool(np.any(d)))
+    nx, ny = int(system.nstates), len(named[1])
+    make: Any = registry.load("model_readers", "linear")
+    matrices = [np.asarray(matrix, dtype=float) for matrix in (sampled.A, sampled.B, sampled.C)]
+    model: Model = make(spec, *matrices, d, np.zeros((nx, ny)), np.zeros(nx), np.zeros(ny))
+    return model
 
 
 def linear_source(model: Linear) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.export.c_model import DELAY
-from harness.export.describe import Variable, describe
+from harness.export.describe import RIGHTS, Variable, describe
 from harness.units import base_units
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def write_package(content: Mapping[str, Any], folder: Path, target: Path, *, ver
                         effects_description(system, sample_time), encoding="utf-8"
                     )
                     try:
-                        build.build_fmu(made, version, made / "effects.fmu", sources=True)
+                        build.build_fmu(made, version, made / "effects.fmu", others=True, note=RIGHTS)
                     except build.BuildError as error:
                         raise InputError(
                             "the effects' FMU cannot be built",

@@ -6,6 +6,8 @@ descriptions are FMI 2.0; those of FMI 3.0 and the table of variables for the C 
 
 from __future__ import annotations
 
+import importlib.metadata
+import logging
 import os
 import platform
 import re
@@ -18,6 +20,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 __all__ = [
+    "CROSS",
     "FLAGS",
     "BuildError",
     "binary_folder",
@@ -27,8 +30,22 @@ __all__ = [
     "library_suffix",
 ]
 
+log = logging.getLogger("harness.fmi")
 FOLDER = Path(__file__).resolve().parent
 FLAGS = ("-O2", "-std=c11", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-Wall", "-Wextra")
+CROSS: dict[str, tuple[str, str | None, str, tuple[str, ...]]] = {
+    "x86_64-linux": ("x86_64-linux-gnu-gcc", "linux64", ".so", ()),
+    "aarch64-linux": ("aarch64-linux-gnu-gcc", None, ".so", ()),
+    "x86_64-windows": (
+        "x86_64-w64-mingw32-gcc",
+        "win64",
+        ".dll",
+        ("-s", "-Wl,--no-insert-timestamp,--disable-auto-image-base"),
+    ),
+}
+"""Compilers for other systems by platform tuple of FMI 3.0: the usual name of the program, the folder of FMI 2.0 (None
+where it names none), the ending of a library, options (equal sources give equal files)."""
+LICENCE = "documentation/licenses/license.txt"
 TYPES = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
 
 
@@ -70,9 +87,18 @@ def binary_folder(version: int) -> str:
     return f"{machine}-{'windows' if system == 'win' else system}"
 
 
-def compile_library(sources: list[Path], target: Path, *options: str, libraries: tuple[str, ...] = ("-lm",)) -> None:
-    """Compile C sources to a shared library; raises :class:`BuildError` with what the compiler said."""
-    program = compiler()
+def compile_library(
+    sources: list[Path],
+    target: Path,
+    *options: str,
+    libraries: tuple[str, ...] = ("-lm",),
+    program: str | None = None,
+) -> None:
+    """Compile C sources to a shared library; raises :class:`BuildError` with what the compiler said.
+
+    ``program`` is the compiler; by default that of :func:`compiler`.
+    """
+    program = compiler() if program is None else program
     if program is None:
         raise BuildError("no C compiler: install gcc, or set CC")
     command = [program, *FLAGS, *options, "-o", str(target), *map(str, sources), *libraries]
@@ -84,8 +110,10 @@ def compile_library(sources: list[Path], target: Path, *options: str, libraries:
         raise BuildError(f"{program} failed: {' '.join(done.stderr.split())[:600]}")
 
 
-def build_fmu(model: Path, version: int, target: Path, *options: str, sources: bool = False) -> None:
-    """Write an FMU.
+def build_fmu(
+    model: Path, version: int, target: Path, *options: str, others: bool = False, note: str = ""
+) -> tuple[str, ...]:
+    """Write an FMU with its C sources and its licence.
 
     Parameters
     ----------
@@ -99,13 +127,20 @@ def build_fmu(model: Path, version: int, target: Path, *options: str, sources: b
         The ``.fmu`` to write.
     *options : str
         More options for the compiler.
-    sources : bool
-        Put the C sources into the FMU, too.
+    others : bool
+        Also compile for the systems of :data:`CROSS` whose compiler is at hand.
+    note : str
+        Text above the licence, such as whose the equations are.
+
+    Returns
+    -------
+    tuple of str
+        Names of the folders of binaries: the systems that the FMU runs on as it is.
 
     Raises
     ------
     BuildError
-        If there is no compiler, or it fails.
+        If there is no compiler, or it fails. A compiler for another system that fails is a warning in the log.
     """
     root = ElementTree.parse(model / "modelDescription.xml").getroot()
     interface = root.find("ModelExchange")
@@ -113,42 +148,84 @@ def build_fmu(model: Path, version: int, target: Path, *options: str, sources: b
     with tempfile.TemporaryDirectory(prefix="sysid-mockup-") as scratch:
         folder = Path(scratch)
         (folder / "variables.h").write_text(_variables_header(root, version), encoding="utf-8")
-        library = folder / f"{identifier}{library_suffix()}"
         entry = model / "entry.c"
-        compile_library(
-            [entry if entry.is_file() else FOLDER / "fmi.c"],
-            library,
-            f"-DFMI={version}",
-            *(f"-I{place}" for place in (folder, model, FOLDER)),
-            *options,
-        )
-        own = model / f"modelDescription-fmi{version}.xml"
-        if own.is_file():
-            description = ElementTree.parse(own).getroot()
-        else:
-            description = root if version == 2 else _fmi3_description(root)
-        ElementTree.indent(description)
-        text = ElementTree.tostring(description, encoding="utf-8", xml_declaration=True)
+        sources = [entry if entry.is_file() else FOLDER / "fmi.c"]
+        flags = [f"-DFMI={version}", *(f"-I{place}" for place in (folder, model, FOLDER)), *options]
+        binaries = {binary_folder(version): folder / f"{identifier}{library_suffix()}"}
+        compile_library(sources, binaries[binary_folder(version)], *flags)
+        for place, program, suffix, more in _other_systems(version) if others else ():
+            library = folder / place / f"{identifier}{suffix}"
+            library.parent.mkdir()
+            try:
+                compile_library(sources, library, *flags, *more, program=program)
+                binaries[place] = library
+            except BuildError as error:
+                log.warning("the FMU gets no binary for %s: %s", place, error)
+        description = _description(model, root, version)
         with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
-            _add(archive, "modelDescription.xml", text)
-            _add(archive, f"binaries/{binary_folder(version)}/{library.name}", library.read_bytes())
-            for source in _sources(folder, model, version) if sources else ():
+            _add(archive, "modelDescription.xml", description)
+            for place, library in binaries.items():
+                _add(archive, f"binaries/{place}/{library.name}", library.read_bytes())
+            for source in _sources(folder, model, version):
                 _add(archive, f"sources/{source.name}", source.read_bytes())
-            if sources and version == 3:
-                _add(archive, "sources/buildDescription.xml", _build_description(identifier))
+            if version == 3:
+                _add(archive, "sources/buildDescription.xml", _build_description(identifier, sources[0].name))
+            _add(archive, LICENCE, f"{note}\n\n{_licence()}".lstrip().encode())
+    return tuple(binaries)
+
+
+def _other_systems(version: int) -> list[tuple[str, str, str, tuple[str, ...]]]:
+    """Return folder, compiler, ending of libraries and options of the other systems that can be compiled for."""
+    if compiler() is None:
+        return []
+    found = []
+    for name, (program, folder, suffix, more) in CROSS.items():
+        place = name if version == 3 else folder
+        if place is not None and place != binary_folder(version) and (path := shutil.which(program)):
+            found.append((place, path, suffix, more))
+    return found
+
+
+def _description(model: Path, root: ElementTree.Element, version: int) -> bytes:
+    """Return modelDescription.xml, with the licence and the files of sources named."""
+    own = model / f"modelDescription-fmi{version}.xml"
+    if own.is_file():
+        root = ElementTree.parse(own).getroot()
+    elif version == 3:
+        root = _fmi3_description(root)
+    root.set("license", root.get("license", f"see {LICENCE}"))
+    for interface in root.findall("CoSimulation") + root.findall("ModelExchange") if version == 2 else ():
+        if interface.find("SourceFiles") is None:
+            interface.insert(0, ElementTree.Element("SourceFiles"))
+            ElementTree.SubElement(interface[0], "File", name="entry.c" if (model / "entry.c").is_file() else "fmi.c")
+    ElementTree.indent(root)
+    text: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    return text
+
+
+def _licence() -> str:
+    """Return the licence of this project: from the source tree, else from what was installed."""
+    beside = FOLDER.parents[1] / "LICENSE"
+    if beside.is_file():
+        return beside.read_text(encoding="utf-8")
+    text = importlib.metadata.distribution("sysid-harness").read_text("licenses/LICENSE")
+    if text is None:
+        raise BuildError("the licence is missing: install sysid-harness again")
+    return text
 
 
 def _sources(folder: Path, model: Path, version: int) -> list[Path]:
     """Return the files that a compiler needs: the glue, the model and its table of variables."""
-    return [FOLDER / "fmi.c", FOLDER / f"fmi{version}.h", model / "model.c", folder / "variables.h"]
+    entry = [path for path in (model / "entry.c",) if path.is_file()]
+    return [FOLDER / "fmi.c", *entry, FOLDER / f"fmi{version}.h", model / "model.c", folder / "variables.h"]
 
 
-def _build_description(identifier: str) -> bytes:
+def _build_description(identifier: str, source: str) -> bytes:
     """Return the instructions to compile the sources of an FMI 3.0 FMU (FMI 3.0 sec. 2.5.1.4)."""
     root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=identifier)
     files = ElementTree.SubElement(configuration, "SourceFileSet", language="C11")
-    ElementTree.SubElement(files, "SourceFile", name="fmi.c")
+    ElementTree.SubElement(files, "SourceFile", name=source)
     ElementTree.SubElement(files, "PreprocessorDefinition", name="FMI", value="3")
     ElementTree.SubElement(configuration, "Library", name="m", external="true")
     text: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)

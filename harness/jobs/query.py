@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from harness.data.binary_files import optional
 from harness.errors import InputError
 
 __all__ = ["Answer", "ask"]
@@ -109,7 +110,7 @@ def ask(tables: Mapping[str, Any], sql: str) -> Answer:
     >>> ask({"rows": pa.table({"size": [1.0, 3.0]})}, "select avg(size) as mean from rows").records()
     [{'mean': 2.0}]
     """
-    import duckdb
+    duckdb = optional("duckdb", "a query", "'sysid-harness[query]'")
 
     connection = duckdb.connect()
     try:

@@ -62,10 +62,12 @@ def mockup(model: str, version: int = 2) -> Path:
         if file.is_file():
             digest.update(file.name.encode() + b"\0" + file.read_bytes())
     digest.update(repr((version, platform.machine(), platform.system(), build.FLAGS)).encode())
+
+    def make(target: Path) -> None:
+        build.build_fmu(FOLDER / model, version, target)
+
     try:
-        return build_once(
-            digest.hexdigest()[:24], name, lambda target: build.build_fmu(FOLDER / model, version, target)
-        )
+        return build_once(digest.hexdigest()[:24], name, make)
     except build.BuildError as error:
         raise InputError(
             f"the FMU of {model!r} cannot be built",

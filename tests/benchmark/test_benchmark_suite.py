@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -133,3 +134,11 @@ def test_a_coupling_and_an_fmu_are_plants_of_a_suite(tmp_path: Path) -> None:
     (tmp_path / "arm.fmu").unlink()
     with pytest.raises(InputError, match=r"arm\.fmu: groups\[0\]\.plants\[0\]\.id.*no such plant"):
         load_suite(path)
+
+
+def test_a_query_without_its_extra_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from harness.benchmark import query
+
+    monkeypatch.setitem(sys.modules, "duckdb", None)
+    with pytest.raises(InputError, match=r"sysid-harness\[query\]"):
+        query(tmp_path, "select 1")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.data.description import ResampleSection
+from harness.data.sections import ResampleSection
 from harness.data.timebase import TimeRules, pieces_of, sample_time_of
 from harness.errors import InputError
 

@@ -1,4 +1,4 @@
-"""The benchmark table of the README: one of its rows is made again."""
+"""The benchmark table of docs/benchmarks.md: one of its rows is made again."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from harness.benchmark.suite import load_suite
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_a_row_of_the_readme_is_made_again(tmp_path: Path) -> None:
+def test_a_row_of_the_page_is_made_again(tmp_path: Path) -> None:
     spec = importlib.util.spec_from_file_location("make_table", ROOT / "docs" / "make_benchmark_table.py")
     assert spec is not None
     assert spec.loader is not None
     maker = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(maker)
-    printed = (ROOT / "README.md").read_text(encoding="utf-8").split(maker.BEGIN)[1].split(maker.END)[0]
+    printed = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8").split(maker.BEGIN)[1].split(maker.END)[0]
     (group,) = [group for group in load_suite("quick").groups if group.name == "linear"]
     scenario = next(part for part in group.scenarios if part.name == "prbs")
     options = ", ".join(f"{key} = {value}" for key, value in scenario.options.items())

@@ -1,6 +1,7 @@
-"""Every Python block of README.md and docs/*.md runs, in order, in one namespace a file and a folder of its own.
+"""Every Python block of README.md and docs/*.md runs by itself, as a reader copies it, in a folder of its own.
 
-A block that opens with ```python no-run is left out (it needs something that a test has not, and says so in the text).
+A block that begins with ``# continues the block above`` runs after that one. A block that opens with ```python no-run
+is left out (it needs something that a test has not, and says so in the text).
 """
 
 from __future__ import annotations
@@ -13,31 +14,46 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^```(?P<info>[^\n`]*)\n(?P<code>.*?)^```\s*$", re.MULTILINE | re.DOTALL)
+CONTINUES = "# continues the block above\n"
 
 
-def blocks(text: str) -> list[tuple[int, str]]:
-    """Return the line and the code of every block that is to run."""
-    found = []
+def blocks(text: str) -> list[list[tuple[int, str]]]:
+    """Return for every block that is to run its line and code, after those that it continues."""
+    found: list[list[tuple[int, str]]] = []
     for match in FENCE.finditer(text):
         if match["info"].split() == ["python"]:
-            found.append((text.count("\n", 0, match.start("code")) + 1, match["code"]))
+            block = (text.count("\n", 0, match.start("code")) + 1, match["code"])
+            if match["code"].startswith(CONTINUES) and found:
+                found[-1].append(block)
+            else:
+                found.append([block])
     return found
 
 
+EXAMPLES = [
+    pytest.param(page, chain, id=f"{page.name}:{chain[0][0]}")
+    for page in PAGES
+    for chain in blocks(page.read_text(encoding="utf-8"))
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_the_examples_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = blocks(page.read_text(encoding="utf-8"))
+@pytest.mark.parametrize(("page", "chain"), EXAMPLES)
+def test_an_example_runs_alone(
+    page: Path, chain: list[tuple[int, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, object] = {"__name__": "__main__"}
-    for line, code in found:
+    for line, code in chain:
         # line numbers of a traceback are those of the page
         exec(compile("\n" * (line - 1) + code, str(page), "exec"), namespace)
 
 
 def test_blocks_are_found_and_marked_ones_left_out() -> None:
-    text = "a\n```python\nx = 1\n```\n```python no-run\nx = 1 / 0\n```\n```sh\nls\n```\n```python\ny = x\n```\n"
-    assert blocks(text) == [(3, "x = 1\n"), (12, "y = x\n")]
+    text = "a\n```python\nx = 1\n```\n```python no-run\nx = 1 / 0\n```\n```sh\nls\n```\n"
+    text += f"```python\n{CONTINUES}y = x\n```\n"
+    assert blocks(text) == [[(3, "x = 1\n"), (12, f"{CONTINUES}y = x\n")]]
+    assert blocks("```python\nx = 1\n```\n```python\ny = 2\n```\n") == [[(2, "x = 1\n")], [(5, "y = 2\n")]]
 
 
 def test_every_registered_plant_stands_in_the_table() -> None:

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from harness import registry
 from harness.effects import Placed, builtin, compose, place_all, recommended_substeps
 from harness.errors import InputError, PlantError
 from harness.export import write_fmu
+from harness.fmi import build
 from harness.physics.models import BUILT_IN
 
 RNG = np.random.default_rng(0)
@@ -158,7 +160,7 @@ def test_the_sources_inside_compile_alone_to_the_same_bits(version, tmp_path):
     place = tmp_path / "unpacked"
     with zipfile.ZipFile(path) as archive:
         archive.extractall(place)
-    (binary,) = place.glob("binaries/*/*.*")
+    (binary,) = place.glob(f"binaries/{build.binary_folder(version)}/*.*")
     own = binary.read_bytes()
     binary.unlink()
     command = ["gcc", "-std=c11", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
@@ -199,3 +201,53 @@ def test_unknown_names_and_a_missing_compiler_are_refused(tmp_path, monkeypatch)
     with pytest.raises(InputError, match="compiler"):
         write_fmu(simulator, {}, tmp_path / "m.fmu")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_the_licence_and_the_sources_are_inside_and_named(version, tmp_path):
+    simulator, _, _ = case("pendulum")
+    path = write_fmu(simulator, simulator.system.values(), tmp_path / "a.fmu", version=version)
+    with zipfile.ZipFile(path) as archive:
+        licence = archive.read("documentation/licenses/license.txt").decode()
+        names = archive.namelist()
+        text = archive.read("modelDescription.xml").decode()
+    assert "belong to whoever made it" in licence
+    assert (Path(__file__).parents[2] / "LICENSE").read_text() in licence
+    assert {"sources/fmi.c", "sources/model.c"} <= set(names)
+    assert 'license="see documentation/licenses/license.txt"' in text
+    assert version == 3 or '<File name="fmi.c"' in text
+    assert validate_fmu(path) == []
+
+
+FOREIGN = """#!/bin/sh
+for given; do shift; case "$given" in -Wl,*) ;; *) set -- "$@" "$given" ;; esac; done
+exec gcc "$@"
+"""
+"""Stands in for a compiler for Windows: without the option that only its linker knows."""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="stands in for compilers of other systems by a shell script")
+@pytest.mark.parametrize("version", [2, 3])
+def test_every_cross_compiler_at_hand_adds_a_platform_and_a_broken_one_is_said(version, tmp_path, monkeypatch, caplog):
+
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    for name, (program, _folder, _suffix, _options) in build.CROSS.items():
+        tool = tools / program
+        tool.write_text("#!/bin/sh\necho no headers >&2\nexit 1\n" if "aarch64" in name else FOREIGN)
+        tool.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tools}:/usr/bin:/bin")
+    simulator, x, u = case("pendulum")
+    path = write_fmu(simulator, simulator.system.values(), tmp_path / "a.fmu", version=version)
+    with zipfile.ZipFile(path) as archive:
+        found = {name for name in archive.namelist() if name.startswith("binaries/")}
+    own = build.binary_folder(version)
+    wanted = {"win64/pendulum.dll"} if version == 2 else {"x86_64-windows/pendulum.dll", "x86_64-linux/pendulum.so"}
+    assert found == {f"binaries/{name}" for name in (wanted | {f"{own}/pendulum.so"})}
+    # FMI 2.0 has no folder for 64-bit ARM; that of FMI 3.0 was tried and its compiler's words are kept
+    assert [r.message for r in caplog.records if "no headers" in r.message] == (
+        []
+        if version == 2
+        else [f"the FMU gets no binary for aarch64-linux: {tools}/aarch64-linux-gnu-gcc failed: no headers"]
+    )
+    assert np.isfinite(ours(path, u, simulator.dt, starts(simulator, x))).all()

@@ -159,3 +159,46 @@ def test_a_smooth_input_is_refused_and_so_is_another_ending(tmp_path):
         export(path, out=tmp_path / "m.fmu")
     with pytest.raises(InputError, match="ends in"):
         export("pendulum", out=tmp_path / "m.zip")
+
+
+@pytest.mark.parametrize("dt", [0, 0.05])
+def test_a_state_space_system_goes_in_and_out_with_one_call(dt, tmp_path):
+    import control
+
+    from harness.export import from_state_space
+    from harness.scoring import simulation_error
+    from harness.signals import Trajectory
+
+    rng = np.random.default_rng(0)
+    a = [[0.0, 1.0], [-4.0, -0.5]] if dt == 0 else [[0.9, 0.1], [-0.2, 0.8]]
+    system = control.ss(a, [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], dt, inputs=["force"], outputs=["place"])
+    model = from_state_space(system, sample_time=0.05, units={"force": "N", "place": "m"})
+    assert str(model.spec) == "force [N] -> place [m] every 0.05 s"
+    t, u = 0.05 * np.arange(200), rng.normal(size=200)
+    discrete = control.c2d(system, 0.05, "zoh") if dt == 0 else system
+    y = control.forced_response(discrete, t, u).outputs
+    record = Trajectory(t, u[:, None], np.reshape(y, (-1, 1)), model.spec)
+    assert simulation_error(model, record).nrmse[0] < 1e-6
+    back = to_control(model)
+    assert back.input_labels == ["force"]
+    assert np.allclose(back.A, discrete.A)
+    write_linear_fmu(model, tmp_path / "m.fmu")
+
+
+def test_systems_without_a_sample_time_or_with_another_are_refused():
+    import control
+
+    from harness.export import from_state_space
+
+    system = control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+    with pytest.raises(InputError, match=r"0.1 s, its own"):
+        from_state_space(system, sample_time=0.2)
+    assert from_state_space(control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], 1)).spec.sample_time == 1.0
+    with pytest.raises(InputError, match=r"give sample_time"):
+        from_state_space(control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], True))
+    with pytest.raises(InputError, match=r"give sample_time"):
+        from_state_space(control.ss([[-0.5]], [[1.0]], [[1.0]], [[0.0]]))
+    with pytest.raises(InputError, match=r"control.ss"):
+        from_state_space(control.tf([1.0], [1.0, 1.0]))
+    with pytest.raises(InputError, match=r"names among"):
+        from_state_space(system, units={"force": "N"})

@@ -78,7 +78,7 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "version 4": (lambda p: repacked(p, described('fmiVersion="2.0"', 'fmiVersion="4.0"')), "modelDescription.xml"),
     "no version": (lambda p: repacked(p, described('fmiVersion="2.0"', "")), "modelDescription.xml"),
     "nothing to run": (
-        lambda p: repacked(p, lambda e: described(re.findall("<CoSim.*?/>", e[XML].decode())[0], "")(e)),
+        lambda p: repacked(p, lambda e: described(re.findall("(?s)<CoSim.*</CoSim[^>]*>", e[XML].decode())[0], "")(e)),
         "nothing to run",
     ),
     "identifier leaves the folder": (
@@ -234,3 +234,26 @@ def test_units_that_are_wrong_are_told() -> None:
     assert (own.unit, own.scale, own.complaint) == ("rad", 0.001, None)
     odd = si_conversion("x", Unit("x", BaseUnit(kg=2, m=-3, K=1)))
     assert (odd.unit, odd.complaint) == ("kg^2 K/m^3", None)
+
+
+def test_binaries_of_other_processors_are_listed_and_the_folder_of_fmi_3_is_found(tmp_path: Path) -> None:
+    import fmpy
+
+    def foreign(entries: dict[str, bytes]) -> None:
+        for name in [n for n in entries if n.startswith("binaries/")]:
+            entries["binaries\\win64/Pendulum.dll"] = entries["binaries/aarch64-linux/Pendulum.so"] = entries.pop(name)
+
+    bad = repacked(tmp_path / "foreign.fmu", foreign)
+    assert describe(bad)["platforms"] == ["aarch64-linux", "win64", "c-code"]
+    with pytest.raises(
+        InputError, match=r"got aarch64-linux, win64, c-code; remedy: fmpy compile .*foreign.fmu"
+    ) as caught:
+        FmuPlant(bad, sample_time=0.01)
+    assert f"binaries/{fmpy.platform_tuple}/ or binaries/{fmpy.platform}/" in str(caught.value)
+
+    def tuples(entries: dict[str, bytes]) -> None:
+        for name in [n for n in entries if n.startswith("binaries/")]:
+            entries[f"binaries/{fmpy.platform_tuple}/{name.rpartition('/')[2]}"] = entries.pop(name)
+
+    with FmuPlant(repacked(tmp_path / "tuple.fmu", tuples), sample_time=0.01) as plant:
+        assert np.isfinite(plant.reset(rng=np.random.default_rng(0))).all()

@@ -16,7 +16,7 @@ from plants.isolated import IsolatedPlant
 from plants.mockups import mockup
 
 RNG = np.random.default_rng(0)
-SOUND, KEEPS_STATE, KEEPS_START, KEEPS_LIBRARY, LOSES_SNAPSHOT = range(5)
+SOUND, KEEPS_STATE, KEEPS_START, KEEPS_LIBRARY, LOSES_SNAPSHOT, STANDS_STILL = range(6)
 INPUTS = np.linspace(0.5, 2.0, 30)[:, None]
 
 
@@ -89,6 +89,20 @@ def test_states_that_are_not_kept_are_refused_once_they_are_asked_for(odd_fmu: C
             plant.get_state()
         assert "snapshots" not in plant.abilities
         assert rolled(plant, "batch")[-1] == pytest.approx([0.1 * INPUTS.sum()])
+
+
+@pytest.mark.parametrize("how", ["batch", "steps"])
+def test_an_fmu_that_stands_still_where_a_way_back_is_asked_for_runs_and_gives_no_states(
+    how: str, odd_fmu: Callable[..., Path]
+) -> None:
+    with FmuPlant(**forgetful(odd_fmu("forgetful"), STANDS_STILL)) as plant:
+        wanted = rolled(plant, how)
+        assert wanted[-1] == pytest.approx([0.1 * INPUTS.sum()])
+        plant.reset(rng=RNG)
+        plant.step(np.ones(1))
+        with pytest.raises(InputError, match=r"another continuation.*replay the inputs"):
+            plant.get_state()
+        assert np.array_equal(rolled(plant, how), wanted)
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

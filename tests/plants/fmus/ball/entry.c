@@ -74,7 +74,7 @@ EXPORT STATUS fmi2NewDiscreteStates(fmi2Component c, Info *info)
     discrete(c, &info->values, &info->terminate, &info->defined, &info->next);
     return fmi2OK;
 }
-EXPORT STATUS fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_rollback, fmi2Boolean *event, fmi2Boolean *terminate) { (void)c, (void)no_rollback; *event = *terminate = 0; return fmi2OK; }
+EXPORT STATUS fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_rollback, fmi2Boolean *event, fmi2Boolean *terminate) { (void)no_rollback; *event = 0; *terminate = V[V_time] >= V[V_end]; return fmi2OK; }
 EXPORT STATUS fmi2GetDerivatives(fmi2Component c, REAL dx[], size_t n) { (void)n; dx[0] = V[V_v]; dx[1] = V[V_u] - V[V_g]; return fmi2OK; }
 #else
 #define STATUS fmi3Status
@@ -95,7 +95,7 @@ EXPORT STATUS fmi3UpdateDiscreteStates(In c, fmi3Boolean *again, fmi3Boolean *te
     *values = changed, *terminate = end, *defined = due;
     return fmi3OK;
 }
-EXPORT STATUS fmi3CompletedIntegratorStep(In c, fmi3Boolean no_rollback, fmi3Boolean *event, fmi3Boolean *terminate) { (void)c, (void)no_rollback; *event = *terminate = false; return fmi3OK; }
+EXPORT STATUS fmi3CompletedIntegratorStep(In c, fmi3Boolean no_rollback, fmi3Boolean *event, fmi3Boolean *terminate) { (void)no_rollback; *event = false; *terminate = V[V_time] >= V[V_end]; return fmi3OK; }
 EXPORT STATUS fmi3GetContinuousStateDerivatives(In c, REAL dx[], size_t n) { (void)n; dx[0] = V[V_v]; dx[1] = V[V_u] - V[V_g]; return fmi3OK; }
 #endif
 EXPORT STATUS NAME(EnterEventMode)(void *c) { (void)c; return 0; }

@@ -1,5 +1,5 @@
 enum { MEMORY = 0 };
-enum { SOUND, KEEPS_STATE, KEEPS_START, KEEPS_LIBRARY, LOSES_SNAPSHOT };
+enum { SOUND, KEEPS_STATE, KEEPS_START, KEEPS_LIBRARY, LOSES_SNAPSHOT, STANDS_STILL };
 static double steps; /* of all instances together */
 
 static const char *check(const double *v) { (void)v; return NULL; }

@@ -1,0 +1,163 @@
+"""What is registered, and what each part is: its text, its options, its law, read from the docstrings."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from harness import registry
+from harness.errors import InputError
+
+__all__ = ["LISTED", "describe_part", "list_parts"]
+
+LISTED = ("plants", "identifiers", "scenarios", "effects", "models", "suites", "recordings")
+"""Kinds of parts that a person chooses among."""
+DESCRIBED = ("plants", "identifiers", "scenarios", "effects", "models")
+"""Kinds of parts that have a description of their own."""
+TOLD = ("", "Notes", "References")
+"""Sections of a docstring that say what a part is; the empty name stands for what comes before the first heading."""
+OF_CLASS = re.compile(r"; options as of \w+\.")
+"""How a factory says that its class tells the rest."""
+
+
+def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
+    """Return what is registered: for each kind the id, one line about it, and the distribution that brought it.
+
+    Parameters
+    ----------
+    kind : str, optional
+        One of plants, identifiers, scenarios, effects, models, suites, recordings; all of them if not given.
+
+    Raises
+    ------
+    InputError
+        If the kind is unknown.
+
+    Examples
+    --------
+    >>> "dmdc" in [row["id"] for row in list_parts("identifiers")["identifiers"]]
+    True
+    """
+    if kind is not None and kind not in LISTED:
+        raise InputError(
+            "nothing to list",
+            expected=f"one of {', '.join(LISTED)}, or a file that ends in .fmu",
+            got=repr(kind),
+            remedy="correct the word",
+        )
+    return {
+        name: [
+            {"id": entry.id, "summary": OF_CLASS.sub(".", _plain(entry.summary)), "distribution": entry.distribution}
+            for entry in registry.entries(name)
+        ]
+        for name in ((kind,) if kind is not None else LISTED)
+    }
+
+
+def describe_part(id: str, kind: str | None = None) -> dict[str, Any] | None:
+    """Return what a registered part is and which options it takes; None if there is none of this id.
+
+    Parameters
+    ----------
+    id : str
+    kind : str, optional
+        Where to look; without it the first kind that has this id.
+
+    Returns
+    -------
+    dict or None
+        ``kind``, ``id``, ``distribution``, ``text`` (its docstring), ``facts`` (of an effect: where it acts, its law,
+        what it is easily confused with, what tells it apart) and ``options``: rows with name, default, meaning.
+
+    Examples
+    --------
+    >>> [row["name"] for row in describe_part("hold")["options"]], describe_part("prbs")["kind"]
+    ([], 'scenarios')
+    >>> describe_part("coulomb_friction")["facts"]["law"]
+    'F = -Fc sgn(v), sgn(v) = tanh(v/w)'
+    """
+    for place in DESCRIBED if kind is None else (kind,):
+        for entry in registry.entries(place):
+            if entry.id == id:
+                made = registry.load(place, id)
+                head = {"kind": place, "id": id, "distribution": entry.distribution}
+                return head | (_effect(made, entry.summary) if place == "effects" else _factory(place, id, made))
+    return None
+
+
+def _effect(effect: Any, summary: str) -> dict[str, Any]:
+    """Return what an effect is."""
+    facts = {
+        "acts on": ", ".join(effect.kinds),
+        "law": effect.formula,
+        "easily confused with": ", ".join(effect.family),
+        "what tells it apart": effect.experiment,
+    }
+    rows = [
+        {"name": one.name, "default": "fitted", "meaning": f"{one.meaning} [{one.unit}]"} for one in effect.parameters
+    ]
+    return {"text": _plain(summary), "facts": {name: text for name, text in facts.items() if text}, "options": rows}
+
+
+def _factory(kind: str, id: str, made: Any) -> dict[str, Any]:
+    """Return what a part is that is made with options; what its own text leaves out, that of its class says."""
+    text = inspect.getdoc(made) or ""
+    made_class = made if inspect.isclass(made) else _returned(made)
+    classes = [] if made_class is None else [one for one in made_class.__mro__ if one.__doc__ and one is not object]
+    texts = [text, *(inspect.cleandoc(one.__doc__ or "") for one in classes)]
+    said = _told(text)
+    if classes and OF_CLASS.search(said):  # what the class does is what the part does
+        said = OF_CLASS.sub(".", said) + "\n\n" + _told(texts[1])
+    rows = [
+        {
+            "name": one.name,
+            "default": "needed" if one.default is one.empty else _default(one.default),
+            "meaning": next((meaning for one_text in texts if (meaning := _meaning(one_text, one.name))), ""),
+        }
+        for one in registry.named_options(kind, id).values()
+    ]
+    return {"text": said, "facts": {}, "options": rows}
+
+
+def _returned(factory: Any) -> type | None:
+    """Return the class that a factory says it returns."""
+    try:
+        found = inspect.signature(factory, eval_str=True).return_annotation
+    except (NameError, TypeError, ValueError):
+        return None
+    return found if inspect.isclass(found) and found.__module__.partition(".")[0] != "builtins" else None
+
+
+def _sections(text: str) -> Mapping[str, str]:
+    """Return a NumPy docstring's sections by heading."""
+    pieces = re.split(r"^(\w[\w ]*)\n-{3,}\n", text, flags=re.MULTILINE)
+    return {
+        "": pieces[0].strip(),
+        **{name: body.strip() for name, body in zip(pieces[1::2], pieces[2::2], strict=True)},
+    }
+
+
+def _told(text: str) -> str:
+    """Return what a docstring says a part is, without its markup."""
+    found = _sections(text)
+    return _plain("\n\n".join(found[name] for name in TOLD if found.get(name)))
+
+
+def _default(value: Any) -> str:
+    """Return a default as one writes it."""
+    return "(its own)" if "factory" in repr(value) else repr(value)
+
+
+def _meaning(text: str, name: str) -> str:
+    """Return what a docstring says of a parameter."""
+    body = _sections(text).get("Parameters", "")
+    found = re.search(rf"^(?:\w+, )*{re.escape(name)}(?:, \w+)* : [^\n]*\n((?:[ ]+[^\n]*\n?)+)", body, re.MULTILINE)
+    return _plain(" ".join(found[1].split())) if found else ""
+
+
+def _plain(text: str) -> str:
+    """Return a docstring without its markup."""
+    text = re.sub(r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"\1", text)
+    return re.sub(r"``(.+?)``", r"\1", text)
