@@ -61,6 +61,7 @@ SUITE_KEYS = {
     "horizon": "Horizon of the simulation error [s]; the whole record without it.",
     "runs": "Records that a model is fitted to.",
     "held_out": "Records that it is scored on.",
+    "control": "Columns of control: what a design on the model costs on the true plant, and what learning costs.",
 }
 
 

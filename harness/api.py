@@ -348,9 +348,7 @@ def close_loop(
     undriven: Sequence[str] = (),
     resume: bool = False,
     force: bool = False,
-    seed: int = 0,
     progress: Callable[[float, str], None] | None = None,
-    workers: int | None = None,
 ) -> Report:
     """Find the effect that a model lacks, add it, report the error before and after.
 
@@ -370,12 +368,8 @@ def close_loop(
         Continue what an interrupted call left in ``out``.
     force : bool
         Overwrite a finished report in ``out``.
-    seed : int
-        Keys the surrogates and bootstrap draws.
     progress : callable, optional
         Called as ``progress(fraction_done, what)``.
-    workers : int, optional
-        Processes for refits; by default the number of cores, at most 4. It changes nothing but the time.
 
     Returns
     -------
@@ -391,9 +385,7 @@ def close_loop(
         out=out,
         resume=resume,
         force=force,
-        seed=seed,
         progress=progress,
-        workers=workers,
     )
 
 
@@ -405,7 +397,6 @@ def close_fleet(
     undriven: Sequence[str] = (),
     engine: str = "local",
     workers: int | None = None,
-    seed: int = 0,
     time_limit: float | None = None,
     resume: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
@@ -421,7 +412,6 @@ def close_fleet(
         undriven=undriven,
         engine=engine,
         workers=workers,
-        seed=seed,
         resume=resume,
         progress=progress,
         **limit,

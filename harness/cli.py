@@ -338,10 +338,7 @@ def close_loop(
     as_json: Annotated[bool, typer.Option("--json", help="print report.json")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="continue what was interrupted")] = False,
     force: Force = False,
-    seed: Seed = 0,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="processes; default all cores, at most 4 for one record")
-    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="of a fleet: processes; default all cores")] = None,
     engine: Annotated[str, typer.Option(help="of a fleet: local, or dask://HOST:PORT")] = "local",
     time_limit: Annotated[float | None, typer.Option(help="of a fleet: seconds for one record")] = None,
 ) -> None:
@@ -356,13 +353,14 @@ def close_loop(
                 got="--force" if force else "--validation",
                 remedy="name validation files in the column validation of a table of records",
             )
-        _close_fleet(dataset, out, model, undriven, as_json, resume, seed, workers, engine, time_limit)
+        _close_fleet(dataset, out, model, undriven, as_json, resume, workers, engine, time_limit)
         return
-    if engine != "local" or time_limit is not None:
+    if engine != "local" or time_limit is not None or workers is not None:
         raise InputError(
             "option of a fleet",
             expected="many records",
-            got=f"one, with {'--time-limit' if engine == 'local' else '--engine'}",
+            got="one, with "
+            + ("--engine" if engine != "local" else "--workers" if time_limit is None else "--time-limit"),
             remedy="leave it out, or give a folder, a pattern in quotes or a table of records",
         )
     with progress_bar("closing the loop") as bar:
@@ -379,9 +377,7 @@ def close_loop(
             undriven=undriven or (),
             resume=resume,
             force=force,
-            seed=seed,
             progress=show,
-            workers=workers,
         )
     if as_json:
         print_json(report.data)
@@ -399,7 +395,6 @@ def _close_fleet(
     undriven: list[str] | None,
     as_json: bool,
     resume: bool,
-    seed: int,
     workers: int | None,
     engine: str,
     time_limit: float | None,
@@ -418,7 +413,6 @@ def _close_fleet(
             undriven=undriven or (),
             engine=engine,
             workers=workers,
-            seed=seed,
             time_limit=time_limit,
             resume=resume,
             progress=show,

@@ -167,12 +167,12 @@ def diagnose(
     with one_thread():
         kind = kind or Equations()
         dataset, warnings = kind.prepared(checked(dataset, system), system)
-        dataset = stretched(dataset)
-        warnings = [*dataset.warnings, *warnings]
-        horizon = kind.horizon(system, system.values(), dataset)
-        form = kind.form(system, dataset)
+        judged = stretched(stretched(dataset), use="validation")
+        warnings = [*judged.warnings, *warnings]
+        form = kind.form(system, judged)
         if not form.latent:  # a plant that loses its start cannot be judged by whole free runs
-            form = kind.form(system, windowed(dataset, horizon.seconds and policy.window * horizon.seconds))
+            horizon = kind.horizon(system, system.values(), judged)
+            form = kind.form(system, windowed(judged, horizon.seconds and policy.window * horizon.seconds))
         remembered = Remembered(form, folder)
         say("first fit of the nominal model", 0.02)
         nominal = remembered.fit((), form.first_starts(), None)

@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from harness.diagnosis.algorithm import Diagnosis, Progress, diagnose
 from harness.diagnosis.kinds import Equations, Kind
 from harness.diagnosis.records.stretches import cut_alike
@@ -61,14 +59,10 @@ def close_loop(
     *,
     parameters: Mapping[str, Any] | None = None,
     out: str | Path | None = None,
-    rng: np.random.Generator | None = None,
-    seed: int = 0,
     progress: Progress | None = None,
     resume: bool = False,
     force: bool = False,
     dictionary: Sequence[Effect] | None = None,
-    inverse_dynamics: bool | None = None,
-    workers: int | None = None,
     name: str | None = None,
     options: Mapping[str, Any] | None = None,
     references: Sequence[Mapping[str, FloatArray]] = (),
@@ -86,17 +80,13 @@ def close_loop(
         FMU the parameters named here are calibrated; without any, all tunable ones that are not 0.
     out : path, optional
         Folder for ``report.json`` and ``report.html``; made if it is not there.
-    rng : Generator, optional
-        Draws the seed; otherwise ``seed`` counts.
-    seed : int
-        Keys surrogates and bootstrap draws: equal seeds give equal reports.
     progress : callable, optional
         Called as ``progress(fraction_done, what)``.
     resume : bool
         Continue what an interrupted call left in ``out``.
     force : bool
         Overwrite a finished report in ``out``.
-    dictionary, inverse_dynamics, workers
+    dictionary : sequence of Effect, optional
         See :func:`diagnose`.
     name : str, optional
         What the nominal model is loaded by (``NAME`` or ``FILE.py:NAME``), for ``model.json``; by default the name of
@@ -155,9 +145,7 @@ def close_loop_file(
     validation: str | Path | None = None,
     resume: bool = False,
     force: bool = False,
-    seed: int = 0,
     progress: Progress | None = None,
-    workers: int | None = None,
 ) -> Report:
     """Do the same for a data set file, a bare CSV or Parquet file, or the name of a recording.
 
@@ -173,7 +161,7 @@ def close_loop_file(
 
         arm: Any = recorded_arm(loaded)
         return close_loop(
-            loaded.for_system(arm), arm, out=out, resume=resume, force=force, seed=seed, progress=progress
+            loaded.for_system(arm), arm, out=out, resume=resume, force=force, progress=progress
         )  # fmt: skip
     box = loaded.nominal is not None and loaded.nominal.model.endswith(".fmu")
     system = _recorded_fmu(loaded) if box else loaded.system()
@@ -183,9 +171,7 @@ def close_loop_file(
         out=out,
         resume=resume,
         force=force,
-        seed=seed,
         progress=progress,
-        workers=workers,
         name="" if loaded.nominal is None else loaded.nominal.model,
         options=None if box else _options(loaded),
         references=loaded.references,

@@ -5,7 +5,18 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-__all__ = ["ARM_POLICY", "PLAN_POLICY", "POLICY", "ArmPolicy", "Number", "PlanPolicy", "Policy", "described"]
+__all__ = [
+    "ARM_POLICY",
+    "EFFORT",
+    "PLAN_POLICY",
+    "POLICY",
+    "ArmPolicy",
+    "Effort",
+    "Number",
+    "PlanPolicy",
+    "Policy",
+    "described",
+]
 
 
 @dataclass(frozen=True)
@@ -129,6 +140,41 @@ POLICY = Policy()
 
 
 @dataclass(frozen=True)
+class Effort:
+    """How far the search looks: what is tried, and never how a comparison is decided."""
+
+    points: int = _number(3, "starts of a fit that its first steps are taken from, the likeliest ones", "cost")
+    first_steps: int = _number(5, "iterations from each of several starts before the best goes on", "cost", "tests")
+    close: float = _number(
+        30.0, "log-likelihood within which the second start goes on beside the first", "cost", "tests"
+    )
+    margin: float = _number(50.0, "log-likelihood that first steps of an exchange may still lack", "cost", "tests")
+    choices: int = _number(12, "choices of an effect's nonlinear parameters in the score test", "cost")
+    knots: int = _number(25, "test functions on one axis of a free force", "a law of friction has two bends")
+    joint_knots: tuple[int, int] = _number((9, 6), "test functions on each of two axes", "cost: 54 together")
+    own_starts: tuple[float, ...] = _number(
+        (0.125, 0.375, 0.625, 0.875),
+        "where phases and instants of a validation record are looked for, as parts of a turn or of the record",
+        "the middles of four quarters",
+    )
+    negligible: float = _number(
+        1e-3,
+        "latent force over the typical force below which play and hidden resonances have nothing to explain",
+        "a fiftieth of an effect worth finding",
+    )
+    pile: float = _number(
+        0.004,
+        "share of the readings at the largest value from which saturation is tried, however little the score test says",
+        "more than the peaks of a swing",
+        "tests",
+    )
+    pile_width: float = _number(6.0, "noises below the largest reading that count as at it", "six standard deviations")
+
+
+EFFORT = Effort()
+
+
+@dataclass(frozen=True)
 class ArmPolicy:
     """What an arm needs beside :class:`Policy`, which holds for its joints too."""
 
@@ -190,7 +236,7 @@ class PlanPolicy:
 PLAN_POLICY = PlanPolicy()
 
 
-def described(policy: Policy | ArmPolicy | PlanPolicy = POLICY) -> dict[str, dict[str, Any]]:
+def described(policy: Policy | Effort | ArmPolicy | PlanPolicy = POLICY) -> dict[str, dict[str, Any]]:
     """Return every number with its reason, for ``report.json``.
 
     Examples

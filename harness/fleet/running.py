@@ -92,7 +92,6 @@ def close_fleet(
     undriven: Sequence[str] = (),
     engine: str = "local",
     workers: int | None = None,
-    seed: int = 0,
     time_limit: float = TIME_LIMIT,
     resume: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
@@ -115,8 +114,6 @@ def close_fleet(
         ``"local"`` or ``"dask://HOST:PORT"``.
     workers : int, optional
         Processes of the local engine, a record each; by default one for each core.
-    seed : int
-        Keys surrogates and bootstrap draws, the same for every record.
     time_limit : float
         Seconds after which a record is given up.
     resume : bool
@@ -134,10 +131,8 @@ def close_fleet(
     records = find_records(source)
     made = make_engine(engine, workers)
     store = FleetStore(Path(out).absolute())
-    batches = [
-        RecordJob(record, store.reports, _absolute(model), tuple(undriven), seed, time_limit) for record in records
-    ]
-    settings = {"model": model, "undriven": list(undriven), "seed": seed}
+    batches = [RecordJob(record, store.reports, _absolute(model), tuple(undriven), time_limit) for record in records]
+    settings = {"model": model, "undriven": list(undriven)}
     found = store.open([batch.job for batch in batches], settings, resume=resume)
     todo = [batch for batch in batches if batch.job not in found]
     counted = Progress(store.log, len(batches), len(found), progress)

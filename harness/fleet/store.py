@@ -53,7 +53,7 @@ class FleetStore:
         Raises
         ------
         InputError
-            If the folder has rows and ``resume`` was not asked for, or was made with another model or seed.
+            If the folder has rows and ``resume`` was not asked for, or was made with another model.
         """
         manifest = self.folder / MANIFEST
         if manifest.exists():

@@ -32,7 +32,6 @@ class RecordJob:
         Folder of the reports, which every worker can reach; the record's own is below it.
     model : str, optional
     undriven : tuple of str
-    seed : int
     time_limit : float
         Seconds.
     """
@@ -41,7 +40,6 @@ class RecordJob:
     reports: Path
     model: str | None
     undriven: tuple[str, ...]
-    seed: int
     time_limit: float
 
     @property
@@ -55,7 +53,7 @@ class RecordJob:
         content = hashlib.sha256()
         for path in (self.record.file, self.record.validation):
             content.update(path.read_bytes() if path is not None else b"")
-        what = (__version__, self.record.name, content.hexdigest(), self.model, self.undriven, self.seed)
+        what = (__version__, self.record.name, content.hexdigest(), self.model, self.undriven)
         return hashlib.sha256(msgspec.json.encode(what)).hexdigest()[:20]
 
     @property
@@ -88,9 +86,7 @@ class RecordJob:
                     validation=self.record.validation,
                     undriven=self.undriven,
                 )
-                report = diagnosis.close_loop_file(
-                    cast(Any, loaded), out=self.reports / self.record.name, resume=True, seed=self.seed, workers=1
-                )
+                report = diagnosis.close_loop_file(cast(Any, loaded), out=self.reports / self.record.name, resume=True)
                 fill(row, report.data)
             except HarnessError as error:
                 row.status, row.reason = error.status, " ".join(str(error).split())[:400]

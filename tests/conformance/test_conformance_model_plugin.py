@@ -86,7 +86,7 @@ def test_identify_passes_the_model_on(environment: dict[str, str], record: Path,
 
 @pytest.mark.slow
 def test_the_loop_is_closed_and_exported_with_it(environment: dict[str, str], record: Path, tmp_path: Path) -> None:
-    done = sysid(environment, "close-loop", record, "--model", "slider", "--out", tmp_path / "out", "--workers", 1)
+    done = sysid(environment, "close-loop", record, "--model", "slider", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "out" / "report.json").read_text())["verdict"] == "nothing_missing"
     done = sysid(environment, "export", tmp_path / "out", "-o", tmp_path / "slider.fmu", "--fmi", "2")

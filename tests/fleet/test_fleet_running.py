@@ -65,7 +65,7 @@ def test_rows_tables_page_and_resume(table: Path, tmp_path: Path, capsys: pytest
     assert rows == result.rows == fleet_table(out).rows
     assert (out / "effects.parquet").read_bytes() == written
     with pytest.raises(InputError, match="another fleet"):
-        close_fleet(table, out=out, model="pendulum", seed=1, resume=True)
+        close_fleet(table, out=out, model="cart-pole", resume=True)
     with pytest.raises(SystemExit) as left:
         main(["query", str(out), "select machine, count(*) as n from records group by machine"])
     assert not left.value.code

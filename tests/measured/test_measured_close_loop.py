@@ -43,7 +43,7 @@ def test_the_arm_of_a_pendulum_lacks_a_law_of_friction_and_a_delay_of_its_rate_s
     system = loaded.system()
     names = ("coulomb_friction", "quadratic_drag", "stribeck_friction", "sensor_delay")
     few = [builtin()[one] for one in names]
-    report = close_loop(loaded.for_system(system), system, dictionary=few, workers=1)
+    report = close_loop(loaded.for_system(system), system, dictionary=few)
     data = report.data
     assert report.verdict == "effects_found"
     found = {(one["name"], one["at"]) for one in data["effects"]}

@@ -16,19 +16,23 @@ from harness.signals import Dataset, FloatArray, Run
 __all__ = ["cut_alike", "stretched", "windowed"]
 
 LONG = 40_000
-"""Samples of the estimation records together, beyond which the search looks at stretches."""
-LENGTH, COUNT = 5_000, 4
+"""Samples of the records of a use together, beyond which the search looks at stretches."""
+LENGTH, COUNT = 2_500, 4
+"""Samples of a stretch, and how many: as many samples as two records of 20 s at 250 Hz."""
 
 
-def stretched(dataset: Dataset, *, long: int = LONG, length: int = LENGTH, count: int = COUNT) -> Dataset:
-    """Return a data set whose long estimation records are cut down to stretches; the other runs stay as they are.
+def stretched(
+    dataset: Dataset, *, use: str = "estimation", long: int = LONG, length: int = LENGTH, count: int = COUNT
+) -> Dataset:
+    """Return a data set whose long records of a use are cut down to stretches; the other runs stay as they are.
 
-    Beyond ``long`` samples together, every estimation record is cut into equal parts, ``count`` in all or one for each
+    Beyond ``long`` samples together, every such record is cut into equal parts, ``count`` in all or one for each
     record, and the middle of each part is kept: ``length`` samples, less where there are more records than stretches.
 
     Parameters
     ----------
     dataset : Dataset
+    use : {"estimation", "validation"}
     long, length, count : int
 
     Returns
@@ -45,15 +49,15 @@ def stretched(dataset: Dataset, *, long: int = LONG, length: int = LENGTH, count
     >>> [(len(one), float(one.t[0])) for one in short.estimation]
     [(10, 7.5), (10, 27.5)]
     """
-    total = sum(len(one) for one in dataset.estimation)
+    whole = dataset.using(use)  # type: ignore[arg-type]
+    total, records = sum(len(one) for one in whole), len(whole)
     if total <= long:
         return dataset
-    records = len(dataset.estimation)
     size = min(length, length * count // records)
     runs: list[Run] = []
     for run in dataset:
         n = len(run.trajectory)
-        if run.use != "estimation" or n <= size:
+        if run.use != use or n <= size:
             runs.append(run)
             continue
         pieces = max(1, min(round(count * n / total), n // size))
@@ -61,11 +65,11 @@ def stretched(dataset: Dataset, *, long: int = LONG, length: int = LENGTH, count
         for first, last in pairwise(edges):
             start = int(0.5 * (first + last - size))
             runs.append(replace(run, trajectory=run.trajectory[start : start + size]))
-    seen = sum(run.use == "estimation" for run in runs)
-    kept = sum(len(run.trajectory) for run in runs if run.use == "estimation")
+    seen = sum(run.use == use for run in runs)
+    kept = sum(len(run.trajectory) for run in runs if run.use == use)
     note = (
-        f"the {total} estimation samples are many: effects are searched for, and estimation errors given, on {seen} "
-        f"stretches of them, {kept} samples spread evenly"
+        f"the {total} {use} samples are many: effects are judged on {seen} stretches of them, {kept} samples spread "
+        "evenly; free runs are compared on whole records"
     )
     return replace(dataset, runs=tuple(runs), warnings=(*dataset.warnings, note))
 

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
+from harness.diagnosis.policy import EFFORT
 from harness.diagnosis.search.hats import hat_basis, joint_basis
 from harness.effects.along import Signals
 from harness.effects.columns import column_blocks
@@ -24,11 +25,6 @@ from harness.signals import FloatArray, Trajectory
 
 __all__ = ["Along", "Direction", "Trace", "choices", "directions", "input_behind", "reading_directions",
            "spline_directions", "test_functions"]  # fmt: skip
-
-MOST_CHOICES = 12
-"""Choices of an effect's nonlinear parameters that are tried."""
-KNOTS, JOINT_KNOTS = 25, (9, 6)
-"""Test functions on one axis, and on each of two."""
 
 
 class Along(Protocol):
@@ -235,7 +231,7 @@ def choices(placed: Placed, at: Mapping[str, float]) -> list[tuple[dict[str, flo
     grids = [one.starts(at) for one in nonlinear]
     return [
         (dict(zip((one.name for one in nonlinear), choice, strict=True)), linear)
-        for choice in itertools.islice(itertools.product(*grids), MOST_CHOICES)
+        for choice in itertools.islice(itertools.product(*grids), EFFORT.choices)
     ]
 
 
@@ -387,7 +383,7 @@ def spline_directions(
     """
     found: list[Direction] = []
     for group in [*((name,) for name in values), *pairs]:
-        counts = (KNOTS,) if len(group) == 1 else JOINT_KNOTS
+        counts = (EFFORT.knots,) if len(group) == 1 else EFFORT.joint_knots
         knots = []
         for name, count in zip(group, counts, strict=True):
             every = np.concatenate(list(values[name]["estimation"]))

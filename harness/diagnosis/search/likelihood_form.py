@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.policy import EFFORT
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.records.unfold import HIDING, unfoldings
 from harness.diagnosis.search.directions import Trace, directions, test_functions
@@ -30,18 +31,6 @@ from harness.signals import Dataset, FloatArray, Run, Trajectory
 __all__ = ["USES", "Detail", "LikelihoodForm", "whitened"]
 
 USES = ("estimation", "validation")
-CLOSE = 30.0
-"""Log-likelihood within which the second start goes on beside the first."""
-NEGLIGIBLE = 1e-3
-"""Latent forces below this share of the typical force leave nothing to explain."""
-PILE, PILE_WIDTH = 0.004, 6.0
-"""Share of the readings within so many noises of the largest one that is more than a peak of a swing."""
-OWN_STARTS = (0.125, 0.375, 0.625, 0.875)
-"""Where phases and instants of a validation record are looked for, as parts of a turn or of the record."""
-STARTS = 3
-"""Starts that a fit goes on from, the likeliest ones."""
-FIRST_STEPS = 5
-"""Iterations from each of several starts; the two that came furthest go on."""
 OWN = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
 """Parameters that belong to a record and not to the plant."""
 
@@ -164,8 +153,8 @@ class LikelihoodForm:
                 for p in map(system.vector, vectors)
                 for noise in self._noises(base)
             ]
-            if len(points) > STARTS:
-                points = sorted(points, key=likelihood.nll)[:STARTS]
+            if len(points) > EFFORT.points:
+                points = sorted(points, key=likelihood.nll)[: EFFORT.points]
             if effects and not self.latent:  # no force took up what was missing: it has driven the parameters away
                 p = system.vector({**vectors[0], **self.nominal.values()})
                 noise = first_noises(self.noise_model, self._first_noise, self.dt)[0]
@@ -177,7 +166,7 @@ class LikelihoodForm:
         tried: list[LikelihoodFit] = []
         for point in points:
             try:
-                tried.append(likelihood.maximise(point, most=FIRST_STEPS))
+                tried.append(likelihood.maximise(point, most=EFFORT.first_steps))
             except (FitError, ArithmeticError, np.linalg.LinAlgError):
                 continue
         if not tried:
@@ -189,7 +178,7 @@ class LikelihoodForm:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         system, passes, likelihood, tried = begun.detail
         try:
-            near = [one for one in tried if one.nll < tried[0].nll + CLOSE]
+            near = [one for one in tried if one.nll < tried[0].nll + EFFORT.close]
             ends = [one if one.converged else likelihood.maximise(one.point) for one in near[:2]]
             best = min(ends, key=lambda one: one.nll)
             best = best if best.converged else likelihood.maximise(best.point)
@@ -281,7 +270,7 @@ class LikelihoodForm:
         free = [name for name in likelihood.names if name.startswith("x0[")] + own
         chosen: LikelihoodFit | None = None
         longest = max(len(run) for run in self.records["validation"]) * self.dt
-        for part in OWN_STARTS if own else (0.0,):
+        for part in EFFORT.own_starts if own else (0.0,):
             p = best.point.p.copy()
             for name in own:
                 p[system.parameter_names.index(name)] = part * (2 * np.pi if name.endswith("phi") else longest)
@@ -385,7 +374,7 @@ class LikelihoodForm:
         noise = point.noise
         left = np.sqrt(noise.s**2 + noise.w**2) / self.noise_model.force_scale
         found = []
-        for placed in candidates if left.max(initial=0.0) > NEGLIGIBLE else ():
+        for placed in candidates if left.max(initial=0.0) > EFFORT.negligible else ():
             if placed.effect.linearises or port_of(self.nominal, placed).kind != "coordinate":
                 continue
             at = self.sizes.get(placed.at, {})
@@ -408,7 +397,7 @@ class LikelihoodForm:
             column = names.index(placed.at)
             size = np.abs(np.concatenate([record.y[:, column] for record in self.records["estimation"]]))
             top = float(np.nanmax(size))
-            if int(np.sum(size > top - PILE_WIDTH * noise[column])) > PILE * len(size):
+            if int(np.sum(size > top - EFFORT.pile_width * noise[column])) > EFFORT.pile * len(size):
                 found.append(Suspect(placed, ({placed.name(main.name): top - 2 * float(noise[column])},)))
         return found
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.policy import EFFORT, POLICY, Policy
 from harness.diagnosis.search.compare import Judged, compared, difference, judged, violations
 from harness.diagnosis.search.fit import Begun, Fit, Form
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
@@ -17,11 +17,8 @@ from harness.effects.effect import Placed
 __all__ = ["Accepted", "Outcome", "Round", "search"]
 
 Say = Callable[[str], None]
-SECOND = 2
 WANTS = ("evidence", "validation", "it brings")
 """How reasons begin that are a want of evidence and nothing against the candidate."""
-_MARGIN = 50.0
-"""Log-likelihood that first steps may still lack."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +95,7 @@ def search(
             _exchange(form, found, nominal, policy)
             _pruned(form, found, policy)
         alone = len(found.rounds) == 1 and not passed
-        if alone or (len(found.rounds) == SECOND and found.accepted):
+        if alone or (len(found.rounds) == 2 and found.accepted):
             _pairs(form, found, nominal, candidates, policy, say)
         if not passed:
             break
@@ -313,7 +310,7 @@ def _exchange(form: Form, found: Outcome, nominal: Fit, policy: Policy) -> None:
             assert row.fit is not None
             start = {**found.model.values, **{k: v for k, v in row.fit.values.items() if k.startswith(f"{new}.")}}
             begun = form.begin([*others, new], [start], found.model)
-            if begun is None or begun.log_likelihood < best.log_likelihood("estimation") - _MARGIN:
+            if begun is None or begun.log_likelihood < best.log_likelihood("estimation") - EFFORT.margin:
                 continue
             fit = form.finish(begun, found.model)
             trial = judged([new], fit, nominal, nominal, policy)
