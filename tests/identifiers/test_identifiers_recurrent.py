@@ -18,7 +18,7 @@ from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers import recurrent
 from identifiers.linear import Arx
 from identifiers.recurrent import NeuralOutputError, RecurrentEnsemble
-from identifiers.recurrent_pass import Layout, native_library
+from identifiers.recurrent_pass import Layout, library
 
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "V"),), 1.0)
 
@@ -59,7 +59,7 @@ def test_derivatives_are_those_of_differences(nx, nu, ny, hidden, seed):
 
 
 def test_compiled_and_numpy_runs_agree_also_where_they_diverge():
-    if native_library() is None:
+    if library() is None:
         pytest.skip("no C compiler: install gcc")
     layout, rng = Layout(2, 1, 2, 3, 2), np.random.default_rng(0)
     u = rng.normal(size=(60, 1))
