@@ -133,7 +133,8 @@ def _unpack(path: Path, structure: Structure, folder: Path) -> None:
                 )
             try:
                 archive.extract(component.source, folder)
-            except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError) as error:
+            # zipfile's own word for a compression method it does not know is NotImplementedError, a RuntimeError
+            except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError) as error:
                 raise InputError(
                     f"source of component {component.name!r}",
                     expected="a sound zip archive",
