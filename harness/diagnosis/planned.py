@@ -21,8 +21,6 @@ from harness.signals import Dataset, FloatArray, Run, Trajectory
 __all__ = ["Planned", "isolability_of"]
 
 USES: tuple[Literal["estimation", "validation"], ...] = ("estimation", "validation")
-SHARE = 0.01
-"""Sensor noise over an output's size, where a scenario has none."""
 
 
 @dataclass(frozen=True)
@@ -184,7 +182,7 @@ def _noisy(records: Sequence[Trajectory], scenario: Any, seed: int) -> tuple[lis
     if isinstance(noise, int | float) and noise > 0:
         return list(records), f"sensor noise of the scenario, {noise:g} on every output"
     size = np.std(records[0].y, axis=0)
-    deviations = np.where(size > 0, SHARE * size, 1.0)
+    deviations = np.where(size > 0, PLAN_POLICY.noise * size, 1.0)
     made = []
     for number, record in enumerate(records):
         draw = stream("planned-noise", number, seed).standard_normal(record.y.shape)

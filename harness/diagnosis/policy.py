@@ -7,14 +7,18 @@ from typing import Any
 
 __all__ = [
     "ARM_POLICY",
+    "DATA_POLICY",
     "EFFORT",
     "PLAN_POLICY",
     "POLICY",
+    "RUN_POLICY",
     "ArmPolicy",
+    "DataPolicy",
     "Effort",
     "Number",
     "PlanPolicy",
     "Policy",
+    "RunPolicy",
     "described",
 ]
 
@@ -135,6 +139,12 @@ class Policy:
     )
     explained: float = _number(0.05, "share of the variance left, at most, to call a model adequate", "a fit of 95 %")
 
+    chance: float = _number(
+        0.02,
+        "probability that a reading lies within 1 % of a step of a grid point though there is no grid",
+        "2 % of a step lie so",
+    )
+
 
 POLICY = Policy()
 
@@ -213,6 +223,24 @@ class ArmPolicy:
         "a torque that is wrong by more than this factor is in another unit, or on the other side of a gear",
         "torque constants are off by percents",
     )
+    unit_within: float = _number(
+        1.5, "factor within which a torque gain is a change of unit", "units lie a factor of ten apart"
+    )
+    no_gain: float = _number(1e-06, "factor of a torque below which it is 0", "its bound")
+    sure: float = _number(3.0, "standard errors of a noise level that are allowed for", "99.7 %")
+    silent: float = _number(
+        0.001, "largest torque of an effect over the error below which it shows nothing", "a thousandth of the noise"
+    )
+    faster: float = _number(
+        4.0, "times the band of the motion above which a joint hardly follows its torque", "two octaves"
+    )
+    loud: float = _number(0.1, "chatter over the rms of the torque that matters", "a tenth")
+    flat: float = _number(
+        1.9, "kurtosis below which a fast torque swings between two levels", "a square wave has 1, a sine 1.5, noise 3"
+    )
+    often: float = _number(0.1, "share of the time in which it must do so", "a stretch of noise rarely looks like it")
+    calm: float = _number(2.0, "corner of the calm motion over the band of the motion", "an octave")
+    still: float = _number(0.1, "speed over its rms below which a joint stands still", "a tenth of its motion")
 
 
 ARM_POLICY = ArmPolicy()
@@ -231,12 +259,118 @@ class PlanPolicy:
     alike: float = _number(
         0.95, "cosine beyond which two effects are said to look alike", "a tenth of either is left to tell them apart"
     )
+    noise: float = _number(
+        0.01, "sensor noise over the size of an output, where a scenario has none", "a common sensor"
+    )
+    upright: float = _number(
+        1.2, "angle that slow swings stay below [rad]", "beyond 90 deg a pendulum falls, and then it is not slow"
+    )
+    stronger: float = _number(
+        32.0, "times by which an input is asked to grow over the data", "what a plant is known to bear"
+    )
 
 
 PLAN_POLICY = PlanPolicy()
 
 
-def described(policy: Policy | Effort | ArmPolicy | PlanPolicy = POLICY) -> dict[str, dict[str, Any]]:
+@dataclass(frozen=True)
+class DataPolicy:
+    """What the data must be like, and how they are cut, before they are judged."""
+
+    unexplained: float = _number(
+        0.5,
+        "error over the motion within a window above which a rough fit explains next to nothing",
+        "half of the motion is no model of it",
+    )
+    repaired: float = _number(
+        0.2,
+        "share of that error below which a repair of a column must bring it",
+        "a fivefold fall is no accident of a fit",
+    )
+    repair_clear: float = _number(
+        0.03, "error over the motion that needs no comparison between repairs", "3 % is a fit"
+    )
+    far: float = _number(
+        100.0,
+        "factor of a parameter from its declared value beyond which the columns as they are do not fit",
+        "a unit wrong by 1000 moves parameters by a power of 1000; halfway is 30",
+    )
+    near: float = _number(
+        10.0, "and within which a repair must bring it", "a power of ten, as declared values are rough"
+    )
+    growth: float = _number(
+        20.0,
+        "by how much an error of the initial state may grow within a window",
+        "three doublings of the noise and more hide what the model lacks",
+    )
+    per_period: int = _number(
+        40, "samples kept in one period of the fastest motion", "dry friction shows in tens of harmonics of the swing"
+    )
+    fewest: int = _number(
+        500, "samples that every thinned record must still have", "blocks of 25 samples for 20 standard errors"
+    )
+    long: int = _number(
+        40000,
+        "samples of the records of a use beyond which the search looks at stretches",
+        "cost: every fit filters them tens of times",
+    )
+    stretch: int = _number(2500, "samples of a stretch", "ten seconds at 250 Hz")
+    stretches: int = _number(4, "and how many", "as many samples together as two records of 20 s at 250 Hz")
+    hopeless: float = _number(
+        60.0, "log-likelihood below the best path of signs at which a path is no longer followed", "a chance of 1e-26"
+    )
+    same: float = _number(
+        0.5,
+        "distance of the states of two paths, in standard deviations, below which they go on as one",
+        "less than one is no difference",
+    )
+    rival: float = _number(
+        5.0, "log-likelihood within which a path rivals the best one", "a Bayes factor of 150: Kass & Raftery 1995"
+    )
+    turn: float = _number(10.0, "log-likelihood that every change of the sign must bring", "twice that of an effect")
+    near_zero: float = _number(0.1, "reading over the rms below which its sign is open", "a tenth of a swing")
+    shortest: int = _number(
+        50, "samples that a window of an FMU has at least", "fewer do not tell its initial state from its parameters"
+    )
+    look: int = _number(2000, "samples on which a parameter of an FMU must move an output to be calibrated", "cost")
+
+
+DATA_POLICY = DataPolicy()
+
+
+@dataclass(frozen=True)
+class RunPolicy:
+    """What decides about intervals and tests of fitted runs."""
+
+    bias_level: float = _number(0.01, "level of the test for a bias by feedback", "one false alarm in a hundred")
+    weak: float = _number(
+        0.3,
+        "cosine to the instruments below which a direction of the parameters is not instrumented",
+        "a tenth of its variance",
+    )
+    matters: float = _number(
+        1.0, "shift in standard errors from which on the intervals are not usable", "a shift of one takes 95 % to 83 %"
+    )
+    interval_blocks: int = _number(20, "blocks of a record for the jackknife", "Kuensch 1989")
+    fewest_blocks: int = _number(
+        4, "blocks of a residual that stays coloured for long", "with fewer Student's t is of no use"
+    )
+    correlation_times: float = _number(10.0, "length of a block in correlation times", "neighbours then share little")
+    means: int = _number(
+        20, "means that a scale needs to tell whether a residual is white", "with fewer it tells nothing"
+    )
+    white_level: float = _number(0.01, "level of the test that a residual is white", "one false alarm in a hundred")
+    determined: float = _number(
+        0.02, "share of a direction that a block must leave to the others", "without it there is no estimate"
+    )
+
+
+RUN_POLICY = RunPolicy()
+
+
+def described(
+    policy: Policy | Effort | ArmPolicy | PlanPolicy | DataPolicy | RunPolicy = POLICY,
+) -> dict[str, dict[str, Any]]:
     """Return every number with its reason, for ``report.json``.
 
     Examples

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from harness.diagnosis import policy
+from harness.diagnosis.policy import described
 from harness.diagnosis.runs import residual_tests as tests
 
 REPEATS = 400
@@ -72,3 +74,10 @@ def test_detection_is_by_effect_size_and_short_records_get_their_chance_value() 
     assert tests.detect(None, 0.11, 5000)
     assert not tests.detect(1.1, 0.09, 5000)
     assert not tests.detect(None, 0.15, 300)
+
+
+def test_no_two_numbers_of_the_policy_share_a_name_and_each_has_a_reason() -> None:
+    groups = [described(one) for one in (policy.POLICY, policy.EFFORT, policy.DATA_POLICY, policy.RUN_POLICY)]
+    names = [name for group in groups for name in group]
+    assert len(names) == len(set(names)), "one would hide the other in report.json"
+    assert all(number["reason"] and number["source"] for group in groups for number in group.values())

@@ -10,19 +10,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from harness.data.sanity import saturated, stuck
+from harness.diagnosis.policy import ARM_POLICY
 from harness.diagnosis.records.motion import ORDER, motion_band
 from harness.signals import FloatArray, Run, Trajectory
 
 __all__ = ["chatter", "check_torques"]
 
-FASTER = 4.0
-"""Above so many times the band of the motion a joint hardly follows its torque."""
-LOUD = 0.1
-"""Chatter that matters: this share of the torque's rms."""
-FLAT = 1.9
-"""Kurtosis below which a fast torque swings between two levels: a square wave has 1, a sine 1.5, noise 3."""
-OFTEN = 0.1
-"""Share of the time in which it must do so; a stretch of noise rarely looks like it."""
 BLOCK = 100
 
 
@@ -79,7 +72,7 @@ def chatter(torque: FloatArray, sample_time: float, band: float) -> tuple[float,
 
     moved = torque - torque.mean()
     size = float(np.sqrt(np.mean(moved**2)))
-    corner = 2 * FASTER * band * sample_time
+    corner = 2 * ARM_POLICY.faster * band * sample_time
     count = len(moved) // BLOCK
     if not size > 0 or not 0 < corner < 0.9 or not count:
         return 0.0, 0.0
@@ -87,7 +80,7 @@ def chatter(torque: FloatArray, sample_time: float, band: float) -> tuple[float,
     fast = signal.sosfiltfilt(sos, moved, padlen=min(int(8 / corner), len(moved) - 1))
     blocks = fast[: count * BLOCK].reshape(count, BLOCK)
     square = np.mean(blocks**2, axis=1).clip(1e-300)
-    swings = (square > (LOUD * size) ** 2) & (np.mean(blocks**4, axis=1) < FLAT * square**2)
+    swings = (square > (ARM_POLICY.loud * size) ** 2) & (np.mean(blocks**4, axis=1) < ARM_POLICY.flat * square**2)
     power = (np.abs(np.fft.rfft(blocks[swings] * np.hanning(BLOCK), axis=1)) ** 2).sum(axis=0)
     return float(np.mean(swings)), float(np.argmax(power)) / (BLOCK * sample_time)
 
@@ -99,7 +92,7 @@ def _torque(record: Trajectory, k: int, band: float) -> list[str]:
         return [f"torque {channel.name} is constant ({values[0]:g} {channel.unit}): not measured, or not driven?"]
     notes = [*stuck(channel, values, dt, "torque"), *saturated(channel, values, "torque")]
     share, frequency = chatter(values, dt, band)
-    if share > OFTEN:
+    if share > ARM_POLICY.often:
         notes.append(
             f"torque {channel.name} chatters for {100 * share:.0f} % of the time near {frequency:.3g} Hz, where the "
             "joint hardly follows: a limit cycle of the controller? Friction at that joint is not to be trusted"

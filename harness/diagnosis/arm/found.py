@@ -20,9 +20,6 @@ from harness.signals import Dataset, FloatArray
 
 __all__ = ["ArmDiagnosis", "JointDiagnosis"]
 
-SURE = 3.0
-"""Standard errors of a noise level that are allowed for."""
-
 
 @dataclass(eq=False)
 class JointDiagnosis:
@@ -92,7 +89,9 @@ class JointDiagnosis:
     def share(self) -> float:
         """Part of the torque that stays unexplained and is no noise of its samples, on the validation records."""
         count = sum(float(one.sum()) for one in self.balance.counts["validation"])
-        noise = self.noise**2 * (1.0 + SURE * np.sqrt(2.0 / max(count, 1.0)))  # as large as chance may make it
+        noise = self.noise**2 * (
+            1.0 + ARM_POLICY.sure * np.sqrt(2.0 / max(count, 1.0))
+        )  # as large as chance may make it
         return float(np.sqrt(max(self.left("validation") ** 2 - noise, 0.0)) / max(self.torque, 1e-300))
 
     @functools.cached_property

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.arm.motion import CALM, ArmRun, moving_rows
+from harness.diagnosis.arm.motion import ArmRun, moving_rows
 from harness.diagnosis.arm.regression import Change
-from harness.diagnosis.policy import ARM_POLICY
+from harness.diagnosis.policy import ARM_POLICY, EFFORT
 from harness.diagnosis.records.motion import Motion, motion_band
 from harness.diagnosis.runs.equation import Equations, decimated, expressible
 from harness.effects.compose import compose
@@ -37,12 +37,8 @@ JOINT_EFFECTS = (
 )
 """What a joint of an arm may have that a rigid body has not."""
 
-MOST_CHOICES = 12
-"""Choices of an effect's nonlinear parameters that are tried."""
 WAVES, SLOWEST = 24, 2.5
 """Wave numbers of a cogging that are tried, and the lowest [1/rad]: slower ones are gravity."""
-KNOTS, JOINT_KNOTS = 25, (9, 6)
-"""Test functions on one axis, and on each of two."""
 CLOCK = "clock"
 ON_TORQUE = ("input_gain", "load_dependent_friction")
 
@@ -156,7 +152,7 @@ class JointBalance:
                 grids.append(self._waves(one.minimum, one.maximum) if one.name == "k" else (0.0,))
             else:
                 grids.append(one.starts(at))
-        most = WAVES if placed.effect.name == "cogging" else MOST_CHOICES
+        most = WAVES if placed.effect.name == "cogging" else EFFORT.choices
         names = [one.name for one in free]
         return [dict(zip(names, choice, strict=True)) for choice in itertools.islice(itertools.product(*grids), most)]
 
@@ -195,7 +191,7 @@ class JointBalance:
         first, *others = axes
         found = []
         for group in [*((one,) for one in axes), *((first, other) for other in others)]:
-            counts = (KNOTS,) if len(group) == 1 else JOINT_KNOTS
+            counts = (EFFORT.knots,) if len(group) == 1 else EFFORT.joint_knots
             knots = [
                 np.unique(np.quantile(np.concatenate(axes[axis]["estimation"]), np.linspace(0.01, 0.99, count)))
                 for axis, count in zip(group, counts, strict=True)
@@ -295,7 +291,7 @@ def joint_dictionary(
         effects = [_either_sign(one) if one.name == "viscous_friction" else one for one in effects]
     torque = run.calm.u[:, joint]
     dt = run.motion.sample_time
-    corner = CALM * motion_band(run.motion.q[:, joint], dt)[0]
+    corner = ARM_POLICY.calm * motion_band(run.motion.q[:, joint], dt)[0]
     noise = white_noise(run.motion.u[:, joint]) * float(np.sqrt(min(4 * corner * dt, 1.0)))
     # inertia is known on an absolute scale here, so a factor on the torque shows
     placed = [one for one in place_all(balance.nominal, effects) if expressible(one) or one.effect.name == "input_gain"]

@@ -12,7 +12,7 @@ from harness.diagnosis.arm.effects import GAIN
 from harness.diagnosis.arm.found import JointDiagnosis
 from harness.diagnosis.arm.motion import ArmRun, arm_runs, moving_rows
 from harness.diagnosis.arm.wide import OWN, own_columns
-from harness.diagnosis.policy import ArmPolicy, Policy
+from harness.diagnosis.policy import ARM_POLICY, ArmPolicy, Policy
 from harness.physics.arm import ArmModel
 from harness.signals import Dataset, FloatArray
 
@@ -21,8 +21,6 @@ __all__ = ["misfit_reasons"]
 DEGREES = np.pi / 180
 SHOWN = 3
 """Joints that are named one by one."""
-NOTHING = 1e-6
-"""A factor of a torque below this is 0, its bound."""
 UNITS = {1e3: "N mm and not N m", 1e-3: "kN m and not N m", 1e2: "N cm and not N m", 9.80665: "kgf m and not N m"}
 """Factors between a torque and what a log may hold."""
 G = 9.81
@@ -37,8 +35,6 @@ GRAVITIES = {
 """Gravity in the frame of the base [m/s^2] where an arm is not mounted upright, or a log is without its torque."""
 SLOW = 10
 """Samples of the filtered residual that are taken for one: it is coloured, and only a rough figure is asked for."""
-CLOSE = 1.5
-"""A factor is one of these units within so much."""
 
 
 def misfit_reasons(
@@ -80,7 +76,9 @@ def misfit_reasons(
     wild = {name: gain for name, gain in gains.items() if not 1 / arm_policy.gain < gain < arm_policy.gain}
     for name, gain in list(wild.items())[:SHOWN]:
         text = (
-            f"would have to be {gain:.3g} times what was recorded" if gain > NOTHING else "tells nothing of the motion"
+            f"would have to be {gain:.3g} times what was recorded"
+            if gain > ARM_POLICY.no_gain
+            else "tells nothing of the motion"
         )
         reasons.append(f"the torque {name} {text}")
     if reasons:  # the last one is what to do, where it is known
@@ -141,7 +139,7 @@ def _torque_mistakes(
     rigid = np.concatenate([one.rigid for one in runs])[:, joints]
     factor = float(np.median(torque.std(axis=0) / np.maximum(rigid.std(axis=0), 1e-12)))
     for unit, words in UNITS.items():
-        if unit / CLOSE < factor < unit * CLOSE:
+        if unit / ARM_POLICY.unit_within < factor < unit * ARM_POLICY.unit_within:
             yield f"whether the torques are in {words}", with_columns(same, np.full(arm.n, 1 / unit))
 
 

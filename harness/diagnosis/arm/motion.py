@@ -6,18 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from harness.diagnosis.policy import ARM_POLICY
 from harness.diagnosis.records.motion import ORDER, Motion, motion_band, smooth_motion
 from harness.diagnosis.runs.equation import decimated
 from harness.physics.arm import ArmModel
 from harness.signals import Dataset, FloatArray, Trajectory
 
-__all__ = ["CALM", "STILL", "ArmRun", "arm_runs", "moving_rows", "standstill"]
+__all__ = ["ArmRun", "arm_runs", "moving_rows", "standstill"]
 
 USES = ("estimation", "validation", "test")
-CALM = 2.0
-"""Corner of the calm motion over the band of the motion."""
-STILL = 0.1
-"""A joint below this share of its rms speed counts as standing still."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +70,7 @@ def moving_rows(motion: Motion) -> FloatArray:
     from scipy.ndimage import maximum_filter1d
 
     v = motion.v[motion.inside]
-    still = np.abs(v) <= STILL * np.sqrt(np.mean(v**2, axis=0))
+    still = np.abs(v) <= ARM_POLICY.still * np.sqrt(np.mean(v**2, axis=0))
     width = 2 * motion.factor + 1 if motion.factor > 1 else 1
     touched = maximum_filter1d(still.astype(np.uint8), width, axis=0)
     rows = touched[:: motion.factor]
@@ -90,7 +87,7 @@ def standstill(runs: dict[str, tuple[ArmRun, ...]]) -> FloatArray:
     """
     v = np.concatenate([one.calm.v[one.motion.inside] for one in runs["estimation"]])
     size = np.sqrt(np.mean(v**2, axis=0))
-    return np.asarray(np.mean(np.abs(v) <= STILL * size, axis=0))
+    return np.asarray(np.mean(np.abs(v) <= ARM_POLICY.still * size, axis=0))
 
 
 def _run(arm: ArmModel, record: Trajectory, intersample: str) -> ArmRun:
@@ -103,7 +100,7 @@ def _run(arm: ArmModel, record: Trajectory, intersample: str) -> ArmRun:
     motion = smooth_motion(record, columns, intersample)
     rigid = arm.torques(motion.q, motion.v, motion.a) + arm.damped(motion.v)
     band = max(motion_band(record.y[:, k], motion.sample_time)[0] for k in range(arm.n))
-    calm = _calmed(motion, CALM * band)
+    calm = _calmed(motion, ARM_POLICY.calm * band)
     dt = motion.sample_time
     first = np.gradient(calm.u, dt, axis=0)
     return ArmRun(motion, calm, first, np.gradient(first, dt, axis=0), rigid)

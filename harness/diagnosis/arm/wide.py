@@ -31,8 +31,6 @@ OWN = ("dry", "viscous", "constant", "load", "clock")
 FRICTION = ("dry", "load")
 LEVEL = 0.02
 """Width of the sign of a joint's speed, over its rms speed."""
-SILENT = 1e-3
-"""An effect whose largest torque is below this share of the error shows nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +126,7 @@ class WideBalance:
             most = [one.maximum for one in effect.placed.effect.parameters]
             size = np.sqrt(np.mean(np.concatenate(made["estimation"]) ** 2, axis=0)) * most
             left = np.sqrt(np.mean(np.concatenate(self._target["estimation"]) ** 2, axis=0))
-            shows = (size >= SILENT * left[:, None]).any(axis=0)
+            shows = (size >= ARM_POLICY.silent * left[:, None]).any(axis=0)
             self._columns[key] = {use: [part * shows for part in parts] for use, parts in made.items()}
         return self._columns[key]
 

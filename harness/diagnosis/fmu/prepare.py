@@ -13,7 +13,8 @@ from harness.blackbox.reader import fmu_system
 from harness.blackbox.runner import Runner
 from harness.blackbox.simulator import FmuSimulator
 from harness.blackbox.system import FmuSystem
-from harness.diagnosis.records.horizon import GROWTH, Horizon, short_window
+from harness.diagnosis.policy import DATA_POLICY
+from harness.diagnosis.records.horizon import Horizon, short_window
 from harness.errors import InputError
 from harness.physics.levenberg import minimise, minimise_states
 from harness.physics.smoothing import smooth
@@ -25,10 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["FmuWindows", "choose_horizon", "measured_states", "nominal_fmu", "rough_values", "sizes_of"]
 
-SHORTEST = 50
-"""Samples that a window has at least."""
-LOOK = 2000
-"""Samples on which a parameter must move an output to be calibrated."""
 ROUGH = 40
 """Iterations of the rough fit."""
 DECREASE = 1e-5
@@ -53,7 +50,7 @@ def nominal_fmu(path: str | Path, dataset: Dataset, parameters: Mapping[str, Any
         )
     system = fmu_system(path, dataset.spec, parameters)
     simulator = FmuSimulator(system, Runner(system, dataset.spec.sample_time))
-    run = dataset.estimation[0].measured()[:LOOK] if dataset.estimation else None
+    run = dataset.estimation[0].measured()[: DATA_POLICY.look] if dataset.estimation else None
     if run is None:
         return system
     p = system.vector()
@@ -102,18 +99,20 @@ def choose_horizon(system: FmuSystem, values: Mapping[str, float], dataset: Data
         assert slopes is not None
         finite = np.isfinite(y[0]).all(axis=1)
         span = np.maximum(np.std(run.y, axis=0), 1e-12)
-        begun = x[0][:SHORTEST][finite[:SHORTEST]]
+        begun = x[0][: DATA_POLICY.shortest][finite[: DATA_POLICY.shortest]]
         simulated = np.std(begun, axis=0) if begun.size else np.ones(system.nx)
         states = np.maximum(np.where(told, np.std(seen, axis=0), simulated), 1e-12)
         grown = np.abs(slopes[0][..., system.np :]) * states / span[:, None]
         worst = np.where(finite, np.nan_to_num(grown, nan=np.inf).max(axis=(1, 2), initial=0.0), np.inf)
-        beyond = np.flatnonzero(worst > GROWTH)
+        beyond = np.flatnonzero(worst > DATA_POLICY.growth)
         if beyond.size:
             shortest = min(shortest, beyond[0] * dataset.spec.sample_time)
     if not np.isfinite(shortest):
         return Horizon(None, "an error of the initial state does not grow: whole records are simulated")
-    length = float(max(shortest, SHORTEST * dataset.spec.sample_time))
-    return Horizon(float(f"{length:.2g}"), f"an error of the initial state grows {GROWTH:g} times in {shortest:.2g} s")
+    length = float(max(shortest, DATA_POLICY.shortest * dataset.spec.sample_time))
+    return Horizon(
+        float(f"{length:.2g}"), f"an error of the initial state grows {DATA_POLICY.growth:g} times in {shortest:.2g} s"
+    )
 
 
 def sizes_of(system: FmuSystem, moved: Sequence[Moved]) -> dict[str, dict[str, float]]:

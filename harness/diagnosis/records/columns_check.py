@@ -15,24 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.policy import DATA_POLICY
 from harness.errors import HarnessError, InputError
 from harness.signals import Dataset, FloatArray, Trajectory
 
 __all__ = ["Repair", "check_columns", "doubtful_units", "likely_repair", "repairs"]
 
-NOTHING = 0.5
-"""Above this error, relative to the motion of the output within a window, the rough fit explains next to nothing."""
-BETTER = 0.2
-"""A repair must bring the error below this share of it."""
-CLEAR = 0.03
-"""A repair that leaves no more than this needs no comparison with others."""
 SAMPLES = 1500
-FAR, NEAR = 100.0, 10.0
-"""Parameters as declared: not even within the first factor for the columns as they are, within the second for others.
-
-A unit wrong by 1000 moves parameters by a power of 1000; halfway, by 30, it could as well be the declared value that
-is wrong. Three times on either side of that, nothing is said.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +56,7 @@ def check_columns(system: Any, dataset: Dataset) -> list[str]:
     record = max(dataset.estimation, key=len)
     cut = _plain(record)
     before, values = _fit(system, cut, dataset.intersample)
-    found = likely_repair(system, record, dataset.intersample) if before > NOTHING else None
+    found = likely_repair(system, record, dataset.intersample) if before > DATA_POLICY.unexplained else None
     if found is None:
         return _doubtful(system, cut, values, before, dataset.intersample)
     repair, before, after = found
@@ -109,16 +98,16 @@ def likely_repair(system: Any, record: Trajectory, intersample: Any = "zoh") -> 
     """Return the repair that makes the model fit, with the relative error before and after; None if none is needed."""
     cut = _plain(record)
     before = _error(system, cut, intersample)
-    if not before > NOTHING:
+    if not before > DATA_POLICY.unexplained:
         return None
     after, best = np.inf, None
     for one in repairs(cut):
         error = _error(system, one.record, intersample)
         if error < after:
             after, best = error, one
-        if error < CLEAR:
+        if error < DATA_POLICY.repair_clear:
             break
-    return None if best is None or after > BETTER * min(before, 1.0) else (best, before, after)
+    return None if best is None or after > DATA_POLICY.repaired * min(before, 1.0) else (best, before, after)
 
 
 def repairs(record: Trajectory) -> Iterator[Repair]:
@@ -153,26 +142,30 @@ def repairs(record: Trajectory) -> Iterator[Repair]:
 def _doubtful(system: Any, cut: Trajectory, values: Mapping[str, float], free: float, intersample: Any) -> list[str]:
     """Return the warning of :func:`doubtful_units` from the free fit of a plain record and its error."""
     told = {one.name: one.value for one in system.parameters if not one.fixed and one.value}
-    off = [name for name, value in told.items() if not 1 / FAR < values.get(name, np.nan) / value < FAR]
+    off = [
+        name
+        for name, value in told.items()
+        if not 1 / DATA_POLICY.far < values.get(name, np.nan) / value < DATA_POLICY.far
+    ]
     if not off:
         return []
-    held = _fit(_held(system, FAR), cut, intersample, declared=True)[0]
-    good = max(1.5 * free, CLEAR)
+    held = _fit(_held(system, DATA_POLICY.far), cut, intersample, declared=True)[0]
+    good = max(1.5 * free, DATA_POLICY.repair_clear)
     if held <= good:  # the data say nothing about what is off
         return []
-    system = _held(system, NEAR)
+    system = _held(system, DATA_POLICY.near)
     found = {
         one: _fit(system, one.record, intersample, declared=True)[0] for one in repairs(cut) if one.factor is not None
     }
-    likely = [one for one, error in found.items() if error <= min(good, BETTER * held)]
+    likely = [one for one, error in found.items() if error <= min(good, DATA_POLICY.repaired * held)]
     if not likely:
         return []
     words = " or ".join(one.words.removeprefix("column ") for one in likely)
     moved = ", ".join(f"{name} {told[name]:.3g} -> {values[name]:.3g}" for name in off)
     return [
-        f"check the units: perhaps {words}. The record as it is needs parameters more than {FAR:g} times off the "
-        f"declared ones ({moved}), and would not with that column scaled; if the plant is that size, give the model "
-        "such values"
+        f"check the units: perhaps {words}. The record as it is needs parameters more than {DATA_POLICY.far:g} times "
+        f"off the declared ones ({moved}), and would not with that column scaled; if the plant is that size, give the "
+        "model such values"
     ]
 
 

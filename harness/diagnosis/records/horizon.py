@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.records.motion import motion_band
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["GROWTH", "Horizon", "choose_horizon", "short_window", "vanished"]
-
-GROWTH = 20.0
-"""By how much an error of the initial state may grow within a window."""
+__all__ = ["Horizon", "choose_horizon", "short_window", "vanished"]
 
 
 @dataclass(frozen=True)
@@ -50,8 +48,8 @@ def choose_horizon(system: Any, values: Mapping[str, float], dataset: Dataset) -
         if np.isfinite(poles).all():
             rates.append(float(poles.real.max()))
     typical = float(np.median(rates)) if rates else 0.0
-    if typical * longest > np.log(GROWTH) and typical > 1e-3 * size:
-        seconds = _round(float(np.clip(np.log(GROWTH) / typical, shortest, longest / 4)))
+    if typical * longest > np.log(DATA_POLICY.growth) and typical > 1e-3 * size:
+        seconds = _round(float(np.clip(np.log(DATA_POLICY.growth) / typical, shortest, longest / 4)))
         return Horizon(seconds, f"the nominal model is unstable where it was operated (a pole at +{typical:.3g} 1/s)")
     lost = vanished(system, values) if integrating else []
     if lost:  # a rough fit to readings that no model explains may lose gravity: then the model itself says what it is

@@ -11,18 +11,19 @@ from itertools import pairwise
 
 import numpy as np
 
+from harness.diagnosis.policy import DATA_POLICY
 from harness.signals import Dataset, FloatArray, Run
 
 __all__ = ["cut_alike", "stretched", "windowed"]
 
-LONG = 40_000
-"""Samples of the records of a use together, beyond which the search looks at stretches."""
-LENGTH, COUNT = 2_500, 4
-"""Samples of a stretch, and how many: as many samples as two records of 20 s at 250 Hz."""
-
 
 def stretched(
-    dataset: Dataset, *, use: str = "estimation", long: int = LONG, length: int = LENGTH, count: int = COUNT
+    dataset: Dataset,
+    *,
+    use: str = "estimation",
+    long: int = DATA_POLICY.long,
+    length: int = DATA_POLICY.stretch,
+    count: int = DATA_POLICY.stretches,
 ) -> Dataset:
     """Return a data set whose long records of a use are cut down to stretches; the other runs stay as they are.
 

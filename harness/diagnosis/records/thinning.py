@@ -11,15 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.records.motion import motion_band
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
 __all__ = ["thinned_dataset", "white_keeping_filter"]
 
-PER_PERIOD = 40
-"""Samples kept in one period of the fastest motion: dry friction shows in tens of harmonics of the swing."""
-FEWEST = 500
-"""Samples that every record must still have."""
 ROLL_OFF = 0.5
 SPAN = 8
 """Half length of the filter, in new samples."""
@@ -45,7 +42,9 @@ def thinned_dataset(dataset: Dataset) -> Dataset:
     dt = dataset.spec.sample_time
     runs = [run.trajectory for run in dataset]
     band = max(motion_band(run.y[:, j], dt)[0] for run in runs for j in range(run.spec.ny) if np.ptp(run.y[:, j]) > 0)
-    factor = min(int(1 / (PER_PERIOD * band * dt)), min(len(run) for run in runs) // (FEWEST + 2 * SPAN))
+    factor = min(
+        int(1 / (DATA_POLICY.per_period * band * dt)), min(len(run) for run in runs) // (DATA_POLICY.fewest + 2 * SPAN)
+    )
     if factor < 2:
         return dataset
     spec = replace(dataset.spec, sample_time=factor * dt)

@@ -11,20 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from harness.diagnosis.policy import DATA_POLICY
 from harness.signals import FloatArray
 
 __all__ = ["LONGEST", "Path", "fourth_difference", "tracked"]
 
 BEAM = 16
 """Paths that are followed side by side."""
-HOPELESS = 60.0
-"""A path this much less likely (natural logarithm) than the best one is given up."""
-SAME = 0.5
-"""Paths whose states differ by less than this share of their standard deviations go on as one."""
-RIVAL = 5.0
-"""A path this much less likely than the best one is no rival."""
-A_TURN = 10.0
-"""By how much every change of the sign must make the path likelier than one without any."""
 LONGEST = 10_000
 """Samples of a record that are followed."""
 
@@ -91,10 +84,10 @@ def tracked(y: FloatArray) -> Path | None:
     likely, signs = best[0]
     turns = np.count_nonzero(np.diff(signs))
     straight = _followed(scaled, walk, folds=False)[0][0]
-    if turns == 0 or likely - straight < A_TURN * turns:
+    if turns == 0 or likely - straight < DATA_POLICY.turn * turns:
         return None
     for rival, others in best[1:]:
-        if likely - rival < RIVAL and np.mean(others != signs) > 0.01:
+        if likely - rival < DATA_POLICY.rival and np.mean(others != signs) > 0.01:
             return None
     return Path(signs, float(likely - straight))
 
@@ -135,7 +128,7 @@ def _followed(y: FloatArray, walk: float, *, folds: bool = True) -> list[tuple[f
             ahead, score = np.concatenate([ahead, ahead]), np.concatenate([score, score])
         score = score - 0.5 * missed * missed / variance - 0.5 * np.log(variance)
         order = np.argsort(-score, kind="stable")
-        order = order[score[order] > score[order[0]] - HOPELESS]
+        order = order[score[order] > score[order[0]] - DATA_POLICY.hopeless]
         moved = ahead[order] + missed[order, None] * gain
         kept = _apart(moved, spread)
         chosen, mean = order[kept], moved[kept]
@@ -159,7 +152,7 @@ def _apart(states: FloatArray, spread: FloatArray) -> list[int]:
     for row in range(1, len(states)):
         if len(kept) == BEAM:
             break
-        if np.all(np.any(np.abs(states[kept] - states[row]) > SAME * spread, axis=1)):
+        if np.all(np.any(np.abs(states[kept] - states[row]) > DATA_POLICY.same * spread, axis=1)):
             kept.append(row)
     return kept
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.records.tracked_signs import LONGEST, Path, fourth_difference, tracked
 from harness.effects.effect import Placed
 from harness.physics.windows import Windows, data_states
@@ -22,8 +23,6 @@ __all__ = ["HIDING", "Unfolding", "hidden_signs", "signs_by_model", "unfoldings"
 
 HIDING = ("sensor_rectification",)
 """Effects on an output that hide its sign."""
-NEAR = 0.1
-"""A reading below this share of the rms is near zero."""
 PERIODS = np.geomspace(6.0, 120.0, 16)  # samples
 DAMPING = (0.03, 0.08, 0.15, 0.3, 0.6, 0.9)
 SLOW = np.geomspace(1.5, 60.0, 6)  # samples
@@ -107,7 +106,7 @@ def _unfolded(runs: Sequence[Trajectory], column: int) -> list[Unfolding]:
     size = float(np.sqrt(np.mean(np.concatenate(whole) ** 2)))
     if size == 0 or any(one.min() < -max(1e-3 * size, 5 * fourth_difference(one)) for one in whole):
         return []
-    if not any(_low_turns(one, NEAR * size) for one in whole):
+    if not any(_low_turns(one, DATA_POLICY.near_zero * size) for one in whole):
         return []
     paths = [one for one in (_path(y.tobytes()) for y in whole) if one is not None]
     if len(paths) == len(whole):

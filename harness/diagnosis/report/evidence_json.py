@@ -41,7 +41,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from harness.diagnosis.policy import EFFORT, described
+from harness.diagnosis.policy import DATA_POLICY, EFFORT, RUN_POLICY, described
 from harness.diagnosis.records.motion import measured_coordinates
 from harness.diagnosis.report.experiments import Bench, separate_with, separating
 from harness.diagnosis.runs import residual_tests
@@ -121,7 +121,11 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "horizon": {"seconds": found.runs.horizon.seconds, "reason": found.runs.horizon.reason},
         "form": "maximum likelihood" if found.form.latent else "maximum likelihood of free runs",
         "converged": {"nominal": found.nominal.converged, "final": found.final.converged},
-        "policy": {**described(found.policy), **described(EFFORT)},
+        "policy": {
+            name: number
+            for group in (found.policy, EFFORT, DATA_POLICY, RUN_POLICY)
+            for name, number in described(group).items()
+        },
         "warnings": list(dict.fromkeys(warnings)),
         "seconds": round(found.seconds, 2),
     }  # fmt: skip

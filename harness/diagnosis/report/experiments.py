@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.policy import PLAN_POLICY
 from harness.effects.effect import Placed
 from harness.signals import Dataset, FloatArray
 
@@ -15,10 +16,6 @@ __all__ = ["Bench", "separate_with", "separating"]
 
 SHORTEST, LONGEST = 20.0, 60.0
 PERIODS = 6
-UPRIGHT = 1.2
-"""Slow swings stay below this angle [rad]: beyond 90 deg a pendulum falls, and then it is not slow."""
-MOST_STRONGER = 32.0
-"""An input is never asked to grow more than this over what the data show that the plant bears."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +134,7 @@ def _slow_triangle(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[s
     """Plan a triangle of an eighth of the resonance at three amplitudes, its swing within what the data show."""
     seen, _ = bench.seen()
     angles = np.array([one.unit == "rad" for one in bench.system.coordinates], dtype=bool)
-    most = np.where(angles, np.minimum(seen[0], UPRIGHT), seen[0]) if angles.size else seen[0]
+    most = np.where(angles, np.minimum(seen[0], PLAN_POLICY.upright), seen[0]) if angles.size else seen[0]
     frequency = bench.resonance() / 8
     wave = _triangle(int(PERIODS / frequency / bench.sample_time), bench.sample_time, frequency)
     peaks = bench.peaks
@@ -178,7 +175,7 @@ def _swing(target: float) -> _Plan:
         band = [_two(0.3 * centre), _two(1.5 * centre)]
         t = np.arange(int(SHORTEST / dt)) * dt
         sweep = np.sin(2 * np.pi * (band[0] * t + 0.5 * (band[1] - band[0]) / SHORTEST * t**2))
-        for factor in np.geomspace(0.5, MOST_STRONGER, 19):
+        for factor in np.geomspace(0.5, PLAN_POLICY.stronger, 19):
             reached, _ = bench.moves(sweep[:, None] * factor * bench.peaks)
             if np.all(reached[0] >= wanted):
                 break

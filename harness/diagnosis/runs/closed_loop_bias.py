@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from harness.diagnosis.policy import RUN_POLICY
 from harness.diagnosis.runs.fitted import Fitted, stacked
 from harness.diagnosis.runs.residual_tests import effective_samples
 from harness.errors import HarnessError
@@ -23,11 +24,6 @@ from harness.signals import FloatArray, Trajectory
 
 __all__ = ["BiasTest", "Instrumented", "Shift", "closed_loop_bias", "driven_part", "laguerre"]
 
-LEVEL = 0.01
-WEAK = 0.3
-"""Below this cosine to the instruments a direction of the parameters counts as not instrumented."""
-MATTERS = 1.0
-"""A smaller shift, in standard errors of the combination that moves most, leaves the intervals usable."""
 FUNCTIONS = 12
 
 
@@ -105,7 +101,7 @@ class BiasTest:
     @property
     def biased(self) -> bool | None:
         """True if the test rejects and the shift matters, None if it could not be made."""
-        return None if self.reason else bool(self.p < LEVEL and self.largest > MATTERS)
+        return None if self.reason else bool(self.p < RUN_POLICY.bias_level and self.largest > RUN_POLICY.matters)
 
     def to_dict(self, units: Mapping[str, str]) -> dict[str, Any]:
         """Return the entry of ``report.json``; figures that do not exist are None."""
@@ -271,7 +267,7 @@ def _compare(
     basis = basis[:, zs > 1e-8 * zs[0]]
     into, cosines, _ = np.linalg.svd(left.T @ basis, full_matrices=False)
     strength = float(cosines.min(initial=1.0)) if cosines.size == left.shape[1] else 0.0
-    reached = cosines > WEAK
+    reached = cosines > RUN_POLICY.weak
     if not reached.any():
         return BiasTest(names, "the reference hardly moves what the fit relies on", strength=strength)
     axes = into[:, : cosines.size][:, reached]

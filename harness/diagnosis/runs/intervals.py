@@ -14,22 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.policy import RUN_POLICY
 from harness.signals import FloatArray
 
 __all__ = ["Interval", "block_interval", "correlation_samples"]
 
-BLOCKS = 20
-FEWEST = 4
-"""Blocks of a residual that stays coloured for long: with fewer, Student's t is of no use."""
-TIMES = 10.0
-"""Length of a block in correlation times: neighbours then share little."""
 SCALES = (2, 8, 32, 128)
 """Samples whose means show whether a residual is white."""
-MEANS = 20
-"""A scale with fewer means tells nothing."""
-LEVEL = 0.01
-DETERMINED = 0.02
-"""A block that leaves less than this share of a direction to the others has no estimate without it."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +51,7 @@ def block_interval(
     residual: Sequence[FloatArray],
     *,
     starts: Sequence[FloatArray] = (),
-    blocks: int = BLOCKS,
+    blocks: int = RUN_POLICY.interval_blocks,
     adapt: bool = True,
 ) -> tuple[Interval, ...]:
     """Return 95 % intervals that stay honest where the residual is coloured.
@@ -110,10 +101,10 @@ def block_interval(
     basis = left[:, alive]
     back = right[alive].T / singular[alive]  # from the orthonormal directions to the parameters
     lengths = [len(one) // ny for one in starts] or [len(one) for one in residual]
-    most = r.size // ny / (TIMES * correlation_samples(residual))
+    most = r.size // ny / (RUN_POLICY.correlation_times * correlation_samples(residual))
     plain = np.sum(back**2, axis=1) * float(r @ r) / max(r.size - p, 1)
     half = np.zeros(p)
-    for wanted in {blocks, int(np.clip(most, min(FEWEST, blocks), blocks)) if adapt else blocks}:
+    for wanted in {blocks, int(np.clip(most, min(RUN_POLICY.fewest_blocks, blocks), blocks)) if adapt else blocks}:
         scores = [
             _score(basis[a * ny : b * ny], None if start is None else start[c * ny : d * ny], r[a * ny : b * ny])
             for a, b, start, c, d in _blocks(lengths, starts, wanted)
@@ -152,14 +143,14 @@ def correlation_samples(residual: Sequence[FloatArray]) -> float:
     for scale in SCALES:
         means = [one[: len(one) // scale * scale].reshape(-1, scale, one.shape[1]).mean(axis=1) for one in residual]
         count = sum(len(one) for one in means)
-        if count < MEANS:
+        if count < RUN_POLICY.means:
             break
         for column in range(residual[0].shape[1]):
             power = float(np.mean(np.concatenate([one[:, column] ** 2 for one in residual])))
             parts = [one[:, column] for one in means]
             size = float(np.mean(np.concatenate(parts) ** 2))
-            if power > 0 and scale * size / power > stats.chi2.ppf(1 - LEVEL, count) / count:
-                longest = max([longest, *(scale * _squared(one) for one in parts if len(one) >= MEANS)])
+            if power > 0 and scale * size / power > stats.chi2.ppf(1 - RUN_POLICY.white_level, count) / count:
+                longest = max([longest, *(scale * _squared(one) for one in parts if len(one) >= RUN_POLICY.means)])
     return longest
 
 
@@ -205,5 +196,5 @@ def _score(basis: FloatArray, start: FloatArray | None, r: FloatArray) -> FloatA
     """Return J_b' (I - H_bb)^-1 r_b in orthonormal directions of the parameters."""
     both = basis if start is None else np.hstack([basis, start])
     size, turn = np.linalg.eigh(np.eye(both.shape[1]) - both.T @ both)
-    corrected = turn @ ((turn.T @ (both.T @ r)) / np.maximum(size, DETERMINED))
+    corrected = turn @ ((turn.T @ (both.T @ r)) / np.maximum(size, RUN_POLICY.determined))
     return np.asarray(corrected[: basis.shape[1]])

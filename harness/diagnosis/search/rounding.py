@@ -15,9 +15,6 @@ from harness.signals import Dataset
 
 __all__ = ["add_rounding"]
 
-_CHANCE = 0.02
-"""Probability that a reading lies within 1 % of a step of a grid point although there is no grid."""
-
 
 def add_rounding(
     form: Form, outcome: Outcome, dataset: Dataset, candidates: Sequence[Placed], policy: Policy = POLICY
@@ -50,6 +47,8 @@ def add_rounding(
         found = form.fit([*model.effects, placed], [{**model.values, placed.name("step"): step}], model)
         if found is None:
             continue
-        gain = [-one.on_grid * sum(map(len, model.terms[use])) * float(np.log(_CHANCE)) for use, one in tests.items()]
+        gain = [
+            -one.on_grid * sum(map(len, model.terms[use])) * float(np.log(POLICY.chance)) for use, one in tests.items()
+        ]
         outcome.model = found
         outcome.accepted.append(Accepted(placed, ((placed,),), gain[0], gain[1]))
