@@ -23,19 +23,15 @@ def coloured(n: int, rng: np.random.Generator, pole: float = 0.95) -> np.ndarray
 
 
 def test_whiteness_tests_alarm_at_their_level_on_white_residuals() -> None:
-    whiteness, inputs, squares, steady, line = [], [], [], [], []
+    whiteness, inputs, steady = [], [], []
     for seed in range(REPEATS):
         rng = np.random.default_rng(seed)
         r, u = rng.standard_normal(600), coloured(600, rng)
-        y = coloured(600, rng)
         whiteness.append(tests.ljung_box(r).p)
         inputs.append(tests.input_correlation(u, r).p)
-        squares.append(tests.higher_order(u, y, r)[0].p)
         steady.append(tests.cusum_of_squares(r)[2].p)
-        line.append(tests.fisher_g(r, 0.01).p)
-    for found in (whiteness, inputs, squares, steady):
+    for found in (whiteness, inputs, steady):
         assert 0.015 < rate(found) < 0.1
-    assert rate(line) < 0.2  # the running median makes it liberal; a line must also stand on validation
 
 
 def test_each_test_sees_what_it_is_for() -> None:
@@ -45,21 +41,9 @@ def test_each_test_sees_what_it_is_for() -> None:
     late = np.r_[e[:1000], 2 * e[1000:]]
     assert tests.ljung_box(coloured(n, rng, 0.3)).p < 1e-6
     assert tests.input_correlation(u, e + 0.1 * np.roll(u, 3)).p < 1e-6
-    assert tests.higher_order(u, u, e + 0.05 * u**2)[0].p < 1e-6
     assert tests.cusum_of_squares(late)[2].p < 1e-6
     path, band, _ = tests.cusum_of_squares(late)
     assert np.abs(path).max() > band
-    found = tests.fisher_g(e + 0.5 * np.sin(2 * np.pi * 1.7 * np.arange(n) * 0.01), 0.01)
-    assert found.p < 1e-6
-    assert found.omega == pytest.approx(2 * np.pi * 1.7, abs=2 * np.pi / (n * 0.01))
-
-
-def test_fisher_probability_agrees_with_simulation() -> None:
-    rng = np.random.default_rng(3)
-    power = rng.exponential(size=(20000, 50))
-    g = power.max(axis=1) / power.sum(axis=1)
-    level = float(np.quantile(g, 0.95))
-    assert tests._fisher_p(level, 50) == pytest.approx(0.05, abs=0.006)
 
 
 def test_effective_samples_of_white_and_of_first_order_noise() -> None:
@@ -67,13 +51,6 @@ def test_effective_samples_of_white_and_of_first_order_noise() -> None:
     assert tests.effective_samples(rng.standard_normal(20000)) > 17000
     # N (1 - a) / (1 + a) independent samples in an AR(1) of pole a
     assert tests.effective_samples(coloured(40000, rng, 0.9)) == pytest.approx(40000 * 0.1 / 1.9, rel=0.25)
-
-
-def test_detection_is_by_effect_size_and_short_records_get_their_chance_value() -> None:
-    assert tests.detect(1.2, 0.0, 5000)
-    assert tests.detect(None, 0.11, 5000)
-    assert not tests.detect(1.1, 0.09, 5000)
-    assert not tests.detect(None, 0.15, 300)
 
 
 def test_no_two_numbers_of_the_policy_share_a_name_and_each_has_a_reason() -> None:

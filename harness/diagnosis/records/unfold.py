@@ -15,11 +15,10 @@ import numpy as np
 
 from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.records.tracked_signs import LONGEST, Path, fourth_difference, tracked
-from harness.effects.effect import Placed
 from harness.physics.windows import Windows, data_states
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["HIDING", "Unfolding", "hidden_signs", "signs_by_model", "unfoldings"]
+__all__ = ["HIDING", "Unfolding", "signs_by_model", "unfoldings"]
 
 HIDING = ("sensor_rectification",)
 """Effects on an output that hide its sign."""
@@ -173,18 +172,6 @@ def _regression(run: Trajectory, column: int, signs: FloatArray) -> tuple[FloatA
     past = [y[4 - lag : n - lag] for lag in range(1, 5)]
     past += [run.u[4 - lag : n - lag, port] for lag in range(1, 5) for port in range(run.u.shape[1])]
     return np.column_stack(past), y[4:]
-
-
-def hidden_signs(form: Any, candidates: Sequence[Placed]) -> dict[str, float]:
-    """Return the candidates whose sensor may hide a sign, each with how likely the output looks so by chance."""
-    found: dict[str, float] = {}
-    names = [column[0] for column in form.columns]
-    for one in candidates:
-        if one.effect.name in HIDING and one.at in names and hasattr(form, "records"):
-            signs = unfoldings(form.records["estimation"], names.index(one.at), most=1)
-            if signs:
-                found[str(one)] = signs[0].chance
-    return found
 
 
 def signs_by_model(form: Any, simulator: Any, record: Trajectory, p: FloatArray) -> FloatArray | None:

@@ -1,8 +1,4 @@
-"""Tests of one residual: is it larger than the noise, white, free of the input, steady, free of lines.
-
-They detect, they do not isolate. At N = 5000 the p-values reject models that are numerically perfect, so the loop
-decides on effect size (:func:`detect`) and prints the p-values beside it.
-"""
+"""Tests of one residual: is it white, free of the input, steady. They detect; the likelihood decides."""
 
 from __future__ import annotations
 
@@ -14,25 +10,16 @@ import numpy as np
 from harness.signals import FloatArray
 
 __all__ = [
-    "Line",
     "Outcome",
     "autocorrelation",
     "correlation_band",
     "cross_correlation",
     "cusum_of_squares",
-    "detect",
     "effective_samples",
-    "fisher_g",
-    "higher_order",
     "input_correlation",
     "ljung_box",
     "max_autocorrelation",
 ]
-
-RATIO = 1.15
-"""A residual this many times the noise floor counts as detected."""
-ACF = 0.1
-"""A largest autocorrelation above this counts as detected."""
 
 
 @dataclass(frozen=True)
@@ -47,15 +34,6 @@ class Outcome:
     def to_dict(self) -> dict[str, Any]:
         """Return the test for ``report.json``; figures that do not exist are None."""
         return {"name": self.name, "statistic": _known(self.statistic), "dof": self.dof, "p": _known(self.p)}
-
-
-@dataclass(frozen=True)
-class Line:
-    """A spectral line found by Fisher's g test: angular frequency [rad/s], share of the whitened power, p-value."""
-
-    omega: float
-    g: float
-    p: float
 
 
 def correlation_band(n: int) -> float:
@@ -132,19 +110,6 @@ def input_correlation(u: FloatArray, r: FloatArray, lags: int = 25) -> Outcome:
     return _projection("input cross-correlation", _lagged(u, lags), r)
 
 
-def higher_order(u: FloatArray, y: FloatArray, r: FloatArray, lags: int = 10) -> tuple[Outcome, ...]:
-    """Return the higher-order tests of Billings & Voon (Int. J. Control 44:803, 1986).
-
-    They relate u^2 to r, u^2 to r^2, and y r to u^2: a nonlinear term that the linear tests cannot see.
-    """
-    squares = _lagged(u**2, lags)
-    return (
-        _projection("u^2 with r", squares, r),
-        _projection("u^2 with r^2", squares, r**2),
-        _projection("u^2 with y r", squares, y * r),
-    )
-
-
 def cusum_of_squares(r: FloatArray) -> tuple[FloatArray, float, Outcome]:
     """Return the path C_k - k / N of the cumulative squares, its 99 % half width, and the test of its largest value.
 
@@ -162,27 +127,6 @@ def cusum_of_squares(r: FloatArray) -> tuple[FloatArray, float, Outcome]:
     return path, correlation_band(n), Outcome("CUSUM of squares", largest, n, p)
 
 
-def fisher_g(r: FloatArray, sample_time: float) -> Line:
-    """Return the strongest line in ``r`` (N,) with Fisher's exact p-value (Proc. R. Soc. A 125:54, 1929).
-
-    The periodogram is first divided by its running median, so that a coloured residual is not mistaken for a line.
-    Bins that the median cannot reach (the first few) are left out.
-    """
-    x = np.asarray(r, dtype=float) - np.mean(r)
-    n = x.size
-    power = np.abs(np.fft.rfft(x)[1 : (n - 1) // 2 + 1]) ** 2
-    if power.size < 16 or not power.max() > 0:
-        return Line(0.0, 0.0, 1.0)
-    background = _running_median(power)
-    flat = power / np.maximum(background, 1e-12 * power.max())
-    skip = 2
-    flat = flat[skip:]
-    best = int(np.argmax(flat))
-    g = float(flat[best] / flat.sum())
-    omega = 2 * np.pi * _peak(power, best + skip) / (n * sample_time)
-    return Line(omega, g, _fisher_p(g, flat.size))
-
-
 def effective_samples(r: FloatArray) -> float:
     """Return the number of independent samples that ``r`` (N,) is worth: N / (1 + 2 sum rho_k).
 
@@ -195,21 +139,6 @@ def effective_samples(r: FloatArray) -> float:
     stop = int(np.argmax(pairs <= 0)) if (pairs <= 0).any() else pairs.size
     time = 1.0 + 2.0 * float(pairs[:stop].sum())
     return float(np.clip(n / max(time, 1.0), min(4.0, n), n))
-
-
-def detect(ratio: float | None, acf: float, n: int) -> bool:
-    """Decide by effect size whether a residual shows that something is missing.
-
-    Parameters
-    ----------
-    ratio : float or None
-        Residual over noise floor; None if the floor is unknown.
-    acf : float
-        Largest absolute autocorrelation.
-    n : int
-        Samples: in short records the chance value of ``acf`` (3.3 / sqrt(n)) replaces 0.1.
-    """
-    return (ratio is not None and ratio > RATIO) or acf > max(ACF, 3.3 / float(np.sqrt(n)))
 
 
 def _known(value: float) -> float | None:
@@ -242,38 +171,3 @@ def _projection(name: str, x: FloatArray, r: FloatArray) -> Outcome:
         return Outcome(name, float("nan"), 0, float("nan"))
     share = float(np.sum((left[:, :rank].T @ e) ** 2)) / power
     return _chi2(name, e.size * share, rank)
-
-
-def _running_median(power: FloatArray) -> FloatArray:
-    """Return the running median of a periodogram, narrow at low frequency, scaled to the mean of an exponential."""
-    from scipy.ndimage import median_filter
-
-    background = power
-    narrow = median_filter(power, size=21, mode="reflect")
-    wide = median_filter(power, size=min(101, power.size | 1), mode="reflect")
-    index = np.arange(power.size)
-    background = np.where(index < 15, narrow, wide)
-    return np.asarray(background / np.log(2.0))
-
-
-def _peak(power: FloatArray, k: int) -> float:
-    """Return the place of a peak between bins, in bins counted from 0 Hz (parabola through the logarithms)."""
-    if not 0 < k < power.size - 1:
-        return float(k + 1)
-    a, b, c = np.log(np.maximum(power[k - 1 : k + 2], 1e-300))
-    curvature = a - 2 * b + c
-    return float(k + 1 + (0.5 * (a - c) / curvature if curvature < 0 else 0.0))
-
-
-def _fisher_p(g: float, m: int) -> float:
-    """Return Fisher's exact tail probability of the largest share ``g`` of ``m`` exponential powers."""
-    if g <= 0 or g >= 1:
-        return 1.0 if g <= 0 else 0.0
-    terms = int(min(1 / g, m))
-    j = np.arange(1, terms + 1)
-    from scipy.special import gammaln
-
-    logs = gammaln(m + 1) - gammaln(j + 1) - gammaln(m - j + 1) + (m - 1) * np.log1p(-np.minimum(j * g, 1 - 1e-15))
-    if logs.max() > 3.0:  # the alternating sum has lost its digits; here p is 1 for every purpose
-        return 1.0
-    return float(np.clip(np.sum(np.where(j % 2 == 1, 1.0, -1.0) * np.exp(logs)), 0.0, 1.0))
