@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from harness.errors import InputError
+from harness.physics.dimensions import Dimensions
 from harness.physics.parameters import Parameter
 from harness.physics.ports import Port, SampledBlock
 from harness.signals import Channel, FloatArray
@@ -43,7 +44,7 @@ class FmuCoordinate:
 
 
 @dataclass(frozen=True, eq=False)
-class FmuSystem:
+class FmuSystem(Dimensions):
     """An FMU with effects around it: read by ``fmu_system``, surrounded by :func:`harness.blackbox.effects.surround`.
 
     Attributes
@@ -100,26 +101,6 @@ class FmuSystem:
         return (*self.inner_states, *self.hidden)
 
     @property
-    def nx(self) -> int:
-        """Number of states."""
-        return len(self.inner_states) + len(self.hidden)
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-        return len(self.inputs)
-
-    @property
-    def ny(self) -> int:
-        """Number of outputs."""
-        return len(self.outputs)
-
-    @property
-    def np(self) -> int:
-        """Number of parameters."""
-        return len(self.parameters)
-
-    @property
     def hidden_count(self) -> int:
         """Number of hidden states."""
         return len(self.hidden)
@@ -128,11 +109,6 @@ class FmuSystem:
     def inner_count(self) -> int:
         """Number of parameters of the FMU itself."""
         return len(self.parameters if self.nominal is None else self.nominal.parameters)
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters, in order."""
-        return tuple(one.name for one in self.parameters)
 
     @property
     def ports(self) -> tuple[Port, ...]:

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from harness.errors import InputError
+from harness.physics.dimensions import Dimensions
 from harness.physics.linear_solve import solve_symmetric
 from harness.physics.parameters import Parameter, defaults
 from harness.physics.ports import BodyTerm, Coordinate, Port, SampledBlock
@@ -20,7 +21,7 @@ __all__ = ["Equations", "index_of"]
 
 
 @dataclass(frozen=True, eq=False)
-class Equations:
+class Equations(Dimensions):
     r"""A continuous-time grey box ``x' = f(x, u, p, t)``, ``y = h(x, u, p, t)``; nominal, or with effects built in.
 
     States are the coordinates q, their rates v, then the other states (of an ODE, or hidden ones of effects)::
@@ -97,31 +98,6 @@ class Equations:
     starts: Callable[[Sequence[Trajectory]], Mapping[str, float]] | None = field(default=None, repr=False)
 
     # ---- sizes and names ------------------------------------------------------------------------------------------
-
-    @property
-    def nx(self) -> int:
-        """Number of states."""
-        return len(self.states)
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-        return len(self.inputs)
-
-    @property
-    def ny(self) -> int:
-        """Number of outputs."""
-        return len(self.outputs)
-
-    @property
-    def np(self) -> int:
-        """Number of parameters."""
-        return len(self.parameters)
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters, in order."""
-        return tuple(parameter.name for parameter in self.parameters)
 
     @property
     def ports(self) -> tuple[Port, ...]:
