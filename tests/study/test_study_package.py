@@ -30,7 +30,11 @@ def make(folder: Path, **options: object) -> Path:
 
 def test_the_records_are_those_of_the_study_and_tell_nothing(tmp_path: Path) -> None:
     known = read_truth(make(tmp_path))
-    tasks = [task for task in plan("all", base=BASES["judged"], plants=["pendulum"], cells=1, alarms=1) if task.study != "cost"]
+    tasks = [
+        task
+        for task in plan("all", base=BASES["judged"], plants=["pendulum"], cells=1, alarms=1)
+        if task.study != "cost"
+    ]
     assert set(known) == {record_name(task.key) for task in tasks[:6]}
     hidden = {effect.partition("@")[0] for row in known.values() for effect in row["truth"].split(" + ") if effect}
     assert hidden
