@@ -11,7 +11,7 @@ backlash                        flanks that push and never pull, and harden
 elasticity                      a flexible joint that hardens
 end stop                        a contact after Hunt & Crossley 1975
 actuator lag                    a motor with inductance, back-EMF and bounded voltage under a current controller
-saturation                      the same with a limit of its current, and hardly a lag
+saturation                      a motor with a current limit whose back-EMF takes a little more of it at speed
 input delay                     a controller that samples the command with a slower clock and holds it
 payload step                    the payload is taken up within 0.1 s
 ==============================  ====================================================================================
@@ -96,13 +96,17 @@ def _hardening(values: Mapping[str, float], context: Context) -> float:
 
 def _drive(name: str, values: Mapping[str, float], context: Context) -> dict[str, float]:
     """Return a drive that is late or limited."""
-    peak = float(abs(context.u).max())
     if name == "input_delay":
         # what is held is late by half a period of the slower clock on average; the rest is its computing time
         period = 2 * DT if values["delay"] >= DT else 0.5 * DT
         return {"hold": period, "delay": max(0.0, values["delay"] - 0.5 * period)}
-    electrical = 0.015
-    lag = values["tau"] if name == "actuator_lag" else 0.0005
-    emf = 0.15 * peak / max(1e-9, float(abs(context.v("x" if context.plant == "cart-pole" else "theta")).max()))
-    motor = {"te": electrical, "loop": electrical / lag, "emf": emf, "volt": 4 * peak}
-    return motor | ({"limit": values["limit"]} if name == "saturation" else {})
+    fastest = max(1e-9, float(abs(context.v("x" if context.plant == "cart-pole" else "theta")).max()))
+    if name == "saturation":
+        return {"limit": values["limit"], "volt": 1.05 * values["limit"], "emf": 0.1 * values["limit"] / fastest}
+    electrical, peak = 0.015, float(abs(context.u).max())
+    return {
+        "te": electrical,
+        "loop": electrical / values["tau"],
+        "emf": 0.15 * peak / fastest,
+        "volt": 4 * peak,
+    }

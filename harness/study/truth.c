@@ -242,6 +242,8 @@ __attribute__((visibility("default"))) int simulate(const double *p, const doubl
         double f = play(u[command], p[P_width]);
         f *= 1 - p[P_droop] * fabs(f);
         if (fabs(f) > p[P_limit]) f = copysign(p[P_limit], f);
+        if (p[P_te] == 0 && p[P_volt] < 1e29) /* no inductance: the back-EMF leaves less voltage at speed */
+            f = fmax(-p[P_volt] - p[P_emf] * x[2], fmin(p[P_volt] - p[P_emf] * x[2], f));
         if (p[P_te] > 0) { /* inductance and back-EMF, under a PI current controller with a bounded voltage */
             const double error = f - current, voltage = p[P_loop] * error + integral;
             const double bounded = fmax(-p[P_volt], fmin(p[P_volt], voltage));
