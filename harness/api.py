@@ -334,9 +334,16 @@ def identify(
         fitted,
         {use: [equation_error(fitted, one) for one in data.using(use)] for use in uses},
         {use: [simulation_error(fitted, one) for one in data.using(use)] for use in uses},
-        data.warnings,
+        (*data.warnings, *_said(fitted)),
         probability,
     )
+
+
+def _said(model: Model) -> tuple[str, ...]:
+    """Return what the fit of a model warns of."""
+    notes = getattr(model, "notes", None)
+    warning = notes.get("warning") if isinstance(notes, Mapping) else None
+    return (str(warning),) if warning else ()
 
 
 def close_loop(
