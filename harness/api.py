@@ -429,6 +429,7 @@ def study(
     cells: int = 2,
     alarms: int = 300,
     budget: float | None = None,
+    engine: str = "local",
     resume: bool = False,
     force: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
@@ -446,6 +447,7 @@ def study(
         cells=cells,
         alarms=alarms,
         budget=budget,
+        engine=engine,
         resume=resume,
         force=force,
         progress=progress,
@@ -463,6 +465,9 @@ def generate_study(
     cells: int = 2,
     alarms: int = 300,
     like: str | Path | None = None,
+    workers: int | None = None,
+    resume: bool = False,
+    force: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Package:
     """Write the records of a study for another tool, the truth apart; see :func:`harness.study.package.generate`."""
@@ -478,6 +483,9 @@ def generate_study(
         cells=cells,
         alarms=alarms,
         like=like,
+        workers=workers,
+        resume=resume,
+        force=force,
         progress=progress,
     )
 
