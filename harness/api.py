@@ -207,14 +207,15 @@ def plan_bench(
     return benchmark.plan(suite, out=out, workers=workers, seeds=seeds, shard=shard)
 
 
-def query(directory: str | Path, sql: str) -> Answer:
-    """Return the answer to a query over the tables of a benchmark's or a fleet's folder.
+def query(directory: str | Path, sql: str | None = None, *, filters: Mapping[str, Any] | None = None) -> Answer:
+    """Return the answer to a query over the tables of a benchmark's or a fleet's folder, or its first table.
 
     See :func:`harness.benchmark.query` and :func:`harness.fleet.query`.
     """
     from harness import benchmark, fleet
 
-    return fleet.query(directory, sql) if fleet.is_fleet_folder(directory) else benchmark.query(directory, sql)
+    room = fleet.query if fleet.is_fleet_folder(directory) else benchmark.query
+    return room(directory, sql, filters=filters)
 
 
 def table(directory: str | Path) -> BenchResult:

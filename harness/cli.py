@@ -45,6 +45,7 @@ from harness.terminal import (
     progress_bar,
     say,
     seed_range,
+    text_pairs,
     wide_console,
 )
 
@@ -220,21 +221,25 @@ def table(
 def query(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark or a fleet, finished or not")],
     sql: Annotated[
-        str, typer.Argument(metavar="SQL", help="over results, timings, regret, traces; of a fleet: records, effects")
-    ],
+        str | None,
+        typer.Argument(metavar="[SQL]", help="over results, timings, regret, traces; of a fleet: records, effects"),
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option("--filter", metavar="COLUMN=VALUE", help="only such rows, repeatable")
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="answer.csv or answer.parquet")] = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Ask the stored rows of a benchmark or a fleet a question in SQL (DuckDB)."""
-    answer = api.query(directory, sql)
+    """Ask the stored rows of a benchmark or a fleet a question in SQL (DuckDB), or show those with given values."""
+    answer = api.query(directory, sql, filters=text_pairs(only, "--filter"))
     if out is not None:
         answer.write(out, force=force)
         say(f"wrote {out}")
     elif as_json:
         print_json(answer.records())
     else:
-        print_answer(answer)
+        print_answer(answer if sql is not None else answer.narrow())
 
 
 @app.command()

@@ -72,6 +72,8 @@ class Summary:
     control_score: Quartiles | None
     control_regret: Quartiles | None
     noise_floor: Quartiles | None
+    over_floor: Quartiles | None
+    """Simulation error over the noise floor of its own seed: 1 is as good as can be."""
     fit_seconds: Quartiles | None
     memory_mib: Quartiles | None
     leading: bool
@@ -119,6 +121,9 @@ def summarise(rows: Sequence[Row], cells: Sequence[tuple[str, str, str]] = ()) -
         good = [row for row in own if row.status == "ok"]
         scores = {name: _quartiles([getattr(row, name) for row in good]) for name in SCORES}
         scores["noise_floor"] = _quartiles([row.noise_floor for row in own])
+        scores["over_floor"] = _quartiles(
+            [row.simulation_error / row.noise_floor for row in good if row.simulation_error and row.noise_floor]
+        )
         leading = (plant, scenario, identifier) in leaders
         faults = Counter((row.status, row.reason) for row in own if row.status != "ok")
         problems = tuple((status, reason, n) for (status, reason), n in faults.most_common())
