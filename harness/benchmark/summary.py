@@ -94,13 +94,14 @@ def figure(value: float | None, digits: int = 3) -> str:
 
     Examples
     --------
-    >>> figure(0.012345), figure(0.00012345), figure(12345.0), figure(1.0), figure(None)
-    ('0.0123', '1.23e-4', '1.23e4', '1', '-')
+    >>> figure(0.012345), figure(0.00012345), figure(12345.0), figure(1234.5), figure(1.0), figure(None)
+    ('0.0123', '1.23e-4', '1.23e4', '1234', '1', '-')
     """
     if value is None:
         return "-"
     if value == 0 or 1e-3 <= abs(value) < 1e4:
-        return f"{value:.{digits}g}"
+        text = f"{value:.{digits}g}"
+        return text if "e" not in text else f"{value:.0f}"
     mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
     return f"{mantissa}e{int(exponent)}"
 

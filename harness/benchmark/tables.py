@@ -50,7 +50,7 @@ def rich_table(result: BenchResult) -> Group:
             _shown(line.equation_error) if line.ok else Text(_status(line), style="yellow"),
             Text(_shown(line.simulation_error), style=style),
             figure(line.noise_floor.median, 2) if line.noise_floor and not row_of_place else "",
-            figure(line.over_floor.median, 2) if line.over_floor else "",
+            figure(line.over_floor.median) if line.over_floor else "",
             _shown(line.regret),
             *((_shown(line.control_score), _shown(line.control_regret), line.control) if control else ()),
         )
