@@ -209,14 +209,15 @@ def plan_bench(
     return benchmark.plan(suite, out=out, workers=workers, seeds=seeds, shard=shard)
 
 
-def query(directory: str | Path, sql: str) -> Answer:
-    """Return the answer to a query over the tables of a benchmark's or a fleet's folder.
+def query(directory: str | Path, sql: str | None = None, *, filters: Mapping[str, Any] | None = None) -> Answer:
+    """Return the answer to a query over the tables of a benchmark's or a fleet's folder, or its first table.
 
     See :func:`harness.benchmark.query` and :func:`harness.fleet.query`.
     """
     from harness import benchmark, fleet
 
-    return fleet.query(directory, sql) if fleet.is_fleet_folder(directory) else benchmark.query(directory, sql)
+    room = fleet.query if fleet.is_fleet_folder(directory) else benchmark.query
+    return room(directory, sql, filters=filters)
 
 
 def table(directory: str | Path) -> BenchResult:
@@ -504,6 +505,7 @@ def study(
     cells: int = 4,
     alarms: int = 400,
     budget: float | None = None,
+    engine: str = "local",
     resume: bool = False,
     force: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
@@ -521,6 +523,7 @@ def study(
         cells=cells,
         alarms=alarms,
         budget=budget,
+        engine=engine,
         resume=resume,
         force=force,
         progress=progress,
@@ -538,6 +541,9 @@ def generate_study(
     cells: int = 4,
     alarms: int = 400,
     like: str | Path | None = None,
+    workers: int | None = None,
+    resume: bool = False,
+    force: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Package:
     """Write the records of a study for another tool, the truth apart; see :func:`harness.study.package.generate`."""
@@ -553,6 +559,9 @@ def generate_study(
         cells=cells,
         alarms=alarms,
         like=like,
+        workers=workers,
+        resume=resume,
+        force=force,
         progress=progress,
     )
 

@@ -14,6 +14,18 @@ from typing import Annotated
 import typer
 
 from harness import __version__, api
+from harness.cli_options import (
+    AsJson,
+    Engine,
+    Force,
+    ModelName,
+    OptionPairs,
+    Resume,
+    Seed,
+    Undriven,
+    Validation,
+    Workers,
+)
 from harness.cli_study import study_app
 from harness.errors import HarnessError, InputError
 from harness.interrupts import INTERRUPTED, Interrupts
@@ -33,6 +45,7 @@ from harness.terminal import (
     progress_bar,
     say,
     seed_range,
+    text_pairs,
     wide_console,
 )
 
@@ -48,19 +61,6 @@ app = typer.Typer(
 )
 
 app.add_typer(study_app, name="study")
-
-OptionPairs = Annotated[list[str] | None, typer.Option("--option", "-O", metavar="k=v", help="option, repeatable")]
-AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
-Force = Annotated[bool, typer.Option("--force", help="overwrite")]
-Seed = Annotated[int, typer.Option(help="keys every random number")]
-ModelName = Annotated[
-    str | None,
-    typer.Option(help="nominal model: NAME, FILE.fmu, FILE.urdf or FILE.py:NAME", autocompletion=completed("models")),
-]
-Validation = Annotated[Path | None, typer.Option(help="validation file beside a bare CSV or Parquet file")]
-Undriven = Annotated[
-    list[str] | None, typer.Option("--undriven", metavar="INPUT", help="input of the model that nothing drove")
-]
 
 
 @app.command(name="list")
@@ -162,10 +162,10 @@ def bench(
         ),
     ],
     out: Annotated[Path | None, typer.Option(help="folder for results; default results/SUITE")] = None,
-    workers: Annotated[int | None, typer.Option(help="processes; default all cores")] = None,
+    workers: Workers = None,
     seeds: Annotated[str | None, typer.Option(metavar="A..B", help="seeds A to B, both included")] = None,
-    engine: Annotated[str, typer.Option(help="local, or dask://HOST:PORT")] = "local",
-    resume: Annotated[bool, typer.Option("--resume", help="continue in a folder that has results")] = False,
+    engine: Engine = "local",
+    resume: Resume = False,
     shard: Annotated[str | None, typer.Option(metavar="i/n", help="the i-th of n shares, for job arrays")] = None,
     traces: Annotated[
         str, typer.Option(help="seeds with an overlay of their trajectory: first | all | none")
@@ -221,21 +221,25 @@ def table(
 def query(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark or a fleet, finished or not")],
     sql: Annotated[
-        str, typer.Argument(metavar="SQL", help="over results, timings, regret, traces; of a fleet: records, effects")
-    ],
+        str | None,
+        typer.Argument(metavar="[SQL]", help="over results, timings, regret, traces; of a fleet: records, effects"),
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option("--filter", metavar="COLUMN=VALUE", help="only such rows, repeatable")
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="answer.csv or answer.parquet")] = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Ask the stored rows of a benchmark or a fleet a question in SQL (DuckDB)."""
-    answer = api.query(directory, sql)
+    """Ask the stored rows of a benchmark or a fleet a question in SQL (DuckDB), or show those with given values."""
+    answer = api.query(directory, sql, filters=text_pairs(only, "--filter"))
     if out is not None:
         answer.write(out, force=force)
         say(f"wrote {out}")
     elif as_json:
         print_json(answer.records())
     else:
-        print_answer(answer)
+        print_answer(answer if sql is not None else answer.narrow())
 
 
 @app.command()
@@ -336,7 +340,7 @@ def close_loop(
     validation: Validation = None,
     undriven: Undriven = None,
     as_json: Annotated[bool, typer.Option("--json", help="print report.json")] = False,
-    resume: Annotated[bool, typer.Option("--resume", help="continue what was interrupted")] = False,
+    resume: Resume = False,
     force: Force = False,
     workers: Annotated[int | None, typer.Option(min=1, help="of a fleet: processes; default all cores")] = None,
     engine: Annotated[str, typer.Option(help="of a fleet: local, or dask://HOST:PORT")] = "local",

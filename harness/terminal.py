@@ -41,6 +41,7 @@ __all__ = [
     "progress_bar",
     "say",
     "seed_range",
+    "text_pairs",
     "wide_console",
 ]
 
@@ -169,6 +170,17 @@ def option_value(text: str) -> Any:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text
+
+
+def text_pairs(texts: Sequence[str] | None, flag: str) -> dict[str, str]:
+    """Read ``k=v`` pairs as they stand."""
+    pairs = [text.partition("=") for text in texts or ()]
+    for key, equals, value in pairs:
+        if not (key and equals):
+            raise InputError(
+                "pair", expected="NAME=VALUE", got=repr(key + equals + value), remedy="correct it", place=flag
+            )
+    return {key.strip(): value.strip() for key, _, value in pairs}
 
 
 def option_pairs(texts: Sequence[str] | None, flag: str) -> dict[str, Any]:
