@@ -22,7 +22,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory, Use
 if TYPE_CHECKING:
     from harness.benchmark import Answer, BenchResult
     from harness.benchmark.planning import Plan
-    from harness.comparison import Comparison, Spectrum
+    from harness.comparison import Comparison, OrderSelection, Spectrum
     from harness.conformance import CheckResult
     from harness.data import Nominal
     from harness.diagnosis import Report
@@ -51,6 +51,7 @@ __all__ = [
     "isolability",
     "learn_residual",
     "list_parts",
+    "order",
     "plan_bench",
     "query",
     "score_study",
@@ -739,19 +740,64 @@ def spectrum(
     """
     from harness import comparison as room
     from harness.data import load_dataset
-    from harness.data.whole_files import whole_file
 
-    if out is not None:
-        _refuse_overwrite(Path(out), force=force)
-        if Path(out).suffix not in (".svg", ".png", ".pdf"):
-            raise InputError(
-                "output file", expected="a name that ends in .svg, .png or .pdf", got=str(out), remedy="rename it"
-            )
+    _refuse_picture(out, force=force)
     data = load_dataset(registry.dataset_path(dataset), model=model, undriven=undriven).dataset
     found = room.spectrum([one.measured() for one in data.estimation], segment=segment)
-    if out is not None:
-        with whole_file(out) as scratch:
-            found.plot().savefig(scratch, format=Path(out).suffix[1:])
+    _draw(found.plot, out)
+    return found
+
+
+def order(
+    dataset: Any,
+    *,
+    identifiers: Sequence[str] = (),
+    orders: Sequence[int] = (),
+    options: Mapping[str, Any] | None = None,
+    model: str | None = None,
+    validation: Any = None,
+    undriven: Sequence[str] = (),
+    out: str | Path | None = None,
+    seed: int = 0,
+    force: bool = False,
+) -> OrderSelection:
+    """Fit models of every order, judge them on data that they did not see, and show where more is no gain.
+
+    Parameters
+    ----------
+    dataset : path or table
+        As for ``identify``.
+    identifiers : sequence of str
+        Ids of identifiers with the option ``order``; by default ``arx``, ``n4sid`` and ``ho-kalman``.
+    orders : sequence of int
+        By default 1 to 12.
+    options : mapping, optional
+        Further options of the identifiers.
+    model, validation, undriven
+        As for ``identify``.
+    out : path, optional
+        Picture to write: ``.svg``, ``.png`` or ``.pdf``.
+    seed : int
+        For identifiers that draw random numbers.
+    force : bool
+        Overwrite ``out`` if it exists.
+
+    Raises
+    ------
+    InputError
+        If the data or the options cannot be used, or no model of any order is found.
+    """
+    from harness import comparison as room
+    from harness.data import load_dataset
+
+    _refuse_picture(out, force=force)
+    path = registry.dataset_path(dataset)
+    data = load_dataset(path, model=model, validation=validation, undriven=undriven).dataset
+    asked: dict[str, Any] = {"identifiers": identifiers} if identifiers else {}
+    if orders:
+        asked["orders"] = orders
+    found = room.order_selection(data, options=options, seed=seed, **asked)
+    _draw(found.plot, out)
     return found
 
 
@@ -838,6 +884,26 @@ def _refuse_overwrite(path: Path, *, force: bool) -> None:
             remedy=f"make {path.parent} first",
             file=path,
         )
+
+
+def _refuse_picture(out: str | Path | None, *, force: bool) -> None:
+    """Raise if a picture cannot be written there."""
+    if out is None:
+        return
+    _refuse_overwrite(Path(out), force=force)
+    if Path(out).suffix not in (".svg", ".png", ".pdf"):
+        raise InputError(
+            "output file", expected="a name that ends in .svg, .png or .pdf", got=str(out), remedy="rename it"
+        )
+
+
+def _draw(plot: Callable[[], Any], out: str | Path | None) -> None:
+    """Write a picture if one was asked for."""
+    from harness.data.whole_files import whole_file
+
+    if out is not None:
+        with whole_file(out) as scratch:
+            plot().savefig(scratch, format=Path(out).suffix[1:])
 
 
 def _refuse_python(source: Path) -> None:
