@@ -173,7 +173,6 @@ def diagnose(
         if not form.latent:  # a plant that loses its start cannot be judged by whole free runs
             horizon = kind.horizon(system, system.values(), judged)
             form = kind.form(system, windowed(judged, horizon.seconds and policy.window * horizon.seconds))
-            policy = policy.of_free_runs()
         remembered = Remembered(form, folder)
         say("first fit of the nominal model", 0.02)
         nominal = remembered.fit((), form.first_starts(), None)
