@@ -48,7 +48,7 @@ class Policy:
     validation_z: float = _number(
         2.0,
         "and the log-likelihood of the validation records, by at least this many standard errors over blocks",
-        "two standard errors: 97.5 %, whatever colour the noise has; the evidence asked means as much where it is white",
+        "two standard errors: 97.5 %, whatever colour the noise has; where it is white the evidence asks as much",
         "tanks, drives, a cart-pole under band noise at its resonance",
     )
     blocks: int = _number(20, "blocks of a record, for standard errors under misspecified noise", "Kuensch 1989")
