@@ -111,6 +111,12 @@ class Policy:
         "coefficients of the autoregressive error of a free run's output, for intervals, or of an arm's joint",
         "two for a drift beside noise, two for a line of the spectrum; every candidate has as many",
     )
+    spline_z: float = _number(
+        1.0,
+        "and by this many standard errors of the validation records",
+        "to say that something is left costs less than to miss it, and a law that acts at one place shows in few blocks",
+        "a magnet at one angle in the tests",
+    )
     window: float = _number(
         0.5,
         "share of the horizon that free runs are fitted over where a plant loses its start: an error grows 4.5 times",
