@@ -114,7 +114,7 @@ class Policy:
     spline_z: float = _number(
         1.0,
         "and by this many standard errors of the validation records",
-        "to say that something is left costs less than to miss it, and a law that acts at one place shows in few blocks",
+        "to say that something is left costs less than to miss it; a law that acts at one place shows in few blocks",
         "a magnet at one angle in the tests",
     )
     window: float = _number(
