@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import time
+
 import pytest
 
 from harness.errors import InputError
+from harness.jobs import run_jobs
+from harness.jobs.batch import write_shard
 from harness.study import running
 from harness.study.plan import plan
 from harness.study.row import COLUMNS, do_row
@@ -41,6 +46,34 @@ def test_a_resumed_study_tries_again_what_crashed(tmp_path):
     for number, status in enumerate(("ok", "crashed", "timeout", "diverged")):
         store.add(row(number, status=status))
     assert list(RowStore(tmp_path, resume=True).rows) == ["k0", "k3"]
+
+
+def test_rows_that_were_not_taken_over_before_the_end_are_taken_then(tmp_path):
+    store = RowStore(tmp_path)
+    for number, status in enumerate(("ok", "crashed")):
+        write_shard(store.shards, f"job{number}", json.dumps(row(number, status=status)).encode())
+    write_shard(store.shards, "job2", b"{}")  # of a row that was not begun
+    again = RowStore(tmp_path, resume=True)
+    assert list(again.rows) == list(read_rows(tmp_path / ROWS)) == ["k0"]
+    again.close()
+    assert not again.shards.exists()
+
+
+def test_after_the_budget_no_row_is_begun(tmp_path):
+    job = running.StudyJob(plan("confusion")[0], 400, time.time() - 1)
+    run_jobs([job], tmp_path, workers=1)
+    assert [path.read_bytes() for path in tmp_path.glob("*.json")] == [b"{}"]
+
+
+def test_a_row_that_breaks_its_worker_says_so(tmp_path):
+    job = running.StudyJob(plan("confusion")[0], 400, None)
+    (name,) = job.jobs
+    store = RowStore(tmp_path)
+    write_shard(store.shards, name, job.lost(name, "timeout", "is over its time limit of 900 s", shared=False))
+    assert store.take(name)
+    found = store.rows[job.task.key]
+    assert (found["status"], found["reason"]) == ("timeout", "the diagnosis is over its time limit of 900 s")
+    assert found["seed"] == str(job.task.seed)
 
 
 def test_a_folder_with_rows_is_not_overwritten(tmp_path):
@@ -103,16 +136,16 @@ def test_other_rows_of_the_folder_are_left_out():
 
 @pytest.fixture
 def quick_rows(monkeypatch):
-    """Replace the pool by rows that cost nothing; returns the keys that were asked for."""
+    """Replace the engine by rows that cost nothing; returns the keys that were asked for."""
     asked = []
 
-    def pooled(tasks, workers, store, end, told, samples):
-        for one in tasks:
-            asked.append(one.key)
-            store.add(row(0, truth="", study="none", key=one.key))
-            told(one)
+    def run_jobs(batches, shards, *, moved, **options):
+        for one in batches:
+            asked.append(one.task.key)
+            write_shard(shards, one.jobs[0], json.dumps(row(0, truth="", study="none", key=one.task.key)).encode())
+            moved(one.title, one.jobs)
 
-    monkeypatch.setattr(running, "_pooled", pooled)
+    monkeypatch.setattr(running, "run_jobs", run_jobs)
     return asked
 
 
