@@ -13,7 +13,7 @@ from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.compare import compared
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.leftover import left_over
-from harness.diagnosis.search.rounds import Outcome, search
+from harness.diagnosis.search.rounds import Accepted, Outcome, _pruned, search
 from harness.diagnosis.search.score_test import score_test
 from harness.effects import builtin
 from harness.effects.effect import Placed
@@ -271,7 +271,7 @@ def test_an_effect_of_the_estimation_records_only_is_chance() -> None:
 
 
 def test_two_and_three_effects_are_all_found() -> None:
-    two = {"quadratic_drag": 0.2, "cubic_spring": 0.5}
+    two = {"quadratic_drag": 0.3, "cubic_spring": 0.4}
     outcome = found_in(two, 3)
     assert [one.placed.effect.name for one in outcome.accepted] == ["cubic_spring", "quadratic_drag"], "largest first"
     three = {**two, "force_bias": 0.3}
@@ -313,15 +313,12 @@ def test_a_law_that_stood_in_for_two_is_taken_back() -> None:
     assert sum(one.validation for one in outcome.accepted) == pytest.approx(whole.validation)
 
 
-def test_an_effect_that_later_ones_make_needless_is_dropped() -> None:
-    records = linear_records(12, {"linear_spring": 0.4, "quadratic_drag": 0.4})
-    for use in ("estimation", "validation"):
-        own = records.x[use]
-        own["cubic_spring"] = own["linear_spring"] + 0.6 * own["quadratic_drag"] + 0.35 * own["cubic_spring"]
-        for rival in ("quadratic_spring", "force_bias", "viscous_friction"):  # hide the true rival of the first answer
-            own[rival] = own["linear_spring"] + 0.5 * own[rival]
-    form = LinearForm(records)
-    outcome = search(form, form.fit((), [], None), ALL)
-    assert outcome.rounds[0].base is outcome.nominal
-    assert "cubic_spring" in {row.added[0].effect.name for row in outcome.rounds[0].candidates if row.passed}
-    assert accepted(outcome) == {"linear_spring", "quadratic_drag"}
+def test_an_effect_that_later_ones_make_needless_is_dropped_and_one_that_counts_stays() -> None:
+    form = LinearForm(linear_records(12, {"linear_spring": 0.4, "quadratic_drag": 0.4}))
+    nominal = form.fit((), [], None)
+    for earlier, stays in (("cubic_spring", False), ("linear_spring", True)):
+        chosen = [placed(earlier), placed("quadratic_drag")]
+        outcome = Outcome(nominal, form.fit(chosen, [], nominal), [Accepted(one, ((one,),), 1, 1) for one in chosen])
+        _pruned(form, outcome, POLICY)
+        assert accepted(outcome) == ({earlier, "quadratic_drag"} if stays else {"quadratic_drag"})
+        assert len(outcome.model.effects) == len(outcome.accepted)
