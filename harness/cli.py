@@ -424,6 +424,54 @@ def _close_fleet(
     say(f"page: {result.page}")
 
 
+@app.command(name="learn-residual")
+def learn_residual(
+    loop: Annotated[Path, typer.Argument(metavar="DIR", help="folder of close-loop that ended with something left")],
+    dataset: Annotated[str, typer.Argument(metavar="DATASET|RECORDING", help="the data of that loop")],
+    out: Annotated[Path, typer.Option(help="folder for learned.html, learned.json and model.json")],
+    validation: Validation = None,
+    undriven: Undriven = None,
+    coordinate: Annotated[str | None, typer.Option(help="where the force acts; default: where it helps most")] = None,
+    argument: Annotated[
+        list[str] | None,
+        typer.Option(help="state or input that it depends on, repeatable; default: speed, place or both"),
+    ] = None,
+    refit: Annotated[bool, typer.Option("--refit", help="let the named parameters move beside the force")] = False,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+    force: Force = False,
+    trust: Annotated[bool, typer.Option("--trust", help="run the Python file that model.json names")] = False,
+) -> None:
+    """Learn what a closed loop left over as a force without a name: not physical, with the hull of its data."""
+    with progress_bar("learning a residual force") as bar:
+        task = bar.add_task(str(loop), total=1.0)
+
+        def show(fraction: float, what: str) -> None:
+            bar.update(task, completed=fraction, description=what)
+
+        found = api.learn_residual(
+            loop,
+            dataset,
+            out=out,
+            validation=validation,
+            undriven=undriven or (),
+            coordinate=coordinate,
+            arguments=argument,
+            refit=refit,
+            seed=seed,
+            trust=trust,
+            force=force,
+            progress=show,
+        )
+    if as_json:
+        print_json(found.data)
+        return
+    wide_console().print(str(found), highlight=False, markup=False, soft_wrap=True)
+    for text in found.data["warnings"]:
+        print(f"sysid: note: {text}", file=sys.stderr)
+    say(f"page: {out / 'learned.html'}")
+
+
 @app.command()
 def isolability(
     model: Annotated[str, typer.Argument(metavar="PLANT_OR_MODEL", help="nominal model, or a plant made of equations")],

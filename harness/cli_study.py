@@ -28,8 +28,8 @@ def run_study(
     records: Records = None,
     plants: Plants = "pendulum,cart-pole",
     workers: Annotated[int, typer.Option(help="processes")] = 2,
-    cells: Cells = 2,
-    alarms: Alarms = 300,
+    cells: Cells = 4,
+    alarms: Alarms = 400,
     budget: Annotated[float | None, typer.Option(metavar="MINUTES", help="then begin no more")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="continue in a folder that has rows")] = False,
     force: Force = False,
@@ -78,8 +78,8 @@ def generate_study(
     secret: Annotated[int | None, typer.Option(help="instead of seeds: a number that only you know")] = None,
     records: Records = None,
     plants: Plants = "pendulum,cart-pole",
-    cells: Cells = 2,
-    alarms: Alarms = 300,
+    cells: Cells = 4,
+    alarms: Alarms = 400,
     like: Annotated[Path | None, typer.Option(metavar="ROWS", help="only the records of this rows.csv")] = None,
 ) -> None:
     """Write the records of the study for another tool, the truth apart."""

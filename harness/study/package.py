@@ -13,11 +13,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from harness.data.trajectories import write_trajectory
 from harness.data.whole_files import whole_file
 from harness.errors import InputError, PlantError
-from harness.study.plan import BASES, PLANTS, Task, plan
-from harness.study.records import SAMPLES, Records, make_records
+from harness.study.folder import write_record
+from harness.study.plan import BASES, PLANTS, plan
+from harness.study.records import SAMPLES, make_records
 from harness.study.store import read_rows
 
 __all__ = ["TRUTH_COLUMNS", "Package", "base_of", "generate", "record_name"]
@@ -115,8 +115,8 @@ def generate(
     secret: int | None = None,
     records: int | None = None,
     plants: Sequence[str] = PLANTS,
-    cells: int = 2,
-    alarms: int = 300,
+    cells: int = 4,
+    alarms: int = 400,
     samples: int = SAMPLES,
     like: str | Path | None = None,
     progress: Callable[[int, int, str], None] | None = None,
@@ -169,7 +169,7 @@ def generate(
             failed.append((task.key, " ".join(str(error).split())))
             continue
         name = record_name(task.key)
-        _write_record(folder / "records" / name, name, task, made)
+        write_record(folder / "records" / name, name, task, made)
         sizes = {f"{hidden.name}@{hidden.at}": hidden.named or hidden.truth for hidden in made.hidden}
         columns = task.columns() | {"record": name, "sizes": json.dumps(made.parameters | sizes)}
         rows.append([str(columns[column]) for column in TRUTH_COLUMNS])
@@ -178,21 +178,6 @@ def generate(
     _write_csv(folder / TABLE, ("file", "machine"), places)
     (folder / "README.md").write_text(README, encoding="utf-8")
     return Package(folder, apart / TRUTH, len(rows), tuple(failed))
-
-
-def _write_record(folder: Path, name: str, task: Task, made: Records) -> None:
-    """Write the runs of a record and what describes them."""
-    folder.mkdir(exist_ok=True)
-    spec = made.dataset.spec
-    lines = [f'name = "{name}"', "", "[nominal]", f'model = "{task.plant}"']
-    for role, channels in (("input", spec.inputs), ("output", spec.outputs)):
-        for channel in channels:
-            lines += ["", f"[signals.{channel.name}]", f'role = "{role}"', f'unit = "{channel.unit}"']
-    for run in made.dataset:
-        write_trajectory(run.trajectory.measured(), folder / f"{run.use}.csv")
-        lines += ["", "[[runs]]", f'file = "{run.use}.csv"', f'use = "{run.use}"']
-    with whole_file(folder / "dataset.toml") as scratch:
-        scratch.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -58,8 +58,8 @@ def study(
     records: int | None = None,
     plants: Sequence[str] = PLANTS,
     workers: int = 2,
-    cells: int = 2,
-    alarms: int = 300,
+    cells: int = 4,
+    alarms: int = 400,
     budget: float | None = None,
     samples: int = SAMPLES,
     resume: bool = False,
@@ -138,12 +138,7 @@ def study(
     told(None)
     try:
         left = [one for one in tasks if one.key not in store.rows]
-        _pooled([one for one in left if one.study != "cost"], workers, store, end, told, samples)
-        for task in (one for one in left if one.study == "cost"):
-            if end is not None and time.monotonic() > end:
-                break
-            store.add(do_row(task, samples=samples, workers=2))
-            told(task)
+        _pooled(left, workers, store, end, told, samples)
     finally:
         text = save()
     from harness.study.picture import confusion_picture

@@ -69,8 +69,10 @@ def test_the_summary_counts_what_the_rows_say():
     text = summary(rows, seeds="tuning", planned=9, keys={one["key"] for one in rows})
     assert counts(rows) == {"right": 2, "tied": 1, "wrong": 2, "flagged": 0, "missed": 1}
     assert "7 of 9 planned records done" in text
-    assert "| right or tied, nominal size | 95 % | 2 of 4 (50.0 %" in text
-    assert "| validation error within 1.1 of the oracle's | 90 % | 3 of 4" in text
+    assert "| **right, no rival tied**, without disturbance | 85 % | 1 of 4 (25.0 %" in text
+    assert "| right or tied, nominal size, without disturbance | 97 % | 2 of 4 (50.0 %" in text
+    assert "| right or tied, and its validation error within 1.1 of the oracle's | 90 % | 2 of 4" in text
+    assert "| named with confidence, and wrong | none | 1 of 4" in text
     assert "| white sensor noise alone | 2 | 1 | 97.47 % | 0 |" in text
     assert (
         "| coulomb_friction@x | cart-pole, laws, nominal, low, 0 % | cogging@x | wrong: another effect | 1.5 |" in text
@@ -187,4 +189,4 @@ def test_two_rows_end_to_end(tmp_path):
     assert {one["verdict"] for one in result.rows} == {"nothing_missing"}
     assert all(float(one["cpu_s"]) > 0 for one in result.rows)
     assert "2 of 2 planned records done" in (tmp_path / running.SUMMARY).read_text()
-    assert "| with 2 % coloured torque | 1 | 0 |" in result.text
+    assert "| with 2 % unknown torque | 1 | 0 |" in result.text
