@@ -9,6 +9,7 @@ import pytest
 
 from harness.effects import Placed, builtin, compose
 from harness.errors import InputError
+from harness.estimate import estimate_of
 from harness.physics.models import cart_pole, double_pendulum, pendulum
 from harness.scoring import regret
 from harness.signals import Channel, PlantSpec, Trajectory
@@ -57,6 +58,16 @@ def test_a_cart_pole_with_every_state_measured(make):
     state = run(make("cart-pole", start={"mc": 1.5, "mp": 0.3, "l": 0.4}), [data])
     for name in ("mc", "mp", "l"):
         assert state.parameters[name] == pytest.approx(system.values()[name], rel=0.05), name
+
+
+def test_a_fit_is_one_pass_over_the_records():
+    records = [stream(0), stream(1)]
+    fitted = ekf("pendulum", start={"J": 0.1}).fit(records, rng=np.random.default_rng(0))
+    assert fitted.parameters == run(ekf("pendulum", start={"J": 0.1}), records).parameters
+    estimate = estimate_of(fitted)
+    assert estimate is not None
+    assert estimate.deviation("J") > 0
+    assert estimate.intervals is None
 
 
 def test_an_update_changes_nothing_that_was_there_and_states_travel():
