@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from harness.effects import Placed, builtin, compose
 from harness.errors import InputError
@@ -14,6 +17,7 @@ from harness.physics.models import cart_pole, double_pendulum, pendulum
 from harness.scoring import regret
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.filters_online import ekf, ukf
+from identifiers.surprise import Surprise
 
 TRUTH = {"J": 0.2, "b": 0.05, "mgl": 1.3}
 
@@ -136,3 +140,31 @@ def test_regret_is_small_beside_the_noise_and_said_to_be_best_found():
 def test_options_out_of_range_are_refused():
     with pytest.raises(InputError, match="doubt"):
         ekf("pendulum", doubt=0.0).init(stream(n=20).spec, rng=np.random.default_rng(0))
+
+
+@given(seed=st.integers(0, 2**32 - 1), unit=st.floats(1e-3, 1e3))
+def test_the_noise_of_the_sensors_needs_no_model_and_units_scale_it(seed, unit):
+    rng = np.random.default_rng(seed)
+    y = np.sin(0.02 * np.arange(400))[:, None] + 1e-3 * rng.normal(size=(400, 1))
+
+    def noise(signal):
+        surprise = Surprise.none(1).begun(signal[0])
+        for row in signal[1:]:
+            surprise = surprise.heard([Channel("y", "m")], row)
+        return float(surprise.noise[0])
+
+    assert np.sqrt(noise(y)) == pytest.approx(1e-3, rel=0.35)
+    assert noise(unit * y) == pytest.approx(unit**2 * noise(y), rel=1e-9)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_predictions_as_wrong_as_they_say_are_no_surprise_and_worse_ones_are(seed):
+    rng = np.random.default_rng(seed)
+    surprise = replace(Surprise.none(1).begun(np.zeros(1)), begin=np.ones(1), misfit=np.ones(1))
+    spread = np.array([[3.0]])
+    for _ in range(100):
+        factor, surprise = surprise.factor(np.clip(2.0 * rng.normal(size=1), -5, 5), spread)
+    assert surprise.widened <= 10
+    for _ in range(100):
+        factor, surprise = surprise.factor(np.array([30.0]), spread)
+    assert factor > 10
