@@ -1,4 +1,4 @@
-"""Mechanical fits against the usual way: a cart-pole by simulation error, recursive updates, the SDP of the iiwa.
+"""Mechanical fits and designs against the usual way: a cart-pole by simulation error, recursive updates, the iiwa.
 
 Run: python benchmarks/bench_mechanics.py     (peer and ours in one process, alternating; prints ratios and aims)
 """
@@ -13,6 +13,7 @@ import padasip
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
+from harness import registry
 from harness.physics import fit_output_error
 from harness.physics.arm import load_arm
 from harness.physics.models import cart_pole
@@ -142,7 +143,20 @@ def semidefinite() -> None:
               f"aim 10 s {'met' if spent <= 10 else 'missed'}")  # fmt: skip
 
 
+def designed(seeds: int = 8) -> None:
+    """Print condition numbers of designed references of the iiwa (identifiable columns at unit length)."""
+    scenario = registry.create("scenarios", "arm-designed", duration=20.0)
+    with registry.create("plants", "iiwa-bullet") as plant:
+        spec = plant.spec
+    runs = [timed(lambda k=k: scenario.design(spec, rng=np.random.default_rng(10_000 + k))) for k in range(seeds)]
+    conditions, slowest = sorted(found.condition for _, found in runs), max(spent for spent, _ in runs)
+    good = conditions[-1] <= 25 and slowest <= 60
+    print(f"designed experiments of the iiwa: condition {conditions[0]:.1f} to {conditions[-1]:.1f} over {seeds} "
+          f"seeds, {slowest:.1f} s at most, aim 25 within 60 s {'met' if good else 'missed'}")  # fmt: skip
+
+
 if __name__ == "__main__":
     cart()
     recursive()
     semidefinite()
+    designed()

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import FitError, InputError
 from harness.estimate import Estimate
 from harness.protocols import Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
+from identifiers.grey_box_model import GreyBoxModel, tuned_gain
 from identifiers.physical import recipe_for
-from identifiers.records import real_signals
+from identifiers.records import real_signals, usable
 from identifiers.surprise import Surprise
 
 if TYPE_CHECKING:
@@ -188,6 +189,31 @@ class OnlineGreyBox:
     doubt: float = 0.5
     walk: float = 0.0
     disturbance: float = 1e-3
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> GreyBoxModel:
+        """Return the physical model with the parameters learned in one pass over the records, in their order.
+
+        Raises
+        ------
+        InputError, FitError
+            As :meth:`init`; also if the filter diverges.
+        """
+        records, spec = usable(trajectories, samples=2, what=self.kind)
+        state = self.init(spec, rng=rng)
+        for record in records:
+            state = self.start(state, record.y[0])
+            for k in range(len(record) - 1):
+                state = self.update(state, record.u[k], record.y[k + 1])
+        if not np.isfinite(state.mean).all():
+            raise FitError(
+                f"{self.kind} diverged",
+                expected="finite states and parameters",
+                got="NaN or infinity",
+                remedy="give start values nearer to the plant (start=...), or less doubt",
+            )
+        recipe = recipe_for(spec, self.kind, model=self.model, options=dict(self.options))
+        model = GreyBoxModel(spec, recipe, state.parameters, notes={"estimate": state.estimate.to_dict()})
+        return replace(model, filter_gain=tuned_gain(model, records))
 
     def init(self, spec: PlantSpec, *, rng: np.random.Generator) -> FilterState:
         """Return the state before any data.

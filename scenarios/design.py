@@ -7,7 +7,7 @@ columns, each of unit length, is then lowered by a random search whose step adap
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ __all__ = [
     "design_reference",
     "deviation_of",
     "identifiable_columns",
+    "volume_of",
 ]
 
 Regressor = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
@@ -145,6 +146,39 @@ def condition_number(W: FloatArray, *, scaled: bool = True) -> float:
     return float(np.sqrt(values[-1] / values[0])) if values[0] > 0 else float("inf")
 
 
+def volume_of(W: FloatArray, columns: Sequence[int]) -> float:
+    """Return the volume of the standard ellipsoid of some parameters under torque noise of 1, the others unknown.
+
+    Square root of the determinant of their covariance (D-optimality, Goodwin & Payne 1977, *Dynamic System
+    Identification*, sec. 6.2), which no choice of units reorders; that of one parameter is :func:`deviation_of` it.
+
+    Parameters
+    ----------
+    W : array (M, k)
+    columns : sequence of int
+        Of the parameters.
+
+    Returns
+    -------
+    float
+        Infinite where the columns depend on each other.
+
+    Examples
+    --------
+    >>> round(volume_of(np.array([[1.0, 0.0, 1.0], [0.0, 2.0, 0.0], [0.0, 0.0, 2.0]]), [1, 2]), 6)
+    0.25
+    """
+    gram = W.T @ W
+    size = np.sqrt(np.diag(gram))
+    if not np.all(size > 0):
+        return float("inf")
+    values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+    if values[0] <= np.finfo(float).eps * len(size) * values[-1]:
+        return float("inf")
+    part = vectors[list(columns)] / np.sqrt(values)
+    return float(np.sqrt(np.linalg.det(part @ part.T)) / np.prod(size[list(columns)]))
+
+
 def deviation_of(W: FloatArray, column: int) -> float:
     """Return the standard deviation of one parameter under torque noise of 1, the others unknown.
 
@@ -205,7 +239,7 @@ def design_reference(
         ``(q, v, a) -> float``, 0 where torques and places are within their limits, else by how much they are not.
     criterion : callable, optional
         Of the whole regressor, in place of the condition number of its identifiable columns:
-        :func:`deviation_of` a chosen parameter.
+        :func:`deviation_of` a chosen parameter, or :func:`volume_of` some.
     rng : numpy.random.Generator
         Draws both.
 

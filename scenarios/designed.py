@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,7 +12,18 @@ from harness.errors import InputError
 from harness.signals import FloatArray, PlantSpec
 from scenarios.arm_models import arm_of, damping_of
 from scenarios.closed_loop import ArmComputedTorque, InverseDynamics
-from scenarios.design import Design, JointLimits, design_reference
+from scenarios.design import (
+    Criterion,
+    Design,
+    JointLimits,
+    Regressor,
+    design_reference,
+    identifiable_columns,
+    volume_of,
+)
+
+if TYPE_CHECKING:
+    from harness.physics.rigid_tree import Arm
 
 __all__ = ["ArmDesigned"]
 
@@ -36,6 +49,11 @@ class ArmDesigned(ArmComputedTorque):
         Part of the URDF's ranges of position and torque that is used.
     lowest : float, optional
         Height over the base [m] that no joint may go below (a table).
+    parameters : sequence of str
+        Parameters to be known best, in place of the condition number: one, or a pair that is to be told apart, such as
+        ``("damping1", "friction1")``. Of the body that joint k moves ``mk``, ``hxk`` to ``hzk`` and ``Ixxk`` to
+        ``Izzk``, of the joint ``dampingk`` and ``frictionk``. The volume of their confidence ellipsoid is lowered, all
+        others unknown.
     starts, steps : int
         Random references to choose from, and steps of the search.
     """
@@ -45,6 +63,7 @@ class ArmDesigned(ArmComputedTorque):
     rate: float = 1.5
     margin: float = 0.95
     lowest: float | None = None
+    parameters: Sequence[str] = ()
     starts: int = 20
     steps: int = 2000
 
@@ -72,16 +91,60 @@ class ArmDesigned(ArmComputedTorque):
                 worst = max(worst, float(self.lowest - joint_places(arm, q)[0][:, 1:, 2].min()))
             return max(worst, 0.0)
 
+        regressor, criterion = self._wanted(arm, limits, rng) if self.parameters else (arm.regressor, None)
         return design_reference(
-            arm.regressor,
+            regressor,
             limits,
             period=self.period,
             harmonics=self.harmonics,
             starts=self.starts,
             steps=self.steps,
             violation=violation,
+            criterion=criterion,
             rng=rng,
         )
+
+    def _wanted(self, arm: Arm, limits: JointLimits, rng: np.random.Generator) -> tuple[Regressor, Criterion]:
+        """Return the regressor with friction, and the criterion of the parameters that are to be known best.
+
+        Raises
+        ------
+        InputError
+            If a parameter is unknown, or no motion tells it from the others.
+        """
+        from harness.physics.arm_mechanism import TEN
+
+        joints = range(1, arm.n + 1)
+        names = [f"{name}{k}" for k in joints for name in TEN]
+        names += [f"{kind}{k}" for kind in ("damping", "friction") for k in joints]
+        wrong = sorted(set(self.parameters) - set(names))
+        if wrong:
+            raise InputError(
+                "option parameters",
+                expected=f"names such as m{arm.n}, hx{arm.n}, Izz{arm.n}, damping1, friction1",
+                got=", ".join(wrong),
+                remedy="correct them",
+            )
+
+        def regressor(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+            own = np.eye(arm.n)[None]
+            friction = np.concatenate([own * v[:, :, None], own * np.sign(v)[:, :, None]], axis=2)
+            return np.hstack([arm.regressor(q, v, a), friction.reshape(-1, 2 * arm.n)])
+
+        chosen = [names.index(name) for name in self.parameters]
+        q, v, a = (rng.uniform(-1, 1, size=(200, arm.n)) for _ in range(3))
+        W = regressor(limits.low + (limits.high - limits.low) * (q + 1) / 2, limits.rate * v, limits.rate * a)
+        others = np.delete(np.arange(W.shape[1]), chosen)
+        kept = [*chosen, *others[identifiable_columns(W[:, others])]]
+        places = range(len(chosen))
+        if not np.isfinite(volume_of(W[:, kept], places)):
+            raise InputError(
+                "option parameters",
+                expected="parameters that a motion can tell from all others",
+                got=", ".join(self.parameters),
+                remedy="choose others; a base parameter stands for those that only act together",
+            )
+        return regressor, lambda W: volume_of(W[:, kept], places)
 
     def model(self, spec: PlantSpec) -> InverseDynamics:
         """Return the inverse dynamics of the controller, with the damping that the URDF states: wrists are light."""

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from harness.effects import Placed, builtin, compose
 from harness.errors import InputError
+from harness.estimate import estimate_of
 from harness.physics.models import cart_pole, double_pendulum, pendulum
 from harness.scoring import regret
 from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.filters_online import ekf, ukf
+from identifiers.surprise import Surprise
 
 TRUTH = {"J": 0.2, "b": 0.05, "mgl": 1.3}
 
@@ -57,6 +62,16 @@ def test_a_cart_pole_with_every_state_measured(make):
     state = run(make("cart-pole", start={"mc": 1.5, "mp": 0.3, "l": 0.4}), [data])
     for name in ("mc", "mp", "l"):
         assert state.parameters[name] == pytest.approx(system.values()[name], rel=0.05), name
+
+
+def test_a_fit_is_one_pass_over_the_records():
+    records = [stream(0), stream(1)]
+    fitted = ekf("pendulum", start={"J": 0.1}).fit(records, rng=np.random.default_rng(0))
+    assert fitted.parameters == run(ekf("pendulum", start={"J": 0.1}), records).parameters
+    estimate = estimate_of(fitted)
+    assert estimate is not None
+    assert estimate.deviation("J") > 0
+    assert estimate.intervals is None
 
 
 def test_an_update_changes_nothing_that_was_there_and_states_travel():
@@ -125,3 +140,31 @@ def test_regret_is_small_beside_the_noise_and_said_to_be_best_found():
 def test_options_out_of_range_are_refused():
     with pytest.raises(InputError, match="doubt"):
         ekf("pendulum", doubt=0.0).init(stream(n=20).spec, rng=np.random.default_rng(0))
+
+
+@given(seed=st.integers(0, 2**32 - 1), unit=st.floats(1e-3, 1e3))
+def test_the_noise_of_the_sensors_needs_no_model_and_units_scale_it(seed, unit):
+    rng = np.random.default_rng(seed)
+    y = np.sin(0.02 * np.arange(400))[:, None] + 1e-3 * rng.normal(size=(400, 1))
+
+    def noise(signal):
+        surprise = Surprise.none(1).begun(signal[0])
+        for row in signal[1:]:
+            surprise = surprise.heard([Channel("y", "m")], row)
+        return float(surprise.noise[0])
+
+    assert np.sqrt(noise(y)) == pytest.approx(1e-3, rel=0.35)
+    assert noise(unit * y) == pytest.approx(unit**2 * noise(y), rel=1e-9)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_predictions_as_wrong_as_they_say_are_no_surprise_and_worse_ones_are(seed):
+    rng = np.random.default_rng(seed)
+    surprise = replace(Surprise.none(1).begun(np.zeros(1)), begin=np.ones(1), misfit=np.ones(1))
+    spread = np.array([[3.0]])
+    for _ in range(100):
+        factor, surprise = surprise.factor(np.clip(2.0 * rng.normal(size=1), -5, 5), spread)
+    assert surprise.widened <= 10
+    for _ in range(100):
+        factor, surprise = surprise.factor(np.array([30.0]), spread)
+    assert factor > 10

@@ -9,9 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from harness import registry
 from harness.errors import InputError
 from harness.physics.urdf import load_urdf
-from scenarios.design import JointLimits, condition_number, design_reference, deviation_of, identifiable_columns
+from scenarios.design import (
+    JointLimits,
+    condition_number,
+    design_reference,
+    deviation_of,
+    identifiable_columns,
+    volume_of,
+)
 
 pybullet_data = pytest.importorskip("pybullet_data", reason="comes with pybullet, for CPython 3.10 and 3.11 only")
 
@@ -115,3 +123,26 @@ def test_limits_that_cannot_be_kept_are_said() -> None:
         design_reference(
             two_inertias, limits, steps=3, starts=2, violation=lambda q, v, a: 1.0, rng=np.random.default_rng(0)
         )
+
+
+def test_the_volume_of_one_parameter_is_its_deviation_and_no_unit_reorders() -> None:
+    W = np.random.default_rng(0).normal(size=(50, 4))
+    assert volume_of(W, [2]) == pytest.approx(deviation_of(W, 2))
+    covariance = np.linalg.inv(W.T @ W)[1:3, 1:3]
+    assert volume_of(W, [1, 2]) == pytest.approx(np.sqrt(np.linalg.det(covariance)))
+    assert volume_of(W * [1.0, 10.0, 0.1, 5.0], [1, 2]) == pytest.approx(volume_of(W, [1, 2]))
+    assert volume_of(np.column_stack([W, W[:, 0]]), [0]) == np.inf
+
+
+def test_a_pair_of_parameters_is_told_apart_by_the_scenario() -> None:
+    with registry.create("plants", "iiwa-bullet") as plant:
+        spec = plant.spec
+    short = {"duration": 10.0, "steps": 150, "starts": 5}
+    pair = registry.create("scenarios", "arm-designed", parameters=("damping1", "friction1"), **short)
+    found = pair.design(spec, rng=np.random.default_rng(0))
+    assert found.condition < 0.9 * found.start
+    for name, words in (("spring1", "option parameters"), ("m1", "tell from all others")):
+        with pytest.raises(InputError, match=words):
+            registry.create("scenarios", "arm-designed", parameters=(name,), **short).design(
+                spec, rng=np.random.default_rng(0)
+            )
