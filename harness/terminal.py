@@ -41,6 +41,8 @@ __all__ = [
     "progress_bar",
     "say",
     "seed_range",
+    "text_pairs",
+    "whole_range",
     "wide_console",
 ]
 
@@ -169,6 +171,17 @@ def option_value(text: str) -> Any:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text
+
+
+def text_pairs(texts: Sequence[str] | None, flag: str) -> dict[str, str]:
+    """Read ``k=v`` pairs as they stand."""
+    pairs = [text.partition("=") for text in texts or ()]
+    for key, equals, value in pairs:
+        if not (key and equals):
+            raise InputError(
+                "pair", expected="NAME=VALUE", got=repr(key + equals + value), remedy="correct it", place=flag
+            )
+    return {key.strip(): value.strip() for key, _, value in pairs}
 
 
 def option_pairs(texts: Sequence[str] | None, flag: str) -> dict[str, Any]:
@@ -380,9 +393,18 @@ def print_fmu(content: dict[str, Any]) -> None:
 
 
 def seed_range(text: str | None) -> tuple[int, int] | None:
-    """Read ``A..B``."""
-    if text is None:
-        return None
+    """Read ``A..B``; None where nothing is asked for."""
+    return None if text is None else whole_range(text, "--seeds")
+
+
+def whole_range(text: str, flag: str) -> tuple[int, int]:
+    """Read ``A..B``, or one number.
+
+    Raises
+    ------
+    InputError
+        If it is no range of whole numbers from 0 on.
+    """
     first, dots, last = text.partition("..")
     try:
         pair = (int(first), int(last if dots else first))
@@ -390,6 +412,6 @@ def seed_range(text: str | None) -> tuple[int, int] | None:
         pair = (1, 0)
     if pair[0] > pair[1] or pair[0] < 0:
         raise InputError(
-            "seeds", expected="A..B with 0 <= A <= B", got=repr(text), remedy="write e.g. --seeds 0..4", place="--seeds"
+            flag[2:], expected="A..B with 0 <= A <= B", got=repr(text), remedy=f"write e.g. {flag} 1..4", place=flag
         )
     return pair

@@ -192,6 +192,9 @@ def diagnose(
         add_rounding(remembered, outcome, dataset, candidates, policy)
         say("what is left", 0.8)
         leftover = left_over(form, outcome.model, policy)
+        same = outcome.model is outcome.nominal
+        outcome.nominal = form.with_deviations(outcome.nominal)
+        outcome.model = outcome.nominal if same else form.with_deviations(outcome.model)
         horizon = kind.horizon(system, outcome.nominal.values, dataset)
         noise = outcome.model.detail.points["estimation"].noise.r
         runs = free_runs(kind.runs(form, dataset, noise, horizon), horizon, outcome.nominal, outcome.model)
