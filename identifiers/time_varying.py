@@ -134,8 +134,9 @@ class AlongTrajectory:
     Records are repetitions that begin at the same time. The model is learned from what differs between them: each
     sample has the mean of all repetitions as its constant, and the departures from it give the coefficients. The
     equations of all repetitions within a window about sample k are weighed by ``1 - (j / (h + 1))^2`` (Epanechnikov's
-    kernel; Fan & Gijbels 1996, *Local Polynomial Modelling*) and solved by least squares. With less than three repetitions there are no such
-    departures: then motion and coefficients are learned from the same equations, with a constant in each window.
+    kernel; Fan & Gijbels 1996, *Local Polynomial Modelling*) and solved by least squares. With
+    less than three repetitions there are no such departures: then motion and coefficients are learned from the same
+    equations, with a constant in each window.
 
     Parameters
     ----------
