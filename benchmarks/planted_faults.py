@@ -121,7 +121,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for line in chosen.out.read_text(encoding="utf-8").splitlines():
             row = json.loads(line)
             known[row["identity"]] = row
-    left = [one for one in faults if one.identity() not in known][: chosen.limit]
+    identities = {one: one.identity() for one in faults}  # as the copy will be, whatever is edited meanwhile
+    left = [one for one in faults if identities[one] not in known][: chosen.limit]
     if left:
         with tempfile.TemporaryDirectory(prefix="planted-faults-") as scratch:
             folder = Path(scratch)
@@ -138,12 +139,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     row = tried(fault, folder)
                 else:
                     row = {"result": "broken", "by": "its tests fail without a fault"}
-                row = {"identity": fault.identity(), "name": fault.name, "file": fault.file, **row}
+                row = {"identity": identities[fault], "name": fault.name, "file": fault.file, **row}
                 known[row["identity"]] = row
                 with chosen.out.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(row) + "\n")
                 print(f"{number} of {len(left)}: {fault.name}: {row['result']} {row['by']}", flush=True)
-    rows = [known[one.identity()] for one in faults if one.identity() in known]
+    rows = [known[identities[one]] for one in faults if identities[one] in known]
     print("\n| fault | file | result | by |\n|---|---|---|---|")
     for row in rows:
         by = row["by"].removeprefix("FAILED ").partition(" - ")[0].rpartition("/")[2]

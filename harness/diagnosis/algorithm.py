@@ -94,6 +94,11 @@ class Diagnosis:
         return "explained" if quiet and self.runs.left <= self.policy.explained else "mostly_explained"
 
     @property
+    def structure_fits(self) -> bool:
+        """False where the final model lacks something that could be predicted: its intervals do not count that."""
+        return self.grade in ("explained", "mostly_explained")
+
+    @property
     def latent_share(self) -> float:
         """Size of the latent force of the final model over the typical force, the largest of all ports."""
         noise = self.final.detail.points["estimation"].noise

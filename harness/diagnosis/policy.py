@@ -48,7 +48,7 @@ class Policy:
     validation_z: float = _number(
         2.0,
         "and the log-likelihood of the validation records, by at least this many standard errors over blocks",
-        "two standard errors: 97.5 %, whatever colour the noise has; the evidence asked means as much where it is white",
+        "two standard errors: 97.5 %, whatever colour the noise has; where it is white the evidence asks as much",
         "tanks, drives, a cart-pole under band noise at its resonance",
     )
     blocks: int = _number(20, "blocks of a record, for standard errors under misspecified noise", "Kuensch 1989")
@@ -110,6 +110,12 @@ class Policy:
         4,
         "coefficients of the autoregressive error of a free run's output, for intervals, or of an arm's joint",
         "two for a drift beside noise, two for a line of the spectrum; every candidate has as many",
+    )
+    spline_z: float = _number(
+        1.0,
+        "and by this many standard errors of the validation records",
+        "to say that something is left costs less than to miss it; a law that acts at one place shows in few blocks",
+        "a magnet at one angle in the tests",
     )
     window: float = _number(
         0.5,

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.compare import compared, difference, impossible, judged
 from harness.diagnosis.search.fit import Fit
 from harness.effects import builtin
@@ -102,7 +103,8 @@ def test_a_validation_gain_within_its_error_is_chance() -> None:
     blocks = rng.standard_normal(20)
     blocks = (blocks - blocks.mean()) / blocks.std(ddof=1)
     for share, passes in ((0.9, False), (1.1, True)):
-        gain = np.repeat((blocks + share / np.sqrt(20)) / 20, 20)  # its sum is ``share`` of its error
+        part = POLICY.validation_z * share
+        gain = np.repeat((blocks + part / np.sqrt(20)) / 20, 20)  # its sum is this part of its error
         assert (verdict(50.0, gain) == "") is passes
 
 

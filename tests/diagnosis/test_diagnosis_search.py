@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from harness.diagnosis.policy import POLICY
+from harness.diagnosis.search.compare import compared
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.rounds import Outcome, search
@@ -188,7 +189,7 @@ def test_what_the_nominal_parameters_take_up_cannot_be_seen() -> None:
     form = LinearForm(linear_records(4, {}, absorbed={"cubic_spring": 0.001, "quadratic_drag": 0.05}))
     test = score_test(form, form.fit((), [], None), ALL)
     assert [lead.placed.effect.name for lead in test.hidden] == ["cubic_spring"]
-    assert "quadratic_drag" in {lead.placed.effect.name for lead in test.leads}
+    assert {lead.placed.effect.name for lead in test.leads} == set(NAMES) - {"cubic_spring"}
 
 
 def test_cosines_show_what_mimics_what() -> None:
@@ -270,8 +271,9 @@ def test_an_effect_of_the_estimation_records_only_is_chance() -> None:
 
 
 def test_two_and_three_effects_are_all_found() -> None:
-    two = {"cubic_spring": 0.3, "quadratic_drag": 0.25}
-    assert accepted(found_in(two, 3)) == set(two)
+    two = {"quadratic_drag": 0.2, "cubic_spring": 0.5}
+    outcome = found_in(two, 3)
+    assert [one.placed.effect.name for one in outcome.accepted] == ["cubic_spring", "quadratic_drag"], "largest first"
     three = {**two, "force_bias": 0.3}
     assert accepted(found_in(three, 3)) == set(three)
 
@@ -303,5 +305,23 @@ def test_a_law_that_stood_in_for_two_is_taken_back() -> None:
         own = records.x[use]
         own["cubic_spring"] = own["linear_spring"] + own["quadratic_drag"] + 0.35 * own["cubic_spring"]
     form = LinearForm(records)
+    nominal = form.fit((), [], None)
+    outcome = search(form, nominal, ALL)
+    assert accepted(outcome) == {"linear_spring", "quadratic_drag"}
+    whole = compared(outcome.model, nominal)
+    assert sum(one.evidence for one in outcome.accepted) == pytest.approx(whole.evidence), "shared, and not twice"
+    assert sum(one.validation for one in outcome.accepted) == pytest.approx(whole.validation)
+
+
+def test_an_effect_that_later_ones_make_needless_is_dropped() -> None:
+    records = linear_records(12, {"linear_spring": 0.4, "quadratic_drag": 0.4})
+    for use in ("estimation", "validation"):
+        own = records.x[use]
+        own["cubic_spring"] = own["linear_spring"] + 0.6 * own["quadratic_drag"] + 0.35 * own["cubic_spring"]
+        for rival in ("quadratic_spring", "force_bias", "viscous_friction"):  # hide the true rival of the first answer
+            own[rival] = own["linear_spring"] + 0.5 * own[rival]
+    form = LinearForm(records)
     outcome = search(form, form.fit((), [], None), ALL)
+    assert outcome.rounds[0].base is outcome.nominal
+    assert "cubic_spring" in {row.added[0].effect.name for row in outcome.rounds[0].candidates if row.passed}
     assert accepted(outcome) == {"linear_spring", "quadratic_drag"}

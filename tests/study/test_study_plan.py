@@ -152,6 +152,17 @@ def test_whoever_simulates_an_effect_it_does_nearly_the_same(plant, engine, effe
     assert rms(theirs - ours) < 0.5 * rms(ours - plain), "another effect, or another size"
 
 
+@pytest.mark.parametrize("engine", ["laws", "hardware", "fmu"])
+def test_every_record_of_two_effects_or_of_a_law_outside_the_dictionary_can_be_made(engine):
+    tasks = [one for one in plan("confusion") if one.study in ("two", "outside") and one.engine == engine]
+    chosen = {(one.plant, one.effects): one for one in tasks}
+    assert len(chosen) >= (4 if engine == "fmu" else 8)
+    for one in chosen.values():
+        made = make_records(one, samples=300)
+        assert len(made.hidden) == len(one.effects)
+        assert all(np.isfinite(run.trajectory.y).all() for run in made.dataset)
+
+
 def test_wrong_words_are_refused():
     with pytest.raises(InputError, match="study"):
         plan("everything")

@@ -71,7 +71,7 @@ class Leftover:
     def best(self) -> Axis | None:
         """The axis that predicts most of what is left, if one does so beyond chance."""
         for one in self.axes:
-            if one.total > self.policy.spline and one.validation > self.policy.validation_z * one.error:
+            if one.total > self.policy.spline and one.validation > self.policy.spline_z * one.error:
                 return one
         return None
 
