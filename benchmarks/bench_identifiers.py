@@ -1,7 +1,8 @@
 """Identifiers against their peers: the same work in one process, in alternating rounds, with ratio, aim and difference.
 
 Run ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/bench_identifiers.py [NAMES]``; names: markov, era,
-sparse, dmd, counting, recursive. A peer that is not installed (pysindy, pydmd, numba, padasip) has a row that says so.
+sparse, dmd, subspace, counting, recursive; ``large`` adds a million samples (pysindy then takes 7 GB). A peer that is
+not installed (pysindy, pydmd, numba, padasip, sippy-unipi, nfoursid) has a row that says so.
 The ratio is that of the shortest CPU times; the difference is the largest between the two answers.
 """
 
@@ -16,10 +17,12 @@ from typing import Any
 import numpy as np
 
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
+from identifiers.arx import Arx
 from identifiers.dmd import Dmdc
 from identifiers.library import Library
 from identifiers.mdp import count_transitions
 from identifiers.online import RecursiveLeastSquares
+from identifiers.predictor import Subspace
 from identifiers.sparse import NormalEquations, stlsq
 from identifiers.subspace import markov_parameters, realize
 
@@ -70,7 +73,7 @@ def record(u: FloatArray, y: FloatArray) -> Trajectory:
 
 def sparse() -> None:
     """STLSQ of 4 states on 126 functions; the peer gets the derivatives, so that both regress the same numbers."""
-    for samples, aim in ((10_000, 15), (100_000, 35)):
+    for samples, aim in ((10_000, 15), (100_000, 35), *([(1_000_000, 50)] if "large" in sys.argv else [])):
         x = RNG.normal(size=(samples, 4))
         rates = x @ RNG.normal(size=(4, 4)) + 0.5 * x[:, :1] * x[:, 1:2] + 0.01 * RNG.normal(size=(samples, 4))
         library = Library(("a", "b", "c", "d"), degree=5)
@@ -101,13 +104,14 @@ def sparse() -> None:
             return gram
 
         work = f"STLSQ, {len(library)} functions, N = {samples:.0e}"
-        race(work, aim, ours, "pysindy", peer, rounds=5 if samples < 50_000 else 2)
+        race(work, aim, ours, "pysindy", peer, rounds=5 if samples < 50_000 else 2 if samples < 500_000 else 1)
         race(f"{work}, its sums", 0.9, lambda sums=sums: sums().gram, "lean Gram matrix", lean, of="numpy")
 
 
 def dmd() -> None:
     """DMD with control of measured states."""
-    for states, samples, aim in ((4, 1_000_000, 40), (40, 100_000, 50), (400, 10_000, 10)):
+    large = [(40, 1_000_000, 50)] if "large" in sys.argv else []
+    for states, samples, aim in ((4, 1_000_000, 40), (40, 100_000, 50), (400, 10_000, 10), *large):
         a = np.linalg.qr(RNG.normal(size=(states, states)))[0] * 0.95
         b, y, u = RNG.normal(size=(states, 2)), np.zeros((samples, states)), RNG.normal(size=(samples, 2))
         disturbance = 0.1 * RNG.normal(size=(samples, states))
@@ -129,8 +133,66 @@ def dmd() -> None:
             return np.sort(np.abs(np.linalg.eigvals(np.linalg.solve(rows.T @ rows, rows.T @ y[1:])[: y.shape[1]])))
 
         work = f"DMD with control, n = {states}, N = {samples:.0e}"
-        race(work, aim, ours, "pydmd", peer, rounds=3)
+        race(work, aim, ours, "pydmd", peer, rounds=3 if states * samples < 10_000_000 else 1)
         race(work, 1.2, ours, "normal equations", normal, of="numpy", rounds=7)
+
+
+def subspace(samples: int = 10_000) -> None:
+    """N4SID of three states, and ARX, of one and of two inputs and outputs; the eigenvalues are compared.
+
+    The peers use 10 block rows, as we do; what differs is noise in 4 digits, not the method.
+    """
+    rng = np.random.default_rng(0)
+    a = np.array([[0.9, 0.3, 0.0], [-0.2, 0.85, 0.1], [0.0, 0.0, 0.6]])
+    for size in (1, 2):
+        b, c = rng.normal(size=(3, size)), rng.normal(size=(size, 3))
+        u, x = rng.normal(size=(samples, size)), np.zeros((samples, 3))
+        for k in range(samples - 1):
+            x[k + 1] = a @ x[k] + b @ u[k]
+        y = x @ c.T
+        y = y + 0.01 * y.std(axis=0) * rng.normal(size=y.shape)
+        data = record(u, y)
+
+        def ours(data: Trajectory = data) -> FloatArray:
+            return np.sort(np.abs(Subspace(order=3, past=10, method="n4sid").fit([data], rng=RNG).eigenvalues))
+
+        def sippy(u: FloatArray = u, y: FloatArray = y) -> FloatArray:
+            import sippy_unipi
+
+            found: Any = sippy_unipi.system_identification(y.T, u.T, "N4SID", SS_fixed_order=3, SS_f=10)
+            return np.sort(np.abs(np.linalg.eigvals(found.A)))
+
+        def nfoursid(u: FloatArray = u, y: FloatArray = y, size: int = size) -> FloatArray:
+            import pandas
+            from nfoursid.nfoursid import NFourSID
+
+            inputs, outputs = [f"u{i}" for i in range(size)], [f"y{i}" for i in range(size)]
+            frame = pandas.DataFrame(np.hstack([u, y]), columns=inputs + outputs)
+            method = NFourSID(frame, output_columns=outputs, input_columns=inputs, num_block_rows=10)
+            method.subspace_identification()
+            return np.sort(np.abs(np.linalg.eigvals(method.system_identification(rank=3)[0].a)))
+
+        work = f"N4SID, {size} x {size}, N = {samples:.0e}"
+        race(work, 7, ours, "sippy", sippy, rounds=3, of="sippy_unipi")
+        race(work, 93, ours, "nfoursid", nfoursid, rounds=1)
+
+        if size > 1:
+            continue
+
+        def arx(data: Trajectory = data) -> FloatArray:
+            return np.asarray(Arx(order=3, offset=False).fit([data], rng=RNG).impulse_response(10)[:, 0, 0])
+
+        def sippy_arx(u: FloatArray = u, y: FloatArray = y) -> FloatArray:
+            import sippy_unipi
+            from scipy.signal import lfilter
+
+            found: Any = sippy_unipi.system_identification(y.T, u.T, "ARX", ARX_orders=[3, 3, 0])
+            pulse = np.eye(10)[0]
+            top, bottom = (np.atleast_1d(np.squeeze(part)) for part in (found.G.num[0][0], found.G.den[0][0]))
+            lead = np.zeros(len(bottom) - len(top))
+            return np.asarray(lfilter(np.concatenate([lead, top]), bottom, pulse))
+
+        race(f"ARX of order 3, N = {samples:.0e}", 7, arx, "sippy", sippy_arx, rounds=3, of="sippy_unipi")
 
 
 def markov(samples: int = 100_000) -> None:
@@ -251,10 +313,10 @@ def recursive(samples: int = 3000) -> None:
         race(work, 1.5, ours, "padasip", padasip, rounds=10)
 
 
-RACES = (markov, era, sparse, dmd, counting, recursive)
+RACES = (markov, era, sparse, dmd, subspace, counting, recursive)
 
 if __name__ == "__main__":
-    chosen = sys.argv[1:] or [job.__name__ for job in RACES]
+    chosen = [name for name in sys.argv[1:] if name != "large"] or [job.__name__ for job in RACES]
     for job in RACES:
         if job.__name__ in chosen:
             job()

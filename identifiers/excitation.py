@@ -217,12 +217,15 @@ def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
     own = np.concatenate([np.hstack([np.ones((len(p[0]), 1)), *p]) for p in past_u])
     both = np.hstack([own, np.concatenate([np.hstack(p) for p in past_y])])
     target = np.concatenate([one.u[lags:] for one in long])
-    lost = []
-    for columns in (own, both):
-        size = np.linalg.norm(columns, axis=0)
-        q, values, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
+    size = np.linalg.norm(both, axis=0)
+    # Norms of residuals are those of the triangle: it is small.
+    stacked = np.hstack([both / np.where(size > 0, size, 1.0), target])
+    triangle = np.asarray(np.linalg.qr(stacked, mode="r"), dtype=np.float64)
+    wanted, lost = triangle[:, both.shape[1] :], []
+    for columns in (triangle[:, : own.shape[1]], triangle[:, : both.shape[1]]):
+        q, values, _ = np.linalg.svd(columns, full_matrices=False)
         q = q[:, values > 1e-10 * values[0]]
-        lost.append((np.sum((target - q @ (q.T @ target)) ** 2, axis=0), q.shape[1]))
+        lost.append((np.sum((wanted - q @ (q.T @ wanted)) ** 2, axis=0), q.shape[1]))
     (alone, few), (helped, many) = lost
     floor = 1e-20 * np.sum(target**2, axis=0)  # an input that its own past foretells exactly needs no feedback
     share = np.where(alone > floor, 1.0 - helped / np.maximum(alone, 1e-300), 0.0)

@@ -91,5 +91,5 @@ def solved(gram: FloatArray, right: FloatArray) -> FloatArray:
             return np.asarray(dpotrs(factor, right, lower=1)[0], dtype=np.float64)
     values, vectors = np.linalg.eigh(gram)
     good = values > _POOR * values[-1]
-    found: FloatArray = vectors[:, good] @ ((vectors[:, good].T @ right) / values[good])
+    found: FloatArray = vectors[:, good] @ ((vectors[:, good].T @ right).T / values[good]).T
     return found

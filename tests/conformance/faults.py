@@ -1,4 +1,4 @@
-"""Twenty-nine deliberate faults, written down before the checks that find them.
+"""Thirty deliberate faults, written down before the checks that find them.
 
 Each is a plausible slip of somebody who writes a plug-in: the code runs, and figures come out. ``FAULTS`` lists
 them with the kind of part they are in. The sound estimator that most of them spoil is :class:`sound.Sound`.
@@ -37,6 +37,15 @@ class IgnoresInput(Sound):
     def model(self, spec: PlantSpec, G: FloatArray) -> Any:
         spoilt = G.copy()
         spoilt[spec.ny : spec.ny + spec.nu] = 0.0
+        return SoundModel(spec, spoilt)
+
+
+class NegatesInput(Sound):
+    """The inputs have the opposite effect: B with the wrong sign."""
+
+    def model(self, spec: PlantSpec, G: FloatArray) -> Any:
+        spoilt = G.copy()
+        spoilt[spec.ny : spec.ny + spec.nu] *= -1.0
         return SoundModel(spec, spoilt)
 
 
@@ -324,7 +333,8 @@ class Fault:
 
 
 _IDENTIFIERS = (
-    PredictsZero, IgnoresInput, FirstInputOnly, SeedsNumpy, DrawsFromRandom, SilencesNumpy, IgnoresInitialState,
+    PredictsZero, IgnoresInput, NegatesInput, FirstInputOnly, SeedsNumpy, DrawsFromRandom, SilencesNumpy,
+    IgnoresInitialState,
     SwapsOutputs, InputOneSampleLate, FirstRecordOnly, CrossesSeams, CachesBySpec, SharesItsBuffer, EmptiesTheList,
     NeedsAList, TakesOtherChannels, FreeRunOfItsOwn, NeverScored, RoundsInJson, RoundsToTheFuture, NanFromARecordAtRest,
 )  # fmt: skip

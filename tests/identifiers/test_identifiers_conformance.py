@@ -28,6 +28,7 @@ BATCH: list[tuple[str, dict[str, Any], tuple[str, ...]]] = [
     ("n4sid", {"method": "parsim", "past": 5, "stable": True}, LINEAR),
     ("prediction-error", {"order": 2}, ("linear",)),
     ("prediction-error", {"structure": "armax", "order": 2}, ("linear",)),
+    ("along-trajectory", {"width": 8}, ("linear, state measured",)),
     ("stlsq", {"order": 1}, ("linear, state measured", "pendulum, rate measured")),
     ("stlsq", {"time": "discrete"}, ("linear, state measured",)),
     ("stlsq", {"order": 2, "half": 12}, ("pendulum",)),

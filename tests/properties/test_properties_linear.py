@@ -128,6 +128,33 @@ def test_the_order_of_outputs_does_not_matter(case, system, seed):
     assert np.abs(other - one[:, turn]).max() < 1e-5 * np.abs(held.y).max()
 
 
+EQUIVARIANT: list[tuple[str, dict[str, Any]]] = [
+    ("least-squares", {"least_excitation": 0.0}),
+    ("least-squares", {"least_excitation": 0.0, "method": "iv"}),
+    ("arx", {"order": 1, "least_excitation": 0.0}),
+    ("arx", {"order": 2, "least_excitation": 0.0}),
+    ("dmdc", {"least_excitation": 0.0}),
+    ("dmdc", {"delays": 2, "least_excitation": 0.0}),
+]
+"""Others weigh the outputs one by one, and are right to change under noise when these are mixed."""
+
+
+@pytest.mark.parametrize("case", EQUIVARIANT, ids=_name)
+@given(tempered_systems(measured_state=True), SEEDS)
+@settings(max_examples=6)
+def test_other_coordinates_of_the_measured_state_give_the_same_predictions(case, system, seed):
+    rng = np.random.default_rng(seed)
+    n = system.spec.ny
+    mix = np.linalg.qr(rng.normal(size=(n, n)))[0] @ np.diag(rng.uniform(0.5, 2.0, n))
+    records = [simulate_linear(system, 80, rng=rng, noise=0.02) for _ in range(2)]
+    held = simulate_linear(system, 40, rng=rng)
+    plain = fitted(case, records)
+    mixed = fitted(case, [replace(one, y=one.y @ mix.T) for one in records])
+    one = predict(plain, held, 1)[3:]
+    other = predict(mixed, replace(held, y=held.y @ mix.T), 1)[3:]
+    assert np.abs(other - one @ mix.T).max() < 1e-6 * np.abs(held.y @ mix.T).max()
+
+
 @given(tempered_systems(tempers=("stable", "lightly damped")), SEEDS, st.integers(1, 5), st.integers(1, 3))
 @settings(max_examples=10)
 def test_order_and_lag_are_honoured(system, seed, order, delay):

@@ -30,6 +30,8 @@ OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("dmdc", {"rank": "auto", "total": "auto"}),
     ("edmdc", {}),
     ("edmdc", {"delays": 2, "fourier": 1}),
+    ("along-trajectory", {"width": 20}),
+    ("along-trajectory", {"width": 40, "order": 2}),
     ("ho-kalman", {"markov": 30}),
     ("ho-kalman", {"markov": 30, "observer": 4}),
     ("n4sid", {"past": 5, "order": 2}),
