@@ -22,7 +22,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory, Use
 if TYPE_CHECKING:
     from harness.benchmark import Answer, BenchResult
     from harness.benchmark.planning import Plan
-    from harness.comparison import Comparison, Spectrum
+    from harness.comparison import Comparison, OrderSelection, Spectrum
     from harness.conformance import CheckResult
     from harness.data import Nominal
     from harness.diagnosis import Report
@@ -51,6 +51,7 @@ __all__ = [
     "isolability",
     "learn_residual",
     "list_parts",
+    "order",
     "plan_bench",
     "query",
     "score_study",
@@ -209,14 +210,15 @@ def plan_bench(
     return benchmark.plan(suite, out=out, workers=workers, seeds=seeds, shard=shard)
 
 
-def query(directory: str | Path, sql: str) -> Answer:
-    """Return the answer to a query over the tables of a benchmark's or a fleet's folder.
+def query(directory: str | Path, sql: str | None = None, *, filters: Mapping[str, Any] | None = None) -> Answer:
+    """Return the answer to a query over the tables of a benchmark's or a fleet's folder, or its first table.
 
     See :func:`harness.benchmark.query` and :func:`harness.fleet.query`.
     """
     from harness import benchmark, fleet
 
-    return fleet.query(directory, sql) if fleet.is_fleet_folder(directory) else benchmark.query(directory, sql)
+    room = fleet.query if fleet.is_fleet_folder(directory) else benchmark.query
+    return room(directory, sql, filters=filters)
 
 
 def table(directory: str | Path) -> BenchResult:
@@ -336,9 +338,16 @@ def identify(
         fitted,
         {use: [equation_error(fitted, one) for one in data.using(use)] for use in uses},
         {use: [simulation_error(fitted, one) for one in data.using(use)] for use in uses},
-        data.warnings,
+        (*data.warnings, *_said(fitted)),
         probability,
     )
+
+
+def _said(model: Model) -> tuple[str, ...]:
+    """Return what the fit of a model warns of."""
+    notes = getattr(model, "notes", None)
+    warning = notes.get("warning") if isinstance(notes, Mapping) else None
+    return (str(warning),) if warning else ()
 
 
 def close_loop(
@@ -494,9 +503,10 @@ def study(
     records: int | None = None,
     plants: Sequence[str] = ("pendulum", "cart-pole"),
     workers: int = 2,
-    cells: int = 2,
-    alarms: int = 300,
+    cells: int = 4,
+    alarms: int = 400,
     budget: float | None = None,
+    engine: str = "local",
     resume: bool = False,
     force: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
@@ -514,6 +524,7 @@ def study(
         cells=cells,
         alarms=alarms,
         budget=budget,
+        engine=engine,
         resume=resume,
         force=force,
         progress=progress,
@@ -528,9 +539,12 @@ def generate_study(
     secret: int | None = None,
     records: int | None = None,
     plants: Sequence[str] = ("pendulum", "cart-pole"),
-    cells: int = 2,
-    alarms: int = 300,
+    cells: int = 4,
+    alarms: int = 400,
     like: str | Path | None = None,
+    workers: int | None = None,
+    resume: bool = False,
+    force: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Package:
     """Write the records of a study for another tool, the truth apart; see :func:`harness.study.package.generate`."""
@@ -546,6 +560,9 @@ def generate_study(
         cells=cells,
         alarms=alarms,
         like=like,
+        workers=workers,
+        resume=resume,
+        force=force,
         progress=progress,
     )
 
@@ -723,19 +740,64 @@ def spectrum(
     """
     from harness import comparison as room
     from harness.data import load_dataset
-    from harness.data.whole_files import whole_file
 
-    if out is not None:
-        _refuse_overwrite(Path(out), force=force)
-        if Path(out).suffix not in (".svg", ".png", ".pdf"):
-            raise InputError(
-                "output file", expected="a name that ends in .svg, .png or .pdf", got=str(out), remedy="rename it"
-            )
+    _refuse_picture(out, force=force)
     data = load_dataset(registry.dataset_path(dataset), model=model, undriven=undriven).dataset
     found = room.spectrum([one.measured() for one in data.estimation], segment=segment)
-    if out is not None:
-        with whole_file(out) as scratch:
-            found.plot().savefig(scratch, format=Path(out).suffix[1:])
+    _draw(found.plot, out)
+    return found
+
+
+def order(
+    dataset: Any,
+    *,
+    identifiers: Sequence[str] = (),
+    orders: Sequence[int] = (),
+    options: Mapping[str, Any] | None = None,
+    model: str | None = None,
+    validation: Any = None,
+    undriven: Sequence[str] = (),
+    out: str | Path | None = None,
+    seed: int = 0,
+    force: bool = False,
+) -> OrderSelection:
+    """Fit models of every order, judge them on data that they did not see, and show where more is no gain.
+
+    Parameters
+    ----------
+    dataset : path or table
+        As for ``identify``.
+    identifiers : sequence of str
+        Ids of identifiers with the option ``order``; by default ``arx``, ``n4sid`` and ``ho-kalman``.
+    orders : sequence of int
+        By default 1 to 12.
+    options : mapping, optional
+        Further options of the identifiers.
+    model, validation, undriven
+        As for ``identify``.
+    out : path, optional
+        Picture to write: ``.svg``, ``.png`` or ``.pdf``.
+    seed : int
+        For identifiers that draw random numbers.
+    force : bool
+        Overwrite ``out`` if it exists.
+
+    Raises
+    ------
+    InputError
+        If the data or the options cannot be used, or no model of any order is found.
+    """
+    from harness import comparison as room
+    from harness.data import load_dataset
+
+    _refuse_picture(out, force=force)
+    path = registry.dataset_path(dataset)
+    data = load_dataset(path, model=model, validation=validation, undriven=undriven).dataset
+    asked: dict[str, Any] = {"identifiers": identifiers} if identifiers else {}
+    if orders:
+        asked["orders"] = orders
+    found = room.order_selection(data, options=options, seed=seed, **asked)
+    _draw(found.plot, out)
     return found
 
 
@@ -822,6 +884,26 @@ def _refuse_overwrite(path: Path, *, force: bool) -> None:
             remedy=f"make {path.parent} first",
             file=path,
         )
+
+
+def _refuse_picture(out: str | Path | None, *, force: bool) -> None:
+    """Raise if a picture cannot be written there."""
+    if out is None:
+        return
+    _refuse_overwrite(Path(out), force=force)
+    if Path(out).suffix not in (".svg", ".png", ".pdf"):
+        raise InputError(
+            "output file", expected="a name that ends in .svg, .png or .pdf", got=str(out), remedy="rename it"
+        )
+
+
+def _draw(plot: Callable[[], Any], out: str | Path | None) -> None:
+    """Write a picture if one was asked for."""
+    from harness.data.whole_files import whole_file
+
+    if out is not None:
+        with whole_file(out) as scratch:
+            plot().savefig(scratch, format=Path(out).suffix[1:])
 
 
 def _refuse_python(source: Path) -> None:
