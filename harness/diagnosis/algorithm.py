@@ -94,6 +94,11 @@ class Diagnosis:
         return "explained" if quiet and self.runs.left <= self.policy.explained else "mostly_explained"
 
     @property
+    def structure_fits(self) -> bool:
+        """False where the final model lacks something that could be predicted: its intervals do not count that."""
+        return self.grade in ("explained", "mostly_explained")
+
+    @property
     def latent_share(self) -> float:
         """Size of the latent force of the final model over the typical force, the largest of all ports."""
         noise = self.final.detail.points["estimation"].noise
@@ -173,7 +178,6 @@ def diagnose(
         if not form.latent:  # a plant that loses its start cannot be judged by whole free runs
             horizon = kind.horizon(system, system.values(), judged)
             form = kind.form(system, windowed(judged, horizon.seconds and policy.window * horizon.seconds))
-            policy = policy.of_free_runs()
         remembered = Remembered(form, folder)
         say("first fit of the nominal model", 0.02)
         nominal = remembered.fit((), form.first_starts(), None)

@@ -53,7 +53,7 @@ _NEVER_EXACT = ("hysteresis", "sublinear_friction", "backlash", "elasticity", "e
 
 
 def as_hardware(hidden: Hidden, context: Context, size: float) -> Hidden:
-    """Return the same effect at the same size in the formulation of hardware.
+    """Return the same effect at the same size in the formulation of hardware; as it is where hardware has no other.
 
     Parameters
     ----------
@@ -64,6 +64,8 @@ def as_hardware(hidden: Hidden, context: Context, size: float) -> Hidden:
         RMS of the effect's force at its place [N, N m].
     """
     name, at = hidden.name, hidden.at
+    if name not in LAWS:  # the second of a pair
+        return hidden
     values = dict(hidden.truth)
     i = context.coordinate(at)
     if name in BRISTLES:

@@ -15,8 +15,7 @@ __all__ = ["WORDS", "counts", "summary"]
 Row = dict[str, str]
 WORDS = ("right", "tied", "wrong", "flagged", "missed")
 
-LEGEND = (
-    """Each row of a table counts pairs of records (estimation and validation, 20 s at 250 Hz, positions only).
+LEGEND = """Each row of a table counts pairs of records (estimation and validation, 20 s at 250 Hz, positions only).
 *right*: the accepted set is the truth, effect and place. *tied*: the truth is in the tie set; or it is exactly the
 same on this plant as what was accepted (gravity tilt, encoder offset and eccentric load on one joint; asymmetric
 Coulomb friction, and Coulomb friction with a bias); or nothing was accepted, and the report says that the truth cannot
@@ -30,11 +29,8 @@ hardens, a motor with back-EMF, current and voltage limits, a command held by a 
 formulas of `laws`, with which it agrees to rounding), `laws` (the dictionary's formulas in C, steps of 0.2 ms, friction
 with a true standstill, sharp corners). Sizes: nominal is 6 to 10 % of the rms torque, quarter a fourth; noise: low
 1e-4, high 1e-3 (rad, m); disturbance: unknown torque of 2 % of the rms torque, Gauss-Markov or not. A third of the
-records have a nominal structure that is a little wrong: """
-    + "; ".join(STRUCTURES.values())
-    + """. Both models have
-viscous friction: it is not hidden."""
-)
+records have a nominal structure that is a little wrong: {structures}. Both models have viscous friction: it is not
+hidden."""
 NAMED = ("payload_step", "backlash", "sensor_offset", "end_stop")
 """Effects that the headline shows one by one."""
 
@@ -59,7 +55,7 @@ def summary(rows: Iterable[Row], *, seeds: str, planned: int, keys: Collection[s
         "# What the closed loop finds on simulated truths",
         f"Made by `sysid study` on {seeds} seeds: {len(known)} of {planned} planned records done"
         f"{'' if len(known) == planned else ' (the order is balanced, so the part done is a fair sample)'}.",
-        LEGEND,
+        LEGEND.format(structures="; ".join(STRUCTURES.values())),
     ]
     single = [row for row in good if row["study"] == "confusion"]
     hidden = [row for row in single if row["truth"]]

@@ -189,6 +189,65 @@ def test_a_fault_is_a_row_with_its_reason(monkeypatch):
     assert (found["status"], found["reason"]) == ("diverged", "the truth leaves every bound")
 
 
+def test_the_cost_is_that_of_the_command_with_its_children(monkeypatch):
+    from harness.study import cost
+    from harness.study.plan import Task
+    from harness.study.records import make_records
+
+    burn = "import time; end = time.process_time() + 0.3\nwhile time.process_time() < end: pass"
+    command = f"""
+import json, os, pathlib, subprocess, sys
+cache = pathlib.Path(os.environ["SYSID_HARNESS_CACHE"])
+if not cache.exists():  # as a compiler would be called once
+    subprocess.run([sys.executable, "-c", {burn!r}], check=True)
+    cache.mkdir()
+out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
+out.mkdir()
+(out / "report.json").write_text(json.dumps({{"verdict": "nothing_missing", "effects": []}}))
+"""
+    monkeypatch.setattr(cost, "_COMMAND", command)
+    one = Task("cost", "pendulum", "laws", (), "", "high", 0.0, 0, 0)
+    found = cost.timed_command(one, make_records(one, samples=300))
+    assert found["verdict"] == "nothing_missing"
+    assert float(found["cpu_cold_s"]) > float(found["cpu_s"]) + 0.2
+    monkeypatch.setattr(cost, "_COMMAND", "import sys; sys.exit('no such model')")
+    assert "no such model" in do_row(one, samples=300)["reason"]
+
+
+def test_a_wrong_name_is_an_interval_that_misses():
+    from types import SimpleNamespace
+
+    from harness.study.row import _coverage
+
+    records = SimpleNamespace(parameters={"J": 0.1}, hidden=())
+    fit = SimpleNamespace(free=("J",), on_bound=(), interval=lambda name: (0.09, 0.11), values={"J": 0.1})
+    found = _coverage(fit, records, {"force_bias@theta"})
+    assert found == {"covered": 1, "intervals": 2, "outside_interval": "force_bias@theta (not there)"}
+
+
+def test_an_answer_with_rivals_tied_is_not_right_alone():
+    rows = [row(0, tie_size="1"), row(1, tie_size="3"), row(2, "tied", tie_size="2"), row(3, tie_size="")]
+    text = summary(rows, seeds="tuning", planned=4, keys={one["key"] for one in rows})
+    assert "| **right, no rival tied**, without disturbance | 85 % | 2 of 4" in text
+    assert "1: 2, 2: 1, 3: 1, 4 or more: 0" in text
+
+
+def test_false_alarms_are_counted_by_what_nobody_modelled():
+    nothing = {"study": "none", "truth": "", "accepted": ""}
+    rows = [
+        row(0, **nothing, disturbance="0.02", shape="steps"),
+        row(1, "wrong", **{**nothing, "accepted": "cogging@x"}, disturbance="0.02", shape="wheel", input_noise="0.01"),
+        row(2, "wrong", **{**nothing, "accepted": "cogging@x"}, structure="heavy-rod"),
+        row(3, "flagged", **nothing, structure="heavy-rod") | {"verdict": "unexplained"},
+    ]
+    text = summary(rows, seeds="tuning", planned=4, keys={one["key"] for one in rows})
+    assert "| with 2 % unknown torque | 2 | 1 |" in text
+    assert "| of them, wheel | 1 | 1 |" in text
+    assert "| of them, steps | 1 | 0 |" in text
+    assert "| nominal structure a little wrong: heavy-rod | 2 | 1 | 97.47 % | 1 |" in text
+    assert "white sensor noise alone" not in text, "a structure that is wrong is no class of false alarms"
+
+
 def test_coverage_compares_what_means_the_same():
     from types import SimpleNamespace
 

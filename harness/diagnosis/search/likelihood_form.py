@@ -38,11 +38,12 @@ OWN = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
 
 @dataclass(eq=False)
 class Detail:
-    """Points and passes by use, and the filter that made them."""
+    """Points and passes by use, the filter that made them, and what halves of validation records tell of phases."""
 
     points: dict[str, Point]
     passes: Pass
     best: LikelihoodFit
+    told: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
     paths: dict[str, list[Filtered]] = field(default_factory=dict)
     smooth: dict[str, list[Smoothed]] = field(default_factory=dict)
 
@@ -185,10 +186,13 @@ class LikelihoodForm:
             ends = [one if one.converged else likelihood.maximise(one.point) for one in near[:2]]
             best = min(ends, key=lambda one: one.nll)
             best = best if best.converged else likelihood.maximise(best.point)
-            own, outside, validation = self._validated(system, passes, best, base)
+            own, told, validation = self._validated(system, passes, best, base)
+            outside = self._outside(system, passes, validation, told)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             return None
-        return self._fitted(begun.effects, system, passes, best, own, outside, validation)
+        return None if outside is None else self._fitted(
+            begun.effects, system, passes, best, own, outside, validation, told
+        )  # fmt: skip
 
     def record(self, fit: Fit) -> dict[str, Any]:
         """Return a finished fit as plain numbers."""
@@ -197,6 +201,7 @@ class LikelihoodForm:
             "best": fit_record(detail.best),
             "validation": point_record(detail.points["validation"]),
             "own": fit.own,
+            "told": [[p.tolist() for p in sides] for sides in detail.told],
             "substeps": detail.passes.substeps,
         }
 
@@ -206,10 +211,11 @@ class LikelihoodForm:
         passes = self.passes(system, int(record["substeps"]))
         best = fit_from_record(record["best"], self._likelihood(system, "estimation", passes))
         point = point_from_record(record["validation"])
-        outside = self._likelihood(system, "validation", passes).filtered(point)
+        told = [(np.array(first), np.array(second)) for first, second in record["told"]]
+        outside = self._outside(system, passes, point, told)
         if best is None or outside is None:
             return None
-        return self._fitted(effects, system, passes, best, dict(record["own"]), outside, point)
+        return self._fitted(effects, system, passes, best, dict(record["own"]), outside, point, told)
 
     def fit(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
@@ -225,6 +231,7 @@ class LikelihoodForm:
         own: dict[str, float],
         outside: list[Filtered],
         validation: Point,
+        told: list[tuple[FloatArray, FloatArray]],
     ) -> Fit:
         """Return the fit as the search wants it; initial states of the nominal model are in every candidate."""
         names = set(system.parameter_names)
@@ -244,7 +251,7 @@ class LikelihoodForm:
             best.converged,
             best.on_bound,
             own,
-            Detail({"estimation": best.point, "validation": validation}, passes, best),
+            Detail({"estimation": best.point, "validation": validation}, passes, best, told),
         )
 
     def with_deviations(self, fit: Fit) -> Fit:
@@ -272,11 +279,13 @@ class LikelihoodForm:
                 found[name] = float(np.sqrt(max(covariance[k, k], 0.0)) / max(size, 1e-300))
         return replace(fit, deviations=found)
 
-    def _likelihood(self, system: Any, use: str, passes: Pass) -> Likelihood:
+    def _likelihood(
+        self, system: Any, use: str, passes: Pass, records: Sequence[Trajectory] | None = None
+    ) -> Likelihood:
         rounding = [block.parameter for block in system.sampled if block.kind == "quantise"]
         return Likelihood(
             system,
-            self.records[use],
+            self.records[use] if records is None else records,
             self.noise_model,
             fixed=rounding,
             intersample=self.dataset.intersample,
@@ -285,8 +294,8 @@ class LikelihoodForm:
 
     def _validated(
         self, system: Any, passes: Pass, best: LikelihoodFit, base: Fit | None
-    ) -> tuple[dict[str, float], list[Filtered], Point]:
-        """Fit what belongs to the validation records; return it, the passes, and the point."""
+    ) -> tuple[dict[str, float], list[tuple[FloatArray, FloatArray]], Point]:
+        """Fit what belongs to the validation records; return it, what halves tell of phases, and the point."""
         likelihood = self._likelihood(system, "validation", passes)
         own = [
             placed.name(name)
@@ -307,7 +316,46 @@ class LikelihoodForm:
                 if chosen is None or found.nll < chosen.nll:
                     chosen = found
         assert chosen is not None
-        return {name: chosen.parameters[name] for name in own}, chosen.filtered, chosen.point
+        phases = [name for name in own if name.endswith(".phi")]
+        told = self._told_by_halves(system, passes, chosen, phases) if phases else []
+        return {name: chosen.parameters[name] for name in own}, told, chosen.point
+
+    def _told_by_halves(
+        self, system: Any, passes: Pass, whole: LikelihoodFit, phases: Sequence[str]
+    ) -> list[tuple[FloatArray, FloatArray]]:
+        """Return for every validation record the parameters with the phases that its first half tells, and its second.
+
+        A phase that is fitted where it is judged would let any line of a spectrum pass for something periodic, but what
+        repeats keeps its phase: each half is judged with that of the other.
+        """
+        found = []
+        for record, x0 in zip(self.records["validation"], whole.point.x0, strict=True):
+            sides: list[FloatArray] = []
+            for half, start in ((record[: len(record) // 2], x0), (record[len(record) // 2 :], None)):
+                part = self._likelihood(system, "validation", passes, records=[half])
+                if start is None:
+                    start = np.zeros(passes.start_size)
+                    start[: self.nominal.nx] = self.first_state(system, half, whole.point.p)[: self.nominal.nx]
+                free = [*phases, *(name for name in part.names if name.startswith("x0["))]
+                sides.append(part.maximise(replace(whole.point, x0=[start]), free=free, most=25).point.p)
+            found.append((sides[0], sides[1]))
+        return found
+
+    def _outside(
+        self, system: Any, passes: Pass, point: Point, told: Sequence[tuple[FloatArray, FloatArray]]
+    ) -> list[Filtered] | None:
+        """Return the passes over the validation records, each half with the phases that the other half tells."""
+        passed = self._likelihood(system, "validation", passes).filtered(point)
+        if passed is None or not told:
+            return passed
+        for one, record, x0, (first, second) in zip(passed, self.records["validation"], point.x0, told, strict=True):
+            middle = len(record) // 2
+            for p, judged in ((second, slice(None, middle)), (first, slice(middle, None))):
+                other = passes(record, p, x0, point.noise)
+                if other is None:
+                    return None
+                one.e[judged], one.s[judged] = other.e[judged], other.s[judged]
+        return passed
 
     def _noises(self, base: Fit | None) -> list[Noise]:
         """Return the noise to start from: that of the base, else several."""
