@@ -152,7 +152,8 @@ def ensemble(axes: Any) -> None:
         label = f"90 %, {name}: holds {100 * inside:.0f} %"
         axes.fill_between(t, low - middle, high - middle, alpha=0.4, label=label)
         axes.plot(t, y - middle, "k.", ms=3)
-    axes.set(title="Ensemble of networks, free run", xlabel="time [s]", ylabel="theta error [rad]", ylim=(-0.2, 0.2))
+    axes.set(title="Ensemble of networks, free run", xlabel="time [s]", ylabel="theta error [rad]", ylim=(-3, 3))
+    axes.set_yscale("symlog", linthresh=0.1)
     axes.legend(fontsize=7, loc="lower left")
 
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from harness.errors import InputError
 from harness.signals import FloatArray, Trajectory
-from harness.specs import spec_from_dict
 from identifiers.ensemble import Ensemble
-from identifiers.lag_state import LagModel, Scaling
+from identifiers.lag_network import LagNetwork
 from identifiers.lag_training import lag_task
 
 __all__ = ["AttentionEnsemble", "AttentionModel", "AttentionNetwork"]
@@ -22,7 +21,7 @@ _TABLES = ("embed", "place", "query", "key", "value", "mix", "inner", "bias", "o
 
 
 @dataclass(frozen=True, eq=False)
-class AttentionModel(LagModel):
+class AttentionModel(LagNetwork):
     """The change of the output is affine in the lags, plus what attention finds in them.
 
     Every past sample ``[y, u]`` is a token. The newest asks, all of them answer: scaled dot-product attention with
@@ -35,24 +34,15 @@ class AttentionModel(LagModel):
         embed (ny + nu, d), place (L, d), query, key, value (d, d), mix (d, d), inner (d, h), bias (1, h), outer
         (h, d), read (d, ny).
     heads : int
-    affine : array (p + 1, ny)
-        In scaled numbers.
-    variance : array (ny,)
-        Of the one-step error on held-out samples.
     """
 
     tables: dict[str, FloatArray]
     heads: int
-    affine: FloatArray
-    variance: FloatArray
 
-    def ahead(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and variance (..., ny) of the next output."""
-        x = self.scaling.rows(rows)
+    def change(self, x: FloatArray) -> FloatArray:
+        """Return what the network adds (..., ny) at scaled rows (..., p), scaled."""
         found = _attend(np, [self.tables[name] for name in _TABLES], x.reshape(-1, x.shape[-1]), self.heads)
-        change = found.reshape(*x.shape[:-1], self.spec.ny) + x @ self.affine[:-1] + self.affine[-1]
-        mean = rows[..., : self.spec.ny] + self.scaling.y_mean + change * self.scaling.y_std
-        return mean, np.broadcast_to(self.variance, mean.shape)
+        return np.asarray(found.reshape(*x.shape[:-1], self.spec.ny))
 
     def attention(self, rows: FloatArray) -> FloatArray:
         """Return how much each past sample weighs (n, heads, L), newest first, at regressors (n, p)."""
@@ -61,27 +51,14 @@ class AttentionModel(LagModel):
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
-        return {
-            **self.head("attention"),
-            "tables": {name: table.tolist() for name, table in self.tables.items()},
-            "heads": self.heads,
-            "affine": self.affine.tolist(),
-            "variance": self.variance.tolist(),
-        }
+        tables = {name: table.tolist() for name, table in self.tables.items()}
+        return {**self.head("attention"), "tables": tables, "heads": self.heads}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> AttentionModel:
         """Return the model of a description."""
-        return cls(
-            spec_from_dict(content["spec"]),
-            int(content["lags"]),
-            Scaling.from_dict(content["scaling"]),
-            {name: np.array(content["tables"][name], dtype=float) for name in _TABLES},
-            int(content["heads"]),
-            np.array(content["affine"], dtype=float),
-            np.array(content["variance"], dtype=float),
-            notes=dict(content.get("notes", {})),
-        )
+        tables = {name: np.array(content["tables"][name], dtype=float) for name in _TABLES}
+        return cls.read(content, tables=tables, heads=int(content["heads"]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,11 +151,10 @@ class AttentionNetwork:
         for number in range(self.members):
             own = {name: table[number] for name, table in zip(_TABLES, found, strict=True)}
             own["read"] = own["read"] * task.size
-            model = AttentionModel(spec, self.order, task.scaling, own, self.heads, task.affine, np.ones(spec.ny))
-            members.append(model)
-        variance = task.variance(members)
+            shared = (spec, self.order, task.scaling, task.affine, np.ones(spec.ny), None)
+            members.append(AttentionModel(*shared, tables=own, heads=self.heads))
         notes = {"held-out loss": history[-1], "samples": len(task.x), "held out": len(task.kept)}
-        return AttentionEnsemble(spec, tuple(replace(member, variance=variance) for member in members), notes)
+        return AttentionEnsemble(spec, task.banded(members), notes)
 
 
 # ---- one definition for numpy, which runs, and torch, which trains ---------------------------------------------------

@@ -15,7 +15,7 @@ from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.observers import best_gain, fitted_start, riccati_gains, run_in_steps
 from identifiers.records import moving, real_signals, usable
 from identifiers.scaling import centred
-from identifiers.training import need_torch, one_thread, train
+from identifiers.training import need_torch, train_tables
 
 __all__ = ["EmbedToControl", "LatentModel"]
 
@@ -235,43 +235,37 @@ class EmbedToControl:
                 remedy="use neural-state-space or neural-output-error",
             )
         records.sort(key=lambda record: (len(record), record.y.tobytes()))
-        torch = need_torch(what)
+        need_torch(what)
         (u_mean, u_std), (y_mean, y_std) = centred([one.u for one in records]), centred([one.y for one in records])
         scaled = [((one.y - y_mean) / y_std, (one.u - u_mean) / u_std) for one in records]
         learn, held = _split(scaled)
         start = self._start(learn, spec, rng)
         parts, held_parts = _windows(learn, self.lags, self.window), _windows(held, self.lags, self.window)
-        with one_thread(torch):
-            tensors = {name: torch.tensor(start[name][None], requires_grad=True) for name in _TABLES}
-            ours, theirs = ([torch.from_numpy(part) for part in group] for group in (parts, held_parts))
 
-            def miss(past: Any, u: Any, y: Any) -> Any:
-                """Return the loss of windows: pasts (w, k, p), inputs (w, k, nu) and outputs (w, k, ny)."""
-                t = {name: tensor[0] for name, tensor in tensors.items()}
-                seen = _encoded(torch, t, past)
-                total = ((_decoded(torch, t, seen) - y) ** 2).mean()
-                z, far = seen[:, 0], 0.0
-                for k in range(u.shape[1] - 1):
-                    z = _ahead(torch, t, z, u[:, k])
-                    far = far + ((_decoded(torch, t, z) - y[:, k + 1]) ** 2).mean()
-                    far = far + _CONSISTENCY * ((z - seen[:, k + 1]) ** 2).mean()
-                return total + far / (u.shape[1] - 1)
+        def miss(library: Any, t: dict[str, Any], past: Any, u: Any, y: Any) -> Any:
+            """Return the loss of windows: pasts (w, k, p), inputs (w, k, nu) and outputs (w, k, ny)."""
+            seen = _encoded(library, t, past)
+            total = ((_decoded(library, t, seen) - y) ** 2).mean()
+            z, far = seen[:, 0], 0.0
+            for k in range(u.shape[1] - 1):
+                z = _ahead(library, t, z, u[:, k])
+                far = far + ((_decoded(library, t, z) - y[:, k + 1]) ** 2).mean()
+                far = far + _CONSISTENCY * ((z - seen[:, k + 1]) ** 2).mean()
+            return total + far / (u.shape[1] - 1)
 
-            history = train(
-                torch,
-                list(tensors.values()),
-                lambda index: miss(*(part[index[0]] for part in ours)),
-                lambda: miss(*theirs)[None],
-                len(parts[0]),
-                (self.steps, self.rate, self.batch),
-                rng=rng,
-                checkpoint=self.checkpoint,
-                progress=self.progress,
-                title=what,
-            )
-            tables = {name: np.array(tensor[0].detach().numpy()) for name, tensor in tensors.items()}
+        tables, losses = train_tables(
+            what,
+            {name: start[name] for name in _TABLES},
+            miss,
+            parts,
+            held_parts,
+            (self.steps, self.rate, self.batch),
+            rng=rng,
+            checkpoint=self.checkpoint,
+            progress=self.progress,
+        )
         rest = np.mean([_encoded(np, tables, _pasts(y, u, self.lags)).mean(axis=0) for y, u in scaled], axis=0)
-        notes = {"held-out loss": [one[0] for one in history[-3:]], "windows": len(parts[0])}
+        notes = {"held-out loss": losses, "windows": len(parts[0])}
         gain = np.zeros((self.latent, spec.ny))
         draft = LatentModel(spec, tables, self.lags, u_mean, u_std, y_mean, y_std, rest, gain, notes)
         c = draft.c_matrix / y_std[:, None]

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 
+from harness.rng import stream
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.ensemble import own_spread
-from identifiers.lag_state import LagModel, Scaling, regression_data
+from identifiers.lag_network import LagNetwork
+from identifiers.lag_state import Scaling, regression_data
+from identifiers.reach import Reach
 from identifiers.records import moving, real_signals, usable
 from identifiers.training import Schedule, need_torch, one_thread, train
 
 __all__ = ["LagTask", "lag_task"]
+
+M = TypeVar("M", bound=LagNetwork)
 
 _RIDGE = 1e-8
 """Of the affine fit, relative to the number of rows: keeps it real where regressors depend on one another."""
@@ -111,11 +116,15 @@ class LagTask:
             )
             return [tensor.detach().numpy() for tensor in tensors], history
 
-    def variance(self, drafts: Sequence[LagModel]) -> FloatArray:
-        """Return the variance (ny,) with which the bands of an ensemble hold on the held-out rows."""
+    def banded(self, drafts: Sequence[M]) -> tuple[M, ...]:
+        """Return the members with bands that hold on the held-out rows and widen beyond the data."""
         each = np.array([draft.ahead(self.kept)[0] for draft in drafts])
         spread = own_spread(self.kept_later - each.mean(axis=0), each.var(axis=0))
-        return np.asarray(np.maximum(spread, _LEAST_STD * drafts[0].y_size) ** 2)
+        variance = np.maximum(spread, _LEAST_STD * drafts[0].y_size) ** 2
+        changes = [self.wanted, self.held_wanted]
+        rows, left = np.vstack([self.x, self.held_x]), np.vstack(changes) * self.size * self.scaling.y_std
+        reach = Reach.of(rows, left, rng=stream("reach"))
+        return tuple(replace(draft, variance=variance, reach=reach) for draft in drafts)
 
 
 def lag_task(trajectories: Sequence[Trajectory], order: int, what: str) -> LagTask:

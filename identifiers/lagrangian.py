@@ -15,7 +15,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.observers import alpha_beta_gains, best_gain, fitted_start, run_in_steps
 from identifiers.records import moving, real_signals, usable
-from identifiers.training import need_torch, one_thread, train
+from identifiers.training import need_torch, train_tables
 
 __all__ = ["LagrangianModel", "LagrangianNetwork"]
 
@@ -286,7 +286,7 @@ class LagrangianNetwork:
         names, columns = _coordinates(spec, what)
         states = [_states(record, columns, len(names)) for record in records]
         form, scale = self._form(spec, names, columns, states, records, what)
-        torch = need_torch(what)
+        need_torch(what)
         cuts = [len(record) - len(record) // _HELD_OUT for record in records]
         learn = _windows(records, states, [(0, cut) for cut in cuts], self.window, 1)
         held = _windows(
@@ -306,35 +306,29 @@ class LagrangianNetwork:
             "damping": 0.1 * np.sqrt(np.array(form.mass)),
         }
         seen = np.array(columns)
-        with one_thread(torch):
-            tensors = {name: torch.tensor(table[None], requires_grad=True) for name, table in start.items()}
-            parts, held_parts = ([torch.from_numpy(part) for part in group] for group in (learn, held))
-            size = torch.from_numpy(scale[seen])
+        size = scale[seen]
 
-            def miss(x: Any, u: Any, y: Any) -> Any:
-                """Return the mean square of free runs from states x (w, 2 n), inputs and outputs (w, k, ...)."""
-                t = {name: tensor[0] for name, tensor in tensors.items()}
-                q, v, total = x[:, :n], x[:, n:], 0.0
-                for k in range(u.shape[1] - 1):
-                    q, v = form.step(torch, t, q, v, u[:, k], spec.sample_time)
-                    found = torch.cat([q, v], dim=1)[:, seen]
-                    total = total + (((found - y[:, k + 1]) / size) ** 2).mean()
-                return total / (u.shape[1] - 1)
+        def miss(library: Any, t: dict[str, Any], x: Any, u: Any, y: Any) -> Any:
+            """Return the mean square of free runs from states x (w, 2 n), inputs and outputs (w, k, ...)."""
+            q, v, total, sizes = x[:, :n], x[:, n:], 0.0, library.from_numpy(size)
+            for k in range(u.shape[1] - 1):
+                q, v = form.step(library, t, q, v, u[:, k], spec.sample_time)
+                found = library.cat([q, v], dim=1)[:, seen]
+                total = total + (((found - y[:, k + 1]) / sizes) ** 2).mean()
+            return total / (u.shape[1] - 1)
 
-            history = train(
-                torch,
-                list(tensors.values()),
-                lambda index: miss(*(part[index[0]] for part in parts)),
-                lambda: miss(*held_parts)[None],
-                len(parts[0]),
-                (self.steps, self.rate, self.batch),
-                rng=rng,
-                checkpoint=self.checkpoint,
-                progress=self.progress,
-                title=what,
-            )
-            tables = {name: np.array(tensor[0].detach().numpy()) for name, tensor in tensors.items()}
-        notes = {"held-out loss": [one[0] for one in history[-3:]], "windows": len(learn[0])}
+        tables, losses = train_tables(
+            what,
+            start,
+            miss,
+            learn,
+            held,
+            (self.steps, self.rate, self.batch),
+            rng=rng,
+            checkpoint=self.checkpoint,
+            progress=self.progress,
+        )
+        notes = {"held-out loss": losses, "windows": len(learn[0])}
         ny = spec.ny
         draft = LagrangianModel(spec, form, tables, columns, scale, np.zeros((2 * n, ny)), notes)
         gains = _gains(columns, n, spec.sample_time)

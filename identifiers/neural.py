@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from harness.errors import InputError
 from harness.signals import FloatArray, Trajectory
-from harness.specs import spec_from_dict
 from identifiers.ensemble import Ensemble
-from identifiers.lag_state import LagModel, Scaling
+from identifiers.lag_network import LagNetwork
 from identifiers.lag_training import lag_task
 from identifiers.training import draw_layers
 
@@ -22,55 +21,33 @@ Layers = tuple[tuple[FloatArray, FloatArray], ...]
 
 
 @dataclass(frozen=True, eq=False)
-class NetworkModel(LagModel):
+class NetworkModel(LagNetwork):
     """The change of the output is an affine function of lagged outputs and inputs plus a tanh network of them.
 
     Parameters
     ----------
     layers : tuple of (array (in, out), array (out,))
         Of the network; the last one is linear.
-    affine : array (p + 1, ny)
-        In scaled numbers.
-    variance : array (ny,)
-        Of the one-step error on held-out samples.
     """
 
     layers: Layers
-    affine: FloatArray
-    variance: FloatArray
 
-    def ahead(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and variance (..., ny) of the next output."""
-        x = self.scaling.rows(rows)
-        hidden = x
+    def change(self, x: FloatArray) -> FloatArray:
+        """Return what the network adds (..., ny) at scaled rows (..., p), scaled."""
         for weight, bias in self.layers[:-1]:
-            hidden = np.tanh(hidden @ weight + bias)
+            x = np.tanh(x @ weight + bias)
         weight, bias = self.layers[-1]
-        change = hidden @ weight + bias + x @ self.affine[:-1] + self.affine[-1]
-        mean = rows[..., : self.spec.ny] + self.scaling.y_mean + change * self.scaling.y_std
-        return mean, np.broadcast_to(self.variance, mean.shape)
+        return np.asarray(x @ weight + bias)
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
-        return {
-            **self.head("network"),
-            "layers": [[weight.tolist(), bias.tolist()] for weight, bias in self.layers],
-            "affine": self.affine.tolist(),
-            "variance": self.variance.tolist(),
-        }
+        return {**self.head("network"), "layers": [[weight.tolist(), bias.tolist()] for weight, bias in self.layers]}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> NetworkModel:
         """Return the model of a description."""
-        return cls(
-            spec_from_dict(content["spec"]),
-            int(content["lags"]),
-            Scaling.from_dict(content["scaling"]),
-            tuple((np.array(weight, dtype=float), np.array(bias, dtype=float)) for weight, bias in content["layers"]),
-            np.array(content["affine"], dtype=float),
-            np.array(content["variance"], dtype=float),
-            notes=dict(content.get("notes", {})),
-        )
+        layers = ((np.array(weight, dtype=float), np.array(bias, dtype=float)) for weight, bias in content["layers"])
+        return cls.read(content, layers=tuple(layers))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +64,8 @@ class NeuralNetwork:
 
     An affine fit comes first, the network learns what it leaves; so a network that learns nothing is an ARX model. The
     last fifth of every record is held out: each member ends at its best state there, and bands are
-    made to hold there. Far outside the data members may agree and be wrong: the affine part is theirs in common; where
-    that matters use a Gaussian process. Needs torch for the fit (extra ``learned``); the model runs with numpy.
+    made to hold there. Outside the data they widen with the distance (:class:`identifiers.reach.Reach`). Needs torch
+    for the fit (extra ``learned``); the model runs with numpy.
 
     Parameters
     ----------
@@ -144,10 +121,11 @@ class NeuralNetwork:
         for i in range(self.members):
             parts = [(found[j][i], found[j + 1][i, 0]) for j in range(0, len(found), 2)]
             parts[-1] = (parts[-1][0] * size, parts[-1][1] * size)
-            members.append(NetworkModel(spec, self.order, scaling, tuple(parts), task.affine, np.ones(spec.ny)))
-        variance = task.variance(members)
+            members.append(
+                NetworkModel(spec, self.order, scaling, task.affine, np.ones(spec.ny), None, layers=tuple(parts))
+            )
         notes = {"held-out loss": history[-1], "samples": len(task.x), "held out": len(task.kept)}
-        return EnsembleModel(spec, tuple(replace(member, variance=variance) for member in members), notes)
+        return EnsembleModel(spec, task.banded(members), notes)
 
 
 def _network(torch: Any, tables: Sequence[Any], rows: Any) -> Any:

@@ -16,7 +16,7 @@ from identifiers.linear import Arx
 from identifiers.observers import best_gain, fitted_start, riccati_gains, run_in_steps
 from identifiers.records import moving, real_signals, usable
 from identifiers.scaling import centred
-from identifiers.training import draw_layers, need_torch, one_thread, train
+from identifiers.training import draw_layers, need_torch, train_tables
 
 __all__ = ["NeuralStateModel", "NeuralStateSpace"]
 
@@ -180,7 +180,7 @@ class NeuralStateSpace:
         real_signals(spec, what)
         moving(records, what, inputs=False)
         records.sort(key=lambda one: (len(one), one.y.tobytes()))
-        torch = need_torch(what)
+        need_torch(what)
         (u_mean, u_std), (y_mean, y_std) = centred([one.u for one in records]), centred([one.y for one in records])
         scaled = [Trajectory(one.t, (one.u - u_mean) / u_std, (one.y - y_mean) / y_std, one.spec) for one in records]
         cuts = [len(one) - max(len(one) // 5, lags + 6) for one in scaled]
@@ -190,43 +190,35 @@ class NeuralStateSpace:
         direct = self.direct or spec.feedthrough
         parts = _windows(learn, lags, self.window, 1)
         long = _windows(held, lags, _LONG * self.window, self.window)
-        with one_thread(torch):
-            tensors = {name: torch.tensor(start[name][None], requires_grad=True) for name in _TABLES}
-            tensors["D"].requires_grad_(direct)
-            trained = [tensors[name] for name in _TABLES if name != "D" or direct]
-            past, inputs, outputs = (torch.from_numpy(part) for part in parts)
-            held_parts = [torch.from_numpy(part) for part in long]
 
-            def miss(z: Any, u: Any, y: Any) -> Any:
-                """Return the mean square of free runs from past (w, p), inputs (w, n, nu), outputs (w, n, ny)."""
-                t = {name: tensors[name][0] for name in _TABLES}
-                x = z @ t["encoder"]
-                nx = x.shape[1]
-                inside = u @ t["W1"][nx:] + t["b1"]
-                push = u @ t["B"].T + t["drift"]
-                free = u @ t["D"].T + t["offset"]
-                from_x, turn, look = t["W1"][:nx], t["A"].T, t["C"].T
-                total = 0.0
-                for k in range(u.shape[1]):
-                    total = total + ((x @ look + free[:, k] - y[:, k]) ** 2).mean()
-                    x = x @ turn + push[:, k] + torch.tanh(x @ from_x + inside[:, k]) @ t["W2"]
-                return total / u.shape[1]
+        def miss(library: Any, t: dict[str, Any], z: Any, u: Any, y: Any) -> Any:
+            """Return the mean square of free runs from past (w, p), inputs (w, n, nu), outputs (w, n, ny)."""
+            x = z @ t["encoder"]
+            nx = x.shape[1]
+            inside = u @ t["W1"][nx:] + t["b1"]
+            push = u @ t["B"].T + t["drift"]
+            free = u @ t["D"].T + t["offset"]
+            from_x, turn, look = t["W1"][:nx], t["A"].T, t["C"].T
+            total = 0.0
+            for k in range(u.shape[1]):
+                total = total + ((x @ look + free[:, k] - y[:, k]) ** 2).mean()
+                x = x @ turn + push[:, k] + library.tanh(x @ from_x + inside[:, k]) @ t["W2"]
+            return total / u.shape[1]
 
-            history = train(
-                torch,
-                trained,
-                lambda index: miss(past[index[0]], inputs[index[0]], outputs[index[0]]),
-                lambda: miss(*held_parts)[None],
-                len(past),
-                (self.steps, self.rate, self.batch),
-                rng=rng,
-                checkpoint=self.checkpoint,
-                progress=self.progress,
-                title=what,
-            )
-            tables = {name: np.array(tensors[name][0].detach().numpy()) for name in _TABLES}
+        tables, losses = train_tables(
+            what,
+            {name: start[name] for name in _TABLES},
+            miss,
+            parts,
+            long,
+            (self.steps, self.rate, self.batch),
+            rng=rng,
+            checkpoint=self.checkpoint,
+            progress=self.progress,
+            fixed=() if direct else ("D",),
+        )
         nx = len(tables["A"])
-        notes = {"held-out rms": [float(np.sqrt(one[0])) for one in history[-3:]], "states": nx, "windows": len(past)}
+        notes = {"held-out rms": [float(np.sqrt(loss)) for loss in losses], "states": nx, "windows": len(parts[0])}
         draft = NeuralStateModel(spec, tables, u_mean, u_std, y_mean, y_std, np.zeros((nx, spec.ny)), lags, notes)
         gains = riccati_gains(tables["A"], tables["C"], np.ones(nx), np.ones(spec.ny))
         begin = [draft.initial_state(one) for one in records]

@@ -12,11 +12,13 @@ import numpy as np
 
 from harness.distributions import NormalMixture, normal
 from harness.errors import FitError, InputError
+from harness.rng import stream
 from harness.scoring import predict, same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.ensemble import Ensemble, own_spread
 from identifiers.observers import best_gain, riccati_gains
+from identifiers.reach import Reach
 from identifiers.records import moving, real_signals, usable
 from identifiers.recurrent_fit import Fitted, Problem, descend, fit_start
 from identifiers.recurrent_pass import Layout
@@ -39,8 +41,9 @@ _LEAST_SPREAD = 1e-6
 class RecurrentModel:
     """``x+ = x + z A + tanh(z W1) W2``, ``y = z C + tanh(z V1) V2`` with ``z = [x, u, 1]``, in scaled signals.
 
-    The last entry of the state counts the steps since an output was seen: predictions are as uncertain as those that
-    many steps ahead were on held-out data.
+    The state is ``[x, steps, drift]``. ``steps`` counts those since an output was seen: predictions are as uncertain as
+    those that many steps ahead were on held-out data. ``drift`` (ny,) is the standard deviation that a run has gathered
+    beyond the data since then; it fades as fast as the slowest motion of the model.
 
     Parameters
     ----------
@@ -57,6 +60,12 @@ class RecurrentModel:
         How a scaled output corrects the state.
     spread : array (5, ny)
         Standard deviation of held-out predictions 1, 3, 10, 30 and 100 steps ahead, in the units of the outputs.
+    unseen : array (ny,)
+        Share of the drift that a seen output leaves, from 0 to 1.
+    reach : Reach or None
+        Where the states and inputs of the data lie.
+    fade : float
+        Of the drift in a step, at most 1.
     """
 
     spec: PlantSpec
@@ -71,6 +80,9 @@ class RecurrentModel:
     fit_error: float
     filter_gain: FloatArray
     spread: FloatArray
+    unseen: FloatArray
+    reach: Reach | None
+    fade: float
     notes: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -79,43 +91,55 @@ class RecurrentModel:
         return 0
 
     def initial_state(self, data: Trajectory) -> FloatArray:
-        """Return the likeliest state (nx + 1,) at the first sample, from the first 50 and what states usually are."""
+        """Return the likeliest state at the first sample (nx + 1 + ny,), from the first 50 and what is usual."""
         same_language(self.spec, data)
         few = data[: min(len(data), _START)]
         problem = Problem(self.spec.outputs, self._input(few.u), few.y, self.y_mean, self.y_std)
         start = fit_start(self.layout, self.theta, problem, self.x_mean, self.x_std, self.fit_error)
-        return np.append(start, 1.0)
+        return self.whole(start)
+
+    def whole(self, start: FloatArray) -> FloatArray:
+        """Return the state (nx + 1 + ny,) of a model state (nx,) at a sample that is about to be seen."""
+        return np.concatenate([start, [1.0], np.zeros(self.spec.ny)])
 
     def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Return the output (..., ny)."""
         x = np.asarray(x, dtype=float)
-        return np.asarray(self.y_mean + self.y_std * self.layout.output(self.theta, x[..., :-1], self._input(u)))
+        inner = x[..., : self.layout.nx]
+        return np.asarray(self.y_mean + self.y_std * self.layout.output(self.theta, inner, self._input(u)))
 
     def predictive(self, x: FloatArray, u: FloatArray) -> NormalMixture:
         """Return the normal distribution of the output (..., ny)."""
-        steps = np.log(np.maximum(np.asarray(x, dtype=float)[..., -1], 1.0))
+        x, nx = np.asarray(x, dtype=float), self.layout.nx
+        steps = np.log(np.maximum(x[..., nx], 1.0))
         known = np.log(_HORIZONS)
         std = np.stack([np.interp(steps, known, column) for column in self.spread.T], axis=-1)
-        return normal(self.output(x, u), std, self.spec.outputs)
+        return normal(self.output(x, u), np.hypot(std, x[..., nx + 1 :]), self.spec.outputs)
 
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the next state (..., nx + 1); NaN once it is far outside the data."""
-        x = np.asarray(x, dtype=float)
-        new = self.layout.step(self.theta, x[..., :-1], self._input(u))
-        return np.concatenate([new, x[..., -1:] + 1.0], axis=-1)
+        """Return the next state (..., nx + 1 + ny); NaN once it is far outside the data."""
+        x, nx = np.asarray(x, dtype=float), self.layout.nx
+        scaled = self._input(u)
+        new = self.layout.step(self.theta, x[..., :nx], scaled)
+        drift = self.fade * x[..., nx + 1 :]
+        if self.reach is not None:
+            held = np.broadcast_to(scaled, (*x.shape[:-1], self.spec.nu))
+            drift = drift + self.reach.std(np.concatenate([(x[..., :nx] - self.x_mean) / self.x_std, held], axis=-1))
+        return np.concatenate([new, x[..., nx : nx + 1] + 1.0, drift], axis=-1)
 
     def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the state (..., nx + 1) moved by the error of the output just seen."""
-        x = np.asarray(x, dtype=float)
+        """Return the state (..., nx + 1 + ny) moved by the error of the output just seen."""
+        x, nx = np.asarray(x, dtype=float), self.layout.nx
         predicted = self.output(x, u)
         miss = residual(self.spec.outputs, np.broadcast_to(y, predicted.shape), predicted) / self.y_std
-        return np.concatenate([x[..., :-1] + miss @ self.filter_gain.T, np.zeros_like(x[..., -1:])], axis=-1)
+        seen = x[..., :nx] + miss @ self.filter_gain.T
+        return np.concatenate([seen, 0.0 * x[..., nx : nx + 1], self.unseen * x[..., nx + 1 :]], axis=-1)
 
     def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the outputs (M, N, ny) from states x (M, nx + 1) under inputs u (M, N, nu)."""
+        """Return the outputs (M, N, ny) from states x (M, nx + 1 + ny) under inputs u (M, N, nu)."""
         outputs = np.empty((*u.shape[:2], self.spec.ny))
         for row, start, inputs in zip(outputs, np.asarray(x, dtype=float), self._input(u), strict=True):
-            scaled, _ = self.layout.run(self.theta, start[:-1], inputs, slopes=False)
+            scaled, _ = self.layout.run(self.theta, start[: self.layout.nx], inputs, slopes=False)
             row[:] = self.y_mean + self.y_std * scaled
         return outputs
 
@@ -128,6 +152,8 @@ class RecurrentModel:
             "layout": [layout.nx, layout.nu, layout.ny, layout.hidden, layout.outside],
             "fit_error": self.fit_error,
             **{name: getattr(self, name).tolist() for name in _ARRAYS},
+            "reach": None if self.reach is None else self.reach.to_dict(),
+            "fade": self.fade,
             "notes": self.notes,
         }
 
@@ -137,7 +163,9 @@ class RecurrentModel:
         spec, layout = spec_from_dict(content["spec"]), Layout(*map(int, content["layout"]))
         arrays = {name: np.array(content[name], dtype=float) for name in _ARRAYS}
         fit_error, notes = float(content["fit_error"]), dict(content.get("notes", {}))
-        return cls(spec=spec, layout=layout, fit_error=fit_error, notes=notes, **arrays)
+        reach = None if content.get("reach") is None else Reach.from_dict(content["reach"])
+        fade = float(content["fade"])
+        return cls(spec=spec, layout=layout, fit_error=fit_error, notes=notes, reach=reach, fade=fade, **arrays)
 
     def _input(self, u: FloatArray) -> FloatArray:
         return np.asarray((np.asarray(u, dtype=float) - self.u_mean) / self.u_std)
@@ -153,6 +181,7 @@ _ARRAYS = (
     "x_std",
     "filter_gain",
     "spread",
+    "unseen",
 )
 
 
@@ -253,14 +282,16 @@ class NeuralOutputError:
             )
         scaling = (u_mean, u_std, y_mean, y_std)
         members = [self._member(spec, layout, fitted, problems, scaling, records) for fitted in best]
-        begin = [[np.append(start, 1.0) for start in fitted.starts] for fitted in best]
+        begin = [[m.whole(start) for start in fitted.starts] for m, fitted in zip(members, best, strict=True)]
         spread = _spread(members, records, begin)
+        reaches = [_reach(m, problems, records, fitted) for m, fitted in zip(members, best, strict=True)]
         notes = {
             "held-out rms": [fitted.held_out for fitted in best],
             "starts": self.starts,
             "parameters": layout.count,
         }
-        return RecurrentEnsemble(spec, tuple(replace(member, spread=spread) for member in members), notes)
+        banded = (replace(m, spread=spread, reach=reach) for m, reach in zip(members, reaches, strict=True))
+        return RecurrentEnsemble(spec, tuple(banded), notes)
 
     def _member(
         self,
@@ -280,14 +311,18 @@ class NeuralOutputError:
         wide = np.ones((len(_HORIZONS), layout.ny))
         u_mean, u_std, y_mean, y_std = scaling
         signals = (u_mean, u_std, y_mean, y_std, x_mean, x_std)
-        draft = RecurrentModel(spec, layout, fitted.theta, *signals, fitted.error, zero, wide)
+        draft = RecurrentModel(
+            spec, layout, fitted.theta, *signals, fitted.error, zero, wide, np.ones(spec.ny), None, 1.0
+        )
         a, c = layout.slopes(fitted.theta, x_mean, np.zeros(spec.nu))
         gains = riccati_gains(a, c, x_std, np.ones(spec.ny))
         # best_gain moves whole states, counter included, by errors in units; the model's gain is for scaled ones.
-        padded = np.concatenate([gains / y_std, np.zeros((len(gains), 1, spec.ny))], axis=1)
-        begin = [np.append(start, 1.0) for start in fitted.starts]
-        gain = best_gain(padded, draft.step, draft.output, begin, records)[:-1] * y_std
-        return replace(draft, filter_gain=gain)
+        padded = np.concatenate([gains / y_std, np.zeros((len(gains), 1 + spec.ny, spec.ny))], axis=1)
+        begin = [draft.whole(start) for start in fitted.starts]
+        gain = best_gain(padded, draft.step, draft.output, begin, records)[: layout.nx] * y_std
+        fade = min(float(np.abs(np.linalg.eigvals(a)).max()), 1.0)
+        unseen = np.clip(1.0 - np.diag(c @ gain), 0.0, 1.0)
+        return replace(draft, filter_gain=gain, fade=fade, unseen=unseen)
 
     def _key(self, problems: Sequence[Problem], seed: int) -> str:
         """Return a hash of all that the starts depend on."""
@@ -298,6 +333,16 @@ class NeuralOutputError:
             text.update(problem.u.tobytes())
             text.update(problem.y.tobytes())
         return text.hexdigest()
+
+
+def _reach(member: RecurrentModel, problems: Sequence[Problem], records: Sequence[Trajectory], fitted: Fitted) -> Reach:
+    """Return where the states and inputs of the data lie, and how the error of the next output grows beyond."""
+    rows, targets = [], []
+    for problem, record, start in zip(problems, records, fitted.starts, strict=True):
+        states = problem.states(member.layout, fitted.theta, start)[: len(record) - 1]
+        rows.append(np.hstack([(states - member.x_mean) / member.x_std, problem.u[: len(states)]]))
+        targets.append(residual(record.spec.outputs, record.y[1:], record.y[:-1])[: len(states)])
+    return Reach.of(np.concatenate(rows), np.concatenate(targets), rng=stream("reach"))
 
 
 def _spread(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["Schedule", "bar", "draw_layers", "need_torch", "one_thread", "train"]
+__all__ = ["Schedule", "bar", "draw_layers", "need_torch", "one_thread", "train", "train_tables"]
 
 _LOOK = 50
 """Steps between two looks at the held-out loss."""
@@ -191,3 +191,64 @@ def bar(title: str, steps: int, shown: bool) -> Iterator[Callable[[int], None]]:
     with Progress(console=Console(stderr=True)) as bar:
         task = bar.add_task(title, total=steps)
         yield lambda done: bar.update(task, completed=done)
+
+
+def train_tables(
+    what: str,
+    start: Mapping[str, FloatArray],
+    miss: Callable[..., Any],
+    learn: Sequence[FloatArray],
+    held: Sequence[FloatArray],
+    schedule: Schedule,
+    *,
+    rng: np.random.Generator,
+    checkpoint: str | None,
+    progress: bool,
+    fixed: Sequence[str] = (),
+) -> tuple[dict[str, FloatArray], list[float]]:
+    """Return the trained tables of one network, and its last three held-out losses.
+
+    Parameters
+    ----------
+    what : str
+        Name of the identifier.
+    start : mapping
+        Tables by name where the training begins.
+    miss : callable
+        ``miss(torch, tables, *parts)`` returns the loss of windows.
+    learn, held : sequence of array (w, ...)
+        Windows to learn from, and held-out ones.
+    schedule : Schedule
+    rng : numpy.random.Generator
+    checkpoint, progress
+        See :func:`train`.
+    fixed : sequence of str
+        Tables that stay what they are.
+
+    Raises
+    ------
+    InputError
+        If torch is not installed.
+    """
+    torch = need_torch(what)
+    with one_thread(torch):
+        tensors = {name: torch.tensor(table[None], requires_grad=name not in fixed) for name, table in start.items()}
+        inside, outside = ([torch.from_numpy(part) for part in parts] for parts in (learn, held))
+
+        def loss(parts: Sequence[Any]) -> Any:
+            return miss(torch, {name: tensor[0] for name, tensor in tensors.items()}, *parts)
+
+        history = train(
+            torch,
+            [tensor for name, tensor in tensors.items() if name not in fixed],
+            lambda index: loss([part[index[0]] for part in inside]),
+            lambda: loss(outside)[None],
+            len(learn[0]),
+            schedule,
+            rng=rng,
+            checkpoint=checkpoint,
+            progress=progress,
+            title=what,
+        )
+        tables = {name: np.array(tensor[0].detach().numpy()) for name, tensor in tensors.items()}
+    return tables, [one[0] for one in history[-3:]]
