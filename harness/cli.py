@@ -33,6 +33,7 @@ from harness.terminal import (
     completed,
     fail,
     hidden_effect,
+    jobs_bar,
     option_pairs,
     print_answer,
     print_bench,
@@ -181,12 +182,7 @@ def bench(
             say(f"{count:6d}  {' x '.join(names)}")
         say(str(planned))
         return
-    with progress_bar(f"benchmark {suite}") as bar:
-        task = bar.add_task(suite, total=None)
-
-        def show(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=what)
-
+    with jobs_bar(suite, suite) as show:
         result = api.bench(
             suite,
             out=folder,
@@ -404,12 +400,7 @@ def _close_fleet(
     time_limit: float | None,
 ) -> None:
     """Close the loop on many records and print what they have in common."""
-    with progress_bar("benchmark of records") as bar:
-        task = bar.add_task(source, total=None)
-
-        def show(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=what)
-
+    with jobs_bar("of records", source) as show:
         result = api.close_fleet(
             source,
             out=out,
