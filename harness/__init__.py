@@ -60,6 +60,7 @@ _HOMES = {
     "export_fmu": "api",
     "compare": "api",
     "spectrum": "api",
+    "order": "api",
     "check": "api",
     "list_parts": "api",
     "errors": "",

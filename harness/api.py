@@ -22,12 +22,13 @@ from harness.signals import FloatArray, PlantSpec, Trajectory, Use
 if TYPE_CHECKING:
     from harness.benchmark import Answer, BenchResult
     from harness.benchmark.planning import Plan
-    from harness.comparison import Comparison, Spectrum
+    from harness.comparison import Comparison, OrderSelection, Spectrum
     from harness.conformance import CheckResult
     from harness.data import Nominal
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
     from harness.fleet import FleetResult
+    from harness.learned import LearnedResidual
     from harness.predictive import ProbabilityScore
     from harness.scoring import Score
     from harness.study import StudyResult
@@ -48,7 +49,9 @@ __all__ = [
     "generate_study",
     "identify",
     "isolability",
+    "learn_residual",
     "list_parts",
+    "order",
     "plan_bench",
     "query",
     "score_study",
@@ -335,9 +338,16 @@ def identify(
         fitted,
         {use: [equation_error(fitted, one) for one in data.using(use)] for use in uses},
         {use: [simulation_error(fitted, one) for one in data.using(use)] for use in uses},
-        data.warnings,
+        (*data.warnings, *_said(fitted)),
         probability,
     )
+
+
+def _said(model: Model) -> tuple[str, ...]:
+    """Return what the fit of a model warns of."""
+    notes = getattr(model, "notes", None)
+    warning = notes.get("warning") if isinstance(notes, Mapping) else None
+    return (str(warning),) if warning else ()
 
 
 def close_loop(
@@ -390,6 +400,72 @@ def close_loop(
     )
 
 
+def learn_residual(
+    loop: str | Path,
+    dataset: Any,
+    *,
+    out: str | Path,
+    validation: str | Path | None = None,
+    undriven: Sequence[str] = (),
+    coordinate: str | None = None,
+    arguments: Sequence[str] | None = None,
+    refit: bool = False,
+    seed: int = 0,
+    trust: bool = False,
+    force: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> LearnedResidual:
+    """Learn what a finished closed loop left over as a force without a name; ``export`` takes the folder.
+
+    Parameters
+    ----------
+    loop : path
+        Folder that ``close_loop`` wrote.
+    dataset, validation, undriven
+        The data of that loop, as for ``close_loop``.
+    out : path
+        Folder for ``learned.html``, ``learned.json`` and, if the force helps, ``model.json``.
+    coordinate, arguments, refit, progress
+        See :func:`harness.physics.residual_learning.learn_residual_force`.
+    seed : int
+        Places the bumps.
+    trust : bool
+        Let the stored model run the Python file that it names.
+    force : bool
+        Overwrite an earlier result in ``out``.
+
+    Raises
+    ------
+    InputError
+        If the loop left nothing to learn, or its model takes no force.
+    """
+    from harness import learned as room
+    from harness.comparison.models import read_model
+    from harness.data import load_dataset
+
+    target = Path(out)
+    _refuse_overwrite(target / "learned.json" if target.is_dir() else target, force=force)
+    if target.is_dir() and target.resolve() == Path(loop).resolve():
+        raise InputError(
+            "output folder", expected="a folder of its own", got="that of the loop", remedy="choose another --out"
+        )
+    model: Any = read_model(loop, trust=trust)
+    path = registry.dataset_path(dataset)
+    named = None if str(path).endswith(".toml") else getattr(getattr(model, "recipe", None), "model", None)
+    loaded = load_dataset(path, model=named, validation=validation, undriven=undriven)
+    return room.learn_residual(
+        loop,
+        model,
+        loaded,
+        out=out,
+        coordinate=coordinate,
+        arguments=arguments,
+        refit=refit,
+        rng=stream("learn-residual", seed),
+        progress=progress,
+    )
+
+
 def close_fleet(
     source: str | Path,
     *,
@@ -427,8 +503,8 @@ def study(
     records: int | None = None,
     plants: Sequence[str] = ("pendulum", "cart-pole"),
     workers: int = 2,
-    cells: int = 2,
-    alarms: int = 300,
+    cells: int = 4,
+    alarms: int = 400,
     budget: float | None = None,
     engine: str = "local",
     resume: bool = False,
@@ -463,8 +539,8 @@ def generate_study(
     secret: int | None = None,
     records: int | None = None,
     plants: Sequence[str] = ("pendulum", "cart-pole"),
-    cells: int = 2,
-    alarms: int = 300,
+    cells: int = 4,
+    alarms: int = 400,
     like: str | Path | None = None,
     workers: int | None = None,
     resume: bool = False,
@@ -664,19 +740,64 @@ def spectrum(
     """
     from harness import comparison as room
     from harness.data import load_dataset
-    from harness.data.whole_files import whole_file
 
-    if out is not None:
-        _refuse_overwrite(Path(out), force=force)
-        if Path(out).suffix not in (".svg", ".png", ".pdf"):
-            raise InputError(
-                "output file", expected="a name that ends in .svg, .png or .pdf", got=str(out), remedy="rename it"
-            )
+    _refuse_picture(out, force=force)
     data = load_dataset(registry.dataset_path(dataset), model=model, undriven=undriven).dataset
     found = room.spectrum([one.measured() for one in data.estimation], segment=segment)
-    if out is not None:
-        with whole_file(out) as scratch:
-            found.plot().savefig(scratch, format=Path(out).suffix[1:])
+    _draw(found.plot, out)
+    return found
+
+
+def order(
+    dataset: Any,
+    *,
+    identifiers: Sequence[str] = (),
+    orders: Sequence[int] = (),
+    options: Mapping[str, Any] | None = None,
+    model: str | None = None,
+    validation: Any = None,
+    undriven: Sequence[str] = (),
+    out: str | Path | None = None,
+    seed: int = 0,
+    force: bool = False,
+) -> OrderSelection:
+    """Fit models of every order, judge them on data that they did not see, and show where more is no gain.
+
+    Parameters
+    ----------
+    dataset : path or table
+        As for ``identify``.
+    identifiers : sequence of str
+        Ids of identifiers with the option ``order``; by default ``arx``, ``n4sid`` and ``ho-kalman``.
+    orders : sequence of int
+        By default 1 to 12.
+    options : mapping, optional
+        Further options of the identifiers.
+    model, validation, undriven
+        As for ``identify``.
+    out : path, optional
+        Picture to write: ``.svg``, ``.png`` or ``.pdf``.
+    seed : int
+        For identifiers that draw random numbers.
+    force : bool
+        Overwrite ``out`` if it exists.
+
+    Raises
+    ------
+    InputError
+        If the data or the options cannot be used, or no model of any order is found.
+    """
+    from harness import comparison as room
+    from harness.data import load_dataset
+
+    _refuse_picture(out, force=force)
+    path = registry.dataset_path(dataset)
+    data = load_dataset(path, model=model, validation=validation, undriven=undriven).dataset
+    asked: dict[str, Any] = {"identifiers": identifiers} if identifiers else {}
+    if orders:
+        asked["orders"] = orders
+    found = room.order_selection(data, options=options, seed=seed, **asked)
+    _draw(found.plot, out)
     return found
 
 
@@ -763,6 +884,26 @@ def _refuse_overwrite(path: Path, *, force: bool) -> None:
             remedy=f"make {path.parent} first",
             file=path,
         )
+
+
+def _refuse_picture(out: str | Path | None, *, force: bool) -> None:
+    """Raise if a picture cannot be written there."""
+    if out is None:
+        return
+    _refuse_overwrite(Path(out), force=force)
+    if Path(out).suffix not in (".svg", ".png", ".pdf"):
+        raise InputError(
+            "output file", expected="a name that ends in .svg, .png or .pdf", got=str(out), remedy="rename it"
+        )
+
+
+def _draw(plot: Callable[[], Any], out: str | Path | None) -> None:
+    """Write a picture if one was asked for."""
+    from harness.data.whole_files import whole_file
+
+    if out is not None:
+        with whole_file(out) as scratch:
+            plot().savefig(scratch, format=Path(out).suffix[1:])
 
 
 def _refuse_python(source: Path) -> None:

@@ -9,8 +9,20 @@ import typer
 
 from harness.terminal import completed
 
-__all__ = ["AsJson", "Engine", "Force", "ModelName", "OptionPairs", "Resume", "Seed", "Undriven", "Validation",
-           "Workers"]  # fmt: skip
+__all__ = [
+    "AsJson",
+    "DatasetName",
+    "Engine",
+    "Force",
+    "ModelName",
+    "OptionPairs",
+    "Resume",
+    "ScenarioPairs",
+    "Seed",
+    "Undriven",
+    "Validation",
+    "Workers",
+]
 
 OptionPairs = Annotated[list[str] | None, typer.Option("--option", "-O", metavar="k=v", help="option, repeatable")]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
@@ -27,3 +39,7 @@ Undriven = Annotated[
 ]
 Workers = Annotated[int | None, typer.Option(min=1, help="processes; default all cores")]
 Engine = Annotated[str, typer.Option(help="local, or dask://HOST:PORT")]
+ScenarioPairs = Annotated[
+    list[str] | None, typer.Option("--scenario-option", "-S", metavar="k=v", help="scenario option, repeatable")
+]
+DatasetName = Annotated[str, typer.Argument(metavar="DATASET", help="dataset.toml, CSV, Parquet, or a recording")]

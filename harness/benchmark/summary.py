@@ -29,6 +29,7 @@ SCORES = (
     "log_score",
     "coverage",
     "regret",
+    "log_regret",
     "control_score",
     "control_regret",
     "noise_floor",
@@ -37,7 +38,7 @@ SCORES = (
 )
 CONTROL = ("control score", "control regret", "model for control")
 """Columns that stand there only where a suite asks for them (``score.control``)."""
-OPTIONAL = {"log_score": "log score", "coverage": "90 % sets hold"}
+OPTIONAL = {"log_score": "log score", "coverage": "90 % sets hold", "log_regret": "log regret"}
 """Scores of predicted distributions, with a column only where a line has them, and its title."""
 BASELINES = ("true-model",)
 """Identifiers that know the truth: they show what is possible and do not compete."""
@@ -69,6 +70,7 @@ class Summary:
     log_score: Quartiles | None
     coverage: Quartiles | None
     regret: Quartiles | None
+    log_regret: Quartiles | None
     control_score: Quartiles | None
     control_regret: Quartiles | None
     noise_floor: Quartiles | None

@@ -1,9 +1,20 @@
-"""The day-one tools: models side by side on one data set, and the frequency response that the data themselves show."""
+"""The day-one tools: models side by side on one data set, the frequency response in the data, the order they need."""
 
 from __future__ import annotations
 
 from harness.comparison.models import Compared, Comparison, compare
+from harness.comparison.orders import OrderSelection, order_selection
 from harness.comparison.residuals import Correlation, correlations
 from harness.comparison.spectra import Spectrum, spectrum
 
-__all__ = ["Compared", "Comparison", "Correlation", "Spectrum", "compare", "correlations", "spectrum"]
+__all__ = [
+    "Compared",
+    "Comparison",
+    "Correlation",
+    "OrderSelection",
+    "Spectrum",
+    "compare",
+    "correlations",
+    "order_selection",
+    "spectrum",
+]

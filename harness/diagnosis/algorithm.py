@@ -94,6 +94,11 @@ class Diagnosis:
         return "explained" if quiet and self.runs.left <= self.policy.explained else "mostly_explained"
 
     @property
+    def structure_fits(self) -> bool:
+        """False where the final model lacks something that could be predicted: its intervals do not count that."""
+        return self.grade in ("explained", "mostly_explained")
+
+    @property
     def latent_share(self) -> float:
         """Size of the latent force of the final model over the typical force, the largest of all ports."""
         noise = self.final.detail.points["estimation"].noise
@@ -192,6 +197,9 @@ def diagnose(
         add_rounding(remembered, outcome, dataset, candidates, policy)
         say("what is left", 0.8)
         leftover = left_over(form, outcome.model, policy)
+        same = outcome.model is outcome.nominal
+        outcome.nominal = form.with_deviations(outcome.nominal)
+        outcome.model = outcome.nominal if same else form.with_deviations(outcome.model)
         horizon = kind.horizon(system, outcome.nominal.values, dataset)
         noise = outcome.model.detail.points["estimation"].noise.r
         runs = free_runs(kind.runs(form, dataset, noise, horizon), horizon, outcome.nominal, outcome.model)

@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from harness import __version__
-from harness.data.trajectories import write_trajectory
 from harness.data.whole_files import whole_file
 from harness.errors import InputError, PlantError
 from harness.jobs import Desk, run_jobs, shard_file
 from harness.jobs.progress import Progress
+from harness.study.folder import write_record
 from harness.study.plan import BASES, PLANTS, Task, plan
-from harness.study.records import SAMPLES, Records, make_records
+from harness.study.records import SAMPLES, make_records
 from harness.study.store import read_rows
 
 __all__ = ["TRUTH_COLUMNS", "Package", "base_of", "generate", "record_name"]
@@ -174,7 +174,7 @@ class RecordFiles:
             except PlantError as error:
                 desk.put(job, _failed(" ".join(str(error).split())))
                 return
-            _write_record(self.folder / self.name, self.name, self.task, made)
+            write_record(self.folder / self.name, self.name, self.task, made)
             sizes = {f"{hidden.name}@{hidden.at}": hidden.named or hidden.truth for hidden in made.hidden}
             columns = self.task.columns() | {"record": self.name, "sizes": json.dumps(made.parameters | sizes)}
             desk.put(job, json.dumps({column: str(columns[column]) for column in TRUTH_COLUMNS}).encode())
@@ -188,8 +188,8 @@ def generate(
     secret: int | None = None,
     records: int | None = None,
     plants: Sequence[str] = PLANTS,
-    cells: int = 2,
-    alarms: int = 300,
+    cells: int = 4,
+    alarms: int = 400,
     samples: int = SAMPLES,
     like: str | Path | None = None,
     workers: int | None = None,
@@ -328,21 +328,6 @@ def _status(row: dict[str, str]) -> str:
 
 def _why(row: dict[str, str]) -> str:
     return f": {row['failed']}" if "failed" in row else ""
-
-
-def _write_record(folder: Path, name: str, task: Task, made: Records) -> None:
-    """Write the runs of a record and what describes them."""
-    folder.mkdir(exist_ok=True)
-    spec = made.dataset.spec
-    lines = [f'name = "{name}"', "", "[nominal]", f'model = "{task.plant}"']
-    for role, channels in (("input", spec.inputs), ("output", spec.outputs)):
-        for channel in channels:
-            lines += ["", f"[signals.{channel.name}]", f'role = "{role}"', f'unit = "{channel.unit}"']
-    for run in made.dataset:
-        write_trajectory(run.trajectory.measured(), folder / f"{run.use}.csv")
-        lines += ["", "[[runs]]", f'file = "{run.use}.csv"', f'use = "{run.use}"']
-    with whole_file(folder / "dataset.toml") as scratch:
-        scratch.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

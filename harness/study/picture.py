@@ -15,9 +15,11 @@ NOTHING, SEVERAL = "nothing", "several"
 def confusion_picture(rows: Sequence[dict[str, str]], path: Path) -> bool:
     """Draw truth against answer for the records with one effect or none, one panel for each plant.
 
-    A tied answer counts as the truth. Returns False, and draws nothing, where there are no such rows.
+    A tied answer counts as the truth; where nothing is hidden, the nominal structure is right. Returns False, and draws
+    nothing, where there are no such rows.
     """
-    chosen = [row for row in rows if row["status"] == "ok" and row["study"] == "confusion"]
+    single = [row for row in rows if row["status"] == "ok" and row["study"] in ("confusion", "none")]
+    chosen = [row for row in single if row["truth"] or not row["structure"]]
     if not chosen:
         return False
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -59,7 +61,7 @@ def _answer(row: dict[str, str]) -> str:
         return row["truth"] or NOTHING
     if " + " in row["accepted"]:
         return SEVERAL
-    return row["accepted"] or ("unexplained" if row["verdict"] == "unexplained" else NOTHING)
+    return row["accepted"] or (NOTHING if row["verdict"] == "nothing_missing" else row["verdict"])
 
 
 def _words(name: str) -> str:

@@ -19,6 +19,8 @@ from harness.study.row import COLUMNS
 __all__ = ["ROWS", "RowStore", "read_rows"]
 
 ROWS = "rows.csv"
+LATER = ("shape", "structure", "input_noise", "cpu_cold_s")
+"""Columns that rows of earlier versions do not have: read as empty."""
 AGAIN = ("crashed", "timeout")
 """What a resumed study tries once more."""
 
@@ -110,7 +112,7 @@ def read_rows(path: Path) -> dict[str, dict[str, str]]:
         ) from error
     whole = text if text.endswith("\n") else text[: text.rfind("\n") + 1]
     reader = csv.DictReader(io.StringIO(whole))
-    missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+    missing = [name for name in COLUMNS if name not in (*(reader.fieldnames or ()), *LATER)]
     if missing:
         raise InputError(
             "rows of a study",
@@ -119,7 +121,7 @@ def read_rows(path: Path) -> dict[str, dict[str, str]]:
             remedy="rows of another version: begin anew in a new folder",
             file=path,
         )
-    return {row["key"]: {name: row[name] or "" for name in COLUMNS} for row in reader if row["key"]}
+    return {row["key"]: {name: row.get(name) or "" for name in COLUMNS} for row in reader if row["key"]}
 
 
 def _line(row: Mapping[str, str]) -> str:

@@ -80,6 +80,7 @@ SECONDS: dict[str, Callable[[str], bool]] = {
     "list": lambda line: "soft-friction" not in line and "identifiers" not in line,
     "simulate": lambda line: "repaired" not in line,
     "spectrum": lambda line: True,
+    "order": lambda line: True,
     "identify": lambda line: "dataset.toml" in line,
     "compare": lambda line: "arx.json" not in line,
     "new": lambda line: True,

@@ -19,7 +19,7 @@ from harness.errors import InputError
 from harness.study.leaderboard import answers_of_rows, read_answers, read_truth, score, write_answers
 from harness.study.outcome import Answer, judge_answer
 from harness.study.package import SECRET_FROM, generate, record_name
-from harness.study.plan import plan
+from harness.study.plan import BASES, plan
 from harness.study.records import make_records
 from harness.study.store import read_rows
 
@@ -36,7 +36,11 @@ def make(folder: Path, **options: object) -> Path:
 
 def test_the_records_are_those_of_the_study_and_tell_nothing(tmp_path: Path) -> None:
     known = read_truth(make(tmp_path))
-    tasks = [task for task in plan("all", base=100_000, plants=["pendulum"], cells=1, alarms=1) if task.study != "cost"]
+    tasks = [
+        task
+        for task in plan("all", base=BASES["judged"], plants=["pendulum"], cells=1, alarms=1)
+        if task.study != "cost"
+    ]
     assert set(known) == {record_name(task.key) for task in tasks[:6]}
     hidden = {effect.partition("@")[0] for row in known.values() for effect in row["truth"].split(" + ") if effect}
     assert hidden

@@ -102,8 +102,10 @@ def test_the_summary_counts_what_the_rows_say():
     text = summary(rows, seeds="tuning", planned=9, keys={one["key"] for one in rows})
     assert counts(rows) == {"right": 2, "tied": 1, "wrong": 2, "flagged": 0, "missed": 1}
     assert "7 of 9 planned records done" in text
-    assert "| right or tied, nominal size | 95 % | 2 of 4 (50.0 %" in text
-    assert "| validation error within 1.1 of the oracle's | 90 % | 3 of 4" in text
+    assert "| **right, no rival tied**, without disturbance | 85 % | 1 of 4 (25.0 %" in text
+    assert "| right or tied, nominal size, without disturbance | 97 % | 2 of 4 (50.0 %" in text
+    assert "| right or tied, and its validation error within 1.1 of the oracle's | 90 % | 2 of 4" in text
+    assert "| named with confidence, and wrong | none | 1 of 4" in text
     assert "| white sensor noise alone | 2 | 1 | 97.47 % | 0 |" in text
     assert (
         "| coulomb_friction@x | cart-pole, laws, nominal, low, 0 % | cogging@x | wrong: another effect | 1.5 |" in text
@@ -187,6 +189,65 @@ def test_a_fault_is_a_row_with_its_reason(monkeypatch):
     assert (found["status"], found["reason"]) == ("diverged", "the truth leaves every bound")
 
 
+def test_the_cost_is_that_of_the_command_with_its_children(monkeypatch):
+    from harness.study import cost
+    from harness.study.plan import Task
+    from harness.study.records import make_records
+
+    burn = "import time; end = time.process_time() + 0.3\nwhile time.process_time() < end: pass"
+    command = f"""
+import json, os, pathlib, subprocess, sys
+cache = pathlib.Path(os.environ["SYSID_HARNESS_CACHE"])
+if not cache.exists():  # as a compiler would be called once
+    subprocess.run([sys.executable, "-c", {burn!r}], check=True)
+    cache.mkdir()
+out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
+out.mkdir()
+(out / "report.json").write_text(json.dumps({{"verdict": "nothing_missing", "effects": []}}))
+"""
+    monkeypatch.setattr(cost, "_COMMAND", command)
+    one = Task("cost", "pendulum", "laws", (), "", "high", 0.0, 0, 0)
+    found = cost.timed_command(one, make_records(one, samples=300))
+    assert found["verdict"] == "nothing_missing"
+    assert float(found["cpu_cold_s"]) > float(found["cpu_s"]) + 0.2
+    monkeypatch.setattr(cost, "_COMMAND", "import sys; sys.exit('no such model')")
+    assert "no such model" in do_row(one, samples=300)["reason"]
+
+
+def test_a_wrong_name_is_an_interval_that_misses():
+    from types import SimpleNamespace
+
+    from harness.study.row import _coverage
+
+    records = SimpleNamespace(parameters={"J": 0.1}, hidden=())
+    fit = SimpleNamespace(free=("J",), on_bound=(), interval=lambda name: (0.09, 0.11), values={"J": 0.1})
+    found = _coverage(fit, records, {"force_bias@theta"})
+    assert found == {"covered": 1, "intervals": 2, "outside_interval": "force_bias@theta (not there)"}
+
+
+def test_an_answer_with_rivals_tied_is_not_right_alone():
+    rows = [row(0, tie_size="1"), row(1, tie_size="3"), row(2, "tied", tie_size="2"), row(3, tie_size="")]
+    text = summary(rows, seeds="tuning", planned=4, keys={one["key"] for one in rows})
+    assert "| **right, no rival tied**, without disturbance | 85 % | 2 of 4" in text
+    assert "1: 2, 2: 1, 3: 1, 4 or more: 0" in text
+
+
+def test_false_alarms_are_counted_by_what_nobody_modelled():
+    nothing = {"study": "none", "truth": "", "accepted": ""}
+    rows = [
+        row(0, **nothing, disturbance="0.02", shape="steps"),
+        row(1, "wrong", **{**nothing, "accepted": "cogging@x"}, disturbance="0.02", shape="wheel", input_noise="0.01"),
+        row(2, "wrong", **{**nothing, "accepted": "cogging@x"}, structure="heavy-rod"),
+        row(3, "flagged", **nothing, structure="heavy-rod") | {"verdict": "unexplained"},
+    ]
+    text = summary(rows, seeds="tuning", planned=4, keys={one["key"] for one in rows})
+    assert "| with 2 % unknown torque | 2 | 1 |" in text
+    assert "| of them, wheel | 1 | 1 |" in text
+    assert "| of them, steps | 1 | 0 |" in text
+    assert "| nominal structure a little wrong: heavy-rod | 2 | 1 | 97.47 % | 1 |" in text
+    assert "white sensor noise alone" not in text, "a structure that is wrong is no class of false alarms"
+
+
 def test_coverage_compares_what_means_the_same():
     from types import SimpleNamespace
 
@@ -220,4 +281,4 @@ def test_two_rows_end_to_end(tmp_path):
     assert {one["verdict"] for one in result.rows} == {"nothing_missing"}
     assert all(float(one["cpu_s"]) > 0 for one in result.rows)
     assert "2 of 2 planned records done" in (tmp_path / running.SUMMARY).read_text()
-    assert "| with 2 % coloured torque | 1 | 0 |" in result.text
+    assert "| with 2 % unknown torque | 1 | 0 |" in result.text

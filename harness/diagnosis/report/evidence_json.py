@@ -121,6 +121,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "horizon": {"seconds": found.runs.horizon.seconds, "reason": found.runs.horizon.reason},
         "form": "maximum likelihood" if found.form.latent else "maximum likelihood of free runs",
         "converged": {"nominal": found.nominal.converged, "final": found.final.converged},
+        "intervals": {"hold": found.structure_fits, "meaning": _meaning_of_intervals(found)},
         "policy": {
             name: number
             for group in (found.policy, EFFORT, DATA_POLICY, RUN_POLICY)
@@ -180,6 +181,17 @@ def _value(fit: Fit, name: str) -> dict[str, Any]:
     if name in fit.free and fit.deviations.get(name, 0.0) > 0:
         low, high = fit.interval(name)
     return {"value": known(fit.values[name]), "low": known(low), "high": known(high), "unit": unit}
+
+
+def _meaning_of_intervals(found: Diagnosis) -> str:
+    """Return what the intervals count."""
+    counted = "noise and the force that nobody measured" if found.form.latent else "a coloured error of the free run"
+    if found.structure_fits:
+        return f"95 %, from the curvature of the likelihood; {counted} counted"
+    return (
+        f"they count {counted}, and not that the model lacks something that could still be predicted: "
+        "true values may lie far outside"
+    )
 
 
 def _parameters(fit: Fit) -> dict[str, Any]:

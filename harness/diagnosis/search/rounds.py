@@ -205,7 +205,8 @@ def _polished(form: Form, base: Fit, fits: Sequence[Fit]) -> Fit:
     if best is None or best.penalised < base.penalised:
         return base
     again = form.fit(base.effects, [best.values], best)
-    return again if again is not None and again.penalised > base.penalised + 0.5 else base
+    better = again is not None and again.penalised > base.penalised + 0.5
+    return again if again is not None and better and (again.converged or not base.converged) else base
 
 
 def _answer(passed: Sequence[Judged], policy: Policy) -> Judged:

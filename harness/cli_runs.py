@@ -1,0 +1,166 @@
+"""The commands of ``sysid`` that run plants: one of them, or a benchmark and its stored rows."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from harness import api
+from harness.cli_options import AsJson, Engine, Force, OptionPairs, Resume, ScenarioPairs, Seed, Workers
+from harness.terminal import (
+    completed,
+    hidden_effect,
+    jobs_bar,
+    option_pairs,
+    print_answer,
+    print_bench,
+    print_json,
+    progress_bar,
+    say,
+    seed_range,
+    text_pairs,
+)
+
+__all__ = ["bench", "query", "simulate", "table"]
+
+
+def simulate(
+    plant: Annotated[
+        str,
+        typer.Argument(
+            metavar="PLANT", help="id of a plant, or FILE.fmu, .toml or .ssp", autocompletion=completed("plants")
+        ),
+    ],
+    scenario: Annotated[
+        str | None,
+        typer.Option(
+            "--scenario", help="id of a scenario; an FMU also runs as it is", autocompletion=completed("scenarios")
+        ),
+    ] = None,
+    seed: Seed = 0,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="run.csv or run.parquet")] = None,
+    option: OptionPairs = None,
+    scenario_option: ScenarioPairs = None,
+    hide: Annotated[
+        list[str] | None,
+        typer.Option(metavar="EFFECT@PORT:k=v,...", help="hide an effect in the plant, repeatable"),
+    ] = None,
+    role: Annotated[
+        str, typer.Option(help="estimation/0, validation/0, ...: another role, other noise")
+    ] = "estimation/0",
+    start: Annotated[float | None, typer.Option(help="of an FMU without a scenario: first instant [s]")] = None,
+    stop: Annotated[float | None, typer.Option(help="of an FMU without a scenario: last instant [s]")] = None,
+    step: Annotated[float | None, typer.Option(help="of an FMU without a scenario: sample time [s]")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="of an FMU without a scenario: of its solver")] = None,
+    force: Force = False,
+) -> None:
+    """Run a scenario on a plant and record it; an FMU runs as it is where no scenario is given."""
+    notes: list[str] = []
+    with progress_bar("simulating") as bar:
+        task = bar.add_task(plant, total=None)
+        trajectory = api.simulate(
+            plant,
+            scenario=scenario,
+            seed=seed,
+            out=out,
+            options=option_pairs(option, "--option"),
+            scenario_options=option_pairs(scenario_option, "--scenario-option"),
+            hide=[hidden_effect(text) for text in hide or ()],
+            role=role,
+            start=start,
+            stop=stop,
+            step=step,
+            tolerance=tolerance,
+            force=force,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+            note=notes.append,
+        )
+    for text in notes:
+        print(f"sysid: note: {text}", file=sys.stderr)
+    say(str(trajectory))
+    if out is not None:
+        say(f"wrote {out}")
+
+
+def bench(
+    suite: Annotated[
+        str,
+        typer.Argument(
+            metavar="SUITE", help="name of a suite (sysid list suites) or FILE.toml", autocompletion=completed("suites")
+        ),
+    ],
+    out: Annotated[Path | None, typer.Option(help="folder for results; default results/SUITE")] = None,
+    workers: Workers = None,
+    seeds: Annotated[str | None, typer.Option(metavar="A..B", help="seeds A to B, both included")] = None,
+    engine: Engine = "local",
+    resume: Resume = False,
+    shard: Annotated[str | None, typer.Option(metavar="i/n", help="the i-th of n shares, for job arrays")] = None,
+    traces: Annotated[
+        str, typer.Option(help="seeds with an overlay of their trajectory: first | all | none")
+    ] = "first",
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="say what would run, and how long it would take")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run a suite of plants x scenarios x identifiers x seeds and print its table."""
+    folder = out if out is not None else Path("results") / Path(suite).stem
+    if dry_run:
+        planned = api.plan_bench(suite, out=folder, workers=workers, seeds=seed_range(seeds), shard=shard)
+        for names, count in planned.cells.items():
+            say(f"{count:6d}  {' x '.join(names)}")
+        say(str(planned))
+        return
+    with jobs_bar(suite, suite) as show:
+        result = api.bench(
+            suite,
+            out=folder,
+            workers=workers,
+            seeds=seed_range(seeds),
+            engine=engine,
+            resume=resume,
+            shard=shard,
+            traces=traces,
+            progress=show,
+        )
+    print_bench(result, as_json=as_json)
+
+
+def table(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark, or of its shares")],
+    form: Annotated[str | None, typer.Option("--format", help="markdown | latex | csv")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Print a stored benchmark again, and render its report anew; puts the shares of a job array together."""
+    result = api.table(directory)
+    if form is not None:
+        from harness.benchmark import render
+
+        print(render(result, form), end="")
+        return
+    print_bench(result, as_json=as_json)
+
+
+def query(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark or a fleet, finished or not")],
+    sql: Annotated[
+        str | None,
+        typer.Argument(metavar="SQL", help="over results, timings, regret, traces; of a fleet: records, effects"),
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option("--filter", metavar="COLUMN=VALUE", help="only such rows, repeatable")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="answer.csv or answer.parquet")] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Ask the stored rows of a benchmark or a fleet a question in SQL (DuckDB), or show those with given values."""
+    answer = api.query(directory, sql, filters=text_pairs(only, "--filter"))
+    if out is not None:
+        answer.write(out, force=force)
+        say(f"wrote {out}")
+    elif as_json:
+        print_json(answer.records())
+    else:
+        print_answer(answer if sql is not None else answer.narrow())
