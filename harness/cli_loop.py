@@ -11,7 +11,16 @@ import typer
 from harness import api
 from harness.cli_options import AsJson, Force, ModelName, Resume, ScenarioPairs, Seed, Undriven, Validation
 from harness.errors import InputError
-from harness.terminal import completed, option_pairs, print_json, print_planned, progress_bar, say, wide_console
+from harness.terminal import (
+    completed,
+    jobs_bar,
+    option_pairs,
+    print_json,
+    print_planned,
+    progress_bar,
+    say,
+    wide_console,
+)
 
 __all__ = ["close_loop", "isolability", "learn_residual"]
 
@@ -93,12 +102,7 @@ def _close_fleet(
     time_limit: float | None,
 ) -> None:
     """Close the loop on many records and print what they have in common."""
-    with progress_bar("benchmark of records") as bar:
-        task = bar.add_task(source, total=None)
-
-        def show(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=what)
-
+    with jobs_bar("of records", source) as show:
         result = api.close_fleet(
             source,
             out=out,

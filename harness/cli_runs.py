@@ -13,6 +13,7 @@ from harness.cli_options import AsJson, Engine, Force, OptionPairs, Resume, Scen
 from harness.terminal import (
     completed,
     hidden_effect,
+    jobs_bar,
     option_pairs,
     print_answer,
     print_bench,
@@ -111,12 +112,7 @@ def bench(
             say(f"{count:6d}  {' x '.join(names)}")
         say(str(planned))
         return
-    with progress_bar(f"benchmark {suite}") as bar:
-        task = bar.add_task(suite, total=None)
-
-        def show(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=what)
-
+    with jobs_bar(suite, suite) as show:
         result = api.bench(
             suite,
             out=folder,
@@ -150,7 +146,7 @@ def query(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark or a fleet, finished or not")],
     sql: Annotated[
         str | None,
-        typer.Argument(metavar="[SQL]", help="over results, timings, regret, traces; of a fleet: records, effects"),
+        typer.Argument(metavar="SQL", help="over results, timings, regret, traces; of a fleet: records, effects"),
     ] = None,
     only: Annotated[
         list[str] | None, typer.Option("--filter", metavar="COLUMN=VALUE", help="only such rows, repeatable")

@@ -9,7 +9,7 @@ import typer
 
 from harness import api
 from harness.cli_options import Engine, Force, Resume, Workers
-from harness.terminal import progress_bar, say
+from harness.terminal import jobs_bar, say
 
 __all__ = ["study_app"]
 
@@ -37,12 +37,7 @@ def run_study(
 ) -> None:
     """Try the closed loop on simulated truths: confusion, false alarms, coverage, cost."""
     which = str(context.info_name)
-    with progress_bar("benchmark study") as bar:
-        task = bar.add_task(which, total=None)
-
-        def show(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=what)
-
+    with jobs_bar("study", which) as show:
         result = api.study(
             which,
             out=out,
@@ -88,8 +83,7 @@ def generate_study(
     force: Force = False,
 ) -> None:
     """Write the records of the study for another tool, the truth apart."""
-    with progress_bar("benchmark records") as bar:
-        task = bar.add_task("records", total=None)
+    with jobs_bar("records", "records") as show:
         made = api.generate_study(
             out,
             truth=truth,
@@ -103,7 +97,7 @@ def generate_study(
             workers=workers,
             resume=resume,
             force=force,
-            progress=lambda done, total, what: bar.update(task, completed=done, total=total, description=what),
+            progress=show,
         )
     say(str(made))
 

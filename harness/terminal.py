@@ -28,6 +28,7 @@ __all__ = [
     "completed",
     "fail",
     "hidden_effect",
+    "jobs_bar",
     "option_pairs",
     "option_value",
     "print_answer",
@@ -135,6 +136,18 @@ class Lines:
         self.next = time.monotonic() + 5.0
         share = f"{100 * completed:.0f} %" if total is None else f"{completed:.0f} of {total:.0f}"
         print(f"{self.title}: {share}{f', {description}' if description else ''}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def jobs_bar(title: str, name: str) -> Iterator[Callable[[int, int, str], None]]:
+    """Show how many of many jobs are done; yields what is called as ``show(done, total, what)``."""
+    with progress_bar(f"benchmark {title}") as bar:
+        task = bar.add_task(name, total=None)
+
+        def show(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=what)
+
+        yield show
 
 
 @contextmanager

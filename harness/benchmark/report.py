@@ -29,12 +29,15 @@ def render_html(result: BenchResult, overlays: Mapping[str, str] | None = None) 
         Job to the picture of its trajectory, relative to the page; the only links that it has.
     """
     lines = result.summary()
+    links = _links(result.rows, overlays or {})
     return filled(
         TEMPLATE,
         result=result,
         places=places_of(lines),
         control=any(line.control for line in lines),
-        links=_links(result.rows, overlays or {}),
+        links=links,
+        more_seeds=any(len(pictures) > 1 for pictures in links.values()),
+        several=any(line.ok > 1 for line in lines),
         figure=figure,
         more=optional_scores(lines),
         enough=any(line.run >= MINIMUM_SEEDS for line in lines),

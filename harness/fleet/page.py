@@ -22,6 +22,8 @@ __all__ = ["fleet_page", "size_plot"]
 TEMPLATE = Path(__file__).with_name("fleet.html.j2")
 PANELS = 40
 """Effects that are drawn; the table has all."""
+DIGITS = 9
+"""Significant digits of a size, at most: as many as are needed to tell the ends of its interval apart."""
 
 
 def fleet_page(rows: Sequence[Row], *, planned: int, model: str, reports: str) -> str:
@@ -46,10 +48,13 @@ def fleet_page(rows: Sequence[Row], *, planned: int, model: str, reports: str) -
 
 def written(effect: Found) -> str:
     """Return an effect's size with its interval."""
-    text = f"{effect.parameter} {figure(effect.size)}"
-    if effect.low is not None and effect.high is not None:
-        text += f" [{figure(effect.low)}, {figure(effect.high)}]"
-    return f"{text} {effect.unit}".strip()
+    unit = "" if effect.unit == "1" else effect.unit
+    if effect.low is None or effect.high is None:
+        return f"{effect.parameter} {figure(effect.size)} {unit}".strip()
+    # a gain of 1.00001 with an interval as narrow needs more digits than three to be told from 1
+    digits = next((n for n in range(3, DIGITS) if figure(effect.low, n) != figure(effect.high, n)), DIGITS)
+    size, low, high = (figure(value, digits) for value in (effect.size, effect.low, effect.high))
+    return f"{effect.parameter} {size} [{low}, {high}] {unit}".strip()
 
 
 def size_plot(series: Sequence[Series]) -> str:

@@ -34,6 +34,11 @@ class Found(msgspec.Struct, frozen=True):
     units: tuple[str, ...]
 
     @property
+    def place(self) -> str:
+        """Where it is; the column of the table, because ``at`` is a word of SQL."""
+        return self.at
+
+    @property
     def name(self) -> str:
         """``effect@place``."""
         return f"{self.effect}@{self.at}"

@@ -158,8 +158,8 @@ def tables(rows: Sequence[Row]) -> dict[str, Any]:
     said = [("status", text), ("reason", text), ("verdict", text), ("adequacy", text), ("stand_in", pa.bool_()),
             ("explained_share", number), ("error_before", number), ("error_after", number), ("seconds", number),
             ("warnings", texts), ("file", text), ("job", text)]  # fmt: skip
-    sizes = [("effect", text), ("at", text), ("parameter", text), ("size", number), ("low", number), ("high", number),
-             ("unit", text), ("ties", texts), ("parameters", texts), ("values", pa.list_(number)),
+    sizes = [("effect", text), ("place", text), ("parameter", text), ("size", number), ("low", number),
+             ("high", number), ("unit", text), ("ties", texts), ("parameters", texts), ("values", pa.list_(number)),
              ("lows", pa.list_(number)), ("highs", pa.list_(number)), ("units", texts)]  # fmt: skip
     schemas = {"records": [*about, *said], "effects": [*about, *sizes, ("verdict", text), ("stand_in", pa.bool_())]}
 

@@ -6,6 +6,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -212,6 +213,10 @@ def test_report_is_one_self_contained_page(plugins: Path, tmp_path: Path) -> Non
     assert "<b>bad</b>" not in page
     for link in ("src=", "<script", "@import", "<link"):
         assert link not in page
+    links = re.findall(r'href="(overlays/\w+\.svg)"', page)
+    assert len(links) == len({(row.plant, row.scenario, row.identifier) for row in result.rows if row.trace_t}) > 0
+    for link in links:
+        assert "residual" in (tmp_path / "out" / link).read_text()
     before = page
     table(tmp_path / "out")
     assert result.report.read_text() == before

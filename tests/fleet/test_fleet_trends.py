@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
+from harness.fleet.page import written
 from harness.fleet.row import Found, Row
+from harness.fleet.store import tables
 from harness.fleet.trends import new_effects, series_of, trends
+from harness.jobs.query import ask
 
 
 def found(name: str, size: float, half: float = 0.01, ties: tuple[str, ...] = ()) -> Found:
@@ -32,6 +36,20 @@ def test_an_effect_is_new_once_and_not_in_the_first_record() -> None:
         ("A-1", "coulomb@q", ()),
         ("A-3", "backlash@q", ("coulomb@q",)),
     ]
+
+
+def test_a_size_has_as_many_digits_as_its_interval_needs() -> None:
+    assert written(found("coulomb@q", 0.1)) == "Fc 0.1 [0.09, 0.11] N m"
+    near_one = replace(found("gain@q", 1.00001, half=2e-6), parameter="gain", unit="1")
+    text = written(near_one)
+    assert text.startswith("gain 1.00001 [1.0000")
+    low, high = text.split("[")[1].rstrip("]").split(", ")
+    assert float(low) < 1.00001 < float(high)
+
+
+def test_effects_are_asked_by_name_and_place() -> None:
+    answer = ask(tables([row(0, found("coulomb@q", 0.1))]), "select effect, place, size from effects")
+    assert answer.records() == [{"effect": "coulomb", "place": "q", "size": 0.1}]
 
 
 def test_another_name_of_a_tie_is_not_new_and_failures_say_nothing() -> None:
