@@ -10,8 +10,12 @@ below; without one all of them. Each says whether its aim is met, and the script
 - schedule: the parent's CPU time for each task does not grow with their number; beside it that of the peer (every task
   scheduled with pebble at once);
 - overhead: the harness takes less than 2 ms of CPU for a cell, that is 2 % of one of 0.1 s (cells that sleep, so that
-  all CPU time is ours; start and imports apart), and two workers are at least 1.9 times as fast as one, rounds
-  alternating;
+  all CPU time is ours; start and imports apart);
+- two: two workers are at least 1.9 times as fast as one on cells that compute for 0.1 s, rounds alternating. Counted
+  twice: by the clock, which needs two idle cores, and by the kernel's accounts (Linux), which other work on the machine
+  hardly touches: of the time between its first and its last cell a worker computed, waited for a core that others
+  had, or was idle for want of work; without the second that is what it would have taken on a core of its own. The
+  accounts decide; the clock's figure stands beside them, with the load of the machine;
 - table: table and page of 1e5 cells in under 5 s of CPU and 1 GiB.
 """
 
@@ -19,6 +23,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import operator
 import os
 import random
@@ -34,15 +39,28 @@ from pathlib import Path
 
 MODULE = """
 import ctypes, os, signal, time
+from pathlib import Path
 from dataclasses import dataclass
 import numpy as np
 from identifiers.baselines import HoldLast
+
+def account():
+    scheduled = Path("/proc/self/schedstat")
+    cpu, queued = scheduled.read_text().split()[:2] if scheduled.exists() else ("nan", "nan")
+    return time.monotonic(), 1e-9 * float(cpu), 1e-9 * float(queued)
 
 @dataclass(frozen=True)
 class Odd:
     fail: str = ""
     nap: float = 0.0
+    rounds: int = 0
     def fit(self, trajectories, *, rng):
+        if self.rounds:
+            stand, x = account(), 0.0
+            for k in range(self.rounds):
+                x = 0.5 * x + k
+            with Path(os.environ["BENCH_JOBS_ACCOUNT"]).open("a") as file:
+                file.write(" ".join(map(str, [os.getpid(), *stand, *account()])) + "\\n")
         if self.nap:
             time.sleep(self.nap)
         if self.fail == "segfault":
@@ -193,38 +211,78 @@ def own_work(cells: int, times: int = 20) -> float:
 
 
 def overhead(folder: Path, rounds: int = 2) -> None:
-    """CPU and wall time of cells that sleep for 0.1 s, on one worker and on two."""
+    """CPU time of cells that sleep for 0.1 s."""
     from harness.benchmark import bench
 
     def used() -> float:
         return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
 
-    def timed(cells: int, workers: int) -> tuple[float, float]:
+    def busy(cells: int) -> float:
         names = ", ".join(f'{{ id = "odd", label = "nap {k}", options = {{ nap = 0.1 }} }}' for k in range(20))
-        started, before = time.perf_counter(), used()
-        result = bench(suite(folder, cells // 20, names), workers=workers, traces="none")
+        before = used()
+        result = bench(suite(folder, cells // 20, names), workers=1, traces="none")
         assert result.ok == cells
-        return time.perf_counter() - started, used() - before
+        return used() - before
 
     # what a run costs beside its cells (starting workers, imports) does not grow with them: two sizes tell it apart
     sizes = (40, 240)
-    wall: dict[tuple[int, int], float] = {}
-    cpu: dict[tuple[int, int], float] = {}
-    for _ in range(rounds):
-        for size in sizes:
-            for workers in (1, 2):
-                seconds, busy = timed(size, workers)
-                wall[size, workers] = min(seconds, wall.get((size, workers), seconds))
-                cpu[size, workers] = min(busy, cpu.get((size, workers), busy))
-    cells = sizes[1] - sizes[0]
-    each = 1e3 * (cpu[sizes[1], 1] - cpu[sizes[0], 1]) / cells
-    one, two = (wall[sizes[1], workers] - wall[sizes[0], workers] for workers in (1, 2))
+    cpu = {size: min(busy(size) for _ in range(rounds)) for size in sizes}
+    each = 1e3 * (cpu[sizes[1]] - cpu[sizes[0]]) / (sizes[1] - sizes[0])
     own = min(own_work(20) for _ in range(3))
     print(f"a cell costs {each:.2f} ms of CPU, {own:.2f} of them its own data, fit, scores; the rest is ours (aim: 2)")
-    print(f"wall time of a cell of 0.1 s on one worker: {1e3 * one / cells:.1f} ms")
-    print(f"two workers: {one / two:.2f} times as fast as one (aim: at least 1.9)")
     assert each - own < 2.0
-    assert one / two >= 1.9
+
+
+def two(folder: Path, rounds: int = 2, cells: int = 80) -> None:
+    """Two workers against one on cells that compute for 0.1 s."""
+    from harness.benchmark import bench
+
+    account = folder / "account"
+    os.environ["BENCH_JOBS_ACCOUNT"] = str(account)
+    turns = loops_of(0.1)
+    names = ", ".join(f'{{ id = "odd", label = "busy {k}", options = {{ rounds = {turns} }} }}' for k in range(20))
+    clock: dict[int, list[float]] = {1: [], 2: []}
+    own: dict[int, list[float]] = {1: [], 2: []}
+    idle: dict[int, list[float]] = {1: [], 2: []}
+    for _ in range(rounds):
+        for workers in (1, 2):
+            account.unlink(missing_ok=True)
+            result = bench(suite(folder, cells // 20, names), workers=workers, traces="none")
+            assert result.ok == cells
+            lines = [list(map(float, line.split())) for line in account.read_text().splitlines()]
+            by_worker = [[line for line in lines if line[0] == pid] for pid in {line[0] for line in lines}]
+            assert len(by_worker) == workers
+            spans = [
+                [max(line[4 + k] for line in done) - min(line[1 + k] for line in done) for k in range(3)]
+                for done in by_worker
+            ]
+            blocked = [wall - cpu - queued for wall, cpu, queued in spans]
+            clock[workers].append(sum(wall for wall, _, _ in spans) / cells)
+            idle[workers].append(sum(blocked) / cells)
+            own[workers].append(sum(cpu for _, cpu, _ in spans) / cells + idle[workers][-1])
+    by_clock, counted = (2 * min(times[1]) / min(times[2]) for times in (clock, own))
+    for workers in (1, 2):
+        print(
+            f"{workers} at work: a cell takes {1e3 * min(own[workers]):.1f} ms of a core of its own, "
+            f"{1e3 * min(idle[workers]):.2f} ms of it idle"
+        )
+    load = os.getloadavg()[0]
+    print(f"two workers by the clock: {by_clock:.2f} times as fast as one (load of the machine {load:.1f})")
+    print(f"two workers by the accounts: {counted:.2f} times as fast as one (aim: at least 1.9)")
+    assert (by_clock if math.isnan(counted) else counted) >= 1.9
+
+
+def loops_of(seconds: float) -> int:
+    """Return how many turns of the loop of a busy cell take so much CPU time."""
+    turns = 200_000
+
+    def cost() -> float:
+        started, x = time.process_time(), 0.0
+        for k in range(turns):
+            x = 0.5 * x + k
+        return time.process_time() - started
+
+    return int(turns * seconds / min(cost() for _ in range(5)))
 
 
 def table(folder: Path, cells: int = 100_000) -> None:
@@ -273,7 +331,7 @@ def table(folder: Path, cells: int = 100_000) -> None:
 
 
 if __name__ == "__main__":
-    wanted = sys.argv[1:] or ["faults", "killed", "schedule", "overhead", "table"]
+    wanted = sys.argv[1:] or ["faults", "killed", "schedule", "overhead", "two", "table"]
     with tempfile.TemporaryDirectory() as scratch:
         place = Path(scratch)
         plugin(place)
@@ -285,6 +343,8 @@ if __name__ == "__main__":
             schedule()
         if "overhead" in wanted:
             overhead(place)
+        if "two" in wanted:
+            two(place)
         if "table" in wanted:
             table(place)
         print(f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB at most")

@@ -1,6 +1,6 @@
 """How often the 95 % intervals of mechanical estimates hold the truth, over simulated records; how often none is given.
 
-Run: python benchmarks/coverage_of_estimates.py [records]   (200 by default; seeds 10 000 on)
+Run: python benchmarks/coverage_of_estimates.py [records [model [identifier]]]   (200 by default; seeds 10 000 on)
 """
 
 from __future__ import annotations
@@ -37,6 +37,13 @@ def record(model: str, rates: bool, seed: int) -> tuple[Trajectory, dict[str, fl
     return Trajectory(np.arange(SAMPLES) * DT, u, y, spec), system.values()
 
 
+def _within(held: int, given: int) -> bool:
+    """Return True unless the share lies outside 90 to 98 % by more than two standard deviations of so many records."""
+    low = 0.90 * given - 2 * np.sqrt(0.90 * 0.10 * given)
+    high = 0.98 * given + 2 * np.sqrt(0.98 * 0.02 * given)
+    return bool(low <= held <= high)
+
+
 def main() -> None:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
     makers = {
@@ -47,6 +54,8 @@ def main() -> None:
     }
     for model, rates in (("pendulum", False), ("cart-pole", True)):
         for identifier, make in makers.items():
+            if any(chosen not in (model, identifier) for chosen in sys.argv[2:]):
+                continue
             held: dict[str, int] = {}
             given = refused = 0
             for seed in range(10_000, 10_000 + count):
@@ -64,6 +73,9 @@ def main() -> None:
                     held[name] = held.get(name, 0) + (low <= truth[name] <= high)
             share = ", ".join(f"{name} {100 * n / given:.1f} %" for name, n in held.items()) or "-"
             print(f"{model:10} {identifier:16} intervals in {given} of {count}, refused {refused}: {share}", flush=True)
+            outside = [name for name, n in held.items() if given and not _within(n, given)]
+            if outside:
+                print(f"{'':27} not 90 to 98 %, by more than chance: {', '.join(outside)}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Write the benchmark tables of the documentation from a folder that ``sysid bench`` wrote.
 
 Run ``sysid bench quick --seeds 0..5 --out DIR`` and then ``python docs/make_benchmark_table.py DIR`` for the excerpt in
-docs/benchmarks.md; the same with ``sysid bench standard --out DIR`` for docs/standard.md.
+README.md and docs/benchmarks.md; the same with ``sysid bench standard --out DIR`` for docs/standard.md.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from harness.benchmark import BenchResult, render, table
 
-PAGE = Path(__file__).parent / "benchmarks.md"
+PAGES = (Path(__file__).parent / "benchmarks.md", Path(__file__).parents[1] / "README.md")
 BEGIN, END = "<!-- table: linear-ode prbs -->\n", "<!-- end of table -->"
 PLACE = ("linear-ode", "prbs")
 
@@ -67,8 +67,9 @@ def main(arguments: Sequence[str]) -> None:
     if result.suite == "standard":
         (Path(__file__).parent / "standard.md").write_text(whole(result), encoding="utf-8")
         return
-    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-    PAGE.write_text(before + BEGIN + excerpt(result) + rest[rest.index(END) :], encoding="utf-8")
+    for page in PAGES:
+        before, rest = page.read_text(encoding="utf-8").split(BEGIN)
+        page.write_text(before + BEGIN + excerpt(result) + rest[rest.index(END) :], encoding="utf-8")
 
 
 if __name__ == "__main__":

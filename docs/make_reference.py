@@ -48,6 +48,7 @@ SUITE_KEYS = {
     "description": "A sentence about the suite.",
     "seeds": "Seeds of every cell; those of a group count before those of the suite.",
     "time_limit": "Seconds that one cell may take; then its row says `timeout`.",
+    "cell_seconds": "Mean CPU time of a cell, as the author measured it: for `--dry-run` before any has run.",
     "plants": "Parts, see below.",
     "scenarios": "Parts, see below.",
     "identifiers": "Parts, see below.",

@@ -20,7 +20,7 @@ from harness.rollout import run
 from harness.signals import Channel, PlantSpec, Trajectory
 
 TRUTH = {"mc + mp": 11.0, "l*mp": 0.5, "l**2*mp": 0.25}
-OFFSETS = (0.0, 0.0025, 0.005, 0.0075, 0.01, 0.015, 0.02, 0.025, 0.03, 0.035)
+OFFSETS = (0.0, 0.0025, 0.005, 0.0075, 0.01, 0.015, 0.02, 0.025, 0.03, 0.035, 0.04, 0.045)
 UNITS = {"": "m", "_rate": "m/s", "_acceleration": "m/s^2"}
 
 
@@ -94,10 +94,12 @@ def fits(folder: Path) -> dict[str, dict[str, float]]:
     return found
 
 
-def postures(offset: float, duration: float = 25.0) -> tuple[np.ndarray, float]:
+def postures(offset: float, lean: float = 0.0, duration: float = 25.0) -> tuple[np.ndarray, float]:
     """Return the mean joint angles (2,) of the last 5 s from upright, and the largest rate then; NaN after a fall."""
     outputs = [["theta1", 0], ["theta2", 0], ["theta1", 1], ["theta2", 1]]
-    scenario = registry.create("scenarios", "acrobot-lqr", offset=(offset, offset), duration=duration, tilt=0.0)
+    scenario = registry.create(
+        "scenarios", "acrobot-lqr", offset=(offset, offset), duration=duration, lean=lean, tilt=0.0
+    )
     with registry.create("plants", "ode", model="acrobot", sample_time=0.005, outputs=outputs) as plant:
         try:
             held = run(plant, scenario, streams=Streams("acrobot", "offset", 0), role="estimation/0").y[-1000:]
@@ -106,13 +108,25 @@ def postures(offset: float, duration: float = 25.0) -> tuple[np.ndarray, float]:
     return held[:, :2].mean(axis=0) - [np.pi, 0.0], float(np.abs(held[:, 2:]).max())
 
 
+def largest_lean(offset: float, precision: float = 1e-3) -> float:
+    """Return the largest lean of the first joint [rad] from which the Acrobot is caught; 0 if it falls upright too."""
+    if not np.isfinite(postures(offset)[1]):
+        return 0.0
+    low, high = 0.0, 0.2
+    while high - low > precision:
+        middle = (low + high) / 2
+        low, high = (middle, high) if np.isfinite(postures(offset, middle, 15.0)[1]) else (low, middle)
+    return low
+
+
 def draw_acrobot(folder: Path) -> None:
-    """Draw the steady error of the Acrobot against the offset of its joints."""
+    """Draw the steady error of the Acrobot against the offset of its joints, and the lean from which it is caught."""
     import matplotlib.pyplot as plt
 
     gains = registry.create("scenarios", "acrobot-lqr").steady_gains()
     found = [(offset, *postures(offset)) for offset in OFFSETS]
-    figure, axes = plt.subplots(figsize=(6, 3))
+    leans = [largest_lean(offset) for offset in OFFSETS]
+    figure, (axes, right) = plt.subplots(1, 2, figsize=(10, 3.2))
     for joint, colour in ((0, "tab:blue"), (1, "tab:red")):
         still = [(offset, posture[joint]) for offset, posture, rate in found if rate < 0.05]
         moving = [(offset, posture[joint]) for offset, posture, rate in found if 0.05 <= rate < np.inf]
@@ -122,14 +136,24 @@ def draw_acrobot(folder: Path) -> None:
         )
         if moving:
             axes.plot(*zip(*moving, strict=True), "x", color=colour, label="mean of a swing that goes on")
-    axes.set_xlabel("offset of both joint sensors [rad]")
     axes.set_ylabel("steady error [rad]")
     axes.set_ylim(-1.9, 0.7)
-    axes.legend(fontsize=7, ncol=2, loc="lower left")
+    axes.legend(fontsize=6, ncol=2, loc="lower left")
+    right.fill_between(OFFSETS, leans, color="tab:green", alpha=0.3, lw=0, label="caught")
+    right.fill_between(OFFSETS, leans, 0.16, color="tab:red", alpha=0.3, lw=0, label="falls")
+    right.plot(OFFSETS, leans, "k.-", lw=1)
+    right.set_ylabel("lean of joint 1 at the start [rad]")
+    right.set_ylim(0, 0.16)
+    right.legend(fontsize=7, loc="upper right")
+    for ax in (axes, right):
+        ax.set_xlabel("offset of both joint sensors [rad]")
+        ax.set_xlim(0, OFFSETS[-1])
     figure.tight_layout()
     figure.savefig(folder / "acrobot.svg", metadata={"Date": None})
-    for offset, posture, rate in found:
-        print(f"offset {offset}: {posture.round(3).tolist()} rad, rates up to {rate:.2g} rad/s")
+    for (offset, posture, rate), lean in zip(found, leans, strict=True):
+        print(
+            f"offset {offset}: {posture.round(3).tolist()} rad, rates up to {rate:.2g} rad/s, caught to {lean:.3f} rad"
+        )
 
 
 def main() -> None:

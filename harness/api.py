@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
     from harness.fleet import FleetResult
+    from harness.learned import LearnedResidual
     from harness.predictive import ProbabilityScore
     from harness.scoring import Score
     from harness.study import StudyResult
@@ -48,6 +49,7 @@ __all__ = [
     "generate_study",
     "identify",
     "isolability",
+    "learn_residual",
     "list_parts",
     "order",
     "plan_bench",
@@ -208,14 +210,15 @@ def plan_bench(
     return benchmark.plan(suite, out=out, workers=workers, seeds=seeds, shard=shard)
 
 
-def query(directory: str | Path, sql: str) -> Answer:
-    """Return the answer to a query over the tables of a benchmark's or a fleet's folder.
+def query(directory: str | Path, sql: str | None = None, *, filters: Mapping[str, Any] | None = None) -> Answer:
+    """Return the answer to a query over the tables of a benchmark's or a fleet's folder, or its first table.
 
     See :func:`harness.benchmark.query` and :func:`harness.fleet.query`.
     """
     from harness import benchmark, fleet
 
-    return fleet.query(directory, sql) if fleet.is_fleet_folder(directory) else benchmark.query(directory, sql)
+    room = fleet.query if fleet.is_fleet_folder(directory) else benchmark.query
+    return room(directory, sql, filters=filters)
 
 
 def table(directory: str | Path) -> BenchResult:
@@ -335,9 +338,16 @@ def identify(
         fitted,
         {use: [equation_error(fitted, one) for one in data.using(use)] for use in uses},
         {use: [simulation_error(fitted, one) for one in data.using(use)] for use in uses},
-        data.warnings,
+        (*data.warnings, *_said(fitted)),
         probability,
     )
+
+
+def _said(model: Model) -> tuple[str, ...]:
+    """Return what the fit of a model warns of."""
+    notes = getattr(model, "notes", None)
+    warning = notes.get("warning") if isinstance(notes, Mapping) else None
+    return (str(warning),) if warning else ()
 
 
 def close_loop(
@@ -390,6 +400,72 @@ def close_loop(
     )
 
 
+def learn_residual(
+    loop: str | Path,
+    dataset: Any,
+    *,
+    out: str | Path,
+    validation: str | Path | None = None,
+    undriven: Sequence[str] = (),
+    coordinate: str | None = None,
+    arguments: Sequence[str] | None = None,
+    refit: bool = False,
+    seed: int = 0,
+    trust: bool = False,
+    force: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> LearnedResidual:
+    """Learn what a finished closed loop left over as a force without a name; ``export`` takes the folder.
+
+    Parameters
+    ----------
+    loop : path
+        Folder that ``close_loop`` wrote.
+    dataset, validation, undriven
+        The data of that loop, as for ``close_loop``.
+    out : path
+        Folder for ``learned.html``, ``learned.json`` and, if the force helps, ``model.json``.
+    coordinate, arguments, refit, progress
+        See :func:`harness.physics.residual_learning.learn_residual_force`.
+    seed : int
+        Places the bumps.
+    trust : bool
+        Let the stored model run the Python file that it names.
+    force : bool
+        Overwrite an earlier result in ``out``.
+
+    Raises
+    ------
+    InputError
+        If the loop left nothing to learn, or its model takes no force.
+    """
+    from harness import learned as room
+    from harness.comparison.models import read_model
+    from harness.data import load_dataset
+
+    target = Path(out)
+    _refuse_overwrite(target / "learned.json" if target.is_dir() else target, force=force)
+    if target.is_dir() and target.resolve() == Path(loop).resolve():
+        raise InputError(
+            "output folder", expected="a folder of its own", got="that of the loop", remedy="choose another --out"
+        )
+    model: Any = read_model(loop, trust=trust)
+    path = registry.dataset_path(dataset)
+    named = None if str(path).endswith(".toml") else getattr(getattr(model, "recipe", None), "model", None)
+    loaded = load_dataset(path, model=named, validation=validation, undriven=undriven)
+    return room.learn_residual(
+        loop,
+        model,
+        loaded,
+        out=out,
+        coordinate=coordinate,
+        arguments=arguments,
+        refit=refit,
+        rng=stream("learn-residual", seed),
+        progress=progress,
+    )
+
+
 def close_fleet(
     source: str | Path,
     *,
@@ -427,9 +503,10 @@ def study(
     records: int | None = None,
     plants: Sequence[str] = ("pendulum", "cart-pole"),
     workers: int = 2,
-    cells: int = 2,
-    alarms: int = 300,
+    cells: int = 4,
+    alarms: int = 400,
     budget: float | None = None,
+    engine: str = "local",
     resume: bool = False,
     force: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
@@ -447,6 +524,7 @@ def study(
         cells=cells,
         alarms=alarms,
         budget=budget,
+        engine=engine,
         resume=resume,
         force=force,
         progress=progress,
@@ -461,9 +539,12 @@ def generate_study(
     secret: int | None = None,
     records: int | None = None,
     plants: Sequence[str] = ("pendulum", "cart-pole"),
-    cells: int = 2,
-    alarms: int = 300,
+    cells: int = 4,
+    alarms: int = 400,
     like: str | Path | None = None,
+    workers: int | None = None,
+    resume: bool = False,
+    force: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Package:
     """Write the records of a study for another tool, the truth apart; see :func:`harness.study.package.generate`."""
@@ -479,6 +560,9 @@ def generate_study(
         cells=cells,
         alarms=alarms,
         like=like,
+        workers=workers,
+        resume=resume,
+        force=force,
         progress=progress,
     )
 

@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from harness import __version__, api
-from harness.cli_loop import close_loop, isolability
+from harness.cli_loop import close_loop, isolability, learn_residual
 from harness.cli_models import compare, export, identify, order, spectrum
 from harness.cli_options import AsJson
 from harness.cli_runs import bench, query, simulate, table
@@ -38,6 +38,7 @@ app.add_typer(study_app, name="study")
 for _command in (simulate, bench, table, query, identify, compare, spectrum, order, isolability, export):
     app.command()(_command)
 app.command(name="close-loop")(close_loop)
+app.command(name="learn-residual")(learn_residual)
 
 
 @app.command(name="list")

@@ -1,4 +1,4 @@
-"""The commands of ``sysid`` that close the loop: on a record, on a fleet, and before measuring."""
+"""The commands of ``sysid`` that close the loop: on a record, on a fleet, before measuring, and on what is left."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Annotated
 import typer
 
 from harness import api
-from harness.cli_options import AsJson, Force, ModelName, ScenarioPairs, Seed, Undriven, Validation
+from harness.cli_options import AsJson, Force, ModelName, Resume, ScenarioPairs, Seed, Undriven, Validation
 from harness.errors import InputError
 from harness.terminal import completed, option_pairs, print_json, print_planned, progress_bar, say, wide_console
 
-__all__ = ["close_loop", "isolability"]
+__all__ = ["close_loop", "isolability", "learn_residual"]
 
 
 def close_loop(
@@ -29,7 +29,7 @@ def close_loop(
     validation: Validation = None,
     undriven: Undriven = None,
     as_json: Annotated[bool, typer.Option("--json", help="print report.json")] = False,
-    resume: Annotated[bool, typer.Option("--resume", help="continue what was interrupted")] = False,
+    resume: Resume = False,
     force: Force = False,
     workers: Annotated[int | None, typer.Option(min=1, help="of a fleet: processes; default all cores")] = None,
     engine: Annotated[str, typer.Option(help="of a fleet: local, or dask://HOST:PORT")] = "local",
@@ -115,6 +115,53 @@ def _close_fleet(
         return
     say(str(result))
     say(f"page: {result.page}")
+
+
+def learn_residual(
+    loop: Annotated[Path, typer.Argument(metavar="DIR", help="folder of close-loop that ended with something left")],
+    dataset: Annotated[str, typer.Argument(metavar="DATASET|RECORDING", help="the data of that loop")],
+    out: Annotated[Path, typer.Option(help="folder for learned.html, learned.json and model.json")],
+    validation: Validation = None,
+    undriven: Undriven = None,
+    coordinate: Annotated[str | None, typer.Option(help="where the force acts; default: where it helps most")] = None,
+    argument: Annotated[
+        list[str] | None,
+        typer.Option(help="state or input that it depends on, repeatable; default: speed, place or both"),
+    ] = None,
+    refit: Annotated[bool, typer.Option("--refit", help="let the named parameters move beside the force")] = False,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+    force: Force = False,
+    trust: Annotated[bool, typer.Option("--trust", help="run the Python file that model.json names")] = False,
+) -> None:
+    """Learn what a closed loop left over as a force without a name: not physical, with the hull of its data."""
+    with progress_bar("learning a residual force") as bar:
+        task = bar.add_task(str(loop), total=1.0)
+
+        def show(fraction: float, what: str) -> None:
+            bar.update(task, completed=fraction, description=what)
+
+        found = api.learn_residual(
+            loop,
+            dataset,
+            out=out,
+            validation=validation,
+            undriven=undriven or (),
+            coordinate=coordinate,
+            arguments=argument,
+            refit=refit,
+            seed=seed,
+            trust=trust,
+            force=force,
+            progress=show,
+        )
+    if as_json:
+        print_json(found.data)
+        return
+    wide_console().print(str(found), highlight=False, markup=False, soft_wrap=True)
+    for text in found.data["warnings"]:
+        print(f"sysid: note: {text}", file=sys.stderr)
+    say(f"page: {out / 'learned.html'}")
 
 
 def isolability(

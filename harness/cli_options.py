@@ -1,4 +1,4 @@
-"""Arguments and options that several commands of ``sysid`` share."""
+"""Options that several commands share, so that one word means the same everywhere."""
 
 from __future__ import annotations
 
@@ -9,21 +9,13 @@ import typer
 
 from harness.terminal import completed
 
-__all__ = [
-    "AsJson",
-    "DatasetName",
-    "Force",
-    "ModelName",
-    "OptionPairs",
-    "ScenarioPairs",
-    "Seed",
-    "Undriven",
-    "Validation",
-]
+__all__ = ["AsJson", "DatasetName", "Engine", "Force", "ModelName", "OptionPairs", "Resume", "ScenarioPairs", "Seed",
+           "Undriven", "Validation", "Workers"]  # fmt: skip
 
 OptionPairs = Annotated[list[str] | None, typer.Option("--option", "-O", metavar="k=v", help="option, repeatable")]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
 Force = Annotated[bool, typer.Option("--force", help="overwrite")]
+Resume = Annotated[bool, typer.Option("--resume", help="continue what was interrupted")]
 Seed = Annotated[int, typer.Option(help="keys every random number")]
 ModelName = Annotated[
     str | None,
@@ -33,6 +25,8 @@ Validation = Annotated[Path | None, typer.Option(help="validation file beside a 
 Undriven = Annotated[
     list[str] | None, typer.Option("--undriven", metavar="INPUT", help="input of the model that nothing drove")
 ]
+Workers = Annotated[int | None, typer.Option(min=1, help="processes; default all cores")]
+Engine = Annotated[str, typer.Option(help="local, or dask://HOST:PORT")]
 ScenarioPairs = Annotated[
     list[str] | None, typer.Option("--scenario-option", "-S", metavar="k=v", help="scenario option, repeatable")
 ]

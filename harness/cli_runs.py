@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from harness import api
-from harness.cli_options import AsJson, Force, OptionPairs, ScenarioPairs, Seed
+from harness.cli_options import AsJson, Engine, Force, OptionPairs, Resume, ScenarioPairs, Seed, Workers
 from harness.terminal import (
     completed,
     hidden_effect,
@@ -20,6 +20,7 @@ from harness.terminal import (
     progress_bar,
     say,
     seed_range,
+    text_pairs,
 )
 
 __all__ = ["bench", "query", "simulate", "table"]
@@ -91,10 +92,10 @@ def bench(
         ),
     ],
     out: Annotated[Path | None, typer.Option(help="folder for results; default results/SUITE")] = None,
-    workers: Annotated[int | None, typer.Option(help="processes; default all cores")] = None,
+    workers: Workers = None,
     seeds: Annotated[str | None, typer.Option(metavar="A..B", help="seeds A to B, both included")] = None,
-    engine: Annotated[str, typer.Option(help="local, or dask://HOST:PORT")] = "local",
-    resume: Annotated[bool, typer.Option("--resume", help="continue in a folder that has results")] = False,
+    engine: Engine = "local",
+    resume: Resume = False,
     shard: Annotated[str | None, typer.Option(metavar="i/n", help="the i-th of n shares, for job arrays")] = None,
     traces: Annotated[
         str, typer.Option(help="seeds with an overlay of their trajectory: first | all | none")
@@ -148,18 +149,22 @@ def table(
 def query(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark or a fleet, finished or not")],
     sql: Annotated[
-        str, typer.Argument(metavar="SQL", help="over results, timings, regret, traces; of a fleet: records, effects")
-    ],
+        str | None,
+        typer.Argument(metavar="[SQL]", help="over results, timings, regret, traces; of a fleet: records, effects"),
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option("--filter", metavar="COLUMN=VALUE", help="only such rows, repeatable")
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="answer.csv or answer.parquet")] = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Ask the stored rows of a benchmark or a fleet a question in SQL (DuckDB)."""
-    answer = api.query(directory, sql)
+    """Ask the stored rows of a benchmark or a fleet a question in SQL (DuckDB), or show those with given values."""
+    answer = api.query(directory, sql, filters=text_pairs(only, "--filter"))
     if out is not None:
         answer.write(out, force=force)
         say(f"wrote {out}")
     elif as_json:
         print_json(answer.records())
     else:
-        print_answer(answer)
+        print_answer(answer if sql is not None else answer.narrow())

@@ -8,12 +8,12 @@ from typing import Annotated
 import typer
 
 from harness import api
+from harness.cli_options import Engine, Force, Resume, Workers
 from harness.terminal import progress_bar, say
 
 __all__ = ["study_app"]
 
 study_app = typer.Typer(help="Try the closed loop, or another tool, on simulated truths.", no_args_is_help=True)
-Force = Annotated[bool, typer.Option("--force", help="overwrite")]
 Seeds = Annotated[str, typer.Option(help="tuning, or judged: records that no threshold was chosen on")]
 Records = Annotated[int | None, typer.Option(help="only the first so many of the plan, a balanced part")]
 Plants = Annotated[str, typer.Option(help="separated by commas")]
@@ -28,10 +28,11 @@ def run_study(
     records: Records = None,
     plants: Plants = "pendulum,cart-pole",
     workers: Annotated[int, typer.Option(help="processes")] = 2,
-    cells: Cells = 2,
-    alarms: Alarms = 300,
+    cells: Cells = 4,
+    alarms: Alarms = 400,
     budget: Annotated[float | None, typer.Option(metavar="MINUTES", help="then begin no more")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="continue in a folder that has rows")] = False,
+    engine: Engine = "local",
+    resume: Resume = False,
     force: Force = False,
 ) -> None:
     """Try the closed loop on simulated truths: confusion, false alarms, coverage, cost."""
@@ -52,6 +53,7 @@ def run_study(
             cells=cells,
             alarms=alarms,
             budget=budget,
+            engine=engine,
             resume=resume,
             force=force,
             progress=show,
@@ -78,9 +80,12 @@ def generate_study(
     secret: Annotated[int | None, typer.Option(help="instead of seeds: a number that only you know")] = None,
     records: Records = None,
     plants: Plants = "pendulum,cart-pole",
-    cells: Cells = 2,
-    alarms: Alarms = 300,
+    cells: Cells = 4,
+    alarms: Alarms = 400,
     like: Annotated[Path | None, typer.Option(metavar="ROWS", help="only the records of this rows.csv")] = None,
+    workers: Workers = None,
+    resume: Resume = False,
+    force: Force = False,
 ) -> None:
     """Write the records of the study for another tool, the truth apart."""
     with progress_bar("benchmark records") as bar:
@@ -95,6 +100,9 @@ def generate_study(
             cells=cells,
             alarms=alarms,
             like=like,
+            workers=workers,
+            resume=resume,
+            force=force,
             progress=lambda done, total, what: bar.update(task, completed=done, total=total, description=what),
         )
     say(str(made))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import time
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from harness.api import Identified
     from harness.benchmark import Answer, BenchResult
     from harness.diagnosis.planned import Planned
+    from harness.estimate import Estimate
 
 __all__ = [
     "Lines",
@@ -39,6 +41,7 @@ __all__ = [
     "progress_bar",
     "say",
     "seed_range",
+    "text_pairs",
     "whole_range",
     "wide_console",
 ]
@@ -168,6 +171,17 @@ def option_value(text: str) -> Any:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text
+
+
+def text_pairs(texts: Sequence[str] | None, flag: str) -> dict[str, str]:
+    """Read ``k=v`` pairs as they stand."""
+    pairs = [text.partition("=") for text in texts or ()]
+    for key, equals, value in pairs:
+        if not (key and equals):
+            raise InputError(
+                "pair", expected="NAME=VALUE", got=repr(key + equals + value), remedy="correct it", place=flag
+            )
+    return {key.strip(): value.strip() for key, _, value in pairs}
 
 
 def option_pairs(texts: Sequence[str] | None, flag: str) -> dict[str, Any]:
@@ -312,17 +326,69 @@ def print_identified(fitted: Identified, identifier: str) -> None:
         for run, score in enumerate(scores_of_use):
             say(f"{use} {run}, one step ahead: {score}")
     estimate = estimate_of(fitted.model)
+    named = getattr(fitted.model, "parameters", {})
     loose = estimate.rank.undetermined if estimate is not None and estimate.rank is not None else ()
-    for name, value in getattr(fitted.model, "parameters", {}).items():
+    for name, value in named.items():
         deviation = getattr(fitted.model, "deviations", {}).get(name)
         interval = estimate.interval(name) if estimate is not None and name in estimate.names else None
         text = f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else "")
         text += f" [{interval[0]:.6g}, {interval[1]:.6g}]" if interval else ""
         say(text + (" (not determined alone)" if name in loose else ""))
+    if estimate is not None and not named:
+        _print_estimate(estimate)
     if estimate is not None and estimate.rank is not None:
-        say(f"  {estimate.rank}")
+        condition = f", condition number {estimate.condition:.3g}" if math.isfinite(estimate.condition) else ""
+        say(f"  {estimate.rank}{condition}")
+    for equation in getattr(fitted.model, "equations", ()):
+        say(f"  {equation}")
+    _print_order(fitted.model, conditioned=estimate is not None)
     for warning in fitted.warnings:
         say(f"warning: {warning}")
+
+
+VALUES = 8
+"""Singular values that are printed: enough to see where they fall to the noise."""
+
+ROUNDED = 1e-9
+"""A mode at 1 (a constant, an integrator) comes out so far beyond it by rounding."""
+
+COEFFICIENTS = 40
+"""Coefficients beyond which only their number is printed: a table of lags tells nobody anything, the file has all."""
+
+
+def _print_estimate(estimate: Estimate) -> None:
+    """Print coefficients with their intervals, or how many there are, and how the intervals came about."""
+    if len(estimate.names) <= COEFFICIENTS:
+        for name, unit, value in zip(estimate.names, estimate.units, estimate.values, strict=True):
+            interval = estimate.interval(name)
+            text = f"  {name} = {value:.6g}" + ("" if unit == "1" else f" {unit}")
+            say(text + (f" [{interval[0]:.6g}, {interval[1]:.6g}]" if interval else ""))
+    else:
+        say(f"  {len(estimate.names)} coefficients (--out writes them)")
+    level = f"{100 * estimate.level:g} % intervals: " if estimate.intervals is not None else ""
+    say(f"  {level}{estimate.method}")
+    if not estimate.converged:
+        say(f"warning: not converged{f': {estimate.message}' if estimate.message else ''}")
+
+
+def _print_order(model: Any, *, conditioned: bool) -> None:
+    """Print states, spectral radius, and what decided on the order; a model that grows is told whatever its scores."""
+    from harness.lqr import spectral_radius
+
+    notes = getattr(model, "notes", None) or {}
+    if not conditioned and isinstance(notes.get("condition"), float):
+        say(f"  condition number of the regressors {notes['condition']:.3g}")
+    for key in ("hankel_singular_values", "singular_values"):
+        if isinstance(notes.get(key), list):
+            level = f"; noise alone up to {notes['hankel_noise']:.3g}" if "hankel_noise" in notes else ""
+            values = ", ".join(f"{value:.3g}" for value in notes[key][:VALUES])
+            say(f"  {key.replace('_', ' ').capitalize()} {values}{level}")
+    a = getattr(model, "a_matrix", None)
+    if a is None or not len(a):
+        return
+    radius = spectral_radius(a)
+    grows = " (unstable: free runs grow without bound)" if radius > 1.0 + ROUNDED else ""
+    say(f"  {len(a)} state{'s' if len(a) > 1 else ''}, spectral radius {radius:.4g}{grows}")
 
 
 def print_fmu(content: dict[str, Any]) -> None:

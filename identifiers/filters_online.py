@@ -15,14 +15,13 @@ from harness.protocols import Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from identifiers.physical import recipe_for
 from identifiers.records import real_signals
+from identifiers.surprise import Surprise
 
 if TYPE_CHECKING:
     from harness.physics import System
 
 __all__ = ["FilterState", "OnlineGreyBox", "ekf", "ukf"]
 
-SETTLED = 50.0
-"""Samples over which the sensor noise is averaged at first; afterwards over all."""
 ALPHA, BETA = 0.5, 2.0
 """Spread of the sigma points, and the weight of a normal prior (Wan & van der Merwe 2000, eq. 15)."""
 
@@ -37,20 +36,28 @@ class FilterState:
         The model.
     mean, covariance : array (m,), (m, m)
         Of the states, then the parameters (those that cannot be negative as logarithms).
-    noise : array (ny,)
-        Variance of the sensors, as far as it is known.
     seen : int
         Samples so far, of all records.
     clock : float
         Time in the present record [s].
+    spread : array (m - nx,)
+        Standard deviations of the parameters at the start.
+    surprise : Surprise
+        How wrong predictions are, beside how wrong they say they are.
     """
 
     stepper: Stepper
     mean: FloatArray
     covariance: FloatArray
-    noise: FloatArray
     seen: int
     clock: float
+    spread: FloatArray
+    surprise: Surprise
+
+    @property
+    def noise(self) -> FloatArray:
+        """Variance of the sensors (ny,), as far as it is known."""
+        return self.surprise.noise
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -209,7 +216,8 @@ class OnlineGreyBox:
         spread = np.where(stepper.logarithmic, self.doubt, self.doubt * np.maximum(np.abs(theta), 0.1))
         n = system.nx
         covariance = np.diag(np.concatenate([np.ones(n), spread**2]))
-        return FilterState(stepper, np.concatenate([np.zeros(n), theta]), covariance, np.full(spec.ny, np.nan), 0, 0.0)
+        mean = np.concatenate([np.zeros(n), theta])
+        return FilterState(stepper, mean, covariance, 0, 0.0, spread, Surprise.none(spec.ny))
 
     def start(self, state: FilterState, y: FloatArray) -> FilterState:
         """Return the state after the first output of a record: the parameters stay, the states are read off it."""
@@ -217,7 +225,7 @@ class OnlineGreyBox:
         mean = np.concatenate([np.zeros(n), state.mean[n:]])
         u = np.zeros(system.nu)
         slope = state.stepper.functions[3](mean, u, 0.0)[1].full()[:, :n]
-        noise = np.where(np.isnan(state.noise), (1e-2 * np.maximum(np.abs(y), 0.1)) ** 2, state.noise)
+        surprise = state.surprise.begun(y)
         back = np.linalg.pinv(slope)
         miss = y - state.stepper.functions[1](mean, u, 0.0).full()[:, 0]
         mean[:n] = back @ miss
@@ -225,8 +233,8 @@ class OnlineGreyBox:
         covariance[n:, n:] = state.covariance[n:, n:]
         # what the first output does not show is unknown to 1 in its unit
         unseen = np.eye(n) - back @ slope
-        covariance[:n, :n] = unseen @ unseen.T + back @ np.diag(noise) @ back.T
-        return replace(state, mean=mean, covariance=covariance, noise=noise, clock=0.0)
+        covariance[:n, :n] = unseen @ unseen.T + back @ np.diag(surprise.noise) @ back.T
+        return replace(state, mean=mean, covariance=covariance, clock=0.0, surprise=surprise)
 
     def predict(self, state: FilterState, u: FloatArray) -> FloatArray:
         """Return the output (ny,) that ``u`` leads to."""
@@ -241,19 +249,15 @@ class OnlineGreyBox:
         mean, covariance, seen, cross, spread = moved
         channels = state.stepper.system.outputs
         miss = residual(channels, y, seen)
-        # far from the truth at first, the linearisation is wrong by about as much as it claims to be right
-        total = spread + np.diag(state.noise)
+        factor, surprise = state.surprise.heard(channels, y).factor(miss, spread)
+        total = spread + np.diag(surprise.noise)
         gain = np.linalg.solve(total, cross.T).T
-        new = mean + gain @ miss
+        surprise = surprise.learned(miss, miss - spread @ np.linalg.solve(total, miss))
         smaller = covariance - gain @ total @ gain.T
         smaller = 0.5 * (smaller + smaller.T) + 1e-15 * np.diag(np.diag(covariance))
-        left = miss - spread @ np.linalg.solve(total, miss)
-        count = state.seen + 1
-        share = 1.0 / (count + SETTLED)
-        noise = np.maximum((1 - share) * state.noise + share * miss * left, 1e-6 * state.noise)
-        return replace(
-            state, mean=new, covariance=smaller, noise=noise, seen=count, clock=state.clock + state.stepper.dt
-        )
+        mean, smaller = self._forgotten(state, mean + gain @ miss, smaller, factor)
+        clock = state.clock + state.stepper.dt
+        return replace(state, mean=mean, covariance=smaller, seen=state.seen + 1, clock=clock, surprise=surprise)
 
     def hindsight(self, trajectories: Sequence[Trajectory]) -> Hindsight:
         """Return the losses of the same filter with the parameters of a batch output-error fit: best found."""
@@ -274,6 +278,23 @@ class OnlineGreyBox:
         return Hindsight(np.array(losses), exact=False, details={"parameters": dict(fitted.parameters)})
 
     # ---- inside --------------------------------------------------------------------------------------------------
+
+    def _forgotten(
+        self, state: FilterState, mean: FloatArray, covariance: FloatArray, factor: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return mean and covariance with all knowledge but the prior of the parameters divided by a factor.
+
+        Stabilised forgetting (Kulhavy & Zarrop 1993, Int. J. Control 58:905): what the motion does not show goes back
+        to where it started, instead of anywhere.
+        """
+        if factor <= 1.0:
+            return mean, covariance
+        n, prior = state.stepper.system.nx, np.diag(state.spread**2) / (1 - 1 / factor)
+        covariance = factor * covariance
+        cross = covariance[:, n:]
+        gain = np.linalg.solve(cross[n:] + prior, cross.T).T
+        covariance = covariance - gain @ cross.T
+        return mean + gain @ (state.stepper.start() - mean[n:]), 0.5 * (covariance + covariance.T)
 
     def _drift(self, state: FilterState) -> FloatArray:
         """Return the variance (m,) that a sample adds."""

@@ -10,9 +10,10 @@ import numpy.typing as npt
 
 from harness.errors import FitError
 from harness.signals import FloatArray, Trajectory
+from identifiers.normal import NormalEquations
 from identifiers.records import usable
 
-__all__ = ["markov_parameters"]
+__all__ = ["markov_parameters", "normal_equations"]
 
 # Up to so many unknowns the dense normal equations are as fast as conjugate gradients.
 _DENSE = 40
@@ -62,9 +63,8 @@ def markov_parameters(
         fast = _iterated(records, length, offset, rows)
         if fast is not None:
             return fast
-    gram, right, square = np.zeros((size, size)), np.zeros((size, ny)), np.zeros(ny)
-    for one in records:
-        _accumulate(one, length, offset, gram, right, square)
+    sums = normal_equations(records, length, offset=offset)
+    gram, right, square = sums.gram, sums.right, sums.square
     scale = np.sqrt(np.clip(np.diag(gram), 1e-300, None))
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     if values[0] <= 1e-10 * values[-1]:
@@ -79,6 +79,25 @@ def markov_parameters(
     lost = square - np.einsum("ij,ij->j", theta, right)
     blocks = theta[: length * nu].reshape(length, nu, ny).transpose(0, 2, 1)
     return blocks, theta[-1] if offset else np.zeros(ny), np.sqrt(np.clip(lost, 0.0, None) / rows)
+
+
+def normal_equations(records: Sequence[Trajectory], length: int, *, offset: bool) -> NormalEquations:
+    """Return the sums over all windows of the records, none across a seam: lags of the inputs, then the constant.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+        Each of at least ``length`` samples.
+    length : int
+        Number of lags, that of the present sample included.
+    offset : bool
+    """
+    nu, ny = records[0].spec.nu, records[0].spec.ny
+    size = length * nu + int(offset)
+    gram, right, square = np.zeros((size, size)), np.zeros((size, ny)), np.zeros(ny)
+    for one in records:
+        _accumulate(one, length, offset, gram, right, square)
+    return NormalEquations(gram, right, square, sum(len(one) - length + 1 for one in records))
 
 
 def _accumulate(

@@ -14,7 +14,7 @@ from identifiers.excitation import Columns
 from identifiers.records import lagged
 from identifiers.regression import Solution
 
-__all__ = ["jackknife_estimate", "least_squares_estimate"]
+__all__ = ["jackknife_estimate", "least_squares_estimate", "quotient"]
 
 LEVEL = 0.95
 LARGEST = 200
@@ -133,7 +133,7 @@ def _record(
     values = theta.T.ravel()
     return Estimate(
         tuple(f"{output.name} on {column}" for output in spec.outputs for column in columns),
-        tuple(_quotient(output.unit, unit) for output in spec.outputs for unit in sides),
+        tuple(quotient(output.unit, unit) for output in spec.outputs for unit in sides),
         values,
         covariance,
         None if half is None else np.column_stack([values - half, values + half]),
@@ -144,12 +144,12 @@ def _record(
     )
 
 
-def _quotient(unit: str, by: str) -> str:
+def quotient(unit: str, by: str) -> str:
     """Return the unit of a coefficient.
 
     Examples
     --------
-    >>> _quotient("rad", "m"), _quotient("m/s", "m/s"), _quotient("m", "1"), _quotient("m/s", "N s")
+    >>> quotient("rad", "m"), quotient("m/s", "m/s"), quotient("m", "1"), quotient("m/s", "N s")
     ('rad/m', '1', 'm', '(m/s)/(N s)')
     """
     if unit == by:

@@ -15,6 +15,7 @@ from identifiers.excitation import feedback_of
 from identifiers.linear_model import LinearModel
 from identifiers.observers import innovation_form
 from identifiers.polynomial import Orders, Part, Polynomials, block_form, errors_and_slopes
+from identifiers.polynomial_estimate import Fitted, prediction_error_estimate, whiteness
 from identifiers.records import moving, real_signals, usable
 from identifiers.scaling import scaled
 
@@ -29,6 +30,10 @@ _ROUNDING = 1e-7
 _ARRIVED, _ROUNDS = 1e-9, 60
 # Refinements of a starting model by filtering with its own denominator.
 _STEIGLITZ = 12
+# Slopes that depend on others up to this share of the largest singular value: what numpy.linalg.pinv leaves out.
+_LOST = 1e-15
+# Cost, model, errors and slopes at the end of a search, and whether it arrived.
+_End = tuple[float, Polynomials, FloatArray, FloatArray, bool]
 Starts = list[tuple[FloatArray, FloatArray]]
 
 
@@ -92,13 +97,16 @@ class PredictionError:
         order = self.order
         if order is None:
             order, notes["order_error"] = self._chosen(records, what)
-        model = self._fitted(records, order, what)
+        model, fits = self._fitted(records, order, what)
         feedback = feedback_of(records)
         notes["feedback_share"] = feedback.share
         if feedback.found and self.structure == "oe":
             notes["warning"] = "outputs foretell the input (feedback): output error is biased unless noise is white"
         rms = (np.array(model.notes["residual_rms"]) * scaling.outputs).tolist()
         notes = {**notes, **model.notes, "order": order, "residual_rms": rms}
+        estimate = prediction_error_estimate(spec, fits, scaling)
+        if estimate is not None and "warning" not in notes:  # intervals about a biased answer are none
+            notes["estimate"] = estimate.to_dict()
         return replace(model.in_units(scaling), notes=notes)
 
     def _chosen(self, records: Sequence[Trajectory], what: str) -> tuple[int, dict[str, float]]:
@@ -111,7 +119,7 @@ class PredictionError:
             learn, judge = [o for o in fit if len(o) > 8 * order], [o for o in held if len(o) > 4 * order]
             if not learn or not judge:
                 break
-            model = self._fitted(learn, order, what)
+            model, _ = self._fitted(learn, order, what)
             score = simulation_error if self.structure == "oe" else equation_error
             wrong = [score(model, one, burn_in=2 * order).rms for one in judge]
             error = float(np.sqrt(np.mean(np.square(wrong))))
@@ -120,28 +128,25 @@ class PredictionError:
                 best = (error, order)
         return best[1], errors
 
-    def _fitted(self, records: Sequence[Trajectory], order: int, what: str) -> LinearModel:
-        """Return the model of one order, of scaled records."""
+    def _fitted(self, records: Sequence[Trajectory], order: int, what: str) -> tuple[LinearModel, list[Fitted]]:
+        """Return the model of one order, of scaled records, and the fit of every output."""
         spec = records[0].spec
-        found, errors, rms, arrived = [], [], [], True
-        for column in range(spec.ny):
-            parts = [Part(one.u, one.y[:, column]) for one in records]
-            model, spread, level, done = self._one_output(parts, order, what)
-            found.append(model)
-            errors.append(spread)
-            rms.append(level)
-            arrived &= done
+        fits = [
+            self._one_output([Part(one.u, one.y[:, column]) for one in records], order, what)
+            for column in range(spec.ny)
+        ]
+        found = [fit.model for fit in fits]
         a, b, c, d, k, level_of = block_form(found, spec.nu)
         notes = {
-            "residual_rms": rms,
-            "converged": arrived,
+            "residual_rms": [fit.rms for fit in fits],
+            "converged": all(fit.arrived for fit in fits),
             "polynomials": [
                 {name: np.asarray(getattr(one, name)).tolist() for name in ("a", "b", "c", "d", "f", "level")}
                 for one in found
             ],
-            "standard_errors": errors,
+            "standard_errors": [fit.errors for fit in fits],
         }
-        return innovation_form(spec, a, b, c, d, k, np.zeros(len(a)), level_of, notes=notes)
+        return innovation_form(spec, a, b, c, d, k, np.zeros(len(a)), level_of, notes=notes), fits
 
     def _orders(self, n: int) -> Orders:
         """Return the degrees of a structure."""
@@ -151,8 +156,8 @@ class PredictionError:
             return Orders(na=n, nb=n, nc=n, delay=self.delay)
         return Orders(nb=n, nc=n, nd=n, nf=n, delay=self.delay)
 
-    def _one_output(self, parts: Sequence[Part], order: int, what: str) -> tuple[Polynomials, list[float], float, bool]:
-        """Return polynomials, their standard errors, the residual rms, and whether the search arrived."""
+    def _one_output(self, parts: Sequence[Part], order: int, what: str) -> Fitted:
+        """Return polynomials, their covariance, and how the search ended."""
         orders, nu = self._orders(order), parts[0].u.shape[1]
         count = orders.na + nu * orders.nb + orders.nc + orders.nd + orders.nf + 1
         rows = sum(part.y.size for part in parts)
@@ -165,12 +170,18 @@ class PredictionError:
                 remedy="record longer, or lower the order",
             )
         ends = [_search(first, parts, self.offset) for first in _starting_models(parts, orders, self.offset)]
-        cost, model, slopes, arrived = min(ends, key=lambda end: end[0])
-        variance = cost / max(rows - free, 1)
+        cost, model, miss, slopes, arrived = min(ends, key=lambda end: end[0])
+        spare = max(rows - free, 1)
         length = np.linalg.norm(slopes, axis=0)
-        length = np.where(length > 0, length, 1.0)
-        spread = np.sqrt(np.clip(np.diag(np.linalg.pinv((slopes / length).T @ (slopes / length))), 0, None)) / length
-        return model, (np.sqrt(variance) * spread[:count]).tolist(), float(np.sqrt(cost / rows)), arrived
+        kept = length > 0  # a level that is not fitted has no slope
+        length = np.where(kept, length, 1.0)
+        _, values, right = np.linalg.svd(slopes[:, kept] / length[kept], full_matrices=False)
+        inverse = np.zeros((length.size,) * 2)
+        good = values > _LOST * values[0]
+        inverse[np.ix_(kept, kept)] = (right[good].T / values[good] ** 2) @ right[good]
+        covariance = cost / spare * (inverse / np.outer(length, length))[:count, :count]
+        residuals = np.split(miss, np.cumsum([part.y.size for part in parts])[:-1])
+        return Fitted(model, covariance, float(np.sqrt(cost / rows)), whiteness(residuals), values, arrived, spare)
 
 
 def _starting_models(parts: Sequence[Part], orders: Orders, offset: bool) -> list[Polynomials]:
@@ -263,8 +274,8 @@ def _inside(coefficients: FloatArray, radius: float = 0.98) -> FloatArray:
     return np.pad(np.real(np.poly(roots))[1:], (0, coefficients.size - roots.size))
 
 
-def _search(first: Polynomials, parts: Sequence[Part], offset: bool) -> tuple[float, Polynomials, FloatArray, bool]:
-    """Return the least sum of squares that is reached, where, the slopes there, and whether it has arrived."""
+def _search(first: Polynomials, parts: Sequence[Part], offset: bool) -> _End:
+    """Return the least sum of squares that is reached, where, errors and slopes there, and whether it has arrived."""
     orders, nu = first.orders, parts[0].u.shape[1]
     count, nx, nz = first.vector.size, orders.start_x, orders.start_z
     # An integrator is a root at 1: over a record its free run may grow by so much.
@@ -313,4 +324,4 @@ def _search(first: Polynomials, parts: Sequence[Part], offset: bool) -> tuple[fl
             arrived = True
             break
         damping = min(damping, 1e6)
-    return cost, split(vector)[0], slopes, arrived
+    return cost, split(vector)[0], miss, slopes, arrived

@@ -12,6 +12,7 @@ from harness.errors import FitError
 from harness.lqr import spectral_radius
 from harness.scoring import simulation_error
 from harness.signals import FloatArray, Trajectory
+from identifiers.decaying import LARGEST, Decaying, decaying_response
 from identifiers.excitation import feedback_of
 from identifiers.filters import stationary_gain
 from identifiers.hankel import Hankel, leading_triplets
@@ -25,6 +26,8 @@ from identifiers.stability import clip_eigenvalues
 __all__ = ["HoKalman", "markov_parameters", "observer_markov", "realize"]
 
 
+# Singular values that fall by so much from one to the next end there.
+_CLEAR = 1e3
 # Outputs are not told apart by noise below this fraction of their size.
 _QUIET = 1e-6
 # Memories of the observer that are tried.
@@ -34,7 +37,12 @@ _ROWS, _NEAR = 10, 1.01
 
 
 def realize(
-    markov: FloatArray, *, order: int | None = None, rows: int | None = None, tolerance: float = 1e-8
+    markov: FloatArray,
+    *,
+    order: int | None = None,
+    rows: int | None = None,
+    tolerance: float = 1e-8,
+    noise: float | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Realize Markov parameters as a balanced state-space model.
 
@@ -45,11 +53,14 @@ def realize(
     markov : array (M, ny, nu)
         G[1], G[2], ... (without the direct term).
     order : int, optional
-        State dimension; by default the largest gap of the Hankel singular values above ``tolerance``.
+        State dimension; by default the number of Hankel singular values above ``noise``, or where that is not known the
+        largest gap of those above ``tolerance``.
     rows : int, optional
         Block rows of the Hankel matrix; by default half of the Markov parameters, which uses all of them.
     tolerance : float
         Singular values below this fraction of the largest count as zero.
+    noise : float, optional
+        What the error of the Markov parameters leaves as singular value by itself.
 
     Returns
     -------
@@ -77,7 +88,14 @@ def realize(
     left, values, right = found or np.linalg.svd(matrix.dense(), full_matrices=False)
     if values[0] == 0:
         raise FitError("ho-kalman: no response", expected="Markov parameters", got="zeros", remedy="excite the plant")
-    n = _gap(values, tolerance) if order is None else order
+    if order is not None:
+        n = order
+    elif noise is not None:
+        n = max(1, int(np.sum(values > noise)))
+        clear = np.flatnonzero(values[: n - 1] > _CLEAR * values[1:n])
+        n = int(clear[0]) + 1 if clear.size else n
+    else:
+        n = _gap(values, tolerance)
     if not 1 <= n <= values.size:
         raise FitError("ho-kalman: order", expected=f"1 to {values.size}", got=str(n), remedy="correct it")
     root = np.sqrt(values[:n])
@@ -92,7 +110,7 @@ def realize(
 def _gap(values: FloatArray, tolerance: float) -> int:
     """Return the numerical rank where it is clear; else the order at the largest gap among the larger half."""
     rank = int(np.sum(values > tolerance * values[0]))
-    if rank < values.size and values[rank - 1] > 1e3 * values[rank]:
+    if rank < values.size and values[rank - 1] > _CLEAR * values[rank]:
         return rank
     kept = values[:rank]
     ratios = kept[:-1] / kept[1:]
@@ -110,7 +128,8 @@ class HoKalman:
         Number of Markov parameters estimated (impulse response over ``markov`` samples). The response must have died
         away by then.
     order : int, optional
-        State dimension; by default from the largest gap of the Hankel singular values.
+        State dimension; by default as many as stand out of the noise, or those above the largest gap of the Hankel
+        singular values where the noise is not known (without ``regularised``, or without any noise).
     rows : int, optional
         Block rows of the Hankel matrix.
     observer : int or "auto", optional
@@ -122,6 +141,10 @@ class HoKalman:
         Fit a constant output too.
     direct : bool
         Keep the direct term D; without it y[k] does not depend on u[k].
+    regularised : bool
+        Expect the response to die away, as fast as the data say (:mod:`identifiers.decaying`), and take as many states
+        as stand out of what the data leave open. Without it, or with ``observer``, or beyond 600 unknowns, plain least
+        squares, whose noise at frequencies that the input hardly excites can end up as a state that grows.
     stable : bool
         Move eigenvalues on or outside the unit circle to radius 0.999, and fit B anew.
 
@@ -145,6 +168,7 @@ class HoKalman:
     observer: int | Literal["auto"] | None = None
     offset: bool = True
     direct: bool = False
+    regularised: bool = True
     stable: bool = False
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
@@ -164,8 +188,14 @@ class HoKalman:
                 remedy="correct the options",
             )
         moving(records, what)
+        decaying: Decaying | None = None
         if self.observer is None:
             response, level, rms = markov_parameters(records, self.markov, offset=self.offset)
+            loud = bool(np.all(rms > _QUIET * sizes([one.y for one in records])))
+            if self.regularised and loud and self.markov * spec.nu <= LARGEST:
+                windows, _ = usable(records, samples=self.markov + 1, what=what)
+                decaying = decaying_response(windows, self.markov, response, rms, offset=self.offset)
+                response, level = decaying.response, decaying.level
             innovation = np.zeros((self.markov, spec.ny, 0))
         else:
             response, innovation, level, rms = observer_markov(
@@ -184,8 +214,28 @@ class HoKalman:
         level = level / scaling.outputs
         # The response to the innovation is far less certain than that to the input: with both in one Hankel matrix the
         # noise of the former ends up in A.
-        a, b, c, values = realize(response[1:], order=self.order, rows=self.rows)
+        if decaying is not None:
+            draws = decaying.draws[:, 1:] * scaling.inputs / scaling.outputs[:, None]
+            noise = max(float(realize(draw, order=1, rows=self.rows)[3][0]) for draw in draws)
+            notes |= {"decay": decaying.decay, "hankel_noise": noise}
+            a, b, c, values = realize(response[1:], order=self.order, rows=self.rows, noise=noise)
+        else:
+            a, b, c, values = realize(response[1:], order=self.order, rows=self.rows)
+        asked = self.order is not None or self.observer is not None
+        left_out = []
+        while not asked and len(a) > 1 and spectral_radius(a) >= 1.0:
+            # The response has died away within the window, or the direct estimate is none: a state that grows is noise.
+            left_out.append(len(a))
+            a, b, c, _ = realize(response[1:], order=len(a) - 1, rows=self.rows)
         notes |= {"hankel_singular_values": values[:20].tolist(), "order": int(a.shape[0])}
+        if left_out:
+            notes["unstable_orders"] = left_out
+        if self.observer is None and not self.stable and spectral_radius(a) >= 1.0:
+            notes.setdefault(
+                "warning",
+                f"the model grows (spectral radius {spectral_radius(a):.4g}) although its response was taken to have "
+                "died away: lower the order, or use stable or observer",
+            )
         if self.stable and spectral_radius(a) >= 1.0:
             a = clip_eigenvalues(a)
             b = _input_matrix(a, c, response[1:])

@@ -141,14 +141,14 @@ class _Adaptive:
         error, slower = wanted[0] - q, wanted[1] - v
         if not self.learns:
             aim = wanted[2] + 2 * options.damping_ratio * w * slower + w**2 * error
-            return self._torque(self._rows(q, v, aim) @ self.theta, q, v)
+            return self._torque(self._rows(q, v, aim))
         if self.gains is None:
             self.gains = self._gains(q)
         feedback, gamma = self.gains
         s = slower + w * error
         rows = self._bilinear(q, v, wanted[1] + w * error, wanted[2] + w * slower)
-        torque = self._torque(rows @ self.theta, q, v) + np.linalg.solve(self.drive, feedback * s)
-        self.theta = self.theta + self.dt * gamma * (rows.T @ s)
+        torque = self._torque(rows) + np.linalg.solve(self.drive, feedback * s)
+        self.theta = self.theta + self.dt * gamma * (rows[:, :-1].T @ s)
         return torque
 
     def knows(self, parameters: Mapping[str, float]) -> None:
@@ -156,12 +156,17 @@ class _Adaptive:
         self.theta = self.regression.values({**self.parameters, **parameters})
 
     def _rows(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        return self.regression.regressor(q[None], v[None], a[None])
+        """Return the torque form's rows (n, k + 1): a column for each lumped parameter, the last what is known."""
+        known = self.regression.target(q[None], v[None], a[None], np.zeros((1, len(q))))
+        return np.column_stack([self.regression.regressor(q[None], v[None], a[None]), -known.reshape(-1)])
 
-    def _torque(self, needed: FloatArray, q: FloatArray, v: FloatArray) -> FloatArray:
-        """Return the inputs that make the known side of the torque form what is needed."""
-        still = np.zeros((1, len(q)))
-        return np.asarray(np.linalg.solve(self.drive, needed - self.regression.target(q[None], v[None], still, still)))
+    def _force(self, rows: FloatArray) -> FloatArray:
+        """Return the forces (n,) that rows stand for with what is believed."""
+        return np.asarray(rows @ np.append(self.theta, 1.0))
+
+    def _torque(self, rows: FloatArray) -> FloatArray:
+        """Return the inputs that give the forces of these rows."""
+        return np.asarray(np.linalg.solve(self.drive, self._force(rows)))
 
     def _bilinear(self, q: FloatArray, v: FloatArray, rate: FloatArray, a: FloatArray) -> FloatArray:
         """Return Y(q, v, v_r, a_r): quadratic terms of the rates are polarised, which gives Christoffel's C(q, v) v_r.
@@ -182,7 +187,7 @@ class _Adaptive:
         zero, w = np.zeros_like(q), self.options.natural_frequency
         weight = self._rows(q, zero, zero)
         inertia = np.array(
-            [((self._rows(q, zero, unit) - weight) @ self.theta)[row] for row, unit in enumerate(np.eye(len(q)))]
+            [self._force(self._rows(q, zero, unit) - weight)[row] for row, unit in enumerate(np.eye(len(q)))]
         )
         size = np.maximum(np.abs(self.theta), SMALL * np.abs(self.theta).max())
         energy = float(np.sum(inertia)) * w**2

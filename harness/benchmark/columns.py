@@ -18,7 +18,7 @@ FORMAT = "sysid-harness/bench/1"
 UNITS = {
     **{name: "1" for name in ("equation_error", "simulation_error", "noise_floor", "coverage", "control_score")},
     "control_regret": "samples of the optimal cost",
-    "log_score": "nats",
+    **{name: "nats" for name in ("log_score", "log_regret", "average_log_regret")},
     "memory_mib": "MiB",
     **{
         name: "see the column units, one for each output"

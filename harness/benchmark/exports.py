@@ -20,6 +20,7 @@ HEAD = (
     "equation error",
     "simulation error",
     "best possible",
+    "over best",
     "regret",
     "fit",
 )
@@ -58,7 +59,7 @@ def _markdown(lines: Sequence[Summary]) -> str:
 def _latex(lines: Sequence[Summary]) -> str:
     control, more = _asked(lines), optional_scores(lines)
     head = " & ".join(map(_escaped, (*HEAD[:-1], *more.values(), HEAD[-1], *CONTROL * control)))
-    columns = f"lllrlllll{'l' * len(more)}{'lll' * control}"
+    columns = f"lllrllllll{'l' * len(more)}{'lll' * control}"
     rows = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head + r" \\", r"\midrule"]
     place = None
     for line in lines:
@@ -72,7 +73,7 @@ def _latex(lines: Sequence[Summary]) -> str:
 def _csv(lines: Sequence[Summary]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    scores = ["equation_error", "simulation_error", "noise_floor", "regret", "fit_seconds", "memory_mib"]
+    scores = ["equation_error", "simulation_error", "noise_floor", "over_floor", "regret", "fit_seconds", "memory_mib"]
     control = _asked(lines)
     scores += [*OPTIONAL, *["control_score", "control_regret"] * control]
     writer.writerow(
@@ -112,6 +113,7 @@ def _cells(line: Summary, more: Mapping[str, str], bold: str, quote: Callable[[s
         _score(line.equation_error),
         simulation,
         figure(line.noise_floor.median) if line.noise_floor else "",
+        figure(line.over_floor.median) if line.over_floor else "",
         _score(line.regret),
         *(_score(getattr(line, name)) for name in more),
         f"{figure(line.fit_seconds.median, 2)} s" if line.fit_seconds and line.ok else "",

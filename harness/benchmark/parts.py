@@ -71,13 +71,18 @@ class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Suite(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A benchmark: groups, the seeds of those that name none, and seconds that one cell may take."""
+    """A benchmark: groups, the seeds of those that name none, and seconds that one cell may take.
+
+    ``cell_seconds`` is the mean CPU time of a cell as its author measured it: what ``--dry-run`` goes by before any
+    cell has run.
+    """
 
     name: str
     groups: tuple[Group, ...]
     description: str = ""
     seeds: tuple[int, ...] = (0, 1, 2)
     time_limit: float = 60.0
+    cell_seconds: float | None = None
 
 
 class Cell(msgspec.Struct, frozen=True):

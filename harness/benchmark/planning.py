@@ -31,11 +31,14 @@ class Plan:
     found : int
         Cells that the folder already has.
     seconds : float, optional
-        Estimated wall time, from the times of the rows that the folder has; None if it has none of these kinds.
+        Estimated wall time, from the times of the rows that the folder, or one beside it, has of these kinds; None
+        where none has any.
     known : int
         Cells whose kind has been timed; the others are taken to last as long as the mean of these.
     limit : float
         Wall time [s] if every cell took its whole time limit.
+    declared : float, optional
+        Wall time [s] by the mean that the suite declares, where it does.
     """
 
     cells: dict[tuple[str, str, str], int]
@@ -43,6 +46,7 @@ class Plan:
     seconds: float | None
     known: int
     limit: float
+    declared: float | None = None
 
     @property
     def todo(self) -> int:
@@ -53,6 +57,8 @@ class Plan:
         head = f"{self.todo} cells to run, {self.found} already there"
         if not self.todo:
             return head
+        if self.seconds is None and self.declared is not None:
+            return f"{head}; about {duration(self.declared)}, by the mean time of a cell that the suite states"
         if self.seconds is None:
             return f"{head}; time unknown until some have run, at most {duration(self.limit)}"
         return f"{head}; about {duration(self.seconds)}, from the times of {self.known} like them"
@@ -94,7 +100,9 @@ def share(tasks: Sequence[Shared], shard: tuple[int, int] | None) -> tuple[Share
     return tuple(tasks) if shard is None else tuple(tasks[shard[0] - 1 :: shard[1]])
 
 
-def plan_of(tasks: Sequence[Task], done: set[str], timings: Path, workers: int) -> Plan:
+def plan_of(
+    tasks: Sequence[Task], done: set[str], timings: Sequence[Path], workers: int, declared: float | None = None
+) -> Plan:
     """Return what would run of these tasks.
 
     Parameters
@@ -102,21 +110,26 @@ def plan_of(tasks: Sequence[Task], done: set[str], timings: Path, workers: int) 
     tasks : sequence of Task
     done : set of str
         Jobs that have their rows.
-    timings : path
-        ``timings.parquet`` of the folder, if there is one.
+    timings : sequence of path
+        Files ``timings.parquet``, of the folder and of others; the first that has timed a kind of cell counts.
     workers : int
         Processes among which the time is divided.
+    declared : float, optional
+        Mean seconds of a cell that the suite states.
     """
     pairs = [(task, cell) for task, cell in cells_of(tasks) if cell.job not in done]
     cells = Counter((task.plant.name, task.scenario.name, cell.identifier.name) for task, cell in pairs)
-    times = _times(timings)
+    times: dict[tuple[str, str, str], float] = {}
+    for path in timings:
+        times = _times(path) | times
     known = sum(count for names, count in cells.items() if names in times)
     seconds = None
     if known:
         timed = sum(count * times[names] for names, count in cells.items() if names in times)
         seconds = timed / known * sum(cells.values()) / workers
     limit = sum(task.time_limit for task, _ in pairs) / workers
-    return Plan(dict(cells), len(done), seconds, known, limit)
+    stated = None if declared is None else declared * sum(cells.values()) / workers
+    return Plan(dict(cells), len(done), seconds, known, limit, stated)
 
 
 def _times(timings: Path) -> dict[tuple[str, str, str], float]:

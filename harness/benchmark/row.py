@@ -26,6 +26,8 @@ class Row(msgspec.Struct, kw_only=True, gc=False):
     ``log_score`` and ``coverage`` judge models that predict distributions, one step ahead, as means over outputs and
     held-out records: the log score [nats a sample] above that of the record's own normal distribution or frequencies,
     and the share of samples in the 90 % sets.
+    ``log_regret`` is the regret in log loss [nats] of online identifiers that predict distributions, over the
+    estimation records; ``average_log_regret`` the same for each sample.
     ``trace_t``, ``trace_measured`` and ``trace_residual`` (output by output) are what the overlay of a cell is drawn
     from: samples of its first held-out record, and measured minus simulated there.
     ``control_score`` is the cost of the regulator designed on a linear model over that of the best, on the true plant;
@@ -52,6 +54,8 @@ class Row(msgspec.Struct, kw_only=True, gc=False):
     regret: float | None = None
     average_regret: float | None = None
     regret_exact: bool | None = None
+    log_regret: float | None = None
+    average_log_regret: float | None = None
     control_score: float | None = None
     control_status: str = ""
     control_regret: float | None = None

@@ -116,13 +116,15 @@ def plan(
         If the suite or an option cannot be used.
     """
     part = read_shard(shard)
-    tasks = share(tasks_of(load_suite(suite), _seed_list(seeds)), part)
+    read = load_suite(suite)
+    tasks = share(tasks_of(read, _seed_list(seeds)), part)
     folder = None if out is None else Path(out) / (f"shard-{part[0]}-of-{part[1]}" if part else "")
     store = Store(folder) if folder is not None else Store(Path())
     jobs = {cell.job for task in tasks for cell in task.cells}
     done = jobs & set(store.rows()) if folder is not None and store.manifest.is_file() else set()
     processes = make_engine("local", workers)
-    return plan_of(tasks, done, store.timings, getattr(processes, "workers", 1))
+    beside = sorted(folder.absolute().parent.glob(f"*/{store.timings.name}")) if folder is not None else []
+    return plan_of(tasks, done, [store.timings, *beside], getattr(processes, "workers", 1), read.cell_seconds)
 
 
 def table(directory: str | Path) -> BenchResult:

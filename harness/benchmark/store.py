@@ -17,13 +17,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from harness import __version__
 from harness.benchmark.columns import FORMAT, arrow_table, columns_of_files, rows_of, write_rows
 from harness.benchmark.parts import Cell, Suite, Task
 from harness.benchmark.row import Row, read_row
 from harness.errors import InputError
+from harness.jobs.manifest import read_manifest
 
 __all__ = ["Store"]
 
@@ -179,22 +178,9 @@ class Store:
         Raises
         ------
         InputError
-            If the folder is no folder of a benchmark.
+            If the folder is no folder of a benchmark, or one of another format, which is then named.
         """
-        try:
-            content = msgspec.json.decode(self.manifest.read_bytes())
-            known = content["format"] == FORMAT
-        except (OSError, ValueError, KeyError, TypeError):
-            known = False
-        if not known:
-            raise InputError(
-                "no benchmark here",
-                expected=f"a folder with a {self.manifest.name} of format {FORMAT}",
-                got="none" if not self.manifest.exists() else "something else",
-                remedy="give the folder that 'sysid bench --out' wrote",
-                file=self.folder,
-            )
-        return dict(content)
+        return read_manifest(self.manifest, FORMAT, what="benchmark", command="'sysid bench --out'")
 
     def rows(self) -> dict[str, Row]:
         """Return all rows of the folder by job: of the Parquet files, then of the shards."""

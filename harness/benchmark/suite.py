@@ -208,9 +208,9 @@ def _explained(error: msgspec.ValidationError, path: Path) -> InputError:
         key = what.rpartition("field ")[2].strip("`")
         return InputError(
             "unknown key",
-            expected="the keys of a suite: name, description, seeds, time_limit, [[groups]] with name, plants, "
-            "scenarios, identifiers (id, options, label), seeds, time_limit, score (horizon, runs, held_out, control), "
-            "axes",
+            expected="the keys of a suite: name, description, seeds, time_limit, cell_seconds, [[groups]] with name, "
+            "plants, scenarios, identifiers (id, options, label), seeds, time_limit, score (horizon, runs, held_out, "
+            "control), axes",
             got=repr(key),
             remedy=f"remove or correct {key}",
             file=path,

@@ -29,6 +29,7 @@ SCORES = (
     "log_score",
     "coverage",
     "regret",
+    "log_regret",
     "control_score",
     "control_regret",
     "noise_floor",
@@ -37,7 +38,7 @@ SCORES = (
 )
 CONTROL = ("control score", "control regret", "model for control")
 """Columns that stand there only where a suite asks for them (``score.control``)."""
-OPTIONAL = {"log_score": "log score", "coverage": "90 % sets hold"}
+OPTIONAL = {"log_score": "log score", "coverage": "90 % sets hold", "log_regret": "log regret"}
 """Scores of predicted distributions, with a column only where a line has them, and its title."""
 BASELINES = ("true-model",)
 """Identifiers that know the truth: they show what is possible and do not compete."""
@@ -69,9 +70,12 @@ class Summary:
     log_score: Quartiles | None
     coverage: Quartiles | None
     regret: Quartiles | None
+    log_regret: Quartiles | None
     control_score: Quartiles | None
     control_regret: Quartiles | None
     noise_floor: Quartiles | None
+    over_floor: Quartiles | None
+    """Simulation error over the noise floor of its own seed: 1 is as good as can be."""
     fit_seconds: Quartiles | None
     memory_mib: Quartiles | None
     leading: bool
@@ -92,13 +96,14 @@ def figure(value: float | None, digits: int = 3) -> str:
 
     Examples
     --------
-    >>> figure(0.012345), figure(0.00012345), figure(12345.0), figure(1.0), figure(None)
-    ('0.0123', '1.23e-4', '1.23e4', '1', '-')
+    >>> figure(0.012345), figure(0.00012345), figure(12345.0), figure(1234.5), figure(1.0), figure(None)
+    ('0.0123', '1.23e-4', '1.23e4', '1234', '1', '-')
     """
     if value is None:
         return "-"
     if value == 0 or 1e-3 <= abs(value) < 1e4:
-        return f"{value:.{digits}g}"
+        text = f"{value:.{digits}g}"
+        return text if "e" not in text else f"{value:.0f}"
     mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
     return f"{mantissa}e{int(exponent)}"
 
@@ -119,6 +124,9 @@ def summarise(rows: Sequence[Row], cells: Sequence[tuple[str, str, str]] = ()) -
         good = [row for row in own if row.status == "ok"]
         scores = {name: _quartiles([getattr(row, name) for row in good]) for name in SCORES}
         scores["noise_floor"] = _quartiles([row.noise_floor for row in own])
+        scores["over_floor"] = _quartiles(
+            [row.simulation_error / row.noise_floor for row in good if row.simulation_error and row.noise_floor]
+        )
         leading = (plant, scenario, identifier) in leaders
         faults = Counter((row.status, row.reason) for row in own if row.status != "ok")
         problems = tuple((status, reason, n) for (status, reason), n in faults.most_common())

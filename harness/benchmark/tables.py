@@ -33,7 +33,7 @@ def rich_table(result: BenchResult) -> Group:
         made.add_column(name, no_wrap=True, min_width=max((len(getattr(line, part)) for line in lines), default=0))
     made.add_column("ok", justify="right", no_wrap=True, min_width=5)
     control = any(line.control for line in lines)
-    for name in ("equation error", "simulation error", "floor", "regret", *CONTROL * control):
+    for name in ("equation error", "simulation error", "floor", "x floor", "regret", *CONTROL * control):
         made.add_column(name, no_wrap=True, min_width=7 if name == "floor" else None)
     place, row_of_place = ("", ""), 0
     for line in lines:
@@ -50,6 +50,7 @@ def rich_table(result: BenchResult) -> Group:
             _shown(line.equation_error) if line.ok else Text(_status(line), style="yellow"),
             Text(_shown(line.simulation_error), style=style),
             figure(line.noise_floor.median, 2) if line.noise_floor and not row_of_place else "",
+            figure(line.over_floor.median) if line.over_floor else "",
             _shown(line.regret),
             *((_shown(line.control_score), _shown(line.control_regret), line.control) if control else ()),
         )
@@ -57,7 +58,8 @@ def rich_table(result: BenchResult) -> Group:
             made.add_row(Text(f"  {line.scenario}"))
     heading = Text(f"{result.suite}: ", style="bold")
     heading.append(
-        "median [quartiles] over seeds; errors are NRMSE on held-out data; floor: sensor noise, the least possible",
+        "median [quartiles] over seeds; errors are NRMSE on held-out data; floor: sensor noise, the least possible; "
+        "x floor: 1 is as good as can be",
         style="not bold",
     )
     parts: list[RenderableType] = [heading, made]

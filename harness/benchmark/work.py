@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import numpy as np
@@ -20,7 +20,7 @@ from harness.benchmark.row import Row, blank, encoded, one_line
 from harness.errors import HarnessError, InputError, PlantError, PluginError
 from harness.jobs import Desk
 from harness.plant_files import make_plant
-from harness.protocols import Predictive
+from harness.protocols import OnlinePredictive, Predictive
 from harness.rng import Streams, stream
 from harness.signals import FloatArray, Trajectory, residual
 
@@ -350,6 +350,11 @@ def _score_regret(identifier: Any, shown: Sequence[Trajectory], row: Row, rng: n
     known = np.isfinite(result.curve)
     row.curve_steps = tuple(int(n) for n in result.steps[known])
     row.curve_regret = tuple(result.curve[known].tolist())
+    if isinstance(identifier, OnlinePredictive):
+        from harness.predictive import log_regret
+
+        in_nats = log_regret(cast(Any, identifier), shown, rng=rng)
+        row.log_regret, row.average_log_regret = in_nats.total, in_nats.average
     if not np.isfinite(row.regret):
         raise PlantError("the predictions of the online identifier are not finite", status="diverged")
 

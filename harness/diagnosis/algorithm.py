@@ -173,6 +173,7 @@ def diagnose(
         if not form.latent:  # a plant that loses its start cannot be judged by whole free runs
             horizon = kind.horizon(system, system.values(), judged)
             form = kind.form(system, windowed(judged, horizon.seconds and policy.window * horizon.seconds))
+            policy = policy.of_free_runs()
         remembered = Remembered(form, folder)
         say("first fit of the nominal model", 0.02)
         nominal = remembered.fit((), form.first_starts(), None)
@@ -192,6 +193,9 @@ def diagnose(
         add_rounding(remembered, outcome, dataset, candidates, policy)
         say("what is left", 0.8)
         leftover = left_over(form, outcome.model, policy)
+        same = outcome.model is outcome.nominal
+        outcome.nominal = form.with_deviations(outcome.nominal)
+        outcome.model = outcome.nominal if same else form.with_deviations(outcome.model)
         horizon = kind.horizon(system, outcome.nominal.values, dataset)
         noise = outcome.model.detail.points["estimation"].noise.r
         runs = free_runs(kind.runs(form, dataset, noise, horizon), horizon, outcome.nominal, outcome.model)

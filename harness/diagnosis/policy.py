@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 __all__ = [
@@ -50,6 +50,12 @@ class Policy:
         "and the log-likelihood of the validation records, by at least this many standard errors over blocks",
         "a gain that is there on the estimation records only is chance",
         "seeds below 1000",
+    )
+    run_z: float = _number(
+        2.0,
+        "and by this many where free runs are compared, whose errors are coloured: their evidence counts samples twice",
+        "two standard errors: 97.5 %",
+        "tanks, drives",
     )
     blocks: int = _number(20, "blocks of a record, for standard errors under misspecified noise", "Kuensch 1989")
     second_share: float = _number(
@@ -106,6 +112,11 @@ class Policy:
         "the same evidence as for an effect, doubled because the best of many axes is taken",
         "seeds below 1000",
     )
+    order: int = _number(
+        4,
+        "coefficients of the autoregressive error of a free run's output, for intervals, or of an arm's joint",
+        "two for a drift beside noise, two for a line of the spectrum; every candidate has as many",
+    )
     window: float = _number(
         0.5,
         "share of the horizon that free runs are fitted over where a plant loses its start: an error grows 4.5 times",
@@ -138,12 +149,15 @@ class Policy:
         "laws outside the dictionary in the tests",
     )
     explained: float = _number(0.05, "share of the variance left, at most, to call a model adequate", "a fit of 95 %")
-
     chance: float = _number(
         0.02,
         "probability that a reading lies within 1 % of a step of a grid point though there is no grid",
         "2 % of a step lie so",
     )
+
+    def of_free_runs(self) -> Policy:
+        """Return the numbers for models that are judged by free runs."""
+        return replace(self, validation_z=self.run_z)
 
 
 POLICY = Policy()
@@ -188,11 +202,6 @@ EFFORT = Effort()
 class ArmPolicy:
     """What an arm needs beside :class:`Policy`, which holds for its joints too."""
 
-    order: int = _number(
-        4,
-        "coefficients of the autoregressive error of a joint",
-        "two for a drift beside noise, two for a line of the trajectory; every candidate has as many",
-    )
     sticks: float = _number(
         1 / 3,
         "a joint that stands still for more than this share of the time is not judged",

@@ -16,7 +16,7 @@ import numpy as np
 
 from harness.effects.along import Signals, along, hidden_states, residual_function
 from harness.effects.compose import compose
-from harness.effects.effect import Placed
+from harness.effects.effect import Effect, Placed
 from harness.effects.places import port_of
 from harness.effects.sampled import delay
 from harness.signals import FloatArray
@@ -79,6 +79,26 @@ def claimable(system: System, placed: Placed) -> bool:
     return True
 
 
+def _whole(system: System, placed: Placed, sizes: Mapping[str, float]) -> System:
+    """Return a system with an effect, made once: where its parameters start makes no difference."""
+    known: dict[tuple[Effect, str], System] = system.__dict__.setdefault("_with_effects", {})
+    key = placed.effect, placed.at
+    if key not in known:
+        known[key] = compose(system, [placed], sizes={"": sizes})
+    return known[key]
+
+
+def _base(system: System, signals: Signals, p: FloatArray) -> FloatArray:
+    """Return the residual of a system along a motion; those last asked for are kept."""
+    known: list[tuple[Signals, bytes, FloatArray]] = system.__dict__.setdefault("_residuals", [])
+    for motion, values, base in known:
+        if motion is signals and values == p.tobytes():
+            return base
+    base = along(residual_function(system), system, signals, p, None, signals.a)
+    known[:] = [*known[-KEPT + 1 :], (signals, p.tobytes(), base)]
+    return base
+
+
 class ClaimedForce:
     """The force that one effect adds to a system along motions, made once.
 
@@ -108,7 +128,7 @@ class ClaimedForce:
         self.sensor = next((row for row, one in enumerate(system.coordinates) if one.name == placed.at), None)
         self.undo = SENSORS.get(placed.effect.name)
         self._known: dict[tuple[float, ...], tuple[FloatArray | None, FloatArray]] = {}
-        self.whole = system if self.undo else compose(system, [placed.with_values(self.start)], sizes={"": sizes})
+        self.whole = system if self.undo else _whole(system, placed.with_values(self.start), sizes)
 
     def __call__(
         self, signals: Signals, values: Mapping[str, float], parameters: Mapping[str, float] | None = None
@@ -130,7 +150,7 @@ class ClaimedForce:
             if one.unit == "s" and one.minimum >= 0:
                 own[one.name] = max(own[one.name], SHORTEST * signals.dt)
         nominal = self.system.vector(known)
-        base = along(residual_function(self.system), self.system, signals, nominal, None, signals.a)
+        base = _base(self.system, signals, nominal)
         if self.undo is not None:
             assert self.sensor is not None
             parameter = self.placed.effect.parameters[0]

@@ -45,6 +45,7 @@ def model_source(simulator: Simulator, given: Collection[str] = ()) -> str:
     rings = len(delays) + len(late)
     lines = [
         f"/* {system.name}{''.join(f' + {effect}' for effect in system.effects)}: written by sysid-harness. */",
+        *(f"/* {remark.replace('*/', '* /')} */" for remark in system.remarks),
         system_source(system, "model"),
         f"enum {{ U = {inputs}, Y = {outputs}, X = {states}, P = {parameters}, Z = P - MODEL_NZ, RING = {ring},",
         "  COUNT = VARIABLES, SUBSTEP, SEEN, OWN = SEEN + MODEL_NU, LINES = OWN + MODEL_NZ,",
@@ -148,7 +149,14 @@ def description(simulator: Simulator, parameters: Mapping[str, float], x0: Mappi
     ]
     token = hashlib.sha256(f"{model_source(simulator, x0 or ())}{values}{starts}".encode()).hexdigest()[:32]
     direct = range(system.nu) if system.feedthrough else ()
-    root = describe(system.name, str(system), token, variables, sample_time=simulator.dt, direct=direct)
+    root = describe(
+        system.name,
+        "; ".join([str(system), *system.remarks]),
+        token,
+        variables,
+        sample_time=simulator.dt,
+        direct=direct,
+    )
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
 

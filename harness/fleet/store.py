@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any
 from harness import __version__
 from harness.errors import InputError
 from harness.fleet.row import Row, encoded, read
+from harness.jobs.manifest import read_manifest
 from harness.jobs.query import Answer, ask
 
 __all__ = ["FleetStore", "is_fleet_folder", "query"]
@@ -86,22 +87,10 @@ class FleetStore:
         Raises
         ------
         InputError
-            If the folder holds no fleet.
+            If the folder holds no fleet, or one of another format, which is then named.
         """
-        try:
-            content = json.loads((self.folder / MANIFEST).read_text(encoding="utf-8"))
-            known = content["format"] == FORMAT
-        except (OSError, ValueError, KeyError, TypeError):
-            known = False
-        if not known:
-            raise InputError(
-                "no fleet here",
-                expected=f"a folder with a {MANIFEST} of format {FORMAT}",
-                got="none" if not (self.folder / MANIFEST).exists() else "something else",
-                remedy="give the folder that 'sysid close-loop' wrote over many records",
-                file=self.folder,
-            )
-        return dict(content)
+        command = "'sysid close-loop' over many records"
+        return read_manifest(self.folder / MANIFEST, FORMAT, what="fleet", command=command)
 
     def rows(self) -> dict[str, Row]:
         """Return the rows by job, finished ones and those of a run that was interrupted."""
@@ -139,23 +128,25 @@ def is_fleet_folder(directory: str | Path) -> bool:
     return (Path(directory) / MANIFEST).is_file()
 
 
-def query(directory: str | Path, sql: str) -> Answer:
+def query(directory: str | Path, sql: str | None = None, *, filters: Mapping[str, Any] | None = None) -> Answer:
     """Ask the rows of a fleet.
 
     Parameters
     ----------
     directory : path
         Folder that the closed loop over a fleet wrote or is writing.
-    sql : str
+    sql : str, optional
         DuckDB's SQL over the tables ``records`` (a row for each record) and ``effects`` (a row for each record and
-        effect).
+        effect). Without it the answer is ``records``.
+    filters : mapping, optional
+        Column to value: only such rows, in every table that has the column.
 
     Raises
     ------
     InputError
-        If the folder holds no fleet, or DuckDB refuses the query.
+        If the folder holds no fleet, or a filter or the query cannot be used.
     """
-    return ask(tables(FleetStore(Path(directory)).in_order()), sql)
+    return ask(tables(FleetStore(Path(directory)).in_order()), sql, filters)
 
 
 def tables(rows: Sequence[Row]) -> dict[str, Any]:

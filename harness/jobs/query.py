@@ -10,7 +10,7 @@ from typing import Any
 from harness.data.binary_files import optional
 from harness.errors import InputError
 
-__all__ = ["Answer", "ask"]
+__all__ = ["Answer", "ask", "filtered"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +32,18 @@ class Answer:
 
     def __len__(self) -> int:
         return int(self.table.num_rows)
+
+    def narrow(self) -> Answer:
+        """Return the answer without columns of lists and those without any value, for a reader."""
+        import pyarrow as pa
+
+        kept = [
+            name
+            for name in self.columns
+            if not pa.types.is_nested(self.table.schema.field(name).type)
+            and any(value not in (None, "") for value in self.table.column(name).unique().to_pylist())
+        ]
+        return Answer(self.table.select(kept))
 
     def records(self) -> list[dict[str, Any]]:
         """Return the rows as dictionaries."""
@@ -89,20 +101,72 @@ class Answer:
         scratch.replace(target)
 
 
-def ask(tables: Mapping[str, Any], sql: str) -> Answer:
+def filtered(tables: Mapping[str, Any], filters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the rows of Arrow tables in which columns have given values; a table without the column keeps all.
+
+    Parameters
+    ----------
+    tables : mapping
+        Name to table.
+    filters : mapping
+        Column to value, or to its text.
+
+    Raises
+    ------
+    InputError
+        If no table has a column, or a text is no value of it.
+
+    Examples
+    --------
+    >>> import pyarrow as pa
+    >>> rows = pa.table({"seed": [0, 1, 1], "status": ["ok", "ok", "unfit"]})
+    >>> filtered({"rows": rows}, {"status": "ok", "seed": "1"})["rows"].to_pylist()
+    [{'seed': 1, 'status': 'ok'}]
+    """
+    import pyarrow as pa
+    from pyarrow import compute
+
+    chosen = dict(tables)
+    for column, value in filters.items():
+        known = {name: table for name, table in chosen.items() if column in table.column_names}
+        if not known:
+            columns = dict.fromkeys(name for table in tables.values() for name in table.column_names)
+            raise InputError(
+                "filter",
+                expected=f"a column: {', '.join(columns)}",
+                got=repr(column),
+                remedy="correct it",
+                place="filter",
+            )
+        for name, table in known.items():
+            kind = table.schema.field(column).type
+            try:
+                wanted = pa.scalar(value).cast(kind)
+            except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
+                raise InputError(
+                    f"filter {column}", expected=f"a value of type {kind}", got=repr(value), remedy="correct it",
+                    place="filter",
+                ) from error  # fmt: skip
+            chosen[name] = table.filter(compute.equal(table.column(column), wanted))
+    return chosen
+
+
+def ask(tables: Mapping[str, Any], sql: str | None = None, filters: Mapping[str, Any] | None = None) -> Answer:
     """Ask Arrow tables.
 
     Parameters
     ----------
     tables : mapping
         Name to table.
-    sql : str
-        DuckDB's SQL. Files on this machine are not within its reach.
+    sql : str, optional
+        DuckDB's SQL. Files on this machine are not within its reach. Without it the answer is the first table.
+    filters : mapping, optional
+        Column to value; see :func:`filtered`.
 
     Raises
     ------
     InputError
-        If DuckDB refuses the query.
+        If a filter or the query cannot be used, or DuckDB is not installed.
 
     Examples
     --------
@@ -110,6 +174,9 @@ def ask(tables: Mapping[str, Any], sql: str) -> Answer:
     >>> ask({"rows": pa.table({"size": [1.0, 3.0]})}, "select avg(size) as mean from rows").records()
     [{'mean': 2.0}]
     """
+    tables = filtered(tables, filters or {})
+    if sql is None:
+        return Answer(next(iter(tables.values())))
     duckdb = optional("duckdb", "a query", "'sysid-harness[query]'")
 
     connection = duckdb.connect()

@@ -22,7 +22,7 @@ __all__ = ["Compilation", "c_function", "system_source"]
 
 # No fused multiply-add: the compiled code repeats CasADi's virtual machine bit for bit. The vectors are written out, so
 # -O1 gives as fast a roll-out as -O2, compiled a third sooner.
-FLAGS = ("-O1", "-fPIC", "-shared", "-ffp-contract=off", "-fno-math-errno", "-std=c99")
+FLAGS = ("-fPIC", "-shared", "-ffp-contract=off", "-fno-math-errno", "-std=c99")
 
 
 @functools.cache
@@ -255,11 +255,13 @@ class Compilation:
     ----------
     source : str
         C source; its hash (with flags, compiler and machine) names the file, so that equal sources compile once.
+    level : str
+        Of optimisation.
     """
 
-    def __init__(self, source: str) -> None:
+    def __init__(self, source: str, *, level: str = "-O1") -> None:
         self.source = source
-        self._flags = (*FLAGS, *_machine_flags())
+        self._flags = (level, *FLAGS, *_machine_flags())
         key = "\x1f".join((source, " ".join(self._flags), str(compiler()), platform.machine(), platform.system()))
         self.path = cache_folder() / f"rollout-{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
         self._process: subprocess.Popen[bytes] | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from harness.physics.filter_kernels import LAYOUT
 from harness.physics.rollout_source import RUNGE_KUTTA, STAGE, shared_source
 
 if TYPE_CHECKING:
@@ -34,8 +35,9 @@ def filter_source(functions: Functions, delay_columns: tuple[int, ...], latent: 
     The state is linearised where the filter predicts it (extended Kalman filter: Jazwinski 1970, sec. 8.3). The
     transition F of a sample is the derivative of the numerical solution itself: columns of unit start vectors are
     carried along the Runge-Kutta stages beside those of the parameters. Outputs are taken one after the other, which
-    gives the joint density because their noises are independent. The derivatives of the innovations hold the gain
-    fixed (Ljung 1999, sec. 10.3 without the derivative of K).
+    gives the joint density because their noises are independent. The derivatives of the innovations by parameters and
+    initial states hold the gain fixed (Ljung 1999, sec. 10.3 without the derivative of K). The covariance is taken
+    over readings and samples by :mod:`harness.physics.filter_kernels`, with its derivatives by the noise.
 
     Examples
     --------
@@ -51,7 +53,7 @@ def filter_source(functions: Functions, delay_columns: tuple[int, ...], latent: 
     scatter = [f"  c[{row}*NX + {column}] = a[{k}];" for k, (row, column, _) in enumerate(readings.entries("by_x"))]
     rows = "\n".join(["static void output_rows(const double *a, double *c) {", "  (void)a; (void)c;", *scatter, "}"])
     head = parts[0] + f"\n#define NL {latent}"
-    return "\n\n".join([head, *parts[1:], STAGE, rows, RUNGE_KUTTA, _FILTER]) + "\n"
+    return "\n\n".join([head, *parts[1:], LAYOUT, STAGE, rows, RUNGE_KUTTA, _FILTER]) + "\n"
 
 
 _FILTER = """\
@@ -60,14 +62,15 @@ typedef struct {
   double dt, t0;
   const double *p, *x0, *p0, *u, *d;
   const int *columns;
-  const double *measured, *r, *period, *a, *q, *w;
-  double *e, *s, *j;
+  const double *measured, *r, *period, *a, *q, *w, *fade, *q_tau;
+  double *e, *s, *j, *e_noise, *s_noise;
   double *x_before, *p_before, *x_after, *p_after, *transition, *gain, *row;
+  double (*read)(block (*P)[NB], const double *co, double r, double e, double *K,
+                 block (*dP)[NX][MB], block (*dx)[MB], long o, double *by_e, double *by_s);
+  void (*step)(block (*P)[NB], block (*F)[NB], const double *x, const double *fade, const double *w, const double *q,
+               const double *q_tau, block (*dP)[NX][MB], block (*dx)[MB]);
 } filter_job;
 
-/* Matrices of states as rows of blocks: NB blocks hold a row. */
-#define NB ((NX + 3)/4)
-#define AT(m, i, k) (((double *)(m[i]))[k])
 #define COLUMN(c, i) (((double *)(z + ((c)/4)*NX + (i)))[(c) & 3])
 
 static double wrapped(double r, double period) {
@@ -92,9 +95,8 @@ int sysid_filter(filter_job *in) {
   const double h = in->dt/(double)many;
   const int chosen = (int)in->chosen, blocks = (chosen + 3)/4, all = (chosen + NX + 3)/4;
   const block none = {0};
-  block P[NX][NB], FP[NX][NB], F[NX][NB], Ft[NX][NB], pc[NB];
+  block P[NX][NB], F[NX][NB], dP[NX][NX][MB], dx[NX][MB];
   double x[NX], next[NX], prior[NX], y[NY], c[NY*NX], K[NX];
-  const double *Pc = (const double *)pc;
   double la[ROOM(LOOK_A)], lb[ROOM(NS*NY)], lf[ROOM(NY*NU)];
   block z[(BLOCKS + 1)*NX], b[(BLOCKS + 1)*NY];
   tangent at[4];
@@ -113,8 +115,13 @@ int sysid_filter(filter_job *in) {
   for (i = 0; i < NX; i++) z[BLOCKS*NX + i] = none;
   for (i = 0; i < NY*NX; i++) c[i] = 0.0;
   copy(x, in->x0, NX);
-  for (i = 0; i < NX; i++) for (m = 0; m < NB; m++) P[i][m] = F[i][m] = Ft[i][m] = none;
+  for (i = 0; i < NX; i++) for (m = 0; m < NB; m++) P[i][m] = F[i][m] = none;
   for (i = 0; i < NX; i++) for (m = 0; m < NX; m++) AT(P, i, m) = in->p0[i*NX + m];
+  if (in->e_noise) {
+    for (i = 0; i < NX; i++)
+      for (k4 = 0; k4 < MB; k4++) { dx[i][k4] = none; for (m = 0; m < NX; m++) dP[i][m][k4] = none; }
+    for (o = 0; o < NL; o++) ((double *)dP[NX - NL + o][NX - NL + o])[o] = 2.0*AT(P, NX - NL + o, NX - NL + o);
+  }
   for (k = 0; k < in->n; k++) {
     const double *u = in->u + k*NU, *d = NW > 0 ? in->d + k*NW : NULL;
     const double time = in->t0 + (double)k*in->dt;
@@ -130,12 +137,11 @@ int sysid_filter(filter_job *in) {
       copy(prior, x, NX);
       for (o = 0; o < NY; o++) {
         const double *co = c + o*NX;
-        double s = in->r[o], e = wrapped(measured[o] - y[o], in->period[o]);
+        const long at_row = row*NY + o;
+        double s, e = wrapped(measured[o] - y[o], in->period[o]);
         for (i = 0; i < NX; i++) e -= co[i]*(x[i] - prior[i]);
-        for (k4 = 0; k4 < NB; k4++) pc[k4] = none;
-        for (i = 0; i < NX; i++)
-          if (co[i] != 0.0) for (k4 = 0; k4 < NB; k4++) pc[k4] += co[i]*P[i][k4];
-        for (i = 0; i < NX; i++) s += co[i]*Pc[i];
+        s = in->read(P, co, in->r[o], e, K, in->e_noise ? dP : NULL, dx, o,
+                     in->e_noise ? in->e_noise + at_row*NN : NULL, in->e_noise ? in->s_noise + at_row*NN : NULL);
         in->e[row*NY + o] = e;
         in->s[row*NY + o] = s;
         if (isnan(e)) { /* nothing was measured here */
@@ -145,8 +151,7 @@ int sysid_filter(filter_job *in) {
           continue;
         }
         if (!(s > 0.0) || !isfinite(s)) return 1;
-        for (i = 0; i < NX; i++) { K[i] = Pc[i]/s; x[i] += K[i]*e; }
-        for (i = 0; i < NX; i++) for (k4 = 0; k4 < NB; k4++) P[i][k4] -= K[i]*pc[k4];
+        for (i = 0; i < NX; i++) x[i] += K[i]*e;
         for (k4 = 0; k4 < blocks; k4++) {
           block v = -b[k4*NY + o];
           for (i = 0; i < NX; i++) v -= co[i]*z[k4*NX + i];
@@ -186,28 +191,8 @@ int sysid_filter(filter_job *in) {
       for (i = 0; i < NX; i++) COLUMN(chosen + i, l) *= in->a[m];
     }
     for (i = 0; i < NX; i++)
-      for (m = 0; m < NX; m++) AT(F, i, m) = AT(Ft, m, i) = COLUMN(chosen + m, i);
-    for (i = 0; i < NX; i++) {
-      for (k4 = 0; k4 < NB; k4++) FP[i][k4] = AT(F, i, 0)*P[0][k4];
-      for (o = 1; o < NX; o++) {
-        const double f = AT(F, i, o);
-        if (f != 0.0) for (k4 = 0; k4 < NB; k4++) FP[i][k4] += f*P[o][k4];
-      }
-    }
-    for (i = 0; i < NX; i++) {
-      for (k4 = 0; k4 < NB; k4++) P[i][k4] = AT(FP, i, 0)*Ft[0][k4];
-      for (o = 1; o < NX; o++) {
-        const double f = AT(FP, i, o);
-        for (k4 = 0; k4 < NB; k4++) P[i][k4] += f*Ft[o][k4];
-      }
-    }
-    for (o = 0; o < NL; o++)
-      if (in->w[o] > 0.0)
-        for (i = 0; i < NX - NL; i++)
-          for (m = 0; m < NX - NL; m++) AT(P, i, m) += in->w[o]*AT(F, i, NX - NL + o)*AT(F, m, NX - NL + o);
-    for (i = 1; i < NX; i++)
-      for (m = 0; m < i; m++) AT(P, i, m) = AT(P, m, i) = 0.5*(AT(P, i, m) + AT(P, m, i));
-    for (m = 0; m < NL; m++) AT(P, NX - NL + m, NX - NL + m) += in->q[m];
+      for (m = 0; m < NX; m++) AT(F, i, m) = COLUMN(chosen + m, i);
+    in->step(P, F, x, in->fade, in->w, in->q, in->q_tau, in->e_noise ? dP : NULL, dx);
     if (in->transition) { /* since the last measurement */
       double *total = in->transition + (row - 1)*NX*NX, before[NX*NX];
       copy(before, total, NX*NX);

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.physics.ccode import Compilation
+from harness.physics.filter_kernels import kernels
 from harness.physics.filter_source import filter_source
 from harness.signals import FloatArray, Trajectory
 
@@ -23,7 +24,8 @@ __all__ = ["Filtered", "KalmanPass", "Noise", "Pass", "Path"]
 _LOG_2PI = float(np.log(2 * np.pi))
 _COUNTS = ("n", "substeps", "every", "chosen", "foh")
 _NUMBERS = ("dt", "t0")
-_ARRAYS = ("p", "x0", "p0", "u", "d", "columns", "measured", "r", "period", "a", "q", "w", "e", "s", "j")
+_GIVEN = ("p", "x0", "p0", "u", "d", "columns", "measured", "r", "period", "a", "q", "w", "fade", "q_tau")
+_MADE = ("e", "s", "j", "e_noise", "s_noise")
 _STORES = ("x_before", "p_before", "x_after", "p_after", "transition", "gain", "row")
 
 
@@ -75,12 +77,17 @@ class Filtered:
     j : array (K, ny, columns) or None
         Derivatives of the innovations, gains held fixed.
     path : Path or None
+    e_noise, s_noise : array (K, ny, 3 nl + ny) or None
+        Derivatives of the innovations, and of the logarithms of their variances, by the logarithms of the noise: s,
+        tau and w of every latent force, then r of every output. None where only difference quotients can tell.
     """
 
     e: FloatArray
     s: FloatArray
     j: FloatArray | None = None
     path: Path | None = field(default=None, repr=False)
+    e_noise: FloatArray | None = field(default=None, repr=False)
+    s_noise: FloatArray | None = field(default=None, repr=False)
 
     @property
     def terms(self) -> FloatArray:
@@ -118,6 +125,7 @@ class Pass(Protocol):
         *,
         columns: npt.NDArray[np.intp] | None = None,
         keep: bool = False,
+        by_noise: bool = False,
     ) -> Filtered | None:
         """Return the innovations of a record, None if the state diverges; see :meth:`KalmanPass.__call__`."""
         ...
@@ -129,7 +137,7 @@ class _Job(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_long) for name in _COUNTS),
         *((name, ctypes.c_double) for name in _NUMBERS),
-        *((name, ctypes.c_void_p) for name in (*_ARRAYS, *_STORES)),
+        *((name, ctypes.c_void_p) for name in (*_GIVEN, *_MADE, *_STORES, "read", "step")),
     )
 
 
@@ -210,6 +218,7 @@ class KalmanPass:
         *,
         columns: npt.NDArray[np.intp] | None = None,
         keep: bool = False,
+        by_noise: bool = False,
     ) -> Filtered | None:
         """Filter a record.
 
@@ -224,6 +233,8 @@ class KalmanPass:
             Which of (p, x0) the innovations are differentiated by.
         keep : bool
             Keep what a smoother needs.
+        by_noise : bool
+            Differentiate by the noise too.
 
         Returns
         -------
@@ -238,29 +249,36 @@ class KalmanPass:
         step = self.dt / every
         decay = np.exp(-step / noise.tau)
         gained = noise.s**2 * -np.expm1(-2 * step / noise.tau)
+        fade = step / noise.tau
         samples, chosen = len(record), 0 if columns is None else len(columns)
         made = Filtered(np.empty((samples, self.ny)), np.empty((samples, self.ny)))
         if columns is not None:
             made.j = np.zeros((samples, self.ny, chosen))
+        if by_noise and self._compilation is not None:
+            lanes = (samples, self.ny, 3 * self.nl + self.ny)
+            made.e_noise, made.s_noise = np.empty(lanes), np.empty(lanes)
         if keep:
             wide, square, tall = (samples, self.nx), (samples, self.nx, self.nx), (samples, self.ny, self.nx)
             made.path = Path(*(np.empty(shape) for shape in (wide, square, wide, square, square, tall, tall)))
         library = None if self._compilation is None else self._compilation.library()
-        if library is None:
+        steps = None if library is None else kernels(self.nx, self.ny, self.nl)
+        if library is None or steps is None:
+            made.e_noise = made.s_noise = None
             how = start, variance, decay, gained, noise, every
             return self._in_python(record, p, u, made, columns, how)
         given = {
             "p": p, "x0": start, "p0": variance, "u": u, "d": slope, "measured": np.ascontiguousarray(record.y),
             "columns": np.ascontiguousarray([] if columns is None else columns, dtype=np.intc),
             "r": noise.r**2, "period": self._period, "a": decay, "q": gained, "w": noise.w**2,
-            "e": made.e, "s": made.s, "j": made.j,
+            "fade": fade, "q_tau": -2 * noise.s**2 * fade * np.exp(-2 * fade),
+            "e": made.e, "s": made.s, "j": made.j, "e_noise": made.e_noise, "s_noise": made.s_noise,
         }  # fmt: skip
         if made.path is not None:
             given |= {name: getattr(made.path, name) for name in _STORES}
         arrays = {name: value for name, value in given.items() if value is not None}
         job = _Job(
             n=len(u), substeps=1 if every > 1 else self.substeps, every=every, chosen=chosen,
-            foh=int(self.intersample != "zoh"), dt=step, t0=float(record.t[0]),
+            foh=int(self.intersample != "zoh"), dt=step, t0=float(record.t[0]), read=steps.read, step=steps.step,
             **{name: value.ctypes.data for name, value in arrays.items()},
         )  # fmt: skip
         failed = library.sysid_filter(ctypes.byref(job))

@@ -21,6 +21,8 @@ _TINY = 1e-12
 _LARGEST_LOG_STEP = 2.0
 # Relative decrease of the cost at which a minimum counts as reached.
 _DECREASE = 1e-7
+# A minimum counts as reached without a trial where a step promises less than this part of that decrease.
+_PROMISE = 0.1
 # Relative decrease of the cost that a step must promise to be tried.
 _NOTHING = 1e-10
 # A simulation is given up at so many times the cost from which a step starts; rounding is far below.
@@ -147,6 +149,8 @@ def minimise(
             change = np.zeros_like(x0) if back is None else back[1] - back[0] @ moved
             expected = float(moved @ slope[:, :count].sum(axis=0) + np.sum(change * slope[:, count:]))
             expected -= 0.5 * _quadratic(gram, moved, change)
+            if 0 <= expected <= _PROMISE * decrease * now.cost and damping < 1.0:
+                return Solution(p, x0, now, True, iteration, f"converged in {iteration} iterations", states_free)
             # What costs more is rejected, whatever else the simulation would have told.
             then = windows.trial(trial, x0 + change, columns=columns, budget=now.cost * _MORE, keep=True)
             gain = now.cost - then.cost
@@ -175,8 +179,13 @@ def minimise(
     return Solution(p, x0, now, False, max_iterations, words, states_free)
 
 
-def minimise_states(windows: Windows, p: FloatArray, x0: FloatArray, max_iterations: int = 25) -> FloatArray:
-    """Return the initial states (W, nx) that fit each window best, parameters held; every window by itself."""
+def minimise_states(
+    windows: Windows, p: FloatArray, x0: FloatArray, max_iterations: int = 25, *, decrease: float = _DECREASE
+) -> FloatArray:
+    """Return the initial states (W, nx) that fit each window best, parameters held; every window by itself.
+
+    A window is done once a step lowers its cost by less than ``decrease`` of it.
+    """
     nx, count = windows.simulator.nx, p.shape[0]
     if nx == 0:
         return x0
@@ -209,7 +218,7 @@ def minimise_states(windows: Windows, p: FloatArray, x0: FloatArray, max_iterati
         then = windows.trial(p, x0 + solved, columns=columns, limits=limits)
         better = active & (then.costs < now.costs)
         gain = np.where(better, now.costs - np.where(np.isfinite(then.costs), then.costs, 0.0), 0.0)
-        done = better & (gain <= 1e-7 * now.costs)
+        done = better & (gain <= decrease * now.costs)
         x0[better] += solved[better]
         now = _chosen(now, then, better)
         damping = np.where(better, damping / 10, damping * 10)

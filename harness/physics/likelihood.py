@@ -245,12 +245,17 @@ class Likelihood:
     # ---- evaluation ------------------------------------------------------------------------------------------------
 
     def filtered(
-        self, point: Point, *, columns: npt.NDArray[np.intp] | None = None, keep: bool = False
+        self,
+        point: Point,
+        *,
+        columns: npt.NDArray[np.intp] | None = None,
+        keep: bool = False,
+        by_noise: bool = False,
     ) -> list[Filtered] | None:
         """Return the pass over every record; None if one diverges."""
         found = []
         for record, x0 in zip(self.records, point.x0, strict=True):
-            one = self.filter(record, point.p, x0, point.noise, columns=columns, keep=keep)
+            one = self.filter(record, point.p, x0, point.noise, columns=columns, keep=keep, by_noise=by_noise)
             if one is None:
                 return None
             found.append(one)
@@ -316,31 +321,42 @@ class Likelihood:
         limit = n + len(self.records) * m
         by_e = np.zeros((len(which), int(known.sum())))
         by_s = np.zeros_like(by_e)
-        if not exact:
-            columns = [int(k) for k in which if k < n]
-            starts = list(range(n, n + m)) if any(n <= k < limit for k in which) else []
-            chosen = np.array([*columns, *starts], dtype=np.intp)
-            passes = self.filtered(self._unpack(z), columns=chosen) if len(chosen) else None
-            exact = passes is None
-            if passes is not None:
-                point = self._unpack(z)
-                whole = [np.asarray(one.j) for one in passes]
-                edges = np.cumsum([0, *(one.shape[0] for one in whole)])
-                for row, k in enumerate(which):
-                    if k >= limit:
-                        continue
-                    column = np.zeros((edges[-1], self.filter.ny))
-                    if k < n:
-                        place = columns.index(int(k))
-                        for part, first, last in zip(whole, edges[:-1], edges[1:], strict=True):
-                            column[first:last] = part[..., place]
-                        column *= point.p[k] if self._log[k] else 1.0
-                    else:
-                        number, state = divmod(int(k) - n, m)
-                        column[edges[number] : edges[number + 1]] = whole[number][..., len(columns) + state]
-                    by_e[row] = column.ravel()[known] * root
+        point = self._unpack(z)
+        columns = [] if exact else [int(k) for k in which if k < n]
+        starts = list(range(n, n + m)) if not exact and any(n <= k < limit for k in which) else []
+        chosen = np.array([*columns, *starts], dtype=np.intp)
+        passes = self.filtered(point, columns=chosen if len(chosen) else None, by_noise=bool((which >= limit).any()))
+        told = np.zeros(len(which), dtype=bool)
+        if passes is not None and not exact:
+            told |= which < limit
+            whole = [np.asarray(one.j) for one in passes]
+            edges = np.cumsum([0, *(one.shape[0] for one in whole)])
+            for row, k in enumerate(which):
+                if k >= limit:
+                    continue
+                column = np.zeros((edges[-1], self.filter.ny))
+                if k < n:
+                    place = columns.index(int(k))
+                    for part, first, last in zip(whole, edges[:-1], edges[1:], strict=True):
+                        column[first:last] = part[..., place]
+                    column *= point.p[k] if self._log[k] else 1.0
+                else:
+                    number, state = divmod(int(k) - n, m)
+                    column[edges[number] : edges[number + 1]] = whole[number][..., len(columns) + state]
+                by_e[row] = column.ravel()[known] * root
+        if passes is not None and all(one.e_noise is not None for one in passes):
+            told |= which >= limit
+            noisy = np.flatnonzero(which >= limit)
+            lanes = np.array(self._noise_lanes(), dtype=np.intp)[which[noisy] - limit]
+            for sums, parts in (
+                (by_e, [np.asarray(one.e_noise) for one in passes]),
+                (by_s, [np.asarray(one.s_noise) for one in passes]),
+            ):
+                each = np.concatenate([part.reshape(-1, part.shape[-1]) for part in parts])[known]
+                sums[noisy] = each[:, lanes].T
+            by_e[noisy] *= root
         for row, k in enumerate(which):
-            if not exact and k < limit:
+            if told[row]:
                 continue
             h = _NOISE_STEP if k >= limit else _STEP * max(1e-3 if k >= n else 1.0, abs(z[k]))
             if k < limit and deviations is not None:
@@ -372,6 +388,11 @@ class Likelihood:
         normal = e[known] * root
         gradient = by_e @ normal + 0.5 * (by_s @ (1.0 - normal**2))
         return gradient, by_e @ by_e.T + 0.5 * (by_s @ by_s.T)
+
+    def _noise_lanes(self) -> list[int]:
+        """Return where a pass has the derivative by each logarithm of the noise, in the order of the vector."""
+        nl, white = self.filter.nl, self.noise_model.white
+        return [k for k in range(3 * nl + self.filter.ny) if white or not 2 * nl <= k < 3 * nl]
 
     def _one_record(self, z: FloatArray, k: int, h: float, number: int) -> Filtered | None:
         """Return the pass over one record with one entry of the vector moved."""

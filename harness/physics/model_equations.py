@@ -68,6 +68,8 @@ class Equations(Dimensions):
         Where effects were placed: the system without them.
     starts : callable or None
         Start values of parameters from records.
+    remarks : tuple of str
+        What a reader of an exported model must be told, such as that a force was learned and is not physical.
     """
 
     name: str
@@ -96,6 +98,7 @@ class Equations(Dimensions):
     process: tuple[str, ...] = ()
     nominal: Self | None = field(default=None, repr=False)
     starts: Callable[[Sequence[Trajectory]], Mapping[str, float]] | None = field(default=None, repr=False)
+    remarks: tuple[str, ...] = ()
 
     # ---- sizes and names ------------------------------------------------------------------------------------------
 

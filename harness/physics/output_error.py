@@ -25,6 +25,9 @@ _SAME_MINIMUM = 1e-3
 _SHORTEST = 25
 # So many horizons are put in between where the way to the longest is too steep.
 _MOST_INSERTED = 3
+# What only prepares the next stage ends once a step lowers the cost by less than this part: starts of windows that are
+# fitted together with the parameters right after, and parameters at horizons short of the last one.
+_PREPARED_STATES, _PREPARED = 0.1, 1e-3
 # The error of a fit grows with the horizon; a jump by more than this factor is another minimum.
 _LARGEST_JUMP = 4.0
 
@@ -241,6 +244,7 @@ def _follow(
         horizon = waiting.pop(0)
         span = record_length if horizon is None else horizon
         found, now = None, sigma
+        stop = {"decrease": _PREPARED} if waiting else {}
         for attempt in range(4 if not waiting else 1):
             windows = Windows(simulator, records, horizon, now)
             if x0 is not None:
@@ -248,10 +252,9 @@ def _follow(
             elif found is not None:
                 start = found.solution.x0
             else:
-                start = minimise_states(windows, p, windows.starts_from(states), 8)
-            solution = minimise(
-                windows, p if found is None else found.solution.p, start, free, max_iterations, states_free=x0 is None
-            )
+                start = minimise_states(windows, p, windows.starts_from(states), 8, decrease=_PREPARED_STATES)
+            here = p if found is None else found.solution.p
+            solution = minimise(windows, here, start, free, max_iterations, states_free=x0 is None, **stop)
             if not np.isfinite(solution.evaluation.cost):
                 break
             found = Result(solution, windows, objective(solution, windows), horizon, target, windows.n_data)
@@ -308,7 +311,7 @@ def _better(
         for length in dict.fromkeys((_few_swings(simulator, guess, horizon), horizon)):
             windows = Windows(simulator, records, length, sigma)
             states = [data_states(simulator, record, p)[0] for record in records]
-            start = minimise_states(windows, p, windows.starts_from(states), 6)
+            start = minimise_states(windows, p, windows.starts_from(states), 6, decrease=_PREPARED_STATES)
             solution = minimise(windows, p, start, free, 12)
             cost = solution.evaluation.cost
             if not np.isfinite(cost):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from harness.physics.filter_kernels import kernels
 from harness.physics.kalman_pass import Filtered
 from harness.signals import FloatArray
 
@@ -35,6 +36,11 @@ def smoothed(passed: Filtered) -> Smoothed:
     assert path is not None
     n, nx = path.x_before.shape
     x, variance = np.empty((n, nx)), np.empty((n, nx))
+    compiled = kernels(nx, passed.e.shape[1], 0)
+    if compiled is not None:
+        given = (passed.e, passed.s, path.transition, path.gain, path.row, path.x_before, path.p_before)
+        compiled.smooth(n, [np.ascontiguousarray(one) for one in given], [x, variance])
+        return Smoothed(x, np.sqrt(np.maximum(variance, 0.0)))
     known = np.isfinite(passed.e)
     e, s = np.where(known, passed.e, 0.0), passed.s
     adjoint, information = np.zeros(nx), np.zeros((nx, nx))
@@ -90,6 +96,13 @@ def innovation_response(
         else:  # the mean of a push at the beginning of a sample and one at its end
             push = 0.5 * rates_over * (path.transition[:, :, :nl] + np.eye(nx)[:, :nl])
         forces = 0.5 * (forces + np.concatenate([forces[1:], forces[-1:]]))
+    compiled = kernels(nx, ny, 0)
+    if compiled is not None:
+        response = np.zeros((n, ny, m)) if readings is None else np.negative(readings)
+        given_path = [np.ascontiguousarray(one) for one in (path.transition, path.gain, path.row)]
+        pushes = [None, None] if forces is None else [np.ascontiguousarray(one) for one in (push, forces)]
+        compiled.respond(n, m, given_path, [*pushes, np.empty((2, nx, m))], response)
+        return response
     for k in range(n):
         for o in range(ny):
             change = -(path.row[k, o] @ state)

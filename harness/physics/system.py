@@ -65,6 +65,7 @@ class System(Equations):
         effects: Sequence[Any] = (),
         switches: Sequence[tuple[int, str]] = (),
         name: str | None = None,
+        remarks: Sequence[str] = (),
     ) -> System:
         """Return a system in which something was changed.
 
@@ -96,6 +97,8 @@ class System(Equations):
             Appended to ``switches``.
         name : str, optional
             New name.
+        remarks : sequence of str
+            Appended to ``remarks``.
 
         Raises
         ------
@@ -164,6 +167,7 @@ class System(Equations):
             effects=(*self.effects, *effects),
             hidden_count=self.hidden_count + len(states),
             switches=(*self.switches, *switches),
+            remarks=(*self.remarks, *remarks),
         )
 
     def with_outputs(self, chosen: Sequence[str | tuple[str, int] | tuple[str, int, str]]) -> System:

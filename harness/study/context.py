@@ -100,6 +100,8 @@ class Hidden:
         What the reading of channel ``at`` suffers; ``late`` if it comes after the noise.
     own : dict
         Parameters of a record of its own: ``estimation`` and ``validation``, in the truth's names.
+    exact : bool
+        False where the truth has another formulation: ``named`` then only starts a refit, and judges no interval.
     """
 
     name: str
@@ -110,3 +112,4 @@ class Hidden:
     sensor: Sensor | None = None
     late: bool = False
     own: dict[str, dict[str, float]] = field(default_factory=dict)
+    exact: bool = True

@@ -11,17 +11,18 @@ import numpy as np
 from harness import registry
 from harness.rng import Streams, stream
 from harness.signals import FloatArray
+from harness.study.applied import STEP, Law
 from harness.study.context import Hidden
 from harness.study.plan import Task
-from harness.study.truths import DT
+from harness.study.truths import DT, SUBSTEPS
 
-__all__ = ["BALANCE_BAND", "balanced_run", "engine_run"]
+__all__ = ["BALANCE_BAND", "OPTIONS", "balanced_run", "engine_run"]
 
 BALANCE_BAND = (0.1, 10.0)
 """Of the force that is added to the controller's [Hz]."""
 _SUBSTEPS = {"bullet": 160, "pymunk": 160}
 """Both engines integrate to first order: with 40 steps a sample Bullet is 1e-4 rad off, as much as the low noise."""
-_OPTIONS = {
+OPTIONS = {
     ("bullet", "pendulum"): ("joint_friction",),
     ("fmu", "pendulum"): ("Fc", "Fs", "vs", "c2"),
     ("fmu", "cart-pole"): ("Fx", "Ftheta"),
@@ -34,10 +35,11 @@ def engine_run(
     plant: str,
     parameters: Mapping[str, float],
     options: Mapping[str, Any],
-    u: FloatArray,
+    force: FloatArray,
     start: FloatArray,
+    law: Law | None = None,
 ) -> FloatArray:
-    """Return the outputs (N, ny) of an engine under a force (N,) from a start at rest.
+    """Return the outputs (N, ny) of an engine at fine steps under a force (N,) from a start at rest.
 
     Parameters
     ----------
@@ -48,21 +50,30 @@ def engine_run(
         In the words of the model.
     options : mapping
         The hidden effect in the words of any engine; those of this engine are taken.
-    u : array (N,)
+    force : array (N,)
+        Held over a fine step, ``SUBSTEPS`` of which are one sample.
     start : array (2 dof,)
         Coordinates, then rates (0).
+    law : callable, optional
+        More force on the driven coordinate, from what the engine shows.
     """
-    own = {name: options[name] for name in _OPTIONS[engine, plant] if name in options}
+    own = {name: options[name] for name in OPTIONS[engine, plant] if name in options}
     names = ("theta",) if plant == "pendulum" else ("x", "theta")
     x0 = dict(zip(names, start.tolist(), strict=False))
-    with registry.create("plants", _plant_name(engine, plant), **_made(engine, plant, parameters, own)) as made:
-        y = np.empty((len(u), len(names)))
+    with registry.create(
+        "plants", _plant_name(engine, plant), **_made(engine, plant, parameters, own, fine=True)
+    ) as made:
+        y = np.empty((len(force), len(names)))
         y[0] = made.reset(rng=stream("study", "engine"), x0=x0)
-        if "batch" in made.abilities:
-            y[1:] = made.rollout(u[:-1, None])
-        else:
-            for k, value in enumerate(u[:-1]):
-                y[k + 1] = made.step(np.array([value]))
+        if law is None:
+            y[1:] = made.rollout(force[:-1, None])
+            return y
+        before = float(y[0, 0])
+        for k, value in enumerate(force[:-1].tolist()):
+            now = float(y[k, 0])
+            more = law(now, (now - before) / STEP, k * STEP, value)
+            before = now
+            y[k + 1] = made.step(np.array([value + more]))
     return y
 
 
@@ -71,18 +82,22 @@ def _plant_name(engine: str, plant: str) -> str:
     return "arm-bullet" if engine == "bullet" else f"{plant}-{engine}"
 
 
-def _made(engine: str, plant: str, parameters: Mapping[str, float], own: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that make an engine's plant."""
-    options: dict[str, Any] = {"sample_time": DT, **own}
+def _made(
+    engine: str, plant: str, parameters: Mapping[str, float], own: Mapping[str, Any], *, fine: bool
+) -> dict[str, Any]:
+    """Return the options that make an engine's plant, with outputs at fine steps or at samples."""
+    options: dict[str, Any] = {"sample_time": STEP if fine else DT, **own}
     if engine == "bullet":
         length = parameters["J"] * 9.81 / parameters["mgl"]  # a point mass: J = m l^2
         options.update(mass=parameters["mgl"] / (9.81 * length), length=length, joint_damping=parameters["b"])
     else:
         options.update(parameters)
     if engine == "fmu":
-        options["substep"] = DT / 20
+        options["substep"] = STEP
     else:
-        options["substeps"] = _SUBSTEPS[engine]
+        options["substeps"] = _SUBSTEPS[engine] // (SUBSTEPS if fine else 1)
+    if engine == "pymunk":
+        options["u_limit"] = math.inf
     return options
 
 
@@ -103,7 +118,7 @@ def balanced_run(
 
     own: dict[str, Any] = {}
     for one in hidden:
-        own.update({name: one.engine[name] for name in _OPTIONS["pymunk", "cart-pole"] if name in one.engine})
+        own.update({name: one.engine[name] for name in OPTIONS["pymunk", "cart-pole"] if name in one.engine})
     known = {name: 1.1 * value for name, value in parameters.items()}
     scenario: Any = registry.create(
         "scenarios",
@@ -116,7 +131,7 @@ def balanced_run(
         process_noise_ratio=task.disturbance or None,
         **known,
     )
-    options = _made("pymunk", "cart-pole", parameters, own) | {"u_limit": math.inf}
+    options = _made("pymunk", "cart-pole", parameters, own, fine=False)
     with registry.create("plants", "cart-pole-pymunk", **options) as plant:
         record = run(plant, scenario, streams=Streams("study", task.key, task.seed), role=f"{use}/0").measured()
     return record.t, record.u, record.y

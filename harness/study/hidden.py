@@ -30,7 +30,7 @@ from harness.signals import FloatArray
 from harness.study.context import PRE, Context, Hidden, Sensor, rms
 from harness.study.truths import DT, GRAVITY, SUBSTEPS
 
-__all__ = ["OUTSIDE", "hide", "hide_outside"]
+__all__ = ["OUTSIDE", "force_size", "hide", "hide_outside"]
 
 OUTSIDE = ("even_drag", "position_damping", "torque_ripple", "force_step", "maxwell_element")
 """Laws that the dictionary does not have."""
@@ -52,6 +52,11 @@ def hide(name: str, at: str, level: str, context: Context, rng: np.random.Genera
         )
     scale = _LEVEL[level]
     return maker(context, at, scale, scale * float(rng.uniform(0.06, 0.10)), rng)
+
+
+def force_size(level: str, context: Context, at: str) -> float:
+    """Return the middle of the sizes of a force at a place [N, N m]."""
+    return 0.08 * _LEVEL[level] * context.torque(at)
 
 
 def _put(context: Context, at: str, values: Mapping[str, float]) -> dict[str, float]:

@@ -10,100 +10,30 @@ from typing import Any
 
 from harness.errors import InputError
 from harness.rng import stream
+from harness.study.catalogue import OUTSIDE, PAIRS, places, sources
+from harness.study.disturbances import KINDS, STRUCTURES, TRUTH_ONLY
 
-__all__ = ["BASES", "NOISE", "PLANTS", "STUDIES", "Task", "plan"]
+__all__ = ["BASES", "NOISE", "PLANTS", "SHARES", "STUDIES", "Task", "plan"]
 
 STUDIES = ("confusion", "false-alarms", "coverage", "cost")
 PLANTS = ("pendulum", "cart-pole")
-BASES = {"tuning": 0, "judged": 100_000}
-"""Records from 10 000, 20 000, ..., 70 000 on judged earlier versions: they judge no more."""
+BASES = {"tuning": 0, "judged": 120_000}
+"""Records from 10 000, 20 000, ..., 100 000 on judged earlier versions: they judge no more."""
+SHARES = {"confusion": 12, "none": 10, "two": 5, "outside": 3, "cost": 1}
+"""Of the strata in any first part of a plan, while they last."""
 NOISE = {"low": 1e-4, "high": 1e-3}
 """Standard deviation of the sensors [rad, m]."""
 
-_COORDINATE = (
-    "coulomb_friction",
-    "stribeck_friction",
-    "asymmetric_friction",
-    "hysteresis",
-    "sublinear_friction",
-    "load_dependent_friction",
-    "quadratic_drag",
-    "linear_spring",
-    "cubic_spring",
-    "force_bias",
-    "payload_step",
-    "end_stop",
-    "cogging",
-    "periodic_disturbance",
-)
-_ANGLE = ("position_dependent_friction", "eccentric_load", "quadratic_spring")
-_INPUT = ("input_delay", "actuator_lag", "dead_zone", "saturation", "rate_limit", "input_gain")
-_DRIVEN = ("elasticity", "backlash")
-_OUTPUT = (
-    "sensor_delay",
-    "sensor_gain",
-    "sensor_offset",
-    "sensor_quantisation",
-    "sensor_rectification",
-    "sensor_saturation",
-)
-# Not hidden: viscous_friction, which both models have on every coordinate; leak, overflow, level_saturation, which
-# belong to tanks; quadratic_spring on the cart, which would run away to infinity.
-PAIRS = {
-    "pendulum": (
-        ("coulomb_friction@theta", "force_bias@theta"),
-        ("coulomb_friction@theta", "quadratic_drag@theta"),
-        ("coulomb_friction@theta", "input_delay@u"),
-        ("stribeck_friction@theta", "gravity_tilt@base"),
-        ("quadratic_drag@theta", "cogging@theta"),
-        ("cubic_spring@theta", "coulomb_friction@theta"),
-        ("linear_spring@theta", "dead_zone@u"),
-        ("saturation@u", "coulomb_friction@theta"),
-        ("end_stop@theta", "quadratic_drag@theta"),
-        ("actuator_lag@u", "periodic_disturbance@theta"),
-    ),
-    "cart-pole": (
-        ("coulomb_friction@x", "coulomb_friction@theta"),
-        ("coulomb_friction@x", "input_delay@u"),
-        ("quadratic_drag@x", "coulomb_friction@theta"),
-        ("linear_spring@x", "coulomb_friction@x"),
-        ("dead_zone@u", "quadratic_drag@theta"),
-        ("coulomb_friction@x", "sensor_offset@theta"),
-        ("saturation@u", "linear_spring@theta"),
-        ("cogging@x", "coulomb_friction@theta"),
-        ("coulomb_friction@x", "gravity_tilt@base"),
-        ("periodic_disturbance@x", "coulomb_friction@theta"),
-    ),
+_ODD = tuple(kind for kind in KINDS if kind != "gauss-markov")
+_STILL = {
+    "pendulum": ("bullet", "laws", "bullet", "fmu"),
+    "cart-pole": ("pymunk", "laws", "balanced", "pymunk", "fmu"),
 }
-OUTSIDE = {
-    "pendulum": (
-        "even_drag@theta",
-        "position_damping@theta",
-        "torque_ripple@theta",
-        "force_step@theta",
-        "maxwell_element@theta",
-    ),
-    "cart-pole": (
-        "even_drag@theta",
-        "position_damping@theta",
-        "force_step@x",
-        "maxwell_element@x",
-        "maxwell_element@theta",
-    ),
-}
-_ENGINES = {
-    ("pendulum", ""): ("laws", "bullet", "fmu"),
-    ("pendulum", "coulomb_friction@theta"): ("laws", "bullet", "fmu"),
-    ("pendulum", "stribeck_friction@theta"): ("laws", "fmu"),
-    ("pendulum", "quadratic_drag@theta"): ("laws", "fmu"),
-    ("cart-pole", ""): ("laws", "pymunk", "fmu", "balanced"),
-    ("cart-pole", "coulomb_friction@x"): ("laws", "pymunk", "fmu", "balanced"),
-    ("cart-pole", "coulomb_friction@theta"): ("laws", "pymunk", "fmu", "balanced"),
-    ("cart-pole", "coulomb_friction@x + coulomb_friction@theta"): ("laws", "pymunk"),
-    ("cart-pole", "linear_spring@x"): ("laws", "pymunk"),
-    ("cart-pole", "linear_spring@theta"): ("laws", "pymunk"),
-    ("cart-pole", "linear_spring@x + coulomb_friction@x"): ("laws", "pymunk"),
-}
+"""Who simulates the records with nothing missing, in turn."""
+_DISTURBED = 0.02
+"""Unknown force over the rms torque."""
+_INPUT_NOISE = 0.01
+"""Noise of a recorded input over its rms."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +46,8 @@ class Task:
         ``confusion``, ``two``, ``outside``, ``none`` or ``cost``.
     plant : str
     engine : str
-        Who simulates the truth: ``laws`` (hand-written), ``bullet``, ``pymunk``, ``fmu``, ``balanced`` (pymunk, upright
-        under LQR).
+        Who simulates the truth: ``laws`` (the dictionary's formulas in C), ``hardware`` (other formulations, see
+        :mod:`harness.study.hardware`), ``bullet``, ``pymunk``, ``fmu``, ``balanced`` (pymunk, upright under LQR).
     effects : tuple of str
         ``effect@place``; empty for nothing missing.
     level : str
@@ -125,13 +55,20 @@ class Task:
     noise : str
         ``low``, ``high`` or ``drawn`` (between the two).
     disturbance : float
-        Unknown coloured torque over the rms torque.
+        Unknown torque over the rms torque.
     index : int
         Repetition.
     base : int
-        0 for tuning, 100000 for judging: no record is drawn from both.
+        0 for tuning, 120000 for judging: no record is drawn from both.
     model : str
         The nominal model: ``equations``, or ``fmu`` (the same as a black box).
+    shape : str
+        Kind of the unknown torque, of :data:`harness.study.disturbances.KINDS`.
+    structure : str
+        How the nominal structure is a little wrong, of :data:`harness.study.disturbances.STRUCTURES`; empty where it
+        is right.
+    input_noise : float
+        Noise of the recorded input over its rms.
     """
 
     study: str
@@ -144,13 +81,19 @@ class Task:
     index: int
     base: int
     model: str = "equations"
+    shape: str = "gauss-markov"
+    structure: str = ""
+    input_noise: float = 0.0
 
     @property
     def key(self) -> str:
         """What names the row, and keys its random numbers."""
         hidden = " + ".join(self.effects) or "none"
         parts = (self.study, self.plant, self.engine, hidden, self.level, self.noise, f"{self.disturbance:g}")
-        last = () if self.model == "equations" else (self.model,)
+        last = [] if self.model == "equations" else [self.model]
+        last += [self.shape] if self.disturbance and self.shape != "gauss-markov" else []
+        last += [self.structure] if self.structure else []
+        last += [f"input {self.input_noise:g}"] if self.input_noise else []
         return "|".join((*parts, str(self.index), str(self.base), *last))
 
     @property
@@ -170,17 +113,20 @@ def plan(
     base: int = 0,
     plants: Sequence[str] = PLANTS,
     records: int | None = None,
-    cells: int = 2,
-    alarms: int = 300,
+    cells: int = 4,
+    alarms: int = 400,
 ) -> list[Task]:
     """Return the tasks of a study in the order in which they run.
+
+    Any first part holds the strata in the shares :data:`SHARES`, and each stratum its plants, engines, sizes, noises,
+    disturbances and structures in turn.
 
     Parameters
     ----------
     study : str
         One of :data:`STUDIES`, or ``all``.
     base : int
-        0 (tuning) or 100000 (judged).
+        0 (tuning) or 120000 (judged).
     plants : sequence of str
     records : int, optional
         Only the first so many tasks.
@@ -188,7 +134,8 @@ def plan(
         Records of each effect, out of the eight cells noise x size x disturbance: 2 have both sizes, 4 are a half
         fraction, 8 are all.
     alarms : int
-        Records with nothing missing of each class (white, coloured).
+        Records with nothing missing and a right nominal structure of each class (white, disturbed); half as many more
+        have a structure that is a little wrong.
 
     Raises
     ------
@@ -198,7 +145,7 @@ def plan(
     Examples
     --------
     >>> tasks = plan("false-alarms", alarms=2)
-    >>> [(one.plant, one.disturbance) for one in tasks]
+    >>> [(task.plant, task.disturbance) for task in tasks][:4]
     [('pendulum', 0.0), ('pendulum', 0.02), ('cart-pole', 0.0), ('cart-pole', 0.02)]
     """
     if study not in (*STUDIES, "all"):
@@ -208,81 +155,94 @@ def plan(
         raise InputError("plants", expected=", ".join(PLANTS), got=", ".join(wrong) or "none", remedy="choose of these")
     if records is not None and records < 1:
         raise InputError("records", expected="at least 1", got=str(records), remedy="raise the number")
-    parts: list[list[Task]] = []
+    strata: dict[str, list[Task]] = {}
     if study in ("confusion", "all"):
-        parts += [_spread(*(make(plants, base, cells) for make in (_cells, _pairs, _outside)))]
+        strata |= {
+            "confusion": _cells(plants, base, cells),
+            "two": _pairs(plants, base, cells),
+            "outside": _outside(plants, base, cells),
+        }
     if study in ("false-alarms", "coverage", "all"):
-        parts += [_nothing(plants, base, alarms)]
-    found = _spread(*parts)
+        strata["none"] = _nothing(plants, base, alarms)
     if study in ("cost", "all"):
-        found += _cost(plants, base)
-    return found[:records]
-
-
-def places(plant: str) -> list[str]:
-    """Return every effect of the confusion study at every place it fits."""
-    coordinates = ("theta",) if plant == "pendulum" else ("x", "theta")
-    driven = coordinates[0]
-    found = [f"{name}@{at}" for name in _COORDINATE for at in coordinates if _apart(name, at, driven)]
-    found += [f"{name}@theta" for name in _ANGLE] + ["gravity_tilt@base"]
-    found += [f"{name}@u" for name in _INPUT] + [f"{name}@{driven}" for name in _DRIVEN]
-    return found + [f"{name}@{at}" for name in _OUTPUT for at in coordinates]
-
-
-def _apart(name: str, at: str, driven: str) -> bool:
-    """Return False for what makes no sense on a coordinate that nothing drives."""
-    return at == driven or name != "periodic_disturbance"
+        strata["cost"] = _cost(plants, base)
+    return _in_shares(strata)[:records]
 
 
 def _cells(plants: Sequence[str], base: int, cells: int) -> list[Task]:
-    """Return the first cells of noise x size x disturbance for every effect and none."""
+    """Return the first cells of noise x size x disturbance for every effect."""
     found = []
     for index in range(cells):
         rows: list[list[Task]] = []
         for plant in plants:
             here = []
-            for number, name in enumerate(["", *places(plant)]):
-                # every engine that has the effect takes a turn of its own, beside the hand-written laws
-                for turn, engine in enumerate(_ENGINES.get((plant, name), ("laws",))):
-                    # Four make a half fraction: two levels choose the third, the other way round for every other four
-                    # effects. Neighbours in this order differ in size; effects start at different cells.
-                    noise, size = ((0, 0), (1, 1), (1, 0), (0, 1))[(index + number + turn) % 4]
-                    shaken = (noise + size + number // 4 + index // 4) % 2
-                    if name.startswith("sensor_rectification"):
-                        size = 0
-                    here.append(
-                        Task(
-                            "confusion",
-                            plant,
-                            engine,
-                            (name,) if name else (),
-                            ("nominal", "quarter")[size] if name else "",
-                            ("low", "high")[noise],
-                            0.02 * shaken,
-                            index,
-                            base,
-                        )
-                    )
+            for number, name in enumerate(places(plant)):
+                # Four make a half fraction: two levels choose the third, the other way round for every other four
+                # effects. Neighbours in this order differ in size; effects start at different cells.
+                noise, size = ((0, 0), (1, 1), (1, 0), (0, 1))[(index + number) % 4]
+                shaken = (noise + size + number // 4 + index // 4) % 2
+                if name.startswith("sensor_rectification"):
+                    size = 0
+                engine = _turn(sources(plant, [name]), number + index)
+                level, words = ("nominal", "quarter")[size], ("low", "high")[noise]
+                more = _surroundings(plant, engine, f"{plant} {name}", index, shaken)
+                here.append(
+                    Task("confusion", plant, engine, (name,), level, words, _DISTURBED * shaken, index, base, **more)
+                )
             order = stream("study-order", plant, index).permutation(len(here))
             rows.append([here[k] for k in order])
         found += _spread(*rows)
     return found
 
 
+def _turn(engines: Sequence[str], number: int) -> str:
+    """Return who has the turn, our own laws every sixth where there is somebody else.
+
+    The FMUs integrate the same formulas in C as our laws do (they agree to rounding), so others go before them.
+    """
+    others = [engine for engine in engines if engine not in ("laws", "fmu")]
+    order = [*others, *others, *(engine for engine in engines if engine == "fmu")] or ["laws"]
+    if number % 6 == 5:
+        return "laws"
+    return order[(number - number // 6) % len(order)]
+
+
+def _surroundings(plant: str, engine: str, what: str, index: int, shaken: int) -> dict[str, Any]:
+    """Return the kind of disturbance, and for a third of the records how the nominal structure is a little wrong."""
+    draw = stream("study-surroundings", what, index)
+    start = int(draw.integers(0, 12))
+    shape = "gauss-markov"
+    if shaken and engine != "balanced" and (start + index) % 3 == 0:
+        shape = _ODD[int(draw.integers(0, len(_ODD)))]
+    structure = ""
+    if engine != "balanced" and (start // 3 + index) % 3 == 0:
+        able = [name for name in STRUCTURES if name not in TRUTH_ONLY or _may(plant, engine)]
+        structure = able[int(draw.integers(0, len(able)))]
+    return {"shape": shape, "structure": structure}
+
+
+def _may(plant: str, engine: str) -> bool:
+    """Return whether a truth can have a structure that only our own laws have."""
+    return plant == "cart-pole" and engine in ("laws", "hardware")
+
+
 def _pairs(plants: Sequence[str], base: int, cells: int) -> list[Task]:
-    """Return two effects at once, the pairs in turn at low and high noise."""
+    """Return two effects at once, the pairs in turn at low and high noise, without and with a disturbance."""
     found = []
-    for index in range(max(1, cells // 2)):
+    for index in range(cells):
         rows = []
         for plant in plants:
             here = []
             for number, pair in enumerate(PAIRS[plant]):
-                engines = _ENGINES.get((plant, " + ".join(pair)), ("laws",))
                 noise = ("low", "high")[(number + index) % 2]
-                coloured = 0.02 * ((number // 2 + index // 2) % 2)
-                engine = engines[index % len(engines)]
-                here.append(Task("two", plant, engine, pair, "nominal", noise, coloured, index, base))
-            rows.append(here)
+                shaken = (number + index // 2) % 2
+                engine = _turn(sources(plant, pair), number + index)
+                more = _surroundings(plant, engine, f"{plant} {' '.join(pair)}", index, shaken)
+                here.append(
+                    Task("two", plant, engine, pair, "nominal", noise, _DISTURBED * shaken, index, base, **more)
+                )
+            order = stream("study-pairs", plant, index).permutation(len(here))
+            rows.append([here[k] for k in order])
         found += _spread(*rows)
     return found
 
@@ -290,40 +250,77 @@ def _pairs(plants: Sequence[str], base: int, cells: int) -> list[Task]:
 def _outside(plants: Sequence[str], base: int, cells: int) -> list[Task]:
     """Return laws that the dictionary does not have, in turn at low and high noise."""
     found = []
-    for index in range(max(1, cells // 2)):
+    for index in range(cells):
         rows = []
         for plant in plants:
-            rows.append(
-                [
-                    Task("outside", plant, "laws", (name,), "nominal", ("low", "high")[(number + index) % 2], 0.0,
-                         index, base)
-                    for number, name in enumerate(OUTSIDE[plant])
-                ]
-            )  # fmt: skip
+            here = []
+            for number, name in enumerate(OUTSIDE[plant]):
+                engine = _turn(sources(plant, [name]), number + index)
+                noise = ("low", "high")[(number + index) % 2]
+                here.append(Task("outside", plant, engine, (name,), "nominal", noise, 0.0, index, base))
+            rows.append(here)
         found += _spread(*rows)
     return found
 
 
 def _nothing(plants: Sequence[str], base: int, count: int) -> list[Task]:
-    """Return records with nothing missing, the classes and plants in turn."""
+    """Return records with nothing missing, the classes, plants, engines and kinds of disturbance in turn.
+
+    Every third has a nominal structure that is a little wrong; of the others every fifth has a noisy input.
+    """
     found = []
-    for number in range(count):
+    for number in range(count + count // 2):
         plant, index = plants[number % len(plants)], number // len(plants)
-        engines = _ENGINES[plant, ""]
-        # the hand-written laws every other time, the engines between
-        engine = "laws" if index % 2 == 0 else engines[1 + (index // 2) % (len(engines) - 1)]
-        found += [Task("none", plant, engine, (), "", "drawn", level, index, base) for level in (0.0, 0.02)]
+        structure, turn = "", index // 3
+        engine = _STILL[plant][turn % len(_STILL[plant])]
+        if index % 3 == 2:
+            engine = "laws" if engine == "balanced" else engine
+            able = [name for name in STRUCTURES if name not in TRUTH_ONLY or _may(plant, engine)]
+            structure = able[turn % len(able)]
+        for shaken in (0, 1):
+            shape = "gauss-markov"
+            if shaken and engine != "balanced":
+                shape = tuple(KINDS)[index % len(KINDS)]
+            noisy = _INPUT_NOISE if not structure and (index + shaken) % 5 == 1 else 0.0
+            found.append(
+                Task("none", plant, engine, (), "", "drawn", _DISTURBED * shaken, index, base, shape=shape,
+                     structure=structure, input_noise=noisy)
+            )  # fmt: skip
     return found
 
 
 def _cost(plants: Sequence[str], base: int) -> list[Task]:
-    """Return the records that are timed alone, with two workers: compiled models, and the FMU of each plant."""
+    """Return the records that are timed as a user meets them: the command in a process of its own, twice."""
     found = []
-    for model in ("equations", "fmu"):
-        for plant in plants:
-            for name in ("", "coulomb_friction@x" if plant == "cart-pole" else "coulomb_friction@theta"):
-                effects, level = ((name,), "nominal") if name else ((), "")
-                found.append(Task("cost", plant, "laws", effects, level, "high", 0.0, 0, base, model))
+    for index in range(2):
+        for shaken in (0.0, _DISTURBED):
+            for plant in plants:
+                for name in ("", "coulomb_friction", "dead_zone", "backlash"):
+                    at = "u" if name == "dead_zone" else "x" if plant == "cart-pole" else "theta"
+                    effects, level = ((f"{name}@{at}",), "nominal") if name else ((), "")
+                    found.append(Task("cost", plant, "laws", effects, level, "high", shaken, index, base))
+    fmu = [
+        Task("cost", plant, "laws", effects, "nominal" if effects else "", "high", 0.0, 0, base, "fmu")
+        for plant in plants
+        for effects in ((), ("coulomb_friction@x" if plant == "cart-pole" else "coulomb_friction@theta",))
+    ]
+    return _spread(found, fmu)
+
+
+def _in_shares(strata: dict[str, list[Task]]) -> list[Task]:
+    """Merge strata so that any first part has them in their shares, as far as they last."""
+    left = {name: list(reversed(tasks)) for name, tasks in strata.items() if tasks}
+    owed = dict.fromkeys(left, 0.0)
+    found = []
+    while left:
+        whole = sum(SHARES[name] for name in left)
+        for name in left:
+            owed[name] += SHARES[name] / whole
+        chosen = max(left, key=lambda name: owed[name])
+        owed[chosen] -= 1.0
+        found.append(left[chosen].pop())
+        if not left[chosen]:
+            del left[chosen]
     return found
 
 

@@ -11,11 +11,14 @@ import numpy as np
 
 from harness.rng import stream
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory, Use
-from harness.study.context import PRE, Context, Hidden, rms
-from harness.study.engines import BALANCE_BAND, balanced_run, engine_run
-from harness.study.hidden import hide, hide_outside
+from harness.study.applied import STEP, actuated, force_law
+from harness.study.context import PRE, Context, Hidden, Sensor, rms
+from harness.study.disturbances import disturbance, natural_frequency
+from harness.study.engines import BALANCE_BAND, OPTIONS, balanced_run, engine_run
+from harness.study.hardware import as_hardware
+from harness.study.hidden import force_size, hide, hide_outside
 from harness.study.plan import NOISE, Task
-from harness.study.truths import DT, Motion, simulate
+from harness.study.truths import DT, SUBSTEPS, Motion, simulate
 
 __all__ = ["SAMPLES", "SPECS", "Records", "make_records", "multisine"]
 
@@ -29,6 +32,7 @@ SPECS = {
     "cart-pole": PlantSpec((Channel("u", "N"),), (Channel("x", "m"), _ANGLE), DT),
 }
 USES: tuple[Use, ...] = ("estimation", "validation")
+_ECCENTRIC: Sensor = lambda y: y + 0.002 * np.sin(2 * y + 1.0)  # noqa: E731 - one line
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,14 +85,19 @@ def make_records(task: Task, *, samples: int = SAMPLES) -> Records:
     context = Context(task.plant, values, simulate(values, commands["estimation"], start=starts["estimation"]),
                       commands["estimation"])  # fmt: skip
     hidden = _hidden(task, context, stream(*key, "effects"))
+    values = values | _structure(task, context)
     runs, peak = [], 0.0
     for use in USES:
         u = commands[use]
-        disturbance = task.disturbance * rms(u) * coloured(len(u), DT, stream(*key, use, "disturbance"))
-        reading = _simulated(task, parameters, values, hidden, use, u, disturbance, starts[use])
+        shaken = disturbance(task.shape, len(u), DT, natural_frequency(values), stream(*key, use, "disturbance"))
+        unknown = task.disturbance * rms(u) * shaken
+        reading = _simulated(task, parameters, values, hidden, use, u, unknown, starts[use])
+        if task.structure == "eccentric-encoder":
+            reading[:, -1] = _ECCENTRIC(reading[:, -1])
         y = _measured(task.plant, hidden, reading[PRE:], noise, stream(*key, use, "noise"))
         t: FloatArray = np.arange(samples, dtype=np.float64) * DT
-        runs.append(Run(Trajectory(t, u[PRE:, None], y, SPECS[task.plant]), use, use))
+        recorded = u[PRE:] + task.input_noise * rms(u) * stream(*key, use, "input-noise").standard_normal(samples)
+        runs.append(Run(Trajectory(t, recorded[:, None], y, SPECS[task.plant]), use, use))
         peak = peak or math.degrees(float(np.abs(reading[:, -1]).max()))
     return Records(Dataset(task.key, tuple(runs)), parameters, hidden, noise, peak)
 
@@ -100,16 +109,6 @@ def multisine(n: int, dt: float, rng: np.random.Generator, band: tuple[float, fl
     phases = rng.uniform(0, 2 * np.pi, lines.size)
     wave = np.cos(2 * np.pi * np.outer(np.arange(n) * dt, lines) + phases).sum(axis=1)
     return np.asarray(wave * math.sqrt(2 / lines.size))
-
-
-def coloured(n: int, dt: float, rng: np.random.Generator) -> FloatArray:
-    """Return first-order noise with a corner between 0.3 and 3 Hz and an rms of 1."""
-    from scipy.signal import lfilter
-
-    corner = math.exp(rng.uniform(math.log(0.3), math.log(3.0)))
-    pole = math.exp(-2 * math.pi * corner * dt)
-    slow = np.asarray(lfilter([1.0], [1.0, -pole], rng.standard_normal(n + 2000))[2000:])
-    return slow / rms(slow)
 
 
 def _draw_parameters(plant: str, rng: np.random.Generator) -> dict[str, float]:
@@ -155,7 +154,20 @@ def _scaled(values: Mapping[str, float], wave: FloatArray, start: FloatArray, ta
 def _hidden(task: Task, context: Context, rng: np.random.Generator) -> tuple[Hidden, ...]:
     """Return what is hidden, with its sizes."""
     make = hide_outside if task.study == "outside" else hide
-    return tuple(make(*_split(one), task.level, context, rng) for one in task.effects)
+    found = tuple(make(*_split(one), task.level, context, rng) for one in task.effects)
+    if task.engine != "hardware":
+        return found
+    return tuple(as_hardware(one, context, force_size(task.level, context, one.at)) for one in found)
+
+
+def _structure(task: Task, context: Context) -> dict[str, float]:
+    """Return what is in the truth and in no model: the nominal structure is a little wrong."""
+    driven = "theta" if task.plant == "pendulum" else "x"
+    if task.structure == "uneven-damping":
+        return {"und0": 0.01 * rms(context.u) / rms(np.cos(context.q(driven)) * context.v(driven))}
+    if task.structure == "drooping-drive":
+        return {"droop": 0.01 * rms(context.u) / rms(context.u**2)}
+    return {"rod": 0.03} if task.structure == "heavy-rod" else {}
 
 
 def _split(effect: str) -> tuple[str, str]:
@@ -175,16 +187,40 @@ def _simulated(
 ) -> FloatArray:
     """Return the coordinates (N, ny) as the sensors see them, before what sensors do to them."""
     if task.engine in ("bullet", "pymunk", "fmu"):
-        options: dict[str, Any] = {}
-        for one in hidden:
-            options.update(one.engine)
-        return engine_run(task.engine, task.plant, parameters, options, u + disturbance, start)
+        return _by_engine(task, parameters, values, hidden, use, u, disturbance, start)
     full = dict(values)
     for one in hidden:
         full.update(one.truth)
         full.update(one.own.get(use, {}))
     motion: Motion = simulate(full, u, start=start, disturbance=disturbance)
     return motion.reading
+
+
+def _by_engine(
+    task: Task,
+    parameters: Mapping[str, float],
+    values: Mapping[str, float],
+    hidden: tuple[Hidden, ...],
+    use: str,
+    u: FloatArray,
+    disturbance: FloatArray,
+    start: FloatArray,
+) -> FloatArray:
+    """Return the same by an engine with what it has itself; the rest is put around it in fine steps."""
+    options: dict[str, Any] = {}
+    applied = dict(values)
+    for one in hidden:
+        if one.engine.keys() & set(OPTIONS[task.engine, task.plant]):
+            options.update(one.engine)
+        else:
+            applied.update(one.truth)
+            applied.update(one.own.get(use, {}))
+    force = actuated(applied, u) + np.repeat(disturbance, SUBSTEPS)
+    law = force_law(applied, task.plant)
+    y = engine_run(task.engine, task.plant, parameters, options, force, start, law)
+    samples = np.arange(len(u)) * SUBSTEPS
+    late = [round(applied.get(f"sdelay{i}", 0.0) / STEP) for i in range(y.shape[1])]
+    return np.column_stack([y[np.maximum(samples - late[i], 0), i] for i in range(y.shape[1])])
 
 
 def _measured(
@@ -220,6 +256,7 @@ def _balanced(task: Task, parameters: Mapping[str, float], noise: float, samples
     runs, peak = [], 0.0
     for use in USES:
         t, u, y = balanced_run(task, parameters, hidden, noise, amplitude, use, samples)
+        u = u + task.input_noise * rms(u) * stream(*key, use, "input-noise").standard_normal(u.shape)
         runs.append(Run(Trajectory(t, u, y, SPECS[task.plant]), use, use))
         peak = peak or math.degrees(float(np.abs(y[:, 1]).max()))
     return Records(Dataset(task.key, tuple(runs)), dict(parameters), hidden, noise, peak)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
 
 from harness.errors import HarnessError
+from harness.study.cost import timed_command
 from harness.study.outcome import Answer, judge_answer
 from harness.study.plan import Task
 from harness.study.records import SAMPLES, Records, make_records
@@ -26,6 +27,9 @@ COLUMNS = (
     "level",
     "noise",
     "disturbance",
+    "shape",
+    "structure",
+    "input_noise",
     "index",
     "base",
     "seed",
@@ -52,11 +56,12 @@ COLUMNS = (
     "noise_sd",
     "peak_deg",
     "cpu_s",
+    "cpu_cold_s",
     "wall_s",
 )
 
 
-def do_row(task: Task, *, samples: int = SAMPLES, workers: int = 1) -> dict[str, Any]:
+def do_row(task: Task, *, samples: int = SAMPLES) -> dict[str, Any]:
     """Return the row of a task; what goes wrong is a row with its reason.
 
     Parameters
@@ -64,8 +69,6 @@ def do_row(task: Task, *, samples: int = SAMPLES, workers: int = 1) -> dict[str,
     task : Task
     samples : int
         Of one record.
-    workers : int
-        Processes of the diagnosis.
 
     Returns
     -------
@@ -76,7 +79,7 @@ def do_row(task: Task, *, samples: int = SAMPLES, workers: int = 1) -> dict[str,
     try:
         records = make_records(task, samples=samples)
         row.update(noise_sd=_short(records.noise), peak_deg=_short(records.peak))
-        row.update(_diagnose(task, records, workers))
+        row.update(_diagnose(task, records))
         row["status"] = "ok"
     except HarnessError as error:
         row.update(status=error.status, reason=" ".join(str(error).split())[:300])
@@ -85,10 +88,12 @@ def do_row(task: Task, *, samples: int = SAMPLES, workers: int = 1) -> dict[str,
     return row
 
 
-def _diagnose(task: Task, records: Records, workers: int) -> dict[str, Any]:
+def _diagnose(task: Task, records: Records) -> dict[str, Any]:
     """Return the columns that a diagnosis fills."""
     if task.model == "fmu":
-        return _diagnose_fmu(task, records, workers)
+        return _diagnose_fmu(task, records)
+    if task.study == "cost":
+        return _command(task, records)
     from harness.diagnosis.algorithm import diagnose
 
     cpu, wall = _cpu_of_tree(), time.monotonic()
@@ -103,7 +108,7 @@ def _diagnose(task: Task, records: Records, workers: int) -> dict[str, Any]:
     before, after = _error(found.runs.before), _error(found.runs.after)
     oracle: float | None = before  # where nothing is hidden, the nominal fit knows all
     if task.effects:
-        oracle = None if task.study in ("outside", "cost") else _oracle(found, records)
+        oracle = None if task.study == "outside" else _oracle(found, records)
     row: dict[str, Any] = {
         "outcome": outcome.word,
         "how": outcome.how,
@@ -124,11 +129,21 @@ def _diagnose(task: Task, records: Records, workers: int) -> dict[str, Any]:
         row.update(
             validation_oracle=_short(oracle), ratio=_short(after / oracle), oracle_improvement=_short(before / oracle)
         )
-    row.update(_coverage(found.final, records))
+    strangers = set(accepted) - set(task.effects) if outcome.word == "wrong" else set()
+    row.update(_coverage(found.final, records, strangers))
     return row
 
 
-def _diagnose_fmu(task: Task, records: Records, workers: int) -> dict[str, Any]:
+def _command(task: Task, records: Records) -> dict[str, Any]:
+    """Return the cost and the answer of the command as a user gives it."""
+    timed = timed_command(task, records)
+    report = timed.pop("report")
+    accepted = tuple(f"{effect['name']}@{effect['at']}" for effect in report["effects"])
+    outcome = judge_answer(task.effects, Answer(report["verdict"], accepted), task.plant)
+    return timed | {"outcome": outcome.word, "how": outcome.how, "accepted": " + ".join(accepted)}
+
+
+def _diagnose_fmu(task: Task, records: Records) -> dict[str, Any]:
     """Return the columns that a diagnosis around an FMU fills; its cost counts."""
     from harness.diagnosis import diagnose
     from harness.diagnosis.fmu.kind import BlackBox
@@ -189,11 +204,12 @@ def _nominal_truth(values: Mapping[str, float], truth: Mapping[str, float]) -> d
     return {name: value for name, value in truth.items() if name in values}
 
 
-def _coverage(model: Any, records: Records) -> dict[str, Any]:
+def _coverage(model: Any, records: Records, strangers: Collection[str] = ()) -> dict[str, Any]:
     """Return how many intervals of the final model hold the true value, whatever was accepted.
 
     Compared are the nominal parameters and those of the effects that mean the same in truth and dictionary; smoothing
-    widths, phases and instants that belong to one record have no truth to compare with.
+    widths, phases and instants that belong to one record have no truth to compare with. An accepted effect that is not
+    there (a stranger) counts as one interval that does not hold the truth.
     """
     from harness.effects import builtin
     from harness.effects.effect import Placed
@@ -201,7 +217,7 @@ def _coverage(model: Any, records: Records) -> dict[str, Any]:
     truth = dict(records.parameters)
     known = builtin()
     for one in records.hidden:
-        if one.name not in known:  # a law that no effect of the dictionary describes
+        if one.name not in known or not one.exact:  # no parameter of the dictionary's law is exactly this one
             continue
         here = Placed(known[one.name], one.at)
         for parameter in here.effect.parameters:
@@ -216,6 +232,8 @@ def _coverage(model: Any, records: Records) -> dict[str, Any]:
         if not low <= truth[name] <= high:
             half = 0.5 * (high - low)
             outside.append(f"{name} ({(model.values[name] - truth[name]) / half:+.2g})" if half > 0 else name)
+    outside += [f"{name} (not there)" for name in sorted(strangers)]
+    count += len(strangers)
     return {"covered": count - len(outside), "intervals": count, "outside_interval": "; ".join(outside)}
 
 

@@ -1,20 +1,20 @@
-"""The run of a study: rows in worker processes that stay alive, each row stored as it comes, then the tables."""
+"""The run of a study: each record a job, each row stored as it comes, then the tables."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from harness.errors import InputError
+from harness.jobs import Desk, make_engine, run_jobs
 from harness.study.plan import BASES, PLANTS, Task, plan
 from harness.study.records import SAMPLES
 from harness.study.row import do_row
 from harness.study.store import RowStore
-from harness.workers import death, worker_pool
 
 __all__ = ["PICTURE", "SUMMARY", "StudyResult", "study"]
 
@@ -58,10 +58,11 @@ def study(
     records: int | None = None,
     plants: Sequence[str] = PLANTS,
     workers: int = 2,
-    cells: int = 2,
-    alarms: int = 300,
+    cells: int = 4,
+    alarms: int = 400,
     budget: float | None = None,
     samples: int = SAMPLES,
+    engine: str = "local",
     resume: bool = False,
     force: bool = False,
     progress: Progress | None = None,
@@ -91,6 +92,8 @@ def study(
         Minutes after which no more rows are begun.
     samples : int
         Of one record at 250 Hz; shorter ones than 20 s are for a quick look, not for the figures.
+    engine : str
+        ``"local"`` or ``"dask://HOST:PORT"``.
     resume : bool
         Keep the rows of the folder and do the others.
     force : bool
@@ -116,12 +119,12 @@ def study(
             raise InputError(name, expected="at least 1", got=str(value), remedy="raise it")
     if budget is not None and not budget > 0:
         raise InputError("budget", expected="minutes above 0", got=str(budget), remedy="raise it")
+    made = make_engine(engine, workers)
     base = BASES[seeds]
     tasks = plan(which, base=base, plants=plants, records=records, cells=cells, alarms=alarms)
     folder = Path(out)
     store = RowStore(folder, resume=resume, force=force)
-    began = time.monotonic()
-    end = None if budget is None else began + 60 * budget
+    end = None if budget is None else time.time() + 60 * budget
 
     def told(task: Task | None) -> None:
         if progress is not None:
@@ -135,16 +138,20 @@ def study(
         scratch.replace(folder / SUMMARY)
         return text
 
+    def moved(title: str, jobs: Sequence[str]) -> None:
+        for job in jobs:
+            if store.take(job):
+                told(by_job[job])
+
+    left = [StudyJob(one, samples, end) for one in tasks if one.key not in store.rows]
+    by_job = {own.jobs[0]: own.task for own in left}
     told(None)
     try:
-        left = [one for one in tasks if one.key not in store.rows]
-        _pooled([one for one in left if one.study != "cost"], workers, store, end, told, samples)
-        for task in (one for one in left if one.study == "cost"):
-            if end is not None and time.monotonic() > end:
-                break
-            store.add(do_row(task, samples=samples, workers=2))
-            told(task)
+        run_jobs([own for own in left if own.task.study != "cost"], store.shards, engine=made, moved=moved)
+        # what is timed runs alone
+        run_jobs([own for own in left if own.task.study == "cost"], store.shards, workers=1, moved=moved)
     finally:
+        store.close()
         text = save()
     from harness.study.picture import confusion_picture
 
@@ -153,44 +160,56 @@ def study(
     return StudyResult(folder, rows, text, len(tasks), sum(one.key in store.rows for one in tasks))
 
 
-def _pooled(
-    tasks: Sequence[Task],
-    workers: int,
-    store: RowStore,
-    end: float | None,
-    told: Callable[[Task | None], None],
-    samples: int,
-) -> None:
-    """Run tasks in a pool of processes; store each row as it comes."""
-    if not tasks:
-        return
-    waiting: dict[Any, Task] = {}
-    queue = iter(tasks)
-    with worker_pool(min(workers, len(tasks))) as pool:
-        more = True
-        while more or waiting:
-            # No more than one waits: what is begun is finished, so the budget ends within a row's time.
-            while more and len(waiting) < workers:
-                task = next(queue, None)
-                more = task is not None and (end is None or time.monotonic() < end)
-                if task is not None and more:
-                    waiting[pool.schedule(do_row, args=[task], kwargs={"samples": samples}, timeout=LIMIT)] = task
-            finished, _ = wait(list(waiting), timeout=1.0, return_when=FIRST_COMPLETED)
-            for future in finished:
-                task = waiting.pop(future)
-                store.add(_result(future, task))
-                told(task)
+@dataclass(frozen=True)
+class StudyJob:
+    """One row of a study as a batch of one job; see :class:`harness.jobs.Batch`.
 
+    Parameters
+    ----------
+    task : Task
+    samples : int
+        Of one record.
+    end : float, optional
+        Instant (``time.time()``) from which on no row is begun: the job then leaves an empty shard.
+    """
 
-def _result(future: Any, task: Task) -> dict[str, Any]:
-    """Return the row of a finished task; a worker that died or was ended is a row with its reason."""
-    error = future.exception()
-    if error is None:
-        row: dict[str, Any] = future.result()
-        return row
-    late = isinstance(error, TimeoutError)
-    return {
-        **task.columns(),
-        "status": "timeout" if late else "crashed",
-        "reason": f"took longer than {LIMIT:g} s" if late else death(error),
-    }
+    task: Task
+    samples: int
+    end: float | None
+
+    @property
+    def title(self) -> str:
+        """What the progress calls it."""
+        return self.task.key
+
+    @property
+    def jobs(self) -> tuple[str, ...]:
+        """The one job: a hash of the key."""
+        return (hashlib.sha256(self.task.key.encode()).hexdigest()[:20],)
+
+    @property
+    def time_limit(self) -> float:
+        """Seconds for the row."""
+        return LIMIT
+
+    def only(self, jobs: Sequence[str]) -> StudyJob:
+        """Return the batch: it has one job only."""
+        return self
+
+    def lost(self, job: str, status: str, reason: str, *, shared: bool) -> bytes:
+        """Return the row of a record that broke its worker."""
+        row = self.task.columns() | {
+            "status": status,
+            "reason": f"the diagnosis {reason}" if status == "timeout" else reason,
+        }
+        return json.dumps(row).encode()
+
+    def work(self, desk: Desk) -> None:
+        """Do the row, unless the time is up."""
+        (job,) = self.jobs
+        if self.end is not None and time.time() > self.end:
+            desk.put(job, json.dumps({}).encode())
+            return
+        with desk.job(job):
+            row = do_row(self.task, samples=self.samples)
+        desk.put(job, json.dumps(row).encode())

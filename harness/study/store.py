@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
+import json
 import os
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from harness.errors import InputError
+from harness.jobs import shard_file
 from harness.study.row import COLUMNS
 
 __all__ = ["ROWS", "RowStore", "read_rows"]
 
 ROWS = "rows.csv"
+LATER = ("shape", "structure", "input_noise", "cpu_cold_s")
+"""Columns that rows of earlier versions do not have: read as empty."""
 AGAIN = ("crashed", "timeout")
 """What a resumed study tries once more."""
 
@@ -39,7 +45,7 @@ class RowStore:
 
     def __init__(self, folder: Path, *, resume: bool = False, force: bool = False) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self.path = folder / ROWS
+        self.path, self.shards = folder / ROWS, folder / "shards"
         if self.path.exists() and not (resume or force):
             raise InputError(
                 "the folder holds a study",
@@ -51,12 +57,34 @@ class RowStore:
         self.rows: dict[str, dict[str, str]] = {}
         if self.path.exists() and resume and not force:
             self.rows = {key: row for key, row in read_rows(self.path).items() if row["status"] not in AGAIN}
+        if force:
+            shutil.rmtree(self.shards, ignore_errors=True)
+        self.shards.mkdir(exist_ok=True)
         # Written anew: the line at which a run was killed may be half there.
         scratch = self.path.with_name(ROWS + ".part")
         scratch.write_text(
             "".join(map(_line, [dict(zip(COLUMNS, COLUMNS, strict=True)), *self.rows.values()])), "utf-8"
         )
         scratch.replace(self.path)
+        for path in sorted(self.shards.glob("*.json")):  # of a run that ended before it had taken them
+            if json.loads(path.read_bytes()).get("status") in AGAIN:
+                path.unlink()
+            else:
+                self.take(path.stem)
+
+    def take(self, job: str) -> bool:
+        """Take over the shard of a job that has run; return False for an empty one, of a row that was not begun."""
+        shard = shard_file(self.shards, job)
+        row = json.loads(shard.read_bytes())
+        if row:
+            self.add(row)
+        shard.unlink()
+        return bool(row)
+
+    def close(self) -> None:
+        """Put the folder of the shards away; one that still has some stays."""
+        with contextlib.suppress(OSError):
+            self.shards.rmdir()
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Append a row and see that it is on the disk."""
@@ -84,7 +112,7 @@ def read_rows(path: Path) -> dict[str, dict[str, str]]:
         ) from error
     whole = text if text.endswith("\n") else text[: text.rfind("\n") + 1]
     reader = csv.DictReader(io.StringIO(whole))
-    missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+    missing = [name for name in COLUMNS if name not in (*(reader.fieldnames or ()), *LATER)]
     if missing:
         raise InputError(
             "rows of a study",
@@ -93,7 +121,7 @@ def read_rows(path: Path) -> dict[str, dict[str, str]]:
             remedy="rows of another version: begin anew in a new folder",
             file=path,
         )
-    return {row["key"]: {name: row[name] or "" for name in COLUMNS} for row in reader if row["key"]}
+    return {row["key"]: {name: row.get(name) or "" for name in COLUMNS} for row in reader if row["key"]}
 
 
 def _line(row: Mapping[str, str]) -> str:

@@ -6,14 +6,34 @@
 
    Coordinate 0 is driven: the angle of the pendulum or the position of the cart. p[] is indexed by the enum that is
    put before this text; a name that ends in 0 or 1 belongs to that coordinate. State: q0 q1 v0 v1, motor angle and
-   rate, hysteresis of both coordinates, Maxwell element of both. */
+   rate, hysteresis of both coordinates, Maxwell element of both, bristles of both, slip elements of both.
+
+   Other formulations of the same effects, as hardware has them: bristles (LuGre, Canudas de Wit et al. 1995; Dahl 1968
+   is the same without damping and Stribeck) instead of a standstill, slip elements in parallel (Iwan 1966) as the
+   hysteresis of a gear, a logarithmic law (Eyring 1936) as sub-linear friction, contacts after Hunt & Crossley 1975, a
+   flexible joint that hardens, a motor with inductance, back-EMF, current and voltage limits under a current
+   controller, a command that is sampled and held by a slower clock, a payload that is taken up in a while. */
 #include <math.h>
 
-enum { NX = 10, MOTOR = 4, RATE = 5, HYST = 6, MAXWELL = 8 };
+enum { SLIPS = 4, NX = 20, MOTOR = 4, RATE = 5, HYST = 6, MAXWELL = 8, BRISTLE = 10, SLIP = 12 };
 #define AT(name, i) p[name##0 + (i) * (P_b1 - P_b0)]
 
 static double sign(double x) { return (x > 0) - (x < 0); }
 static double play(double x, double gap) { return fabs(x) <= gap ? 0 : x - copysign(gap, x); }
+
+/* Share of a payload that has been taken up so long after its instant. */
+static double taken(double since, double ramp)
+{
+    if (since < 0) return 0;
+    return since >= ramp ? 1 : since / ramp;
+}
+
+/* Force of a contact, stiffness at the penetration `scale`; the damping is that of the material, and never pulls. */
+static double hunt(double stiffness, double beyond, double v, double scale)
+{
+    const double force = stiffness * beyond * sqrt(fabs(beyond) / scale), rate = v * sign(beyond);
+    return force * fmax(0, 1 + 0.4 * rate / (10 * scale));
+}
 
 /* What the joint of coordinate i carries across its motion. */
 static double carried(const double *p, int i, const double *x)
@@ -36,6 +56,21 @@ static double level(const double *p, int i, double side, const double *x)
     return value > 0 ? value : 0;
 }
 
+/* Elements in parallel, each a spring that slips at a length of its own: in (-1, 1). */
+static double slip(const double *p, int i, const double *x, double *dx)
+{
+    static const double length[SLIPS] = {0.3, 0.7, 1.3, 2.2};
+    const double v = x[2 + i];
+    double sum = 0;
+    for (int j = 0; j < SLIPS; j++) {
+        const int at = SLIP + SLIPS * i + j;
+        const double z = x[at];
+        sum += fmax(-1, fmin(1, z)) / SLIPS;
+        dx[at] = fabs(z) >= 1 && z * v > 0 ? 0 : v / (length[j] * AT(P_xs, i));
+    }
+    return sum;
+}
+
 /* Force on coordinate i without dry friction; dx of the hidden states of that coordinate. */
 static double force(const double *p, int i, const double *x, double *dx, double u, double t)
 {
@@ -45,18 +80,30 @@ static double force(const double *p, int i, const double *x, double *dx, double 
     f -= AT(P_A, i) * cos(q);
     f += AT(P_cog, i) * sin(AT(P_cogk, i) * q + AT(P_cogphi, i));
     f += AT(P_per, i) * sin(AT(P_perw, i) * t + AT(P_perphi, i));
+    f -= AT(P_und, i) * cos(q) * v;
     const double beyond = play(q, AT(P_stop, i));
-    if (beyond != 0) f -= AT(P_ks, i) * beyond + AT(P_ds, i) * v;
-    const double z = x[HYST + i];
-    f -= AT(P_Fh, i) * z;
-    dx[HYST + i] = (v - 0.5 * fabs(v) * z - 0.5 * v * fabs(z)) / AT(P_xs, i);
+    if (beyond != 0 && AT(P_hunt, i) == 0) f -= AT(P_ks, i) * beyond + AT(P_ds, i) * v;
+    if (beyond != 0 && AT(P_hunt, i) > 0) f -= hunt(AT(P_ks, i), beyond, v, AT(P_hunt, i));
+    if (AT(P_slip, i) > 0)
+        f -= AT(P_Fh, i) * slip(p, i, x, dx);
+    else {
+        const double z = x[HYST + i];
+        f -= AT(P_Fh, i) * z;
+        dx[HYST + i] = (v - 0.5 * fabs(v) * z - 0.5 * v * fabs(z)) / AT(P_xs, i);
+    }
+    if (AT(P_bs, i) > 0) { /* bristles of this stiffness and damping carry the dry friction */
+        const double g = level(p, i, v, x), z = x[BRISTLE + i];
+        dx[BRISTLE + i] = g > 0 ? v - AT(P_bs, i) * fabs(v) / g * z : 0;
+        f -= AT(P_bs, i) * z + AT(P_bd, i) * dx[BRISTLE + i];
+    }
     const double m = x[MAXWELL + i];
     f -= AT(P_km, i) * m;
     dx[MAXWELL + i] = v - m / AT(P_taum, i);
-    f -= AT(P_root, i) * sign(v) * sqrt(fabs(v)) + AT(P_even, i) * v * v + AT(P_vdp, i) * q * q * v;
+    f -= AT(P_root, i) * (AT(P_rootv, i) > 0 ? asinh(v / AT(P_rootv, i)) : sign(v) * sqrt(fabs(v)));
+    f -= AT(P_even, i) * v * v + AT(P_vdp, i) * q * q * v;
     f += AT(P_ripple, i) * u * cos(5 * q);
     if (t >= AT(P_stept, i)) f += AT(P_stepf, i);
-    if (t >= AT(P_t0, i)) f -= AT(P_dG, i) * sin(q);
+    f -= AT(P_dG, i) * taken(t - AT(P_t0, i), p[P_ramp]) * sin(q);
     return f;
 }
 
@@ -68,7 +115,8 @@ static void equations(const double *p, const double *x, double *dx, double u, do
     double drive = u;
     if (p[P_kt] > 0) {
         const double e = x[MOTOR] - x[0], contact = play(e, p[P_gap]);
-        drive = contact != 0 ? p[P_kt] * contact + p[P_dt] * (x[RATE] - x[2]) : 0;
+        drive = contact != 0 ? p[P_kt] * contact * (1 + p[P_hard] * contact * contact) + p[P_dt] * (x[RATE] - x[2]) : 0;
+        if (p[P_push] > 0 && drive * contact < 0) drive = 0; /* flanks push and never pull */
         dx[MOTOR] = x[RATE];
         dx[RATE] = (u - drive) / p[P_Jm];
     } else
@@ -78,15 +126,16 @@ static void equations(const double *p, const double *x, double *dx, double u, do
     if (!two) {
         f[0] -= p[P_mgl] * sin(x[0] + tilt);
         m[0] = p[P_J], m[1] = 0, m[2] = 1;
-        dx[HYST + 1] = dx[MAXWELL + 1] = 0;
+        dx[HYST + 1] = dx[MAXWELL + 1] = dx[BRISTLE + 1] = 0;
+        for (int j = 0; j < SLIPS; j++) dx[SLIP + SLIPS + j] = 0;
     } else {
         const double ml = p[P_mp] * p[P_l];
         f[0] += ml * sin(x[1]) * x[3] * x[3] - (p[P_mc] + p[P_mp]) * g * sin(tilt);
         f[1] = force(p, 1, x, dx, u, t) - ml * g * sin(x[1] + tilt);
-        m[0] = p[P_mc] + p[P_mp], m[1] = ml * cos(x[1]), m[2] = ml * p[P_l];
-        if (t >= p[P_t01]) m[2] += p[P_dJ1];
+        m[0] = p[P_mc] + p[P_mp], m[1] = ml * cos(x[1]), m[2] = ml * p[P_l] * (1 + p[P_rod]);
+        m[2] += p[P_dJ1] * taken(t - p[P_t01], p[P_ramp]);
     }
-    if (t >= p[P_t00]) m[0] += p[P_dJ0];
+    m[0] += p[P_dJ0] * taken(t - p[P_t00], p[P_ramp]);
 }
 
 /* mode: 0 free of dry friction, +-1 sliding, 2 stuck. */
@@ -130,7 +179,7 @@ static void choose(const double *p, const double *x, double u, double t, int *mo
     const int n = p[P_dof] > 1.5 ? 2 : 1;
     mode[0] = mode[1] = 0;
     for (int i = 0; i < n; i++)
-        if (level(p, i, 1, x) > 0 || level(p, i, -1, x) > 0) mode[i] = x[2 + i] > 0 ? 1 : x[2 + i] < 0 ? -1 : 2;
+        if (AT(P_bs, i) == 0 && (level(p, i, 1, x) > 0 || level(p, i, -1, x) > 0)) mode[i] = x[2 + i] > 0 ? 1 : x[2 + i] < 0 ? -1 : 2;
     for (int i = 0; i < n; i++) {
         if (mode[i] != 2) continue;
         double m[3], f[2], dx[NX];
@@ -177,19 +226,32 @@ __attribute__((visibility("default"))) int simulate(const double *p, const doubl
              double *states, double *readings, double *passed)
 {
     double x[NX] = {start[0], start[1], start[2], start[3], start[0], start[2]};
+    double current = u[0], integral = u[0]; /* of the motor, in units of its torque */
+    const long held = p[P_hold] > h ? lround(p[P_hold] / h) : 1;
     const long late = lround(p[P_delay] / h), sensor[2] = {lround(p[P_sdelay0] / h), lround(p[P_sdelay1] / h)};
     const double share = p[P_tau] > 0 ? 1 - exp(-h / p[P_tau]) : 1;
     double z = u[0];
     for (int k = 0; k < n; k++)
         for (int i = 0; i < 2; i++) readings[2 * k + i] = start[i];
     for (long s = 0; s < (long)n * substeps; s++) {
-        const long k = s / substeps, command = s - late < 0 ? 0 : (s - late) / substeps;
+        const long k = s / substeps, seen = s / held * held - late, command = seen < 0 ? 0 : seen / substeps;
         for (int i = 0; i < 2; i++) {
             const long at = s + sensor[i];
             if (at % substeps == 0 && at / substeps < n) readings[2 * (at / substeps) + i] = x[i];
         }
         double f = play(u[command], p[P_width]);
+        f *= 1 - p[P_droop] * fabs(f);
         if (fabs(f) > p[P_limit]) f = copysign(p[P_limit], f);
+        if (p[P_te] == 0 && p[P_volt] < 1e29) /* no inductance: the back-EMF leaves less voltage at speed */
+            f = fmax(-p[P_volt] - p[P_emf] * x[2], fmin(p[P_volt] - p[P_emf] * x[2], f));
+        if (p[P_te] > 0) { /* inductance and back-EMF, under a PI current controller with a bounded voltage */
+            const double error = f - current, voltage = p[P_loop] * error + integral;
+            const double bounded = fmax(-p[P_volt], fmin(p[P_volt], voltage));
+            if (bounded == voltage) integral += h * p[P_loop] / p[P_te] * error;
+            const double old = current;
+            current += (1 - exp(-h / p[P_te])) * (bounded - current - p[P_emf] * x[2]);
+            f = 0.5 * (old + current);
+        }
         const double change = share * (f - z), most = p[P_R] * h;
         const double old = z;
         z += fabs(change) > most ? copysign(most, change) : change;

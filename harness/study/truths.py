@@ -43,6 +43,16 @@ _COMMON = {
     "R": _LARGE,
     "tau": 0.0,
     "gain": 1.0,
+    "ramp": 0.0,
+    "hard": 0.0,
+    "push": 0.0,
+    "rod": 0.0,
+    "hold": 0.0,
+    "droop": 0.0,
+    "te": 0.0,
+    "loop": 0.0,
+    "volt": _LARGE,
+    "emf": 0.0,
 }
 _EACH = {
     "b": 0.0,
@@ -84,6 +94,12 @@ _EACH = {
     "pphi": 0.0,
     "mu": 0.0,
     "sdelay": 0.0,
+    "und": 0.0,
+    "hunt": 0.0,
+    "slip": 0.0,
+    "bs": 0.0,
+    "bd": 0.0,
+    "rootv": 0.0,
 }
 _VALUES = {**_COMMON, **{f"{name}{i}": value for i in (0, 1) for name, value in _EACH.items()}}
 

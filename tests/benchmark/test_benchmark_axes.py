@@ -102,9 +102,65 @@ def test_a_plan_counts_and_estimates_without_running(suite: Path, tmp_path: Path
     assert after.seconds is not None
     assert after.seconds > 0
     assert "6 cells to run, 6 already there; about" in str(after)
+    assert plan(suite, out=tmp_path / "new", workers=2).seconds == pytest.approx(2 * after.seconds), "from beside it"
     log = (tmp_path / "out" / "bench.log").read_text().splitlines()
     assert len(log) == 6
     assert all(" ok " in line for line in log)
+
+
+def test_before_anything_has_run_a_plan_goes_by_what_the_suite_states(tmp_path: Path) -> None:
+    path = tmp_path / "stated.toml"
+    path.write_text("cell_seconds = 3.0\n" + SUITE)
+    found = plan(path, out=tmp_path / "out", workers=2)
+    assert (found.seconds, found.declared) == (None, 3.0 * 4 / 2)
+    assert "about 6 s, by the mean time of a cell that the suite states" in str(found)
+
+
+def test_rows_are_filtered_by_the_values_of_columns(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    out = tmp_path / "out"
+    bench(suite, out=out, workers=1, traces="none")
+    found = query(out, filters={"identifier": "arx", "seed": 1})
+    assert len(found) == 3
+    assert {(row["identifier"], row["seed"]) for row in found.records()} == {("arx", 1)}
+    assert query(out, "select count(*) as n from timings", filters={"identifier": "arx"}).records() == [{"n": 6}]
+    with pytest.raises(InputError, match="a column: plant"):
+        query(out, filters={"identifer": "arx"})
+    with pytest.raises(InputError, match="int64"):
+        query(out, filters={"seed": "first"})
+    from harness.command import main
+
+    with pytest.raises(SystemExit) as left:
+        main(["query", str(out), "--filter", "identifier=hold", "--filter", "seed=0"])
+    assert not left.value.code
+    printed = capsys.readouterr().out
+    assert printed.count("hold") == 3
+    assert "arx" not in printed
+    assert "log_score" not in printed, "a column without a value is not shown"
+
+
+def test_an_older_store_is_read_and_one_of_another_format_is_refused_by_name(suite: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    bench(suite, out=out, workers=1)
+    from pyarrow import parquet
+
+    # as a version before these columns and tables would have written it
+    (out / "traces.parquet").unlink()
+    results = parquet.read_table(out / "results.parquet")
+    older = results.drop_columns(["log_score", "coverage", "control_score", "axes", "axis_values"])
+    parquet.write_table(older, out / "results.parquet")
+    read = table(out)
+    assert len(read.rows) == 12
+    assert {row.axes for row in read.rows} == {()}
+    assert len(query(out, "select * from results")) == 12
+    manifest = out / "bench.json"
+    text = manifest.read_text()
+    manifest.write_text(text.replace("sysid-harness/bench/1", "sysid-harness/bench/7"))
+    for read_it in (table, query):
+        with pytest.raises(InputError, match=r"sysid-harness/bench/7, written by sysid-harness 0\."):
+            read_it(out)
+    manifest.write_text(text[:40])
+    with pytest.raises(InputError, match="no JSON"):
+        table(out)
 
 
 def test_questions_reach_half_finished_runs_and_nothing_else(suite: Path, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ scenarios = [{ id = "random-policy", options = { samples = 600 } }]
 identifiers = [
   { id = "mdp-counting", options = { prior = 0.5 } },
   { id = "mdp-counting", label = "no prior", options = { prior = 0.0 } },
+  { id = "mdp-online" },
 ]
 [[groups]]
 plants = [{ id = "linear-ode" }]
@@ -45,9 +46,19 @@ def test_a_model_of_probabilities_has_a_log_score_and_coverage(result):
     assert rows["no prior"].coverage is not None
 
 
+def test_an_online_identifier_of_probabilities_has_a_regret_in_log_loss(result):
+    rows = {row.identifier: row for row in result.rows}
+    online = rows["mdp-online"]
+    assert online.status == "ok"
+    assert online.log_regret > 0
+    assert online.average_log_regret == pytest.approx(online.log_regret / (online.samples - 1))
+    assert rows["mdp-counting"].log_regret is None
+
+
 def test_the_columns_stand_in_every_form_of_the_table(result):
     for text in (render(result, "markdown"), render_html(result)):
         assert "90 % sets hold" in text
+        assert "log regret" in text
     assert r"90 \% sets hold" in render(result, "latex")
     assert "log_score_median" in render(result, "csv")
 

@@ -75,6 +75,19 @@ def test_ranks_come_from_places_with_the_same_identifiers() -> None:
     assert made.groups() == []
 
 
+def test_over_the_floor_is_paired_with_the_floor_of_the_same_seed() -> None:
+    own = rows({"a": [0.2, 0.4, 0.9]})
+    for row, floor in zip(own, (0.1, 0.4, 0.3), strict=True):
+        row.noise_floor = floor
+    (line,) = summarise(own)
+    assert line.over_floor is not None
+    assert line.over_floor.median == pytest.approx(2.0)
+    own[0].noise_floor = None
+    (line,) = summarise(own)
+    assert line.over_floor is not None
+    assert line.over_floor.median == pytest.approx(2.0)
+
+
 def test_summaries_mark_the_leaders_but_never_the_truth() -> None:
     found = summarise(rows({"true-model": [0.5] * 6, "a": [1.0] * 6, "b": [1.0] * 5 + [None], "c": [3.0] * 6}))
     assert {line.identifier: line.leading for line in found} == {"true-model": False, "a": True, "b": True, "c": False}
@@ -85,10 +98,10 @@ def test_tables_for_papers() -> None:
     own = rows({"a_1": [1.0, 2.0, 3.0, 4.0, 5.0], "b|2": [None] * 5})
     result = BenchResult("s", tuple(own), 10, None, {}, (("p", "s", "a_1"), ("p", "s", "b|2")))
     markdown = render(result, "markdown").splitlines()
-    assert "| p | s | a_1 | 5/5 |  | **3 [2, 4]** | 0.01 |" in markdown[2]
+    assert "| p | s | a_1 | 5/5 |  | **3 [2, 4]** | 0.01 | 300 |" in markdown[2]
     assert "b\\|2" in markdown[3]
     assert "diverged" in markdown[3]
-    assert all(line.replace("\\|", "").count("|") == 10 for line in markdown)
+    assert all(line.replace("\\|", "").count("|") == 11 for line in markdown)
     latex = render(result, "latex")
     assert r"a\_1 & 5/5 &  & \textbf{3 [2, 4]}" in latex
     assert latex.count("{") == latex.count("}")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from harness import api, registry
@@ -171,6 +173,35 @@ def test_a_unit_in_brackets_is_no_markup(tmp_path: Path, capsys: pytest.CaptureF
         main(["identify", str(tmp_path / "run.csv"), "--model", "pendulum", "--identifier", "hold"])
     assert caught.value.code == 0
     assert "rad)" in capsys.readouterr().out
+
+
+def test_linear_fits_print_coefficients_intervals_rank_and_order(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    u, y = rng.normal(size=300), np.zeros(300)
+    for k in range(299):
+        y[k + 1] = 0.8 * y[k] + u[k] + 0.05 * rng.normal()
+    np.savetxt(
+        tmp_path / "run.csv", np.column_stack([np.arange(300) * 0.1, u, y]), "%.9f", ",", header="t,u,y", comments=""
+    )
+    (tmp_path / "dataset.toml").write_text(
+        'name = "a lag"\nsample_time = 0.1\n[time]\ncolumn = "t"\n[signals.u]\nrole = "input"\nunit = "V"\n'
+        '[signals.y]\nrole = "output"\nunit = "m"\n[[runs]]\nfile = "run.csv"\n'
+    )
+    said = {}
+    for name in ("arx", "ho-kalman", "stlsq"):
+        with pytest.raises(SystemExit) as caught:
+            main(["identify", str(tmp_path / "dataset.toml"), "--identifier", name])
+        assert caught.value.code == 0
+        said[name] = capsys.readouterr().out
+    assert re.search(r"y on u = 1\.\d+ m/V \[0\.9\d+, 1\.0\d+\]", said["arx"])
+    assert "rank 3 of 3" in said["arx"]
+    assert "condition number" in said["arx"]
+    assert "1 state, spectral radius 0.8" in said["arx"]
+    assert "Hankel singular values" in said["ho-kalman"]
+    assert "noise alone up to" in said["ho-kalman"]
+    assert "y' = " in said["stlsq"]
 
 
 def test_a_narrow_terminal_still_shows_every_word(monkeypatch: pytest.MonkeyPatch, capsys) -> None:

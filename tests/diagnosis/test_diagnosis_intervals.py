@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.intervals import _blocks, block_interval, correlation_samples
+from harness.diagnosis.search.robust import robust_covariance
 from harness.physics import load_model
 from harness.physics.windows import Windows
 from harness.signals import PlantSpec, Trajectory
@@ -167,3 +168,18 @@ def test_windows_tell_what_their_initial_states_can_do() -> None:
     for basis, part in zip(found.starts, np.split(found.jacobian, 2), strict=True):
         assert basis.T @ basis == pytest.approx(np.eye(2), abs=1e-9)
         assert np.abs(basis.T @ part).max() < 1e-9 * np.abs(part).max()
+
+
+def test_intervals_of_free_runs_hold_the_truth_though_their_errors_are_coloured() -> None:
+    """Least squares of a slow and a fast column under an error that lasts 20 samples, 200 times."""
+    rng, held = np.random.default_rng(0), np.zeros(2)
+    n, fade = 1500, 0.95
+    t = np.arange(n)
+    j = np.stack([np.sin(0.02 * t), np.sin(1.3 * t)], axis=1)
+    for _ in range(200):
+        e = lfilter([1.0], [1.0, -fade], rng.normal(size=n + 200))[200:]
+        change = np.linalg.lstsq(j, e, rcond=None)[0]
+        covariance = robust_covariance([(e - j @ change)[:, None]], [j[:, None, :]], 4, np.array([1e-9]))
+        held += np.abs(change) < 1.96 * np.sqrt(np.diag(covariance))
+    assert (held >= 180).all()  # as if independent: 20 % and 100 %
+    assert (held <= 198).all()

@@ -17,7 +17,10 @@ def test_a_row_of_the_page_is_made_again(tmp_path: Path) -> None:
     assert spec.loader is not None
     maker = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(maker)
-    printed = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8").split(maker.BEGIN)[1].split(maker.END)[0]
+    pages = [page.read_text(encoding="utf-8").split(maker.BEGIN)[1].split(maker.END)[0] for page in maker.PAGES]
+    printed = pages[0]
+    assert pages == [printed] * 2
+    assert (ROOT / "README.md") in maker.PAGES
     (group,) = [group for group in load_suite("quick").groups if group.name == "linear"]
     scenario = next(part for part in group.scenarios if part.name == "prbs")
     options = ", ".join(f"{key} = {value}" for key, value in scenario.options.items())

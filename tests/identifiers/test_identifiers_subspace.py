@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from harness import api
 from harness.errors import FitError
 from harness.scoring import equation_error, simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
@@ -228,3 +229,57 @@ def test_unstable_fits_are_made_stable_at_no_cost():
         errors.append(relative(of_model(stable, 59), true) / relative(of_model(plain, 59), true))
     assert 4 <= unstable <= 36
     assert np.median(errors) < 1.05
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3, 1e-2, 0.1])
+@pytest.mark.parametrize("samples", [400, 4000])
+def test_an_input_that_hardly_excites_the_highest_frequency_gives_no_state_that_grows(noise, samples):
+    """A PRBS that holds every level two samples: plain least squares leaves a state near -1 there, often beyond it."""
+    a = np.array([[0.9, 0.3, 0.0], [-0.2, 0.85, 0.1], [0.0, 0.0, 0.6]])
+    b, c = np.array([[0.0], [0.2], [1.0]]), np.array([[1.0, 0.0, 0.0]])
+    true, radii = response(a, b, c, 59), []
+    for seed in range(3):
+        rng = np.random.default_rng([seed, samples])
+        u = np.repeat(rng.choice([-1.0, 1.0], size=(samples // 2, 1)), 2, axis=0)
+        x = np.zeros((samples, 3))
+        for k in range(samples - 1):
+            x[k + 1] = a @ x[k] + b @ u[k]
+        y = x @ c.T
+        y = y + noise * y.std() * rng.normal(size=y.shape)
+        data = Trajectory(np.arange(samples) * 0.1, u, y, PlantSpec((Channel("u"),), (Channel("y"),), 0.1))
+        model = HoKalman(markov=60).fit([data], rng=RNG)
+        radii.append(np.abs(model.eigenvalues).max())
+        assert model.notes["hankel_noise"] > 0
+        assert relative(of_model(model, 59), true) < 2.0 * max(noise, 0.005)
+    assert max(radii) < 1.0
+
+
+@pytest.mark.parametrize("noise", [1e-3, 1e-2])
+def test_four_poles_under_such_an_input_are_found_where_plain_least_squares_finds_a_fifth_that_grows(noise):
+    shown, held = (
+        api.simulate(
+            "linear-ode",
+            scenario="prbs",
+            scenario_options={"samples": 2000, "hold": 2, "amplitude": 1.0, "noise": noise},
+            seed=1,
+            role=role,
+        )
+        for role in ("estimation/0", "test/0")
+    )
+    model = HoKalman(markov=60).fit([shown], rng=RNG)
+    assert model.notes["order"] == 4
+    assert simulation_error(model, held).nrmse[0] < 0.6 * max(noise, 5e-4) + 3e-4
+    plain = HoKalman(markov=60, regularised=False, order=5).fit([shown], rng=RNG)
+    assert np.abs(plain.eigenvalues).max() > 1.01
+    assert "the model grows" in plain.notes["warning"]
+
+
+def test_a_growing_model_that_was_asked_for_is_told():
+    warned, slow = 0, np.array([[0.998, 0.02], [-0.02, 0.998]])
+    for seed in range(12):
+        one = run(240, seed, noise=1.5, a=slow, b=B[:2], c=C[:, :2])
+        model = HoKalman(markov=60, order=3, regularised=False).fit([one], rng=RNG)
+        grows = np.abs(model.eigenvalues).max() >= 1.0
+        assert grows == ("the model grows" in model.notes.get("warning", ""))
+        warned += grows
+    assert warned

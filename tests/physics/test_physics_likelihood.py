@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -211,3 +213,46 @@ def test_the_response_of_the_innovations_is_that_of_a_changed_record() -> None:
     pushed = passes(Trajectory(data.t, data.u + 0.3, data.y, data.spec), p, [0.1, 0.0], noise)
     force = innovation_response(base, np.full((300, 1, 1), 0.3), None)
     np.testing.assert_allclose(pushed.e - base.e, force[:, :, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize(("make", "intersample"), [(pendulum, "zoh"), (cart_pole, "foh"), (oscillator, "smooth")])
+def test_derivatives_by_the_noise_are_those_of_difference_quotients(make, intersample) -> None:
+    """By logarithms of s, tau and w of every latent force, and r of every output."""
+    system = make().system()
+    data = record(system, system.vector(), np.full(system.nx, 0.1), n=300, force=0.05)
+    passes = KalmanPass(with_latent_forces(system), DT, intersample=intersample)
+    noise = some_noise(system)
+    made = passes(data, system.vector(), np.full(system.nx, 0.1), noise, by_noise=True)
+    assert made is not None
+    assert made.e_noise is not None
+    lane = 0
+    for name in ("s", "tau", "w", "r"):
+        for k in range(len(getattr(noise, name))):
+            sides = []
+            for h in (1e-5, -1e-5):
+                values = getattr(noise, name).copy()
+                values[k] *= np.exp(h)
+                sides.append(passes(data, system.vector(), np.full(system.nx, 0.1), replace(noise, **{name: values})))
+            de, ds = (sides[0].e - sides[1].e) / 2e-5, np.log(sides[0].s / sides[1].s) / 2e-5
+            # the transition is held fixed: that is all they differ by
+            for told, asked in ((made.e_noise[..., lane], de), (made.s_noise[..., lane], ds)):
+                np.testing.assert_allclose(told, asked, rtol=2e-2, atol=5e-3 * np.abs(asked).max())
+            lane += 1
+
+
+def test_the_compiled_smoother_and_response_are_those_in_python(monkeypatch) -> None:
+    system = cart_pole().system()
+    data = record(system, system.vector(), np.full(4, 0.1), n=80)
+    passed = KalmanPass(with_latent_forces(system), DT)(
+        data, system.vector(), np.full(4, 0.1), some_noise(system), keep=True
+    )
+    rng = np.random.default_rng(0)
+    forces, readings = rng.normal(size=(80, 2, 5)), rng.normal(size=(80, 2, 5))
+    asked = ((forces, readings, None), (None, readings, None), (forces, None, DT))
+    fast = smoothed(passed), [innovation_response(passed, f, r, rates_over=over) for f, r, over in asked]
+    monkeypatch.setattr("harness.physics.smoother.kernels", lambda *sizes: None)
+    slow = smoothed(passed), [innovation_response(passed, f, r, rates_over=over) for f, r, over in asked]
+    np.testing.assert_allclose(fast[0].x, slow[0].x, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(fast[0].deviation, slow[0].deviation, rtol=1e-6, atol=1e-10)
+    for one, other in zip(fast[1], slow[1], strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-12)

@@ -14,7 +14,8 @@ from harness.errors import InputError
 from harness.export.fmu import export, write_fmu
 from harness.physics.models import pendulum
 from harness.physics.output_error import fit_output_error
-from harness.physics.residual_force import LABEL, Hull, ResidualForce, learn_residual_force
+from harness.physics.residual_force import LABEL, Hull, ResidualForce
+from harness.physics.residual_learning import learn_residual_force
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run

@@ -15,6 +15,7 @@ from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from harness.testing import LinearSystem, linear_systems
 from identifiers.arx import Arx
 from identifiers.linear import StateLeastSquares
+from identifiers.prediction_error import PredictionError
 
 A = np.array([[0.9, 0.3], [-0.2, 0.85]])
 B = np.array([[0.0], [1.0]])
@@ -79,6 +80,48 @@ def test_intervals_hold_the_truth_as_often_as_they_say(identifier, process, sens
     # a coverage of 90 % would pass for each of six coefficients once in a thousand
     assert held.min() >= binom.ppf(0.001, given_, 0.93)
     assert held.mean() <= 0.995 * given_
+
+
+@pytest.mark.parametrize("kind", ["oe", "armax"])
+def test_intervals_of_prediction_error_models_hold_the_truth_in_the_units_of_the_channels(kind):
+    truth_of = {
+        "oe": {"y: b1 of u": 100.0, "y: b2 of u": 50.0, "y: f1": -1.5, "y: f2": 0.7, "y: level": 7.0},
+        "armax": {"y: a1": -1.5, "y: a2": 0.7, "y: b1 of u": 100.0, "y: b2 of u": 50.0, "y: level": 7.0},
+    }[kind]
+    spec = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), 0.1)
+    count, given_, held = 60, 0, np.zeros(len(truth_of))
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        u, x, noise = rng.normal(size=400), np.zeros(400), 0.3 * rng.normal(size=400)
+        for k in range(2, 400):
+            x[k] = 1.5 * x[k - 1] - 0.7 * x[k - 2] + u[k - 1] + 0.5 * u[k - 2] + (kind == "armax") * noise[k]
+        y = 7.0 + 100.0 * (x + (kind == "oe") * noise)
+        data = Trajectory(np.arange(400) * 0.1, u[:, None], y[:, None], spec)
+        estimate = estimate_of(PredictionError(structure=kind, order=2).fit([data], rng=rng))
+        assert estimate is not None
+        assert dict(zip(estimate.names, estimate.units, strict=True))["y: b1 of u"] == "m/V"
+        if estimate.intervals is None:
+            continue
+        given_ += 1
+        pairs = [(estimate.interval(name), value) for name, value in truth_of.items()]
+        held += [pair is not None and pair[0] <= value <= pair[1] for pair, value in pairs]
+    assert given_ >= 0.95 * count
+    assert held.min() >= binom.ppf(0.001, given_, 0.93)
+
+
+def test_output_error_under_coloured_noise_claims_no_interval():
+    rng = np.random.default_rng(0)
+    u, y, v = rng.normal(size=800), np.zeros(800), np.zeros(800)
+    for k in range(1, 800):
+        y[k] = 0.8 * y[k - 1] + u[k - 1]
+        v[k] = 0.9 * v[k - 1] + 0.2 * rng.normal()
+    data = Trajectory(
+        np.arange(800) * 0.1, u[:, None], (y + v)[:, None], PlantSpec((Channel("u"),), (Channel("y"),), 0.1)
+    )
+    estimate = estimate_of(PredictionError(order=1).fit([data], rng=rng))
+    assert estimate is not None
+    assert estimate.intervals is None
+    assert "correlated in time" in estimate.method
 
 
 def test_least_squares_on_noisy_sensors_claims_no_interval_and_instruments_do():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from harness import registry
-from harness.errors import InputError
+from harness.errors import InputError, PlantError
 from harness.rng import Streams
 from harness.rollout import run
 from scenarios.acrobot import AcrobotLqr
@@ -14,9 +14,9 @@ from scenarios.acrobot import AcrobotLqr
 OUTPUTS = [["theta1", 0], ["theta2", 0], ["theta1", 1], ["theta2", 1]]
 
 
-def held(offset: float, duration: float = 20.0):
+def held(offset: float, duration: float = 20.0, lean: float = 0.0):
     """Return the true states (N, 4) under an offset of both joints."""
-    scenario = AcrobotLqr(offset=(offset, offset), duration=duration, tilt=0.0)
+    scenario = AcrobotLqr(offset=(offset, offset), duration=duration, lean=lean, tilt=0.0)
     with registry.create("plants", "ode", model="acrobot", sample_time=0.005, outputs=OUTPUTS) as plant:
         record = run(plant, scenario, streams=Streams("acrobot", "offset", 0), role="estimation/0")
     return record.y - np.array([np.pi, 0.0, 0.0, 0.0])
@@ -38,6 +38,15 @@ def test_from_three_hundredths_on_the_posture_is_lost():
     late = np.abs(held(0.025, 25.0)[-1000:, 2:]).max()
     assert late < 0.05
     assert np.abs(held(0.035, 25.0)[-1000:, 2:]).max() > 0.5
+
+
+def test_from_the_same_start_it_is_caught_below_three_hundredths_and_falls_there():
+    """Row 7: falls from 0.03."""
+    assert np.abs(held(0.025, 15.0, 0.09)[-500:, 2:]).max() < 0.05
+    with pytest.raises(PlantError, match="fell after"):
+        held(0.03, 15.0, 0.09)
+    with pytest.raises(PlantError, match="fell after"):
+        held(0.045, 15.0)
 
 
 def test_bullets_acrobot_stays_up_without_measured_rates():

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import csv
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,23 +19,28 @@ from harness.errors import InputError
 from harness.study.leaderboard import answers_of_rows, read_answers, read_truth, score, write_answers
 from harness.study.outcome import Answer, judge_answer
 from harness.study.package import SECRET_FROM, generate, record_name
-from harness.study.plan import plan
+from harness.study.plan import BASES, plan
 from harness.study.records import make_records
 from harness.study.store import read_rows
 
 ROWS = Path(__file__).parents[2] / "docs" / "studies" / "rows.csv"
 SAMPLES = 400
+ASKED = {"records": 6, "plants": ["pendulum"], "cells": 1, "alarms": 1}
 
 
 def make(folder: Path, **options: object) -> Path:
     """Generate a few short records; return the file of the truth."""
-    asked = {"records": 6, "plants": ["pendulum"], "cells": 1, "alarms": 1, "samples": SAMPLES, **options}
+    asked = {**ASKED, "samples": SAMPLES, "workers": 1, **options}
     return generate(folder / "for-tools", truth=folder / "truth", **asked).truth  # type: ignore[arg-type]
 
 
 def test_the_records_are_those_of_the_study_and_tell_nothing(tmp_path: Path) -> None:
     known = read_truth(make(tmp_path))
-    tasks = [task for task in plan("all", base=100_000, plants=["pendulum"], cells=1, alarms=1) if task.study != "cost"]
+    tasks = [
+        task
+        for task in plan("all", base=BASES["judged"], plants=["pendulum"], cells=1, alarms=1)
+        if task.study != "cost"
+    ]
     assert set(known) == {record_name(task.key) for task in tasks[:6]}
     hidden = {effect.partition("@")[0] for row in known.values() for effect in row["truth"].split(" + ") if effect}
     assert hidden
@@ -57,6 +67,79 @@ def test_a_secret_number_makes_other_records_and_the_truth_stays_outside(tmp_pat
         make(tmp_path, secret=SECRET_FROM - 1)
     with pytest.raises(InputError, match="truth"):
         generate(tmp_path / "x", truth=tmp_path / "x" / "truth")
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return all files below a folder but the log, which has the time."""
+    files = [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".log"]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def test_killed_and_resumed_the_records_are_the_same(tmp_path: Path) -> None:
+    make(tmp_path / "undisturbed")
+    code = (
+        "import sys; from harness.study.package import generate\n"
+        f"generate(sys.argv[1], truth=sys.argv[2], samples={SAMPLES}, workers=1, **{ASKED!r})"
+    )
+    killed = tmp_path / "killed"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(killed / "for-tools"), str(killed / "truth")], start_new_session=True
+    )
+    deadline = time.monotonic() + 120
+    while len(list(killed.glob("truth/shards/*.json"))) < 2 and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert process.poll() is None, "over before it could be killed"
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not (killed / "truth" / "truth.csv").exists()
+    with pytest.raises(InputError, match="--resume"):
+        make(killed)
+    with pytest.raises(InputError, match="other records"):
+        make(killed, samples=SAMPLES + 1, resume=True)
+    seen: list[int] = []
+    make(killed, resume=True, progress=lambda done, total, what: seen.append(done))
+    assert seen[0] >= 2, "what was there is kept"
+    assert contents(killed) == contents(tmp_path / "undisturbed")
+
+
+def test_a_record_that_breaks_is_said_by_name_and_costs_no_other(tmp_path: Path) -> None:
+    tasks = [task for task in plan("all", base=100_000, plants=["pendulum"], cells=1, alarms=1) if task.study != "cost"]
+    in_the_way = tmp_path / "records" / "records" / record_name(tasks[1].key)
+    in_the_way.parent.mkdir(parents=True)
+    in_the_way.write_text("a file where the record's folder would be")
+    asked = {**ASKED, "records": 3, "samples": SAMPLES, "workers": 1}
+    package = generate(tmp_path / "records", truth=tmp_path / "truth", **asked)  # type: ignore[arg-type]
+    assert (package.made, [key for key, _ in package.failed]) == (2, [tasks[1].key])
+    assert "2 of 3 records" in str(package)
+    assert "FileExistsError" in package.failed[0][1]
+    assert tasks[1].key in (tmp_path / "truth" / "generate.log").read_text()
+    in_the_way.unlink()
+    again = generate(tmp_path / "records", truth=tmp_path / "truth", resume=True, **asked)  # type: ignore[arg-type]
+    assert (again.made, again.failed) == (3, ())
+
+
+@pytest.mark.slow
+def test_from_records_to_leaderboard_on_the_command_line(tmp_path: Path) -> None:
+    """The closed loop answers records like any other tool, through the fleet, and is judged."""
+    records, truth, run = tmp_path / "records", tmp_path / "truth", tmp_path / "run"
+    options = ["--records", "2", "--plants", "pendulum", "--cells", "1", "--alarms", "1", "--workers", "1"]
+
+    def call(*arguments: object) -> None:
+        with pytest.raises(SystemExit) as left:
+            main([str(argument) for argument in arguments])
+        assert not left.value.code
+
+    call("study", "generate", "--out", records, "--truth", truth, "--secret", 7_340_021, *options)
+    call("close-loop", records / "records.csv", "--out", run, "--workers", 1)
+    call("study", "answer", run, "-o", tmp_path / "ours.csv")
+    call("study", "score", truth / "truth.csv", tmp_path / "ours.csv", "-o", tmp_path / "board.md")
+    known, answers = read_truth(truth / "truth.csv"), read_answers(tmp_path / "ours.csv")
+    assert set(answers) == set(known)
+    (own,), _ = score(truth / "truth.csv", [tmp_path / "ours.csv"])
+    assert own.count(("not answered",)) == (0, 2)
+    hidden = {effect for row in known.values() for effect in row["truth"].split(" + ") if effect}
+    assert own.count(("right", "tied"))[0] >= 1, (hidden, answers)
+    assert "| ours |" in (tmp_path / "board.md").read_text(encoding="utf-8")
 
 
 def test_our_own_rows_are_judged_as_they_were(tmp_path: Path) -> None:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import time
+
 import pytest
 
 from harness.errors import InputError
+from harness.jobs import run_jobs
+from harness.jobs.batch import write_shard
 from harness.study import running
 from harness.study.plan import plan
 from harness.study.row import COLUMNS, do_row
@@ -43,6 +48,34 @@ def test_a_resumed_study_tries_again_what_crashed(tmp_path):
     assert list(RowStore(tmp_path, resume=True).rows) == ["k0", "k3"]
 
 
+def test_rows_that_were_not_taken_over_before_the_end_are_taken_then(tmp_path):
+    store = RowStore(tmp_path)
+    for number, status in enumerate(("ok", "crashed")):
+        write_shard(store.shards, f"job{number}", json.dumps(row(number, status=status)).encode())
+    write_shard(store.shards, "job2", b"{}")  # of a row that was not begun
+    again = RowStore(tmp_path, resume=True)
+    assert list(again.rows) == list(read_rows(tmp_path / ROWS)) == ["k0"]
+    again.close()
+    assert not again.shards.exists()
+
+
+def test_after_the_budget_no_row_is_begun(tmp_path):
+    job = running.StudyJob(plan("confusion")[0], 400, time.time() - 1)
+    run_jobs([job], tmp_path, workers=1)
+    assert [path.read_bytes() for path in tmp_path.glob("*.json")] == [b"{}"]
+
+
+def test_a_row_that_breaks_its_worker_says_so(tmp_path):
+    job = running.StudyJob(plan("confusion")[0], 400, None)
+    (name,) = job.jobs
+    store = RowStore(tmp_path)
+    write_shard(store.shards, name, job.lost(name, "timeout", "is over its time limit of 900 s", shared=False))
+    assert store.take(name)
+    found = store.rows[job.task.key]
+    assert (found["status"], found["reason"]) == ("timeout", "the diagnosis is over its time limit of 900 s")
+    assert found["seed"] == str(job.task.seed)
+
+
 def test_a_folder_with_rows_is_not_overwritten(tmp_path):
     RowStore(tmp_path).add(row(0))
     with pytest.raises(InputError, match="--resume"):
@@ -69,8 +102,10 @@ def test_the_summary_counts_what_the_rows_say():
     text = summary(rows, seeds="tuning", planned=9, keys={one["key"] for one in rows})
     assert counts(rows) == {"right": 2, "tied": 1, "wrong": 2, "flagged": 0, "missed": 1}
     assert "7 of 9 planned records done" in text
-    assert "| right or tied, nominal size | 95 % | 2 of 4 (50.0 %" in text
-    assert "| validation error within 1.1 of the oracle's | 90 % | 3 of 4" in text
+    assert "| **right, no rival tied**, without disturbance | 85 % | 1 of 4 (25.0 %" in text
+    assert "| right or tied, nominal size, without disturbance | 97 % | 2 of 4 (50.0 %" in text
+    assert "| right or tied, and its validation error within 1.1 of the oracle's | 90 % | 2 of 4" in text
+    assert "| named with confidence, and wrong | none | 1 of 4" in text
     assert "| white sensor noise alone | 2 | 1 | 97.47 % | 0 |" in text
     assert (
         "| coulomb_friction@x | cart-pole, laws, nominal, low, 0 % | cogging@x | wrong: another effect | 1.5 |" in text
@@ -101,16 +136,16 @@ def test_other_rows_of_the_folder_are_left_out():
 
 @pytest.fixture
 def quick_rows(monkeypatch):
-    """Replace the pool by rows that cost nothing; returns the keys that were asked for."""
+    """Replace the engine by rows that cost nothing; returns the keys that were asked for."""
     asked = []
 
-    def pooled(tasks, workers, store, end, told, samples):
-        for one in tasks:
-            asked.append(one.key)
-            store.add(row(0, truth="", study="none", key=one.key))
-            told(one)
+    def run_jobs(batches, shards, *, moved, **options):
+        for one in batches:
+            asked.append(one.task.key)
+            write_shard(shards, one.jobs[0], json.dumps(row(0, truth="", study="none", key=one.task.key)).encode())
+            moved(one.title, one.jobs)
 
-    monkeypatch.setattr(running, "_pooled", pooled)
+    monkeypatch.setattr(running, "run_jobs", run_jobs)
     return asked
 
 
@@ -187,4 +222,4 @@ def test_two_rows_end_to_end(tmp_path):
     assert {one["verdict"] for one in result.rows} == {"nothing_missing"}
     assert all(float(one["cpu_s"]) > 0 for one in result.rows)
     assert "2 of 2 planned records done" in (tmp_path / running.SUMMARY).read_text()
-    assert "| with 2 % coloured torque | 1 | 0 |" in result.text
+    assert "| with 2 % unknown torque | 1 | 0 |" in result.text

@@ -8,8 +8,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from harness.diagnosis.arm.coloured import Before, Coloured, fitted_error
-from harness.diagnosis.policy import ARM_POLICY, ArmPolicy
+from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy
+from harness.diagnosis.search.coloured import Before, Coloured, fitted_error
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
@@ -112,14 +112,14 @@ class RegressionForm:
         self.balance, self.policy = balance, policy
         self.nominal = balance.nominal
         self._before = {
-            use: [[Before.of(part[:, k], policy.order) for k in range(part.shape[1])] for part in parts]
+            use: [[Before.of(part[:, k], POLICY.order) for k in range(part.shape[1])] for part in parts]
             for use, parts in balance.counts.items()
         }
         equation = balance.equation(())
         first = equation.residual(equation.system.vector(), "estimation")
         spread = np.sqrt(np.mean(np.concatenate([r for r, _ in first]) ** 2, axis=0))
         self._floor = EXACT * np.maximum(spread, 1e-12)
-        self._rough = tuple(Coloured(np.zeros(policy.order), float(max(one, 1e-12))) for one in spread)
+        self._rough = tuple(Coloured(np.zeros(POLICY.order), float(max(one, 1e-12))) for one in spread)
 
     # ---- fits --------------------------------------------------------------------------------------------------------
 
@@ -174,7 +174,7 @@ class RegressionForm:
             fitted_error(
                 [r[:, k] for r in residual],
                 [one[k] for one in self._before["estimation"]],
-                self.policy.order, float(self._floor[k]), error,
+                POLICY.order, float(self._floor[k]), error,
             )
             for k, error in enumerate(errors)
         )  # fmt: skip
@@ -258,7 +258,7 @@ class RegressionForm:
         relative = [abs(p[k]) if log else 1.0 for k, log in zip(free, logs, strict=True)]
         return Fit(
             tuple(effects), system, values, tuple(names[k] for k in free),
-            len(free) + len(errors) * (self.policy.order + 1),
+            len(free) + len(errors) * (POLICY.order + 1),
             {use: self._terms(parts, use, errors) for use, parts in residual.items()},
             {names[k]: d / max(size, 1e-300) for k, d, size in zip(free, deviations, relative, strict=True)},
             frozenset(names[k] for k, log in zip(free, logs, strict=True) if log),

@@ -75,23 +75,23 @@ class FmuForm(LikelihoodForm):
 
     def resize(self, nominal: Fit) -> None:
         """Take the sizes of positions and rates from the nominal fit."""
-        self.sizes = sizes_of(self.nominal, [one for use in USES for one in self._moved(nominal)[use]])
+        self.sizes = sizes_of(self.nominal, [one for use in USES for one in self._moved(nominal, USES)[use]])
 
     # ---- what the score test needs -----------------------------------------------------------------------------------
 
     def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
         """See :class:`harness.diagnosis.search.fit.Form`."""
-        return self._pushed(fit, pushes(self.nominal, self._moved(fit), candidates, self.sizes))
+        return self._pushed(fit, pushes(self.nominal, self._moved(fit, ("estimation",)), candidates, self.sizes))
 
     def test_functions(self, fit: Fit) -> list[Column]:
         """See :class:`harness.diagnosis.search.fit.Form`."""
-        return self._pushed(fit, test_pushes(self.nominal, self._moved(fit)))
+        return self._pushed(fit, test_pushes(self.nominal, self._moved(fit, USES)))
 
-    def _moved(self, fit: Fit) -> dict[str, list[Moved]]:
-        """Return the motion of every record along the free run of a fit."""
+    def _moved(self, fit: Fit, uses: Sequence[str]) -> dict[str, list[Moved]]:
+        """Return the motion of every record of some uses along the free run of a fit."""
         simulator: Any = fit.detail.passes.simulator
         found: dict[str, list[Moved]] = {}
-        for use in USES:
+        for use in uses:
             point = fit.detail.points[use]
             found[use] = []
             for record, x0 in zip(self.records[use], point.x0, strict=True):
@@ -102,8 +102,8 @@ class FmuForm(LikelihoodForm):
 
     def _pushed(self, fit: Fit, found: Sequence[Direction]) -> list[Column]:
         """Return the columns of directions: pushes by difference quotients of runs, readings as they are."""
-        made: list[dict[str, list[FloatArray]]] = [{use: [] for use in USES} for _ in found]
-        for use in USES:
+        made = [{use: [np.zeros((0, len(one.names)))] for use in USES} for one in found]
+        for use in found[0].forces if found else ():
             passed, _ = self.paths(fit, use)
             for number, one in enumerate(passed):
                 assert isinstance(one, Run)

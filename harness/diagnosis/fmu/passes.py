@@ -64,6 +64,7 @@ class FreePass:
         *,
         columns: npt.NDArray[np.intp] | None = None,
         keep: bool = False,
+        by_noise: bool = False,
     ) -> Filtered | None:
         """Simulate a record; see :meth:`harness.physics.kalman_pass.KalmanPass.__call__`.
 
@@ -93,7 +94,11 @@ class FreePass:
         if j is not None:
             j = np.where(np.isfinite(e)[..., None], j, 0.0)
         if not keep:
-            return Filtered(e, variance, j)
+            made = Filtered(e, variance, j)
+            if by_noise:  # a free run does not depend on the noise
+                made.e_noise = np.zeros((*e.shape, self.ny))
+                made.s_noise = np.broadcast_to(2 * np.eye(self.ny), made.e_noise.shape)
+            return made
         return Run(e, variance, j, x=x, pushed=lambda extra: self._pushed(record, p, x0, extra))
 
     def _run(self, record: Trajectory, p: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -99,7 +99,8 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
     if found.evidence < policy.evidence:
         reasons.append(f"evidence {found.evidence:.1f} on the estimation records, {policy.evidence:g} asked")
     if found.validation < policy.validation_z * found.error:
-        reasons.append(f"validation gains {found.validation:.1f}, within its error of {found.error:.1f}")
+        asked = policy.validation_z * found.error
+        reasons.append(f"validation gains {found.validation:.1f}, {asked:.1f} asked ({policy.validation_z:g} errors)")
     if base is not nominal:
         whole = compared(fit, nominal, policy).total
         if found.total < policy.second_share * whole:

@@ -90,7 +90,9 @@ class Column:
         Values of the parameters in which the effect is not linear, by short name.
     names : tuple of str
         Short names of the linear ones, one for each column; ``("effect",)`` for the whole effect at ``given``.
-    estimation, validation : array (n, k)
+    estimation : array (n, k)
+    validation : array (m, k)
+        Of test functions; of an effect, which is refitted before it is judged, it may have no rows.
     """
 
     placed: Placed | None

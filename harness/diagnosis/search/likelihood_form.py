@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.policy import EFFORT
+from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.records.unfold import HIDING, unfoldings
 from harness.diagnosis.search.directions import Trace, directions, test_functions
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.fit_records import fit_from_record, fit_record, point_from_record, point_record
+from harness.diagnosis.search.robust import robust_covariance
 from harness.effects.compose import compose, recommended_substeps
 from harness.effects.effect import Placed
 from harness.effects.places import port_of
@@ -50,7 +51,8 @@ class LikelihoodForm:
     """Fits a system with effects to a data set by maximum likelihood.
 
     Equations of motion have a latent force each. A process has none, so free runs are compared: a latent force on every
-    rate, those of unmeasured levels among them, could do whatever a missing law does.
+    rate, those of unmeasured levels among them, could do whatever a missing law does. What is estimated is then what
+    makes the free run nearest, and intervals count that its error is coloured.
 
     Parameters
     ----------
@@ -80,6 +82,7 @@ class LikelihoodForm:
             longest=max(longest / LONGEST, 2 * self.dt),
         )
         self._first_noise = sensor_noise(self.records["estimation"])
+        self._floor = 1e-7 * self.noise_model.output_scale
 
     def on(self, dataset: Dataset) -> LikelihoodForm:
         """Return the same form of other data."""
@@ -182,10 +185,10 @@ class LikelihoodForm:
             ends = [one if one.converged else likelihood.maximise(one.point) for one in near[:2]]
             best = min(ends, key=lambda one: one.nll)
             best = best if best.converged else likelihood.maximise(best.point)
-            own, terms, validation = self._validated(system, passes, best, base)
+            own, outside, validation = self._validated(system, passes, best, base)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             return None
-        return self._fitted(begun.effects, system, passes, best, own, terms, validation)
+        return self._fitted(begun.effects, system, passes, best, own, outside, validation)
 
     def record(self, fit: Fit) -> dict[str, Any]:
         """Return a finished fit as plain numbers."""
@@ -206,8 +209,7 @@ class LikelihoodForm:
         outside = self._likelihood(system, "validation", passes).filtered(point)
         if best is None or outside is None:
             return None
-        terms = [-one.terms for one in outside]
-        return self._fitted(effects, system, passes, best, dict(record["own"]), terms, point)
+        return self._fitted(effects, system, passes, best, dict(record["own"]), outside, point)
 
     def fit(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
@@ -221,7 +223,7 @@ class LikelihoodForm:
         passes: Pass,
         best: LikelihoodFit,
         own: dict[str, float],
-        terms: list[FloatArray],
+        outside: list[Filtered],
         validation: Point,
     ) -> Fit:
         """Return the fit as the search wants it; initial states of the nominal model are in every candidate."""
@@ -236,7 +238,7 @@ class LikelihoodForm:
             best.parameters,
             tuple(name for name in best.names if name in names),
             len(counted),
-            {"estimation": [-one for one in best.terms], "validation": terms},
+            {"estimation": [-one for one in best.terms], "validation": [-one.terms for one in outside]},
             {name: best.deviation(name) for name in best.names if name in names},
             frozenset(name for name, log in zip(best.names, best.logarithmic, strict=True) if log and name in names),
             best.converged,
@@ -244,6 +246,31 @@ class LikelihoodForm:
             own,
             Detail({"estimation": best.point, "validation": validation}, passes, best),
         )
+
+    def with_deviations(self, fit: Fit) -> Fit:
+        """Return a fit with deviations for a coloured error of its free runs; one with latent forces as it is."""
+        if self.latent:
+            return fit
+        passed, _ = self.paths(fit, "estimation")
+        count = len(fit.free)
+        own = passed[0].j.shape[2] - count if passed[0].j is not None else 0
+        wide = []
+        for number, one in enumerate(passed):
+            j = np.zeros((*one.e.shape, count + own * len(passed)))
+            assert one.j is not None
+            j[..., :count] = one.j[..., :count]
+            j[..., count + number * own : count + (number + 1) * own] = one.j[..., count:]
+            wide.append(j)
+        keep = [k for k in range(wide[0].shape[2]) if k >= count or fit.deviations[fit.free[k]] > 0]
+        parts = [one[..., keep] for one in wide]
+        covariance = robust_covariance([one.e for one in passed], parts, POLICY.order, self._floor)
+        found = dict(fit.deviations)
+        for k, column in enumerate(keep):
+            if column < count:
+                name = fit.free[column]
+                size = abs(fit.values[name]) if name in fit.logarithmic else 1.0
+                found[name] = float(np.sqrt(max(covariance[k, k], 0.0)) / max(size, 1e-300))
+        return replace(fit, deviations=found)
 
     def _likelihood(self, system: Any, use: str, passes: Pass) -> Likelihood:
         rounding = [block.parameter for block in system.sampled if block.kind == "quantise"]
@@ -258,8 +285,8 @@ class LikelihoodForm:
 
     def _validated(
         self, system: Any, passes: Pass, best: LikelihoodFit, base: Fit | None
-    ) -> tuple[dict[str, float], list[FloatArray], Point]:
-        """Fit what belongs to the validation records; return it, the log-densities, and the point."""
+    ) -> tuple[dict[str, float], list[Filtered], Point]:
+        """Fit what belongs to the validation records; return it, the passes, and the point."""
         likelihood = self._likelihood(system, "validation", passes)
         own = [
             placed.name(name)
@@ -280,7 +307,7 @@ class LikelihoodForm:
                 if chosen is None or found.nll < chosen.nll:
                     chosen = found
         assert chosen is not None
-        return {name: chosen.parameters[name] for name in own}, [-one for one in chosen.terms], chosen.point
+        return {name: chosen.parameters[name] for name in own}, chosen.filtered, chosen.point
 
     def _noises(self, base: Fit | None) -> list[Noise]:
         """Return the noise to start from: that of the base, else several."""
@@ -362,11 +389,12 @@ class LikelihoodForm:
 
     def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
         """See :class:`harness.diagnosis.search.fit.Form`."""
-        return self._answered(fit, directions(self._traces(fit), self.nominal, fit.values, candidates, self.sizes))
+        traces = self._traces(fit, ("estimation",))
+        return self._answered(fit, directions(traces, self.nominal, fit.values, candidates, self.sizes))
 
     def test_functions(self, fit: Fit) -> list[Column]:
         """See :class:`harness.diagnosis.search.fit.Form`."""
-        return self._answered(fit, test_functions(self._traces(fit), self.nominal))
+        return self._answered(fit, test_functions(self._traces(fit, USES), self.nominal))
 
     def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
         """See :class:`harness.diagnosis.search.fit.Form`: hidden resonances, play, lost signs."""
@@ -433,15 +461,15 @@ class LikelihoodForm:
                 runs.append(Run(replace(record, y=y), use))  # type: ignore[arg-type]
         return replace(self.dataset, runs=tuple(runs))
 
-    def _traces(self, fit: Fit) -> dict[str, list[Trace]]:
-        """Return the smoothed motion of every record."""
+    def _traces(self, fit: Fit, uses: Sequence[str]) -> dict[str, list[Trace]]:
+        """Return the smoothed motion of every record of some uses."""
         detail: Detail = fit.detail
         if self.latent:
             ports = tuple(one.port for one in detail.passes.forces)
         else:
             ports = tuple(one.name for one in self.nominal.states)
         found: dict[str, list[Trace]] = {}
-        for use in USES:
+        for use in uses:
             _, smooth = self.paths(fit, use)
             found[use] = [
                 Trace(record, one.x, detail.passes, detail.points[use].p, ports)
@@ -453,8 +481,9 @@ class LikelihoodForm:
         """Return the columns of directions (lists of forces and readings by use and record)."""
         if not found:
             return []
-        made: dict[str, FloatArray] = {}
-        for use in USES:
+        columns = sum(len(one.names) for one in found)
+        made: dict[str, FloatArray] = {use: np.zeros((0, columns)) for use in USES}
+        for use in found[0].forces:
             passed, _ = self.paths(fit, use)
             parts = []
             for number, one in enumerate(passed):
@@ -463,15 +492,11 @@ class LikelihoodForm:
                 response = innovation_response(one, forces, readings, rates_over=None if self.latent else self.dt)
                 parts.append(whitened(response, one.s[..., None]))
             made[use] = np.concatenate(parts)
-        columns, at = [], 0
-        for one in found:
-            k = len(one.names)
-            columns.append(
-                Column(one.placed, one.given, one.names, made["estimation"][:, at : at + k],
-                       made["validation"][:, at : at + k])
-            )  # fmt: skip
-            at += k
-        return columns
+        edges = np.cumsum([0, *(len(one.names) for one in found)])
+        return [
+            Column(one.placed, one.given, one.names, *(made[use][:, first:last] for use in USES))
+            for one, first, last in zip(found, edges[:-1], edges[1:], strict=True)
+        ]
 
 
 def whitened(values: FloatArray, variance: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["Before", "Coloured", "fitted_error"]
+__all__ = ["Before", "Coloured", "burg", "fitted_error"]
 
 STEEPEST = 0.999
 """Largest partial autocorrelation: nearer to 1 an error is a drift without end."""
@@ -182,11 +182,32 @@ def fitted_error(
         deviation = max(float(np.sqrt(power / max(count, 1))), floor)
         return 0.5 * power / deviation**2 + count * np.log(deviation) + logs, deviation
 
-    z0: FloatArray = (
-        np.zeros(order) if start is None else np.arctanh(np.clip(start.partial / STEEPEST, -0.9999, 0.9999))
-    )
+    partial = burg(values, before, order) if start is None else start.partial
+    z0 = np.arctanh(np.clip(partial / STEEPEST, -0.9999, 0.9999))
     descend: Any = minimize
     found = descend(
-        lambda z: of(z)[0], z0, method="L-BFGS-B", bounds=[(-4.0, 4.0)] * order, options={"maxiter": 40, "ftol": 1e-7}
-    )
-    return Coloured(STEEPEST * np.tanh(found.x), of(found.x)[1])
+        lambda z: of(z)[0], z0, method="L-BFGS-B", bounds=[(-4.95, 4.95)] * order,
+        options={"maxiter": 40, "ftol": 1e-7},
+    )  # fmt: skip
+    z = found.x if of(found.x)[0] <= of(z0)[0] else z0  # near a drift without end a descent may overshoot
+    return Coloured(STEEPEST * np.tanh(z), of(z)[1])
+
+
+def burg(values: list[FloatArray], before: list[Before], order: int) -> FloatArray:
+    """Return partial autocorrelations (order,) by Burg's recursion, gaps closed (Burg 1975, thesis, Stanford).
+
+    Examples
+    --------
+    >>> e = np.cos(0.1 * np.arange(500))
+    >>> burg([e], [Before.of(np.ones(500), 2)], 2).round(2).tolist()
+    [0.99, -1.0]
+    """
+    forward = [one[rows.rows] for one, rows in zip(values, before, strict=True)]
+    backward, found = [one.copy() for one in forward], np.zeros(order)
+    for k in range(order):
+        pairs = [(f[1:], b[:-1]) for f, b in zip(forward, backward, strict=True)]
+        power = sum(float(f @ f + b @ b) for f, b in pairs)
+        found[k] = 2 * sum(float(f @ b) for f, b in pairs) / power if power > 0 else 0.0
+        forward = [f - found[k] * b for f, b in pairs]
+        backward = [b - found[k] * f for f, b in pairs]
+    return found

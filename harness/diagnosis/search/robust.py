@@ -1,0 +1,65 @@
+"""Intervals of free runs: their errors are coloured, as what a model lacks lasts longer than a sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from harness.diagnosis.search.coloured import LONGEST, Before, fitted_error
+from harness.signals import FloatArray
+
+__all__ = ["robust_covariance"]
+
+
+def robust_covariance(
+    errors: Sequence[FloatArray], jacobians: Sequence[FloatArray], order: int, floor: FloatArray
+) -> FloatArray:
+    """Return the covariance of what was fitted by least squares to free runs whose errors are coloured.
+
+    ``(J' J)^-1 J' C J (J' J)^-1``, J over the deviations as the fit weighed them, C the correlation of the errors of an
+    output, from an autoregression fitted to them (White 1982, Econometrica 50:1, theorem 3.2). Errors of a free run
+    move many samples together; taken as independent they would count many times.
+
+    Parameters
+    ----------
+    errors : sequence of array (K, ny)
+        By record.
+    jacobians : sequence of array (K, ny, p)
+        Their derivatives.
+    order : int
+        Coefficients of the autoregression.
+    floor : array (ny,)
+        Smallest deviations.
+
+    Returns
+    -------
+    array (p, p)
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> e = np.zeros((4000, 1))
+    >>> for k in range(1, 4000):
+    ...     e[k] = 0.9 * e[k - 1] + rng.standard_normal()
+    >>> mean = robust_covariance([e], [np.ones((4000, 1, 1))], 1, np.array([1e-9]))
+    >>> bool(abs(np.sqrt(mean[0, 0]) / (1.0 / 0.1 / np.sqrt(4000)) - 1.0) < 0.1)
+    True
+    """
+    from scipy.signal import fftconvolve
+
+    size = jacobians[0].shape[2]
+    bread, meat = np.zeros((size, size)), np.zeros((size, size))
+    before = [Before.of(np.ones(len(one)), order) for one in errors]
+    for k, least in enumerate(floor):
+        error = fitted_error([one[:, k] for one in errors], before, order, float(least))
+        for j in jacobians:
+            column = j[:, k] / error.deviation
+            most = min(len(j) - 1, LONGEST)
+            rho = error.correlation(most)
+            spread = fftconvolve(column, np.concatenate([rho[:0:-1], rho])[:, None], axes=0)
+            bread += column.T @ column
+            meat += column.T @ spread[most : most + len(column)]
+    scale = np.sqrt(np.maximum(np.diag(bread), 1e-300))
+    inverse = np.linalg.pinv(bread / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
+    return np.asarray(inverse @ (0.5 * (meat + meat.T)) @ inverse)

@@ -1,0 +1,64 @@
+"""What a folder of rows says of itself: which format it has, and which version wrote it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from harness.errors import InputError
+
+__all__ = ["read_manifest"]
+
+
+def read_manifest(path: Path, form: str, *, what: str, command: str) -> dict[str, Any]:
+    """Return the content of a manifest of one format; fields that an earlier version did not write are not there.
+
+    Parameters
+    ----------
+    path : Path
+        A JSON file with the key ``format``.
+    form : str
+        The format that this version reads.
+    what : str
+        What the folder holds, for a message (``"benchmark"``).
+    command : str
+        What writes such a folder.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it is of another format: then its name, and the version that wrote it, are said.
+    """
+    wanted = f"a folder with a {path.name} of format {form}"
+    try:
+        content = msgspec.json.decode(path.read_bytes())
+    except OSError:
+        raise InputError(
+            f"no {what} here",
+            expected=wanted,
+            got="none",
+            remedy=f"give the folder that {command} wrote",
+            file=path.parent,
+        ) from None
+    except msgspec.DecodeError as error:
+        raise InputError(
+            f"no {what} here",
+            expected=wanted,
+            got=f"{path.name} that is no JSON ({error})",
+            remedy="take a copy of the folder that is whole",
+            file=path.parent,
+        ) from error
+    found = content.get("format") if isinstance(content, dict) else None
+    if found != form:
+        writer = content.get("version", content.get("versions", {}).get("sysid-harness")) if found else None
+        named = f"format {found}, written by sysid-harness {writer or 'of an unknown version'}"
+        raise InputError(
+            f"a {what} of another format",
+            expected=wanted,
+            got=named if found else "no format",
+            remedy="read it with the version that wrote it, or run it anew into a new folder",
+            file=path.parent,
+        )
+    return dict(content)

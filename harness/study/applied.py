@@ -1,0 +1,167 @@
+"""Actuators and forces around other people's engines: applied from outside in fine steps, by laws in Python.
+
+An engine moves the bodies; what its joints and motors do not have themselves is put on the driven coordinate as a
+force held over a fine step, from the position and the rate that the engine shows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from harness.signals import FloatArray
+from harness.study.truths import DT, SUBSTEPS
+
+__all__ = ["ACTUATOR", "FORCES", "STEP", "Law", "actuated", "force_law"]
+
+STEP = DT / SUBSTEPS
+"""Of a fine step [s]."""
+Law = Callable[[float, float, float, float], float]
+"""Force from position, rate, time and command."""
+ACTUATOR = (
+    "input_delay",
+    "actuator_lag",
+    "dead_zone",
+    "saturation",
+    "rate_limit",
+    "input_gain",
+)
+FORCES = (
+    "hysteresis",
+    "sublinear_friction",
+    "quadratic_drag",
+    "linear_spring",
+    "cubic_spring",
+    "quadratic_spring",
+    "eccentric_load",
+    "gravity_tilt",
+    "force_bias",
+    "end_stop",
+    "cogging",
+    "periodic_disturbance",
+    "even_drag",
+    "position_damping",
+    "torque_ripple",
+    "force_step",
+    "maxwell_element",
+)
+"""Effects whose force can be put on a driven coordinate from outside."""
+
+
+def actuated(values: Mapping[str, float], u: FloatArray) -> FloatArray:
+    """Return the force that leaves the actuator (N * SUBSTEPS,) for a command (N,) held over samples.
+
+    Parameters
+    ----------
+    values : mapping
+        ``delay``, ``width``, ``limit``, ``tau``, ``R``, ``gain``, ``droop``, as the truth names them.
+
+    Examples
+    --------
+    >>> actuated({"limit": 1.0}, np.array([0.5, 3.0]))[[0, -1]].tolist()
+    [0.5, 1.0]
+    """
+    f = np.repeat(np.asarray(u, dtype=float), SUBSTEPS)
+    late = round(values.get("delay", 0.0) / STEP)
+    if late:
+        f = np.concatenate([np.full(late, f[0]), f[:-late]])
+    f = np.sign(f) * np.maximum(np.abs(f) - values.get("width", 0.0), 0.0)
+    f = f * (1 - values.get("droop", 0.0) * np.abs(f))
+    limit = values.get("limit", math.inf)
+    f = np.clip(f, -limit, limit)
+    if "tau" in values:
+        from scipy.signal import lfilter
+
+        pole = math.exp(-STEP / values["tau"])
+        f = lfilter([0.5 * (1 - pole), 0.5 * (1 - pole)], [1.0, -pole], f - f[0]) + f[0]
+    if "R" in values:
+        most, z, limited = values["R"] * STEP, float(f[0]), np.empty_like(f)
+        for k, wanted in enumerate(f.tolist()):
+            step = min(max(wanted - z, -most), most)
+            limited[k] = z + 0.5 * step
+            z += step
+        f = limited
+    return np.asarray(values.get("gain", 1.0) * f)
+
+
+def force_law(values: Mapping[str, float], plant: str) -> Law | None:
+    """Return the force on the driven coordinate that a truth's parameters describe; None where there is none.
+
+    Raises
+    ------
+    KeyError
+        Never for the effects :data:`FORCES`; parameters that belong to an actuator or a sensor are left to those.
+    """
+    own = {name[:-1]: value for name, value in values.items() if name.endswith("0") and name[:-1] in _TERMS}
+    terms = [_TERMS[name](own | _companions(values), plant) for name in own]
+    if "tilt" in values:
+        terms.append(_tilt(values["tilt"], values, plant))
+    if not terms:
+        return None
+    return lambda q, v, t, u: sum(term(q, v, t, u) for term in terms)
+
+
+def _companions(values: Mapping[str, float]) -> dict[str, float]:
+    """Return all parameters of coordinate 0 by their short names."""
+    return {name[:-1]: value for name, value in values.items() if name.endswith("0")}
+
+
+def _tilt(alpha: float, values: Mapping[str, float], plant: str) -> Law:
+    if plant == "pendulum":
+        mgl = values["mgl"]
+        return lambda q, v, t, u: -mgl * (math.sin(q + alpha) - math.sin(q))
+    raise KeyError("gravity_tilt of a cart-pole pulls at two coordinates")
+
+
+def _stop(one: Mapping[str, float], plant: str) -> Law:
+    def law(q: float, v: float, t: float, u: float) -> float:
+        if abs(q) <= one["stop"]:
+            return 0.0
+        return -one["ks"] * (q - math.copysign(one["stop"], q)) - one["ds"] * v
+
+    return law
+
+
+def _bouc_wen(one: Mapping[str, float], plant: str) -> Law:
+    z = 0.0
+
+    def law(q: float, v: float, t: float, u: float) -> float:
+        nonlocal z
+        z += STEP * (v - 0.5 * abs(v) * z - 0.5 * v * abs(z)) / one["xs"]
+        return -one["Fh"] * z
+
+    return law
+
+
+def _maxwell(one: Mapping[str, float], plant: str) -> Law:
+    m = 0.0
+
+    def law(q: float, v: float, t: float, u: float) -> float:
+        nonlocal m
+        m += STEP * (v - m / one["taum"])
+        return -one["km"] * m
+
+    return law
+
+
+_TERMS: dict[str, Callable[[Mapping[str, float], str], Law]] = {
+    "F0": lambda one, plant: lambda q, v, t, u: one["F0"],
+    "c": lambda one, plant: lambda q, v, t, u: -one["c"] * abs(v) * v,
+    "k": lambda one, plant: lambda q, v, t, u: -one["k"] * q,
+    "k2": lambda one, plant: lambda q, v, t, u: -one["k2"] * q * q,
+    "k3": lambda one, plant: lambda q, v, t, u: -one["k3"] * q**3,
+    "A": lambda one, plant: lambda q, v, t, u: -one["A"] * math.cos(q),
+    "cog": lambda one, plant: lambda q, v, t, u: one["cog"] * math.sin(one["cogk"] * q + one["cogphi"]),
+    "per": lambda one, plant: lambda q, v, t, u: one["per"] * math.sin(one["perw"] * t + one["perphi"]),
+    "stop": _stop,
+    "Fh": _bouc_wen,
+    "km": _maxwell,
+    "root": lambda one, plant: lambda q, v, t, u: -one["root"] * math.copysign(math.sqrt(abs(v)), v),
+    "even": lambda one, plant: lambda q, v, t, u: -one["even"] * v * v,
+    "vdp": lambda one, plant: lambda q, v, t, u: -one["vdp"] * q * q * v,
+    "ripple": lambda one, plant: lambda q, v, t, u: one["ripple"] * u * math.cos(5 * q),
+    "stepf": lambda one, plant: lambda q, v, t, u: one["stepf"] if t >= one["stept"] else 0.0,
+    "und": lambda one, plant: lambda q, v, t, u: -one["und"] * math.cos(q) * v,
+}

@@ -1,0 +1,143 @@
+"""What is accepted: evidence, validation and its error, intervals, and what physics forbids, from made-up densities."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from harness.diagnosis.search.compare import compared, difference, impossible, judged
+from harness.diagnosis.search.fit import Fit
+from harness.effects import builtin
+from harness.effects.effect import Placed
+from harness.signals import FloatArray
+
+
+def placed(name: str) -> Placed:
+    """Return an effect of the dictionary at ``theta``."""
+    return Placed(builtin()[name], "theta")
+
+
+def a_fit(
+    gains: Sequence[FloatArray] = (np.zeros(400), np.zeros(400)),
+    effects: Sequence[Placed] = (),
+    count: int = 3,
+    **more: object,
+) -> Fit:
+    """Return a fit whose log-densities are -1 more than these gains."""
+    values = {"a": 1.0, **{one.name(p): 0.5 for one in effects for p in one.effect.parameter_names}}
+    fields: dict[str, object] = {
+        "effects": tuple(effects), "system": None, "values": values, "free": tuple(values), "count": count,
+        "terms": {"estimation": [gains[0] - 1.0], "validation": [gains[1] - 1.0]},
+        "deviations": dict.fromkeys(values, 0.1), "logarithmic": frozenset(), "converged": True, "on_bound": (),
+    }  # fmt: skip
+    return Fit(**{**fields, **more})  # type: ignore[arg-type]
+
+
+# ---- evidence and intervals ------------------------------------------------------------------------------------------
+
+
+def test_the_penalty_is_that_of_bic() -> None:
+    fit = a_fit(count=7)
+    assert fit.penalised == pytest.approx(-400 - 3.5 * np.log(400))
+    assert fit.log_likelihood("validation") == pytest.approx(-400)
+    longer = a_fit((np.zeros(400), np.zeros(900)), count=7)
+    assert longer.samples == 400
+    assert longer.penalised == pytest.approx(fit.penalised), "the validation records have no part in it"
+
+
+def test_an_interval_is_that_of_the_normal_law_and_of_the_logarithm_where_that_was_fitted() -> None:
+    fit = a_fit()
+    assert fit.interval("a") == pytest.approx((1 - 0.196, 1 + 0.196))
+    fit = a_fit(logarithmic=frozenset({"a"}))
+    assert fit.interval("a") == pytest.approx((np.exp(-0.196), np.exp(0.196)))
+
+
+def test_evidence_is_of_the_estimation_and_validation_of_the_validation_records() -> None:
+    gains = np.linspace(0.0, 0.2, 400), np.full(400, 0.01)
+    found = compared(a_fit(gains, count=4), a_fit())
+    assert found.evidence == pytest.approx(gains[0].sum() - 0.5 * np.log(400))
+    assert found.validation == pytest.approx(4.0)
+    assert found.error == pytest.approx(0.0, abs=1e-9)
+    assert found.total == pytest.approx(found.evidence + 4.0)
+
+
+def test_the_error_of_a_gain_is_that_of_a_sum_over_blocks() -> None:
+    rng = np.random.default_rng(0)
+    slow = np.repeat(rng.standard_normal(20), 20)  # constant within a block: samples are not independent
+    gain, error = difference(a_fit((slow, slow)), a_fit(), ("validation",))
+    blocks = slow.reshape(20, 20).sum(axis=1)
+    assert gain == pytest.approx(blocks.sum())
+    assert error == pytest.approx(np.sqrt(20) * blocks.std(ddof=1))
+    both, wider = difference(a_fit((slow, slow)), a_fit(), ("estimation", "validation"))
+    assert both == pytest.approx(2 * gain)
+    assert wider == pytest.approx(np.sqrt(40) * np.tile(blocks, 2).std(ddof=1))
+
+
+# ---- what is accepted ------------------------------------------------------------------------------------------------
+
+
+def verdict(estimation: float, validation: FloatArray, *, name: str = "quadratic_drag", **more: object) -> str:
+    """Return the reasons against a candidate with one parameter more."""
+    one = placed(name)
+    evidence = estimation + 0.5 * np.log(400)
+    fit = a_fit((np.full(400, evidence / 400), validation), [one], count=4, **more)
+    base = a_fit()
+    return "; ".join(judged([one], fit, base, base).reasons)
+
+
+GAIN = np.full(400, 0.05)
+
+
+def test_what_passes_has_evidence_and_gains_on_validation() -> None:
+    assert verdict(5.1, GAIN) == ""
+    assert "evidence 4.9" in verdict(4.9, GAIN)
+    assert "validation gains" in verdict(50.0, -GAIN)
+
+
+def test_a_validation_gain_within_its_error_is_chance() -> None:
+    rng = np.random.default_rng(1)
+    blocks = rng.standard_normal(20)
+    blocks = (blocks - blocks.mean()) / blocks.std(ddof=1)
+    for share, passes in ((0.9, False), (1.1, True)):
+        gain = np.repeat((blocks + share / np.sqrt(20)) / 20, 20)  # its sum is ``share`` of its error
+        assert (verdict(50.0, gain) == "") is passes
+
+
+def test_what_did_not_converge_or_cannot_be_is_rejected() -> None:
+    assert "converge" in verdict(50.0, GAIN, converged=False)
+    one = placed("quadratic_drag")
+    values = {"a": 1.0, one.main(): -0.5}
+    assert "unphysical sign" in verdict(50.0, GAIN, values=values)
+    assert judged([one], None, a_fit(), a_fit()).reasons
+
+
+def test_a_value_on_its_bound_is_no_estimate() -> None:
+    drag = builtin()["quadratic_drag"]
+    parameter = replace(drag.parameters[0], maximum=0.5)
+    bounded = Placed(replace(drag, parameters=(parameter,)), "theta")
+    assert "bound" in impossible(bounded, a_fit(effects=[bounded]))[0]
+    free = Placed(replace(drag, parameters=(replace(parameter, maximum=0.6),)), "theta")
+    assert impossible(free, a_fit(effects=[free])) == []
+
+
+def test_stribeck_friction_that_rises_with_speed_is_against_its_own_law() -> None:
+    one = placed("stribeck_friction")
+    values = {"a": 1.0, **{one.name(name): 0.5 for name in one.effect.parameter_names}}
+    values[one.name("w")] = 0.01
+    low, high = {one.name("Fs"): 0.1}, {one.name("Fs"): 0.9}  # Fc is 0.5
+    assert impossible(one, a_fit(effects=[one], values=values | low))
+    assert impossible(one, a_fit(effects=[one], values=values | high)) == []
+
+
+def test_a_second_effect_that_changes_next_to_nothing_is_left_out() -> None:
+    one = placed("quadratic_drag")
+    nominal = a_fit()
+    first = a_fit((np.full(400, 1.0), np.full(400, 1.0)), count=4)
+    for more, passes in ((0.015, False), (0.06, True)):
+        gain = np.full(400, 1.0 + more)
+        second = judged([one], a_fit((gain + 0.02, gain), [one], count=5), first, nominal)
+        whole = 2 * 400 * (1.0 + more)
+        assert (not any("changes nothing" in text for text in second.reasons)) is passes, whole

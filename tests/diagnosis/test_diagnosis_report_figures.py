@@ -1,0 +1,90 @@
+"""Figures of ``report.json`` from made-up fits: what a reader takes for the truth."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from harness.diagnosis.report import evidence_json
+from harness.diagnosis.search.compare import Comparison, Judged
+from harness.effects import builtin
+from harness.effects.effect import Placed
+
+DRAG = Placed(builtin()["quadratic_drag"], "theta")
+
+
+def a_fit(**more: Any) -> Any:
+    """Return a fit with one effect; its interval is 0.4 to 0.6."""
+    name = DRAG.main()
+    fields = {
+        "values": {name: 0.5},
+        "free": (name,),
+        "deviations": {name: 0.05},
+        "interval": lambda name: (0.4, 0.6),
+        "system": SimpleNamespace(parameter=lambda name: SimpleNamespace(unit="N m s^2/rad^2")),
+        "converged": True,
+    }
+    return SimpleNamespace(**{**fields, **more})
+
+
+def test_an_effect_shows_its_size_its_interval_and_twice_its_evidence() -> None:
+    shown = evidence_json._effect(a_fit(), SimpleNamespace(placed=DRAG, evidence=50.0, validation=20.0))
+    assert (shown["name"], shown["at"]) == ("quadratic_drag", "theta")
+    assert (shown["evidence"], shown["delta_bic"], shown["validation_gain"]) == (50.0, 100.0, 20.0)
+    size = shown["parameters"]["c"]
+    assert (size["value"], size["low"], size["high"], size["unit"]) == (0.5, 0.4, 0.6, "N m s^2/rad^2")
+
+
+def test_what_is_not_known_is_null() -> None:
+    fixed = evidence_json._effect(a_fit(free=()), SimpleNamespace(placed=DRAG, evidence=float("nan"), validation=1.0))
+    assert fixed["evidence"] is None
+    assert fixed["parameters"]["c"]["low"] is None
+
+
+def test_a_candidate_shows_why_it_was_rejected_or_what_it_ties_with() -> None:
+    comparison = Comparison(30.0, 10.0, 4.0)
+    passed = Judged((DRAG,), a_fit(), comparison, ())
+    rejected = Judged((DRAG,), a_fit(), comparison, ("its fit did not converge",))
+    row = evidence_json._row(passed, 1, {passed.name}, set())
+    assert (row["accepted"], row["reason"]) == (True, "")
+    assert (row["evidence"], row["validation_gain"], row["validation_error"]) == (30.0, 10.0, 4.0)
+    assert row["main"] == {DRAG.main(): [0.5, 0.4, 0.6]}
+    assert evidence_json._row(passed, 1, set(), {passed.name})["reason"] == "tied with the answer"
+    assert evidence_json._row(passed, 1, set(), set())["reason"] == "another candidate explains more"
+    row = evidence_json._row(rejected, 1, {rejected.name}, set())
+    assert (row["accepted"], row["reason"]) == (False, "its fit did not converge")
+
+
+def data(verdict: str, **more: Any) -> dict[str, Any]:
+    """Return what the summary is made from."""
+    errors = {
+        when: {"simulation_error": {"validation": {"theta": {"rms": rms, "unit": "rad"}}}}
+        for when, rms in (("before", 0.1), ("after", 0.002))
+    }
+    effect = {"name": "quadratic_drag", "at": "theta"}
+    return {
+        "verdict": verdict, "model": "pendulum", "misfit": ["the sign is wrong"], "errors": errors,
+        "explained_share": 0.99996, "effects": [effect], "tie_sets": [[effect]],
+        "stand_in": {"flagged": False, "reasons": []}, "left_over": [], **more,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("verdict", "more", "words"),
+    [
+        ("effects_found", {}, "pendulum lacks quadratic drag at theta; validation simulation error theta 0.1 -> 0.002"),
+        ("effects_found", {"tie_sets": [[1, 2]]}, "(tied with others, see below)"),
+        ("effects_found", {"stand_in": {"flagged": True, "reasons": ["two laws"]}}, "stand in for what pendulum lacks"),
+        ("nothing_missing", {}, "nothing is missing in pendulum: validation simulation error theta 0.1 rad"),
+        ("unexplained", {}, "too large for a disturbance"),
+        ("model_does_not_fit", {}, "pendulum does not fit these data: the sign is wrong"),
+    ],
+)
+def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: dict[str, Any], words: str) -> None:
+    text = evidence_json._summary(data(verdict, **more))
+    assert words in text
+    assert "100 %" not in text
+    if verdict != "model_does_not_fit":
+        assert "99.99 % of the validation variance" in text

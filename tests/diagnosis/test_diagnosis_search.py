@@ -1,0 +1,307 @@
+"""The search on a form whose answers are known in closed form: linear in everything, white noise of a known size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from harness.diagnosis.policy import POLICY
+from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
+from harness.diagnosis.search.leftover import left_over
+from harness.diagnosis.search.rounds import Outcome, search
+from harness.diagnosis.search.score_test import score_test
+from harness.effects import builtin
+from harness.effects.effect import Placed
+from harness.signals import FloatArray
+
+USES = ("estimation", "validation")
+NAMES = ("linear_spring", "quadratic_spring", "cubic_spring", "quadratic_drag", "force_bias", "viscous_friction")
+"""Effects with one parameter, which scales a regressor."""
+
+
+def placed(name: str) -> Placed:
+    """Return an effect of the dictionary at ``theta``."""
+    return Placed(builtin()[name], "theta")
+
+
+def main(name: str) -> str:
+    """Return the full name of the only parameter of an effect."""
+    found = placed(name).main()
+    assert found is not None
+    return found
+
+
+@dataclass
+class Records:
+    """Regressors (n, k) by name and outputs (n,) by use."""
+
+    x: dict[str, dict[str, FloatArray]]
+    y: dict[str, FloatArray]
+
+
+def linear_records(
+    seed: int,
+    hidden: Mapping[str, float],
+    *,
+    n: int = 1000,
+    alike: Mapping[str, str] | None = None,
+    absorbed: Mapping[str, float] | None = None,
+) -> Records:
+    """Return records of ``a x1 + b x2 + hidden + noise`` with white regressors.
+
+    ``alike`` names effects whose regressor is nearly another's; ``absorbed`` those that a nominal one takes up but for
+    a share.
+    """
+    x: dict[str, dict[str, FloatArray]] = {}
+    y: dict[str, FloatArray] = {}
+    for number, use in enumerate(USES):
+        rng = np.random.default_rng([seed, number])
+        own = {name: rng.standard_normal(n) for name in ("a", "b", *NAMES)}
+        for name, other in (alike or {}).items():
+            own[name] = own[other] + 0.02 * own[name]
+        for name, share in (absorbed or {}).items():
+            own[name] = own["a"] + share * own[name]
+        x[use] = own
+        y[use] = 2.0 * own["a"] - own["b"] + rng.standard_normal(n)
+        y[use] = y[use] + sum((size * own[name] for name, size in hidden.items()), np.zeros(n))
+    return Records(x, y)
+
+
+class LinearForm:
+    """Least squares, the noise known to be 1: see :class:`harness.diagnosis.search.fit.Form`."""
+
+    nominal: Any = None
+
+    def __init__(self, records: Records) -> None:
+        self.records = records
+        self.fits = 0
+
+    def _matrix(self, effects: Sequence[Placed], use: str) -> FloatArray:
+        own = self.records.x[use]
+        return np.column_stack([own["a"], own["b"], *(own[one.effect.name] for one in effects)])
+
+    def fit(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Fit:
+        self.fits += 1
+        names = ("a", "b", *(one.main() or "" for one in effects))
+        x = self._matrix(effects, "estimation")
+        values = np.linalg.lstsq(x, self.records.y["estimation"], rcond=None)[0]
+        spread = np.sqrt(np.diag(np.linalg.inv(x.T @ x)))
+        terms = {}
+        for use in USES:
+            error = self.records.y[use] - self._matrix(effects, use) @ values
+            terms[use] = [-0.5 * np.log(2 * np.pi) - 0.5 * error**2]
+        return Fit(
+            effects=tuple(effects),
+            system=None,
+            values=dict(zip(names, map(float, values), strict=True)),
+            free=names,
+            count=len(names),
+            terms=terms,
+            deviations=dict(zip(names, map(float, spread), strict=True)),
+            logarithmic=frozenset(),
+            converged=True,
+            on_bound=(),
+        )
+
+    def begin(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Begun:
+        made = self.fit(effects, starts, base)
+        return Begun(tuple(effects), made.log_likelihood("estimation"), made.values, made)
+
+    def finish(self, begun: Begun, base: Fit | None) -> Fit:
+        made: Fit = begun.detail
+        return made
+
+    def linearised(self, fit: Fit) -> Linearised:
+        values = np.array([fit.values[name] for name in fit.free])
+        matrices = {use: self._matrix(fit.effects, use) for use in USES}
+        residual = {use: self.records.y[use] - matrices[use] @ values for use in USES}
+        return Linearised(residual, {use: -matrices[use] for use in USES}, len(fit.free))
+
+    def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
+        found = []
+        for one in candidates:
+            x = {use: -self.records.x[use][one.effect.name][:, None] for use in USES}
+            name = one.effect.main
+            assert name is not None
+            found.append(Column(one, {}, (name.name,), x["estimation"], x["validation"]))
+        return found
+
+    def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
+        return []
+
+    def test_functions(self, fit: Fit) -> list[Column]:
+        own = self.records.x
+        return [
+            Column(None, {}, (f"theta over {name}", name), -own["estimation"][name][:, None],
+                   -own["validation"][name][:, None])
+            for name in NAMES
+        ]  # fmt: skip
+
+
+ALL = [placed(name) for name in NAMES]
+
+
+def found_in(hidden: Mapping[str, float], seed: int = 0, **more: object) -> Outcome:
+    form = LinearForm(linear_records(seed, hidden, **more))  # type: ignore[arg-type]
+    return search(form, form.fit((), [], None), ALL)
+
+
+def accepted(outcome: Outcome) -> set[str]:
+    return {one.placed.effect.name for one in outcome.accepted}
+
+
+def tie_of(outcome: Outcome, name: str) -> set[str]:
+    (tie,) = [one.tie for one in outcome.accepted if one.placed.effect.name == name]
+    return {member[0].effect.name for member in tie}
+
+
+# ---- the score test --------------------------------------------------------------------------------------------------
+
+
+def test_a_promise_is_the_gain_where_everything_is_linear() -> None:
+    form = LinearForm(linear_records(3, {"cubic_spring": 0.4, "quadratic_drag": 0.1}))
+    nominal = form.fit((), [], None)
+    test = score_test(form, nominal, ALL)
+    assert test.leads[0].placed.effect.name == "cubic_spring"
+    for lead in test.leads:
+        whole = form.fit([lead.placed], [], nominal)
+        gain = whole.log_likelihood("estimation") - nominal.log_likelihood("estimation")
+        assert lead.gain == pytest.approx(gain, rel=1e-6, abs=1e-9)
+        assert lead.penalised == pytest.approx(gain - 0.5 * np.log(1000), rel=1e-6, abs=1e-6)
+        name = main(lead.placed.effect.name)
+        own = form.records.x["estimation"]
+        rest = np.column_stack([own["a"], own["b"]])
+        column = own[lead.placed.effect.name]
+        left = column - rest @ np.linalg.lstsq(rest, column, rcond=None)[0]
+        y = form.records.y["estimation"]
+        assert lead.starts[0][name] == pytest.approx(float(left @ y / (left @ left)), rel=1e-6), "size and sign"
+        assert lead.share == pytest.approx(np.linalg.norm(left) / np.linalg.norm(column), rel=1e-9)
+    gains = [lead.penalised for lead in test.leads]
+    assert gains == sorted(gains, reverse=True)
+
+
+def test_what_the_nominal_parameters_take_up_cannot_be_seen() -> None:
+    form = LinearForm(linear_records(4, {}, absorbed={"cubic_spring": 0.001, "quadratic_drag": 0.05}))
+    test = score_test(form, form.fit((), [], None), ALL)
+    assert [lead.placed.effect.name for lead in test.hidden] == ["cubic_spring"]
+    assert "quadratic_drag" in {lead.placed.effect.name for lead in test.leads}
+
+
+def test_cosines_show_what_mimics_what() -> None:
+    form = LinearForm(linear_records(5, {}, alike={"cubic_spring": "linear_spring"}))
+    names, cosines = score_test(form, form.fit((), [], None), ALL).cosines()
+    i, j, k = (names.index(f"{name}@theta") for name in ("cubic_spring", "linear_spring", "quadratic_drag"))
+    assert cosines[i, j] > 0.99
+    assert cosines[i, k] < 0.2
+    assert np.diag(cosines) == pytest.approx(1.0)
+
+
+# ---- what is left ----------------------------------------------------------------------------------------------------
+
+
+def test_the_evidence_of_a_free_force_is_that_of_normal_coefficients() -> None:
+    form = LinearForm(linear_records(6, {"cubic_spring": 0.3}))
+    fit = form.fit((), [], None)
+    best = left_over(form, fit).best
+    assert best is not None
+    assert best.name == "theta over cubic_spring"
+    own = form.records.x["estimation"]
+    rest = np.column_stack([own["a"], own["b"]])
+    column, y = own["cubic_spring"] / np.linalg.norm(own["cubic_spring"]), form.records.y["estimation"]
+    q = np.linalg.qr(rest)[0]
+    column, y = column - q @ (q.T @ column), y - q @ (q.T @ y)
+    size, along = float(column @ column), float(column @ y)
+    gains = [0.5 * (v * along**2 / (1 + v * size) - np.log1p(v * size)) for v in np.geomspace(1e-2, 1e6, 17)]
+    assert best.evidence == pytest.approx(max(gains), rel=1e-6)
+    assert best.values[0] == pytest.approx(0.3, abs=0.1), "sign and size of the force"
+    assert best.validation > 10
+
+
+def test_nothing_can_be_predicted_of_white_noise() -> None:
+    for seed in range(20):
+        form = LinearForm(linear_records(seed, {}))
+        assert left_over(form, form.fit((), [], None)).best is None
+
+
+def test_a_force_that_helps_on_one_use_only_is_chance() -> None:
+    records = linear_records(7, {"cubic_spring": 0.5})
+    own = records.x["validation"]
+    records.y["validation"] = records.y["validation"] - 1.0 * own["cubic_spring"]  # the other way round there
+    form = LinearForm(records)
+    assert left_over(form, form.fit((), [], None)).best is None
+
+
+# ---- the search ------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_found_where_nothing_is() -> None:
+    for seed in range(40):
+        outcome = found_in({}, seed)
+        assert not outcome.accepted
+        assert outcome.model is outcome.nominal
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_hidden_is_found_alone(name: str) -> None:
+    outcome = found_in({name: 0.3}, 1)
+    assert accepted(outcome) == {name}
+    assert tie_of(outcome, name) == {name}
+    low, high = outcome.model.interval(main(name))
+    assert low < 0.3 < high
+    one = outcome.accepted[0]
+    assert one.evidence > POLICY.evidence
+    assert one.validation > 0
+
+
+def test_a_force_the_wrong_way_round_is_no_friction() -> None:
+    assert accepted(found_in({"quadratic_drag": -0.3}, 2)) == set()
+
+
+def test_an_effect_of_the_estimation_records_only_is_chance() -> None:
+    records = linear_records(8, {"cubic_spring": 0.3})
+    own = records.x["validation"]
+    records.y["validation"] = records.y["validation"] - 0.3 * own["cubic_spring"]
+    form = LinearForm(records)
+    assert accepted(search(form, form.fit((), [], None), ALL)) == set()
+
+
+def test_two_and_three_effects_are_all_found() -> None:
+    two = {"cubic_spring": 0.3, "quadratic_drag": 0.25}
+    assert accepted(found_in(two, 3)) == set(two)
+    three = {**two, "force_bias": 0.3}
+    assert accepted(found_in(three, 3)) == set(three)
+
+
+def test_no_more_effects_are_named_than_the_policy_allows() -> None:
+    assert len(accepted(found_in(dict.fromkeys(NAMES, 0.3), 4))) == POLICY.most
+
+
+def test_what_the_data_cannot_tell_apart_is_tied() -> None:
+    outcome = found_in({"linear_spring": 0.3}, 5, alike={"cubic_spring": "linear_spring"})
+    (name,) = accepted(outcome)
+    assert tie_of(outcome, name) == {"linear_spring", "cubic_spring"}
+
+
+def test_rivals_that_the_data_tell_apart_are_no_tie() -> None:
+    records = linear_records(6, {"linear_spring": 0.5})
+    for use in ("estimation", "validation"):
+        own = records.x[use]
+        own["cubic_spring"] = 0.8 * own["linear_spring"] + 0.6 * own["cubic_spring"]
+    form = LinearForm(records)
+    outcome = search(form, form.fit((), [], None), ALL)
+    assert accepted(outcome) == {"linear_spring"}
+    assert tie_of(outcome, "linear_spring") == {"linear_spring"}
+
+
+def test_a_law_that_stood_in_for_two_is_taken_back() -> None:
+    records = linear_records(9, {"linear_spring": 0.4, "quadratic_drag": 0.4})
+    for use in ("estimation", "validation"):  # nearly the sum of both: found first, and wrong
+        own = records.x[use]
+        own["cubic_spring"] = own["linear_spring"] + own["quadratic_drag"] + 0.35 * own["cubic_spring"]
+    form = LinearForm(records)
+    outcome = search(form, form.fit((), [], None), ALL)
+    assert accepted(outcome) == {"linear_spring", "quadratic_drag"}

@@ -1,0 +1,232 @@
+"""Verdict, grade, misfit, horizon, errors and the memory of refits, each from what it is made of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from harness.diagnosis.algorithm import Diagnosis
+from harness.diagnosis.misfit import misfit_reasons, mistakes
+from harness.diagnosis.policy import POLICY
+from harness.diagnosis.records.horizon import choose_horizon
+from harness.diagnosis.runs.errors import figures
+from harness.diagnosis.store import Store, fingerprint
+from harness.effects import builtin
+from harness.effects.effect import Placed
+from harness.errors import InputError
+from harness.physics import load_model
+from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
+
+DRAG = Placed(builtin()["quadratic_drag"], "theta")
+
+
+def diagnosis(
+    *,
+    accepted: bool = False,
+    left_over: bool = False,
+    latent: float = 0.0,
+    white: float = 0.0,
+    left: float = 0.01,
+    misfit: tuple[str, ...] = (),
+) -> Diagnosis:
+    """Return a diagnosis with what verdict and grade look at; the typical force is 2."""
+    noise = SimpleNamespace(s=np.array([2 * latent]), w=np.array([2 * white]))
+    model = SimpleNamespace(detail=SimpleNamespace(points={"estimation": SimpleNamespace(noise=noise)}))
+    outcome: Any = SimpleNamespace(
+        accepted=[SimpleNamespace(placed=DRAG)] if accepted else [], model=model, nominal=model
+    )
+    best = SimpleNamespace(name="theta over theta_rate") if left_over else None
+    form: Any = SimpleNamespace(noise_model=SimpleNamespace(force_scale=np.array([2.0])))
+    rest: dict[str, Any] = {"leftover": SimpleNamespace(best=best), "runs": SimpleNamespace(left=left)}
+    nothing: Any = None
+    return Diagnosis(nothing, nothing, form, outcome, rest["leftover"], rest["runs"], misfit, POLICY)
+
+
+def test_the_verdict_asks_first_whether_the_model_fits() -> None:
+    assert diagnosis().verdict == "nothing_missing"
+    assert diagnosis(accepted=True).verdict == "effects_found"
+    assert diagnosis(left_over=True).verdict == "unexplained"
+    assert diagnosis(latent=0.25).verdict == "unexplained"
+    assert diagnosis(latent=0.15).verdict == "nothing_missing"
+    assert diagnosis(latent=0.15, white=0.15).verdict == "unexplained"
+    assert diagnosis(accepted=True, misfit=("it does not",)).verdict == "model_does_not_fit"
+
+
+def test_explained_is_said_of_a_model_that_leaves_little_and_nothing_to_predict() -> None:
+    assert diagnosis().grade == "explained"
+    assert diagnosis(left=0.04).grade == "explained"
+    assert diagnosis(left=0.06).grade == "mostly_explained"
+    assert diagnosis(latent=0.06).grade == "mostly_explained"
+    assert diagnosis(latent=0.25).grade == "proxy_or_incomplete"
+    assert diagnosis(left_over=True).grade == "proxy_or_incomplete"
+    assert diagnosis(misfit=("it does not",)).grade == "does_not_fit"
+
+
+def test_effects_beside_which_something_can_be_predicted_are_stand_ins() -> None:
+    assert diagnosis(accepted=True).stand_in == ()
+    assert diagnosis(accepted=True, left_over=True).stand_in
+    assert diagnosis(left_over=True).stand_in == ()
+
+
+# ---- does the model fit at all ---------------------------------------------------------------------------------------
+
+
+def doubted(left: float, force: float, *, on_bound: tuple[str, ...] = (), repaired: float = 0.0) -> tuple[str, ...]:
+    """Return the reasons for a model that leaves a share of the variance and needs a force of this share."""
+    noise = SimpleNamespace(s=np.array([2 * force]), w=np.zeros(1))
+    forces = (SimpleNamespace(port="theta"),)
+    points = {"estimation": SimpleNamespace(noise=noise)}
+    final: Any = SimpleNamespace(
+        detail=SimpleNamespace(points=points, passes=SimpleNamespace(forces=forces)),
+        on_bound=on_bound,
+        log_likelihood=lambda use: 100.0,
+    )
+    other = SimpleNamespace(
+        first_starts=list,
+        fit=lambda effects, starts, base: SimpleNamespace(log_likelihood=lambda use: 100.0 + repaired),
+    )
+    form: Any = SimpleNamespace(
+        dataset=dataset(), on=lambda data: other, noise_model=SimpleNamespace(force_scale=np.array([2.0]))
+    )
+    runs: Any = SimpleNamespace(left=left, horizon=SimpleNamespace(seconds=None))
+    return misfit_reasons(form, final, runs, POLICY)
+
+
+def dataset(n: int = 200, **more: Any) -> Dataset:
+    """Return two records of a torque and an angle."""
+    spec = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), 0.01)
+    rng = np.random.default_rng(0)
+    runs = tuple(
+        Run(Trajectory(np.arange(n) * 0.01, rng.normal(size=(n, 1)), rng.normal(size=(n, 1)), spec), use)  # type: ignore[arg-type]
+        for use in ("estimation", "validation")
+    )
+    return Dataset("x", runs, **more)
+
+
+def test_a_model_fits_that_predicts_most_of_the_motion_without_a_force_from_nowhere() -> None:
+    assert doubted(0.2, 0.6) == ()
+    assert doubted(0.2, 0.0, on_bound=("J",)) == (), "a bound alone is no misfit"
+    assert "60 % of the motion" in doubted(0.36, 0.0)[0]
+    assert "diverges" in doubted(np.inf, 0.0)[0]
+    assert "diverges" in doubted(np.nan, 0.0)[0]
+    assert "80 % of what moves theta" in doubted(0.0, 0.8)[0]
+    assert any("J ended on a bound" in text for text in doubted(0.5, 0.0, on_bound=("J", "s@theta")))
+
+
+def test_a_mistake_is_named_only_if_its_repair_makes_the_model_far_likelier() -> None:
+    assert not any("check" in text for text in doubted(0.5, 0.0, repaired=40.0))
+    assert any("check the sign of u" in text for text in doubted(0.5, 0.0, repaired=60.0))
+
+
+def test_likely_mistakes_are_signs_degrees_and_times() -> None:
+    data = dataset()
+    made = {text: (changed, scale) for text, changed, scale in mistakes(data)}
+    u, y = data.estimation[0].u, data.estimation[0].y
+    changed = {text: one.estimation[0] for text, (one, _) in made.items()}
+    np.testing.assert_array_equal(changed["the sign of u"].u, -u)
+    np.testing.assert_array_equal(changed["the sign of theta"].y, -y)
+    np.testing.assert_allclose(changed["whether theta is in degrees"].y, y * np.pi / 180)
+    # a density over smaller numbers is larger by the factor, for every sample
+    assert made["whether theta is in degrees"][1] == pytest.approx(200 * np.log(np.pi / 180))
+    np.testing.assert_array_equal(changed["whether u is recorded late or early"].u[:-5], u[5:])
+    np.testing.assert_array_equal(made["the sign of u"][0].validation[0].u, -data.validation[0].u)
+
+
+# ---- memory ----------------------------------------------------------------------------------------------------------
+
+
+def test_everything_that_decides_a_refit_is_in_its_fingerprint() -> None:
+    data = dataset()
+    first = fingerprint(data, model="pendulum")
+    assert first == fingerprint(dataset(), model="pendulum")
+
+    def moved(name: str) -> Dataset:
+        run = data.runs[1]
+        values = getattr(run.trajectory, name) + 1e-9
+        return replace(data, runs=(data.runs[0], replace(run, trajectory=replace(run.trajectory, **{name: values}))))
+
+    others = [moved(name) for name in ("t", "u", "y")]
+    others.append(replace(data, runs=tuple(replace(run, use="validation") for run in data.runs)))
+    others.append(replace(data, noise={"theta": 1e-3}))
+    others.append(replace(data, intersample="foh"))
+    prints = [fingerprint(one, model="pendulum") for one in others] + [fingerprint(data, model="cart-pole")]
+    assert len({first, *prints}) == len(prints) + 1
+
+
+def test_refits_of_other_data_are_not_seen(tmp_path: Path) -> None:
+    Store(tmp_path, "a").put("drag#1", {"value": 1.0})
+    assert Store(tmp_path, "a").get("drag#1") == {"value": 1.0}
+    assert Store(tmp_path, "b").get("drag#1") is None
+    assert Store(tmp_path, "a").get("drag#2") is None
+    passing = Store(tmp_path, "a")
+    passing.put("spring#1", {"value": 2.0}, lasting=False)
+    assert Store(tmp_path, "a").get("spring#1") is None
+    (path,) = (tmp_path / "candidates").glob("*.json")
+    path.write_text("{half")
+    assert Store(tmp_path, "a").get("drag#1") is None, "a broken file counts as absent"
+
+
+# ---- horizon and errors ----------------------------------------------------------------------------------------------
+
+
+def swing(n: int, start: float = 0.0, *, model: str = "pendulum") -> Dataset:
+    """Return slow, small motion about a position in the channels of a model."""
+    system = load_model(model)
+    spec = PlantSpec(system.inputs, system.outputs, 0.01)
+    t = np.arange(n) * 0.01
+    y = np.column_stack([start * (k == 0) + 0.01 * np.sin(t) for k in range(spec.ny)])
+    runs = tuple(Run(Trajectory(t, np.zeros((n, 1)), y, spec), use) for use in ("estimation", "validation"))  # type: ignore[arg-type]
+    return Dataset("x", runs)
+
+
+def test_a_hanging_pendulum_is_simulated_whole_and_an_inverted_one_as_long_as_an_error_grows_twenty_times() -> None:
+    system = load_model("pendulum")
+    values = {"J": 0.1, "b": 0.05, "mgl": 1.0}
+    assert choose_horizon(system, values, swing(3000)).seconds is None
+    pole = -0.25 + np.sqrt(0.25**2 + 10.0)
+    seconds = choose_horizon(system, values, swing(3000, np.pi)).seconds
+    assert seconds is not None
+    assert 0.4 * np.log(20) / pole <= seconds <= 1.1 * np.log(20) / pole
+
+
+def test_an_integrating_plant_is_judged_over_four_of_its_slowest_time_constants() -> None:
+    system = load_model("pendulum")
+    values = {"J": 0.1, "b": 0.2, "mgl": 0.0}
+    seconds = choose_horizon(replace_gravity(system), values, swing(4000)).seconds
+    assert seconds == 2.0  # 4 J / b
+
+
+def replace_gravity(system: Any) -> Any:
+    """Return a pendulum declared without gravity."""
+    parts = tuple(replace(one, value=0.0) if one.name == "mgl" else one for one in system.parameters)
+    return replace(system, parameters=parts)
+
+
+def test_errors_are_rms_and_over_the_spread_of_the_measurement() -> None:
+    y = np.array([[0.0, 1.0], [2.0, 1.0]])
+    error = np.array([[0.5, 1.0], [-0.5, -1.0]])
+    found = figures([error], [y], [("a", "m"), ("b", "V")])
+    assert found["a"] == {"rms": 0.5, "nrmse": 0.5, "unit": "m"}
+    assert found["b"] == {"rms": 1.0, "nrmse": None, "unit": "V"}
+    assert figures([error * np.nan], [y], [("a", "m")])["a"]["rms"] is None
+    assert figures([], [], [("a", "m")]) == {}
+
+
+def test_records_that_cannot_be_judged_are_refused_with_the_reason() -> None:
+    from harness.diagnosis.records.prepare import checked
+
+    system = load_model("pendulum")
+    good = swing(200, 0.5)
+    assert checked(good, system) is not None
+    for runs, words in (
+        (good.runs[:1], "no validation run"),
+        (tuple(replace(run, trajectory=run.trajectory[:60]) for run in good.runs), "too short"),
+        (tuple(replace(run, trajectory=replace(run.trajectory, y=0 * run.trajectory.y)) for run in good.runs), "never"),
+    ):
+        with pytest.raises(InputError, match=words):
+            checked(replace(good, runs=runs), system)
