@@ -1,4 +1,4 @@
-"""The commands of ``sysid`` that close the loop: on a record, on a fleet, and before measuring."""
+"""The commands of ``sysid`` that close the loop: on a record, on a fleet, before measuring, and on what is left."""
 
 from __future__ import annotations
 

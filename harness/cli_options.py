@@ -9,20 +9,8 @@ import typer
 
 from harness.terminal import completed
 
-__all__ = [
-    "AsJson",
-    "DatasetName",
-    "Engine",
-    "Force",
-    "ModelName",
-    "OptionPairs",
-    "Resume",
-    "ScenarioPairs",
-    "Seed",
-    "Undriven",
-    "Validation",
-    "Workers",
-]
+__all__ = ["AsJson", "DatasetName", "Engine", "Force", "ModelName", "OptionPairs", "Resume", "ScenarioPairs", "Seed",
+           "Undriven", "Validation", "Workers"]  # fmt: skip
 
 OptionPairs = Annotated[list[str] | None, typer.Option("--option", "-O", metavar="k=v", help="option, repeatable")]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]

@@ -250,30 +250,66 @@ def print_bench(result: BenchResult, *, as_json: bool) -> None:
         say(f"results: {result.folder / 'results.parquet'}")
 
 
-def print_answer(answer: Answer) -> None:
-    """Print the answer to a query as a table."""
+TEXT = 24
+"""Columns that the last column of a table needs to be folded into; with fewer, rows are printed as lists."""
+
+
+def print_table(titles: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print a table whose last column may fold; where the terminal is too narrow for it, each row as a list.
+
+    No number is ever cut or broken.
+    """
+    from rich.padding import Padding
     from rich.table import Table
     from rich.text import Text
 
-    shown = Table(box=None, padding=(0, 2, 0, 0))
-    for name in answer.columns:
-        shown.add_column(Text(name), overflow="fold")
-    for record in answer.records():
-        shown.add_row(
-            *(Text("" if v is None else f"{v:.6g}" if isinstance(v, float) else str(v)) for v in record.values())
-        )
-    wide_console().print(shown)
+    console = wide_console()
+    cells = [[_cell(value) for value in row] for row in rows]
+    if not titles:
+        return
+    widths = [max(map(len, column)) for column in zip(titles, *cells, strict=True)]
+    if sum(widths[:-1]) + 2 * len(widths[:-1]) + min(widths[-1], TEXT) <= console.width:
+        shown = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
+        for place, title in enumerate(titles):
+            shown.add_column(Text(title), overflow="fold", no_wrap=place < len(titles) - 1)
+        for row in cells:
+            shown.add_row(*map(Text, row))
+        console.print(shown)
+        return
+    for row in cells:
+        console.print(Text(f"{titles[0]}: {row[0]}"))
+        for title, cell in zip(titles[1:], row[1:], strict=True):
+            if cell:
+                console.print(Padding(Text(f"{title}: {cell}"), (0, 0, 0, 2)))
+
+
+def _cell(value: object) -> str:
+    """Return a value as the text of a cell."""
+    if value is None or isinstance(value, bool):
+        return {None: "", True: "yes", False: "no"}[value]
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def print_answer(answer: Answer) -> None:
+    """Print the answer to a query as a table."""
+    rows = [[f"{v:.6g}" if isinstance(v, float) else v for v in one.values()] for one in answer.records()]
+    print_table(answer.columns, rows)
 
 
 def print_planned(found: Planned) -> None:
     """Print the isolability matrix (hundredths), from what size each is seen, what looks alike, what is invisible."""
     width = max(map(len, found.effects), default=0)
-    say(f"share of the row's effect that the column's can mimic, in hundredths ({found.noise})")
-    say(" " * (width + 4) + "".join(f"{k + 1:>4}" for k in range(len(found.effects))))
-    for k, (name, row) in enumerate(zip(found.effects, found.cosines, strict=True)):
-        say(f"{k + 1:>3} {name:<{width}}" + "".join(f"{100 * value:>4.0f}" for value in row))
+    needed = width + 4 + 4 * len(found.effects)
+    if sys.stdout.isatty() and wide_console().width < needed:
+        say(f"(the matrix of all pairs needs {needed} columns: widen the terminal, or --json; {found.noise})")
+    else:
+        say(f"share of the row's effect that the column's can mimic, in hundredths ({found.noise})")
+        say(" " * (width + 4) + "".join(f"{k + 1:>4}" for k in range(len(found.effects))))
+        for k, (name, row) in enumerate(zip(found.effects, found.cosines, strict=True)):
+            say(f"{k + 1:>3} {name:<{width}}" + "".join(f"{100 * value:>4.0f}" for value in row))
     for name, size in found.smallest.items():
-        say(f"seen from about {size['value']:.3g} {size['unit']} of {size['parameter']}: {name}")
+        unit = "" if size["unit"] == "1" else f" {size['unit']}"
+        say(f"seen from about {size['value']:.3g}{unit} of {size['parameter']}: {name}")
     for one, other, cosine in found.alike:
         say(f"cannot be told apart: {one} and {other} ({cosine:.3f})")
     for hidden in found.hidden:
@@ -284,35 +320,21 @@ def print_planned(found: Planned) -> None:
 
 def print_rows(rows: Sequence[Mapping[str, Any]]) -> None:
     """Print rows of one shape as a table."""
-    from rich.table import Table
-
-    shown = Table(box=None, padding=(0, 2, 0, 0))
-    for name in rows[0] if rows else ():
-        shown.add_column(name.replace("_", " "), overflow="fold")
-    words = {True: "yes", False: "no"}
-    for row in rows:
-        cells = [
-            words[v] if isinstance(v, bool) else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()
-        ]
-        shown.add_row(*cells)
-    wide_console().print(shown)
+    print_table([name.replace("_", " ") for name in (rows[0] if rows else ())], [list(row.values()) for row in rows])
 
 
 def print_identified(fitted: Identified, identifier: str) -> None:
     """Print the scores of a model, output by output."""
-    from rich.table import Table
-
     from harness.estimate import estimate_of
 
-    shown = Table(title=f"{identifier}: NRMSE (rms)", title_justify="left", box=None, padding=(0, 2, 0, 0))
-    for name in ("use", "run", "output", "equation error", "simulation error", "initial state"):
-        shown.add_column(name, justify="right" if name.endswith("error") else "left")
+    say(f"{identifier}: NRMSE (rms)")
+    lines: list[tuple[str, ...]] = []
     for use, one_step in fitted.equation_error.items():
         for run, (one, free) in enumerate(zip(one_step, fitted.simulation_error[use], strict=True)):
             for column, channel in enumerate(fitted.model.spec.outputs):
                 scores = [f"{s.nrmse[column]:.4g} ({s.rms[column]:.3g} {channel.unit})" for s in (one, free)]
-                shown.add_row(use, str(run), channel.name, *scores, free.initial_state)
-    wide_console().print(shown)
+                lines.append((use, str(run), channel.name, *scores, free.initial_state))
+    print_table(("use", "run", "output", "equation error", "simulation error", "initial state"), lines)
     for use, scores_of_use in fitted.probability.items():
         for run, score in enumerate(scores_of_use):
             say(f"{use} {run}, one step ahead: {score}")
@@ -384,8 +406,6 @@ def _print_order(model: Any, *, conditioned: bool) -> None:
 
 def print_fmu(content: dict[str, Any]) -> None:
     """Print what is in an FMU."""
-    from rich.table import Table
-
     say(
         f"{content['model']} (FMI {content['fmi']}, {content['tool'] or 'tool not told'}): "
         f"{content['description'] or ''}"
@@ -394,13 +414,8 @@ def print_fmu(content: dict[str, Any]) -> None:
     for kind, abilities in content["kinds"].items():
         can = [name for name, has in abilities.items() if has is True] if isinstance(abilities, dict) else abilities
         say(f"{kind}: {', '.join(map(str, can)) or 'no optional abilities'}")
-    shown = Table(box=None, padding=(0, 2, 0, 0))
-    for name in ("name", "causality", "variability", "type", "unit", "start", "description"):
-        shown.add_column(name, overflow="fold")
-    for row in content["variables"]:
-        cells = ("name", "causality", "variability", "type", "unit", "start", "description")
-        shown.add_row(*("" if row[name] is None else str(row[name]) for name in cells))
-    wide_console().print(shown)
+    titles = ("name", "causality", "variability", "type", "unit", "start", "description")
+    print_table(titles, [[row[title] for title in titles] for row in content["variables"]])
     for problem in content["problems"]:
         say(f"warning: {problem}")
 

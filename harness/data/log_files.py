@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import json
+import logging
+import sys
+import traceback
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +27,7 @@ class MdfFile:
 
     def __init__(self, path: Path) -> None:
         asammdf = optional("asammdf", "MDF")
+        logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # the refusal says what is wrong, once
         self._channels: dict[str, Any] = {}
         try:
             with asammdf.MDF(path) as log:
@@ -30,6 +35,7 @@ class MdfFile:
                     if signal.samples.dtype.kind in "biuf" and signal.samples.ndim == 1 and len(signal.samples):
                         self._channels.setdefault(signal.name, signal)
         except Exception as error:
+            _drop_quietly(error)
             raise broken(path, "MDF", error) from error
         if not self._channels:
             raise InputError(
@@ -62,6 +68,19 @@ class MdfFile:
         if title == "time":
             return "s"
         return str(self._channels[title].unit) or None
+
+
+def _drop_quietly(error: BaseException) -> None:
+    """Let go of what an error holds: a reader that failed half-way may raise once more when it goes, in print only."""
+    loud, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    try:
+        link: BaseException | None = error
+        while link is not None:
+            traceback.clear_frames(link.__traceback__)
+            link = link.__context__
+        gc.collect()  # such readers refer to themselves
+    finally:
+        sys.unraisablehook = loud
 
 
 class McapFile:

@@ -219,6 +219,22 @@ def test_a_narrow_terminal_still_shows_every_word(monkeypatch: pytest.MonkeyPatc
         assert " ".join(row["summary"].split()) in flat or len(row["summary"]) > 36
 
 
+@pytest.mark.parametrize("width", [20, 40, 60, 100])
+def test_no_number_of_a_table_is_cut(width: int, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    from rich.console import Console
+
+    import harness.terminal as terminal
+
+    monkeypatch.setattr(terminal, "wide_console", lambda: Console(width=width, markup=False, highlight=False))
+    row = {"identifier": "ho-kalman", "order": 12, "nrmse": 1.2345e-05, "free_run": None, "sound": True}
+    terminal.print_rows([{**row, "note": "the input does not excite all lags, so that nothing can be said of it"}])
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= width
+    assert all(word in shown for word in ("ho-kalman", "12", "1.234e-05", "yes"))
+    assert "None" not in shown
+    assert "so that nothing can be said of it" in " ".join(shown.split())
+
+
 def test_a_shell_completes_ids() -> None:
     done = sysid(_SYSID_COMPLETE="complete_bash", COMP_WORDS="sysid identify x --identifier lum", COMP_CWORD="4")
     assert "lumped-momentum" in done.stdout, done.stderr

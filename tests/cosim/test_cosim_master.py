@@ -341,6 +341,23 @@ class Echo(Linear):
         self.a, self.b = np.zeros((count, count)), np.eye(count)
 
 
+def test_wires_that_add_up_keep_their_offset_too() -> None:
+    # a target is driven by two sources: 300 K and 10 K, each converted on its own wire
+    parts = {"room": Echo(2, "K"), "sum": Echo(2, "degC")}
+    rooms = {f"room{i}": f"room.u{i}" for i in range(2)}
+    wires = [Connection(name, target) for name, target in rooms.items()]
+    wires += [
+        Connection("room.y0", "sum.u0", add=True),
+        Connection("room.y1", "sum.u0", add=True),
+        Connection("room.y1", "sum.u1"),
+    ]
+    with Coupled(parts, wires, inputs=rooms, outputs=["sum.y0", "sum.y1"]) as plant:
+        plant.reset(rng=RNG)
+        for _ in range(3):
+            y = plant.step(np.array([300.0, 10.0]))
+    assert y == pytest.approx([26.85 - 263.15, -263.15])
+
+
 @pytest.mark.parametrize("unit", ["degC", "degF", "K"])
 @pytest.mark.parametrize("order", ["gauss-seidel", "jacobi"])
 @pytest.mark.parametrize("delay", [0, 1])

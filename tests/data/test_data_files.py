@@ -162,6 +162,25 @@ def test_mdf(tmp_path: Path) -> None:
     assert table.read("time")[0] == pytest.approx(stamps)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_broken_mdf_is_refused_and_nothing_is_said_afterwards(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import gc
+
+    asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed: pip install 'sysid-harness[data]'")
+    with asammdf.MDF(version="4.10") as log:
+        log.append([asammdf.Signal(VALUES, np.arange(5) * 0.1, name="speed")])
+        log.save(tmp_path / "sound.mf4")
+    sound = (tmp_path / "sound.mf4").read_bytes()
+    for length in (0, 10, 64, 100, 168, 300, len(sound) // 2):
+        (tmp_path / "a.mf4").write_bytes(sound[:length])
+        with pytest.raises(InputError, match="MDF"):
+            Table(tmp_path / "a.mf4")
+    gc.collect()
+    assert "Traceback" not in capsys.readouterr().err
+
+
 def test_mcap(tmp_path: Path) -> None:
     writer_module = pytest.importorskip(
         "mcap.writer", reason="mcap is not installed: pip install 'sysid-harness[data]'"

@@ -41,3 +41,19 @@ def test_a_real_report_keeps_to_it(model: str, tmp_path: Path) -> None:
     assert checked(content) == []
     broken = {key: value for key, value in content.items() if key != "verdict"} | {"seconds": "long"}
     assert len(checked(broken)) == 2
+
+
+@pytest.mark.slow
+def test_the_report_of_an_arm_keeps_to_it(tmp_path: Path) -> None:
+    pytest.importorskip("pybullet", reason="pybullet has wheels for CPython 3.10 and 3.11 only")
+    for role in ("estimation", "validation"):
+        api.simulate("iiwa-bullet", scenario="arm-computed-torque", role=f"{role}/0", out=tmp_path / f"{role}.csv",
+                     options={"outputs": ["q"]},
+                     scenario_options={"duration": 8.0, "amplitude": 0.4, "noise": 1e-4})  # fmt: skip
+    api.close_loop(tmp_path / "estimation.csv", validation=tmp_path / "validation.csv", model="iiwa",
+                   out=tmp_path / "report")  # fmt: skip
+    content = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
+    assert checked(content) == []
+    assert [one["joint"] for one in content["joints"]] == [f"q{k}" for k in range(1, 8)]
+    # a report that is not an arm's has more that is always there
+    assert len(checked({key: value for key, value in content.items() if key != "joints"})) > 5

@@ -7,6 +7,7 @@ exception of another kind, or be read as something that is no record.
 from __future__ import annotations
 
 import gzip
+import importlib.util
 import json
 import random
 import sys
@@ -22,6 +23,7 @@ from harness import api
 from harness.cosim import couple, couple_ssp
 from harness.data import load_dataset
 from harness.errors import HarnessError
+from harness.physics import load_model
 from harness.plant_files import make_part
 from plants.fmu_archive import read_fmu
 from plants.mockups import mockup
@@ -48,6 +50,19 @@ rows = [0, 40]
 file = "FILE"
 use = "validation"
 rows = [40, 60]
+"""
+URDF = """<?xml version="1.0"?>
+<robot name="two">
+ <link name="base"/>
+ <link name="upper"><inertial><origin xyz="0 0 -0.5"/><mass value="1.5"/>
+  <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.01"/></inertial></link>
+ <link name="lower"><inertial><origin xyz="0 0 -0.3"/><mass value="0.8"/>
+  <inertia ixx="0.05" ixy="0" ixz="0" iyy="0.05" iyz="0" izz="0.01"/></inertial></link>
+ <joint name="q1" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+  <limit lower="-3" upper="3" effort="10" velocity="5"/><dynamics damping="0.1"/></joint>
+ <joint name="q2" type="revolute"><parent link="upper"/><child link="lower"/><origin xyz="0 0 -1"/><axis xyz="0 1 0"/>
+  <limit lower="-3" upper="3" effort="10" velocity="5"/></joint>
+</robot>
 """
 SUITE = """
 name = "small"
@@ -87,6 +102,32 @@ def table() -> dict[str, np.ndarray]:
     return {"time [s]": t, "u [N m]": np.sin(3.0 * t), "theta [rad]": 0.3 * np.cos(2.0 * t)}
 
 
+def write_mcap(path: Path) -> None:
+    """Write a log of a robot, one message a sample."""
+    from mcap.writer import Writer
+
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("arm", "jsonschema", b'{"type": "object"}')
+        channel = writer.register_channel("/arm", "json", schema)
+        for t, u, theta in zip(*table().values(), strict=True):
+            stamp = round(1e9 * float(t))
+            text = json.dumps({"u": float(u), "theta": float(theta)})
+            writer.add_message(channel, stamp, text.encode(), stamp)
+        writer.finish()
+
+
+def write_mdf(path: Path) -> None:
+    """Write a log of a car."""
+    import asammdf
+
+    t, u, theta = table().values()
+    with asammdf.MDF(version="4.10") as log:
+        log.append([asammdf.Signal(u, t, name="u", unit="N m"), asammdf.Signal(theta, t, name="theta", unit="rad")])
+        log.save(path)
+
+
 def write_inputs(folder: Path) -> dict[str, Callable[[Path], object]]:
     """Write one sound input of every format; return by file name what reads it."""
     import h5py
@@ -113,11 +154,20 @@ def write_inputs(folder: Path) -> dict[str, Callable[[Path], object]]:
     readers: dict[str, Callable[[Path], object]] = {}
     for name in ("a.csv", "a.tsv", "a.csv.gz", "a.xlsx", "a.parquet", "a.feather"):
         readers[name] = lambda path: load_dataset(path, model="pendulum")
-    for name in ("a.npz", "a.mat", "a.h5"):
+    write_mcap(folder / "a.mcap")
+    logs = ["a.mcap"]
+    if importlib.util.find_spec("asammdf") is not None:
+        write_mdf(folder / "a.mf4")
+        logs.append("a.mf4")
+    for name in ("a.npz", "a.mat", "a.h5", *logs):
 
         def described(path: Path) -> object:
             toml = path.with_name(f"of-{path.name}.toml")
-            toml.write_text(TOML.replace("FILE", path.name), encoding="utf-8")
+            text = TOML.replace("FILE", path.name)
+            if path.suffix == ".mcap":
+                text = text.replace("[signals.u]", '[signals.u]\ncolumn = "/arm.u"')
+                text = text.replace("[signals.theta]", '[signals.theta]\ncolumn = "/arm.theta"')
+            toml.write_text(text, encoding="utf-8")
             return load_dataset(toml)
 
         readers[name] = described
@@ -136,6 +186,8 @@ def write_inputs(folder: Path) -> dict[str, Callable[[Path], object]]:
         archive.write(mockup("pendulum"), "resources/arm.fmu")
     readers["a.ssp"] = lambda path: couple_ssp(path, make_part).close()
     api.identify(folder / "a.csv", identifier="arx", options={"order": 1}, model="pendulum", out=folder / "model.json")
+    (folder / "a.urdf").write_text(URDF, encoding="utf-8")
+    readers["a.urdf"] = lambda path: load_model(str(path))
     readers["model.json"] = lambda path: api.compare([path], folder / "dataset.toml").rows()
     return readers
 
