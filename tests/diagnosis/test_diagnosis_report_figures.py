@@ -76,7 +76,11 @@ def data(verdict: str, **more: Any) -> dict[str, Any]:
     [
         ("effects_found", {}, "pendulum lacks quadratic drag at theta; validation simulation error theta 0.1 -> 0.002"),
         ("effects_found", {"tie_sets": [[1, 2]]}, "(tied with others, see below)"),
-        ("effects_found", {"stand_in": {"flagged": True, "reasons": ["two laws"]}}, "stand in for what pendulum lacks"),
+        (
+            "effects_found",
+            {"stand_in": {"flagged": True, "reasons": ["two laws"]}},
+            "stands in for what pendulum lacks",
+        ),
         ("nothing_missing", {}, "nothing is missing in pendulum: validation simulation error theta 0.1 rad"),
         ("unexplained", {}, "too large for a disturbance"),
         ("model_does_not_fit", {}, "pendulum does not fit these data: the sign is wrong"),

@@ -388,8 +388,9 @@ def _summary(data: dict[str, Any]) -> str:
         names = " and ".join(f"{one['name'].replace('_', ' ')} at {one['at']}" for one in data["effects"])
         more = " (tied with others, see below)" if any(len(one) > 1 for one in data["tie_sets"]) else ""
         if data["stand_in"]["flagged"]:
+            stand = "stands" if len(data["effects"]) == 1 else "stand"
             return (
-                f"{names}{more} stand in for what {data['model']} lacks, which the dictionary does not have "
+                f"{names}{more} {stand} in for what {data['model']} lacks, which the dictionary does not have "
                 f"({data['stand_in']['reasons'][0]}); validation simulation error {change}; {words}"
             )
         return f"{data['model']} lacks {names}{more}; validation simulation error {change}; {words}"
