@@ -279,7 +279,8 @@ def _blocks(model: Any, judged: Sequence[Trajectory], horizon: int | None, skip:
     size = np.sqrt(np.mean(np.concatenate([one.y - one.y.mean(axis=0) for one in judged]) ** 2, axis=0))
     misses = []
     for one in judged:
-        miss = residual(outputs, one.y, np.asarray(predict(model, one, horizon)))[skip:]
+        with np.errstate(invalid="ignore"):  # a run that grew to infinity is an error without bound
+            miss = residual(outputs, one.y, np.asarray(predict(model, one, horizon)))[skip:]
         with np.errstate(over="ignore", invalid="ignore"):  # a free run that diverges
             misses.append(np.mean((miss / np.where(size > 0, size, 1.0)) ** 2, axis=1))
     every = np.concatenate(misses)
