@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.fit import Fit
 from harness.effects.effect import Placed
 
-__all__ = ["Comparison", "Judged", "compared", "difference", "impossible", "judged", "violations"]
+__all__ = ["Comparison", "Judged", "compared", "difference", "impossible", "judged", "violations", "wrong_signs"]
 
 _NEAR_BOUND = 1e-4
 """Share of a bound's size within which a value lies on it."""
@@ -112,19 +112,27 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
 
 def impossible(placed: Placed, fit: Fit) -> list[str]:
     """Return what physics forbids in the values of an effect, as its parameters declare."""
-    reasons = []
+    reasons = wrong_signs(placed, fit.values)
     for one in placed.effect.parameters:
         name = placed.name(one.name)
         if name not in fit.free or one.nuisance:
             continue
         value = fit.values[name]
-        if (one.sign == "+" and value < 0) or (one.sign == "-" and value > 0):
-            reasons.append(f"{one.name} = {value:.3g} has an unphysical sign")
         bounds = [bound for bound in (one.minimum, one.maximum) if np.isfinite(bound) and bound != 0.0]
         near = [bound for bound in bounds if abs(value - bound) <= _NEAR_BOUND * abs(bound)]
         if near and near[0] != one.neutral:
             reasons.append(f"{one.name} lies on its bound {near[0]:g}")
     return reasons + violations(placed, fit)
+
+
+def wrong_signs(placed: Placed, values: Mapping[str, float]) -> list[str]:
+    """Return which values of an effect have a sign that its law does not have."""
+    found = []
+    for one in placed.effect.parameters:
+        value = values.get(placed.name(one.name), 0.0)
+        if not (one.fixed or one.nuisance) and ((one.sign == "+" and value < 0) or (one.sign == "-" and value > 0)):
+            found.append(f"{one.name} = {value:.3g} has an unphysical sign")
+    return found
 
 
 def violations(placed: Placed, fit: Fit) -> list[str]:

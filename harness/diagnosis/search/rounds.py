@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from harness.diagnosis.policy import EFFORT, POLICY, Policy
-from harness.diagnosis.search.compare import Judged, compared, difference, judged, violations
+from harness.diagnosis.search.compare import Judged, compared, difference, judged, violations, wrong_signs
 from harness.diagnosis.search.fit import Begun, Fit, Form
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
 from harness.effects import family
@@ -133,8 +133,13 @@ def _refitted(
     before = base.log_likelihood("estimation")
     gains = {placed: one.log_likelihood - before for placed, one in begun.items() if one is not None}
     enough = max(policy.lead, policy.reach * max(gains.values(), default=0.0))
-    order = sorted((placed for placed in gains if gains[placed] >= enough), key=lambda one: -gains[one])
-    order = order[: policy.refits]
+
+    def place(one: Placed) -> tuple[bool, float]:  # what no law allows must not take the place of what one does
+        first = begun[one]
+        assert first is not None
+        return bool(wrong_signs(one, first.values)), -gains[one]
+
+    order = sorted((placed for placed in gains if gains[placed] >= enough), key=place)[: policy.refits]
     # what is exactly the same must not lose by its first steps
     same = {name for placed in order[:1] for name in family(placed.effect).exact}
     order += [placed for placed in begun if placed.effect.name in same and placed not in order and begun[placed]]
