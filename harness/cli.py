@@ -137,7 +137,8 @@ def run(arguments: Sequence[str] | None, interrupts: Interrupts) -> int:
 
 def _interrupted() -> int:
     """Say that Ctrl-C was heard."""
-    return fail("interrupted; what was finished is kept: --resume continues, a fit goes on from its checkpoint", INTERRUPTED)
+    text = "interrupted; what was finished is kept: --resume continues, a fit goes on from its checkpoint"
+    return fail(text, INTERRUPTED)
 
 
 def _failed(error: Exception) -> int:
