@@ -327,7 +327,7 @@ class Likelihood:
         chosen = np.array([*columns, *starts], dtype=np.intp)
         passes = self.filtered(point, columns=chosen if len(chosen) else None, by_noise=bool((which >= limit).any()))
         told = np.zeros(len(which), dtype=bool)
-        if passes is not None and not exact:
+        if passes is not None and len(chosen):
             told |= which < limit
             whole = [np.asarray(one.j) for one in passes]
             edges = np.cumsum([0, *(one.shape[0] for one in whole)])

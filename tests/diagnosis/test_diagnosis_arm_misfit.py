@@ -91,7 +91,7 @@ def test_the_right_log_fits_and_says_how_much_is_explained() -> None:
     assert report.verdict == "nothing_missing", report.data["summary"]
     assert report.data["misfit"] == []
     assert "% of the variance of every joint's torque is explained" in report.data["summary"]
-    assert report.data["policy"]["arm_order"]["reason"]
+    assert report.data["policy"]["order"]["reason"]
 
 
 def test_friction_is_found_beside_inertia_that_is_calibrated_on_few_rows() -> None:

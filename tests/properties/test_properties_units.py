@@ -56,6 +56,8 @@ PHYSICAL = {
     "embed-to-control": "a network of torch scales inside; its optimiser rounds differently",
     "neural-output-error": "scales inside; a descent over many minima may end in another one",
     "maximum-likelihood": "models of physics speak SI",
+    "ekf": "models of physics speak SI",
+    "ukf": "models of physics speak SI",
     "mdp-counting": "categories have no unit",
     "factored-counting": "categories have no unit",
     "hidden-markov": "categories have no unit",
