@@ -103,7 +103,8 @@ def test_killed_and_resumed_the_records_are_the_same(tmp_path: Path) -> None:
 
 
 def test_a_record_that_breaks_is_said_by_name_and_costs_no_other(tmp_path: Path) -> None:
-    tasks = [task for task in plan("all", base=BASES["judged"], plants=["pendulum"], cells=1, alarms=1) if task.study != "cost"]
+    planned = plan("all", base=BASES["judged"], plants=["pendulum"], cells=1, alarms=1)
+    tasks = [task for task in planned if task.study != "cost"]
     in_the_way = tmp_path / "records" / "records" / record_name(tasks[1].key)
     in_the_way.parent.mkdir(parents=True)
     in_the_way.write_text("a file where the record's folder would be")
