@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from harness.diagnosis.policy import EFFORT, POLICY, Policy
-from harness.diagnosis.search.compare import Judged, compared, difference, judged, violations, wrong_signs
+from harness.diagnosis.search.compare import Judged, compared, difference, impossible, judged, violations, wrong_signs
 from harness.diagnosis.search.fit import Begun, Fit, Form
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
 from harness.effects import family
@@ -148,10 +148,17 @@ def _refitted(
         first = begun[placed]
         assert first is not None
         say(f"{placed} to its maximum")
-        fits[placed] = form.finish(first, origins[placed])
+        fits[placed] = form.finish(first, origins[placed], _best(fits, placed))
     _share_starts(form, fits, base)
     _lawful(form, fits, base, {one.placed: one.starts[0] for one in test.leads})
     return fits
+
+
+def _best(fits: Mapping[Placed, Fit | None], beside: Placed) -> Fit | None:
+    """Return the likeliest of the other refits that reached a lawful maximum."""
+    done = [one for placed, one in fits.items() if one is not None and one.converged and placed != beside]
+    lawful = [one for one in done if not any(impossible(placed, one) for placed in one.effects)]
+    return max(lawful, key=lambda one: one.log_likelihood("estimation"), default=None)
 
 
 def chosen(test: ScoreTest, policy: Policy = POLICY) -> list[Lead]:
@@ -185,7 +192,7 @@ def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None
                     start[mine.name(one.name)] = other.values[theirs.name(one.name)]
                 elif fit is not None:
                     start[mine.name(one.name)] = fit.values[mine.name(one.name)]
-            again = form.fit([*base.effects, mine], [start], other)
+            again = form.fit([*base.effects, mine], [start], other, _best(fits, mine))
             if again is not None and (fit is None or _value(again) > _value(fit)):
                 fits[mine] = again
 
