@@ -17,6 +17,7 @@ __all__ = ["FORMAT", "arrow_table", "columns_of_files", "plain_values", "rows_of
 FORMAT = "sysid-harness/bench/1"
 UNITS = {
     **{name: "1" for name in ("equation_error", "simulation_error", "noise_floor", "coverage", "control_score")},
+    **{name: "1" for name in ("least_equation_error", "least_simulation_error")},
     "control_regret": "samples of the optimal cost",
     **{name: "nats" for name in ("log_score", "log_regret", "average_log_regret")},
     "memory_mib": "MiB",

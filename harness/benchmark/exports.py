@@ -20,6 +20,7 @@ HEAD = (
     "equation error",
     "simulation error",
     "best possible",
+    "bound",
     "over best",
     "regret",
     "fit",
@@ -59,7 +60,7 @@ def _markdown(lines: Sequence[Summary]) -> str:
 def _latex(lines: Sequence[Summary]) -> str:
     control, more = _asked(lines), optional_scores(lines)
     head = " & ".join(map(_escaped, (*HEAD[:-1], *more.values(), HEAD[-1], *CONTROL * control)))
-    columns = f"lllrllllll{'l' * len(more)}{'lll' * control}"
+    columns = f"lllrlllllll{'l' * len(more)}{'lll' * control}"
     rows = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head + r" \\", r"\midrule"]
     place = None
     for line in lines:
@@ -73,13 +74,14 @@ def _latex(lines: Sequence[Summary]) -> str:
 def _csv(lines: Sequence[Summary]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    scores = ["equation_error", "simulation_error", "noise_floor", "over_floor", "regret", "fit_seconds", "memory_mib"]
+    scores = ["equation_error", "simulation_error", "noise_floor", "best_possible", "over_best", "least_equation_error"]
+    scores += ["regret", "fit_seconds", "memory_mib"]
     control = _asked(lines)
     scores += [*OPTIONAL, *["control_score", "control_regret"] * control]
     writer.writerow(
         ["plant", "scenario", "identifier", "ok", "run", "best_or_tied"]
         + [f"{name}_{part}" for name in scores for part in ("median", "low", "high")]
-        + ["problems", *["control"] * control]
+        + ["bound", "problems", *["control"] * control]
     )
     for line in lines:
         found: list[Quartiles | None] = [getattr(line, name) for name in scores]
@@ -88,7 +90,7 @@ def _csv(lines: Sequence[Summary]) -> str:
         writer.writerow(
             [line.plant, line.scenario, line.identifier, line.ok, line.run, int(line.leading)]
             + [text for texts in figures for text in texts]
-            + [problems, *[line.control] * control]
+            + [line.bound, problems, *[line.control] * control]
         )
     return stream.getvalue()
 
@@ -112,8 +114,9 @@ def _cells(line: Summary, more: Mapping[str, str], bold: str, quote: Callable[[s
         f"{line.ok}/{line.run}",
         _score(line.equation_error),
         simulation,
-        figure(line.noise_floor.median) if line.noise_floor else "",
-        figure(line.over_floor.median) if line.over_floor else "",
+        figure(line.best_possible.median) if line.best_possible else "",
+        line.bound,
+        figure(line.over_best.median) if line.over_best else "",
         _score(line.regret),
         *(_score(getattr(line, name)) for name in more),
         f"{figure(line.fit_seconds.median, 2)} s" if line.fit_seconds and line.ok else "",

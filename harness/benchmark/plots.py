@@ -12,7 +12,7 @@ import numpy as np
 
 from harness.benchmark.row import Row
 from harness.benchmark.statistics import Ranking
-from harness.benchmark.summary import Summary, places_of
+from harness.benchmark.summary import Summary, best_possible, places_of
 
 __all__ = [
     "ACCENT",
@@ -63,7 +63,7 @@ def error_plot(lines: Sequence[Summary], rows: Sequence[Row]) -> str:
         return ""
     heights = [max(len(panel[2]) for panel in panels[i : i + 2]) for i in range(0, len(panels), 2)]
     medians = [max(line.simulation_error.median, 1e-12) for p in panels for line in p[2] if line.simulation_error]
-    floors = [line.noise_floor.median for line in lines if line.noise_floor]
+    floors = [line.best_possible.median for line in lines if line.best_possible]
     limits = (max(0.4 * min([*medians, *floors]), 1e-6), min(2.5 * max([1.0, *medians]), FAR))
     longest = max(len(line.identifier) for panel in panels for line in panel[2])
     with _figure(len(panels), heights, 0.235, label=longest) as (drawing, axes):
@@ -89,7 +89,7 @@ def error_plot(lines: Sequence[Summary], rows: Sequence[Row]) -> str:
             axis.set_xscale("log")
             axis.set_xlim(*limits)  # the same for all panels, so that they compare
             _decades(axis, limits)
-            floors = [line.noise_floor.median for line in own if line.noise_floor]
+            floors = [line.best_possible.median for line in own if line.best_possible]
             if floors:
                 axis.axvspan(limits[0], floors[0], color=GRID, alpha=0.6, linewidth=0)
             axis.axvline(1.0, color=WARN, linewidth=0.8, linestyle=(0, (3, 3)))
@@ -177,8 +177,8 @@ def axis_plot(rows: Sequence[Row]) -> str:
         for name, value in zip(row.axes, row.axis_values, strict=True):
             others = [f"{n} {v:g}" for n, v in zip(row.axes, row.axis_values, strict=True) if n != name]
             key = (row.plant.partition(" [")[0], ", ".join([row.scenario.partition(" [")[0], *others]), name)
-            if row.noise_floor is not None:
-                floors.setdefault(key, {}).setdefault(value, []).append(row.noise_floor)
+            if (best := best_possible(row)) is not None:
+                floors.setdefault(key, {}).setdefault(value, []).append(best)
             if row.status == "ok" and row.simulation_error is not None:
                 series = panels.setdefault(key, {}).setdefault(row.identifier.partition(" [")[0], {})
                 series.setdefault(value, []).append(row.simulation_error)
@@ -195,7 +195,7 @@ def axis_plot(rows: Sequence[Row]) -> str:
             floor = floors.get(key, {})
             if floor:
                 at = sorted(floor)
-                axis.plot(at, [np.median(floor[v]) for v in at], "--", color=WARN, linewidth=1.0, label="noise floor")
+                axis.plot(at, [np.median(floor[v]) for v in at], "--", color=WARN, linewidth=1.0, label="best possible")
             points = [v for found in lines.values() for v in found]
             axis.set_yscale("log")
             axis.set_ylim(top=min(axis.get_ylim()[1], FAR))

@@ -23,6 +23,8 @@ class Row(msgspec.Struct, kw_only=True, gc=False):
     NRMSE (rms of the residual over the standard deviation of the output), so they carry no unit; the rms of each
     output in its own unit stands beside them. ``noise_floor`` is the same figure of the sensor noise in the held-out
     records: what the true plant from the true initial state would score, so no model can do better but by luck.
+    ``least_equation_error`` and ``least_simulation_error``, where the plant is linear, are the least to be expected of
+    an unbiased estimator that knows the order: process noise counts, and the Cramer-Rao bound of the parameters.
     ``log_score`` and ``coverage`` judge models that predict distributions, one step ahead, as means over outputs and
     held-out records: the log score [nats a sample] above that of the record's own normal distribution or frequencies,
     and the share of samples in the 90 % sets.
@@ -47,6 +49,8 @@ class Row(msgspec.Struct, kw_only=True, gc=False):
     axes: tuple[str, ...] = ()
     axis_values: tuple[float, ...] = ()
     noise_floor: float | None = None
+    least_equation_error: float | None = None
+    least_simulation_error: float | None = None
     equation_error: float | None = None
     simulation_error: float | None = None
     log_score: float | None = None

@@ -16,6 +16,7 @@ __all__ = [
     "OPTIONAL",
     "Quartiles",
     "Summary",
+    "best_possible",
     "figure",
     "optional_scores",
     "places_of",
@@ -74,8 +75,14 @@ class Summary:
     control_score: Quartiles | None
     control_regret: Quartiles | None
     noise_floor: Quartiles | None
-    over_floor: Quartiles | None
-    """Simulation error over the noise floor of its own seed: 1 is as good as can be."""
+    best_possible: Quartiles | None
+    """The least simulation error to be expected: the Cramer-Rao bound, or else the noise floor."""
+    over_best: Quartiles | None
+    """Simulation error over the best possible of its own seed: 1 is as good as can be."""
+    least_equation_error: Quartiles | None
+    """The least equation error to be expected, where the plant is linear."""
+    bound: str
+    """What the best possible is: ``"Cramer-Rao"``, ``"noise"``, or nothing where there is none."""
     fit_seconds: Quartiles | None
     memory_mib: Quartiles | None
     leading: bool
@@ -124,9 +131,10 @@ def summarise(rows: Sequence[Row], cells: Sequence[tuple[str, str, str]] = ()) -
         good = [row for row in own if row.status == "ok"]
         scores = {name: _quartiles([getattr(row, name) for row in good]) for name in SCORES}
         scores["noise_floor"] = _quartiles([row.noise_floor for row in own])
-        scores["over_floor"] = _quartiles(
-            [row.simulation_error / row.noise_floor for row in good if row.simulation_error and row.noise_floor]
-        )
+        scores["least_equation_error"] = _quartiles([row.least_equation_error for row in own])
+        scores["best_possible"] = _quartiles([best_possible(row) for row in own])
+        pairs = [(row.simulation_error, best_possible(row)) for row in good]
+        scores["over_best"] = _quartiles([error / best for error, best in pairs if error and best])
         leading = (plant, scenario, identifier) in leaders
         faults = Counter((row.status, row.reason) for row in own if row.status != "ok")
         problems = tuple((status, reason, n) for (status, reason), n in faults.most_common())
@@ -138,12 +146,25 @@ def summarise(rows: Sequence[Row], cells: Sequence[tuple[str, str, str]] = ()) -
                 len(good),
                 len(own),
                 **scores,
+                bound=_bound(own),
                 leading=leading,
                 problems=problems,
                 control=_control_text(good),
             )
         )
     return result
+
+
+def best_possible(row: Row) -> float | None:
+    """Return the least simulation error to be expected: the Cramer-Rao bound where there is one, or the noise floor."""
+    return row.noise_floor if row.least_simulation_error is None else row.least_simulation_error
+
+
+def _bound(own: Sequence[Row]) -> str:
+    """Return what the best possible of some rows is."""
+    if any(row.least_simulation_error is not None for row in own):
+        return "Cramer-Rao"
+    return "noise" if any(row.noise_floor is not None for row in own) else ""
 
 
 def _control_text(good: Sequence[Row]) -> str:

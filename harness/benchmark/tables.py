@@ -33,8 +33,9 @@ def rich_table(result: BenchResult) -> Group:
         made.add_column(name, no_wrap=True, min_width=max((len(getattr(line, part)) for line in lines), default=0))
     made.add_column("ok", justify="right", no_wrap=True, min_width=5)
     control = any(line.control for line in lines)
-    for name in ("equation error", "simulation error", "floor", "x floor", "regret", *CONTROL * control):
-        made.add_column(name, no_wrap=True, min_width=7 if name == "floor" else None)
+    for name in ("equation error", "simulation error", "best", "x best", "regret", *CONTROL * control):
+        widest = max((len(_best(line)) for line in lines), default=0) if name == "best" else None
+        made.add_column(name, no_wrap=True, min_width=widest)
     place, row_of_place = ("", ""), 0
     for line in lines:
         row_of_place = row_of_place + 1 if place == (line.plant, line.scenario) else 0
@@ -49,8 +50,8 @@ def rich_table(result: BenchResult) -> Group:
             Text(f"{line.ok}/{line.run}", style="" if line.ok == line.run else "yellow"),
             _shown(line.equation_error) if line.ok else Text(_status(line), style="yellow"),
             Text(_shown(line.simulation_error), style=style),
-            figure(line.noise_floor.median, 2) if line.noise_floor and not row_of_place else "",
-            figure(line.over_floor.median) if line.over_floor else "",
+            _best(line) if not row_of_place else "",
+            figure(line.over_best.median) if line.over_best else "",
             _shown(line.regret),
             *((_shown(line.control_score), _shown(line.control_regret), line.control) if control else ()),
         )
@@ -58,8 +59,8 @@ def rich_table(result: BenchResult) -> Group:
             made.add_row(Text(f"  {line.scenario}"))
     heading = Text(f"{result.suite}: ", style="bold")
     heading.append(
-        "median [quartiles] over seeds; errors are NRMSE on held-out data; floor: sensor noise, the least possible; "
-        "x floor: 1 is as good as can be",
+        "median [quartiles] over seeds; errors are NRMSE on held-out data; best: the least possible, sensor noise or, "
+        "marked CR, the Cramer-Rao bound; x best: 1 is as good as can be",
         style="not bold",
     )
     parts: list[RenderableType] = [heading, made]
@@ -82,6 +83,13 @@ def _optional_table(lines: Sequence[Summary], more: Mapping[str, str]) -> Table:
         if any(getattr(line, name) for name in more):
             made.add_row(line.plant, line.scenario, line.identifier, *(_shown(getattr(line, name)) for name in more))
     return made
+
+
+def _best(line: Summary) -> str:
+    """Return the best possible, with its kind."""
+    if line.best_possible is None:
+        return ""
+    return figure(line.best_possible.median, 3) + " CR" * (line.bound == "Cramer-Rao")
 
 
 def _shown(score: Quartiles | None) -> str:

@@ -15,14 +15,15 @@ import numpy as np
 
 from harness import registry
 from harness.benchmark.control import score_control
-from harness.benchmark.parts import RECORDING, Cell, Task
+from harness.benchmark.parts import Cell, Task
+from harness.benchmark.records import Records, make_records
 from harness.benchmark.row import Row, blank, encoded, one_line
 from harness.errors import HarnessError, InputError, PlantError, PluginError
 from harness.jobs import Desk
 from harness.plant_files import make_plant
 from harness.protocols import OnlinePredictive, Predictive
-from harness.rng import Streams, stream
-from harness.signals import FloatArray, Trajectory, residual
+from harness.rng import stream
+from harness.signals import Trajectory
 
 if TYPE_CHECKING:
     from harness.protocols import Model
@@ -90,24 +91,25 @@ class CellBatch:
         _preload(task)
         started = time.perf_counter()
         failure: HarnessError | None = None
-        runs: list[Trajectory] = []
-        held_out: list[Trajectory] = []
-        floor: float | None = None
+        records: Records | None = None
         with desk.shared():
             try:
-                runs, held_out, floor = _make_data(task)
+                records = make_records(task)
             except HarnessError as error:
                 failure = error
             except (Exception, SystemExit) as error:
                 failure = PluginError(f"{task.plant.name} under {task.scenario.name}: {_described(error)}")
         seconds = time.perf_counter() - started
         for cell in task.cells:
-            if failure is not None:
-                row = blank(task, cell, status=failure.status, reason=f"no data: {failure}")
+            if records is None:
+                row = blank(task, cell, status=failure.status if failure else "failed", reason=f"no data: {failure}")
             else:
                 with desk.job(cell.job):
-                    row = _do_cell(task, cell, runs, held_out, trace=self.trace)
-            row.data_seconds, row.noise_floor, row.memory_mib = seconds, floor, _memory()
+                    row = _do_cell(task, cell, records.runs, records.held_out, trace=self.trace)
+                row.noise_floor = records.floor
+                row.least_equation_error = records.least_equation
+                row.least_simulation_error = records.least_simulation
+            row.data_seconds, row.memory_mib = seconds, _memory()
             desk.put(cell.job, encoded(row))
 
 
@@ -123,82 +125,6 @@ def _preload(task: Task) -> None:
             registry.load(kind, id)
     import harness.rollout
     import harness.scoring  # noqa: F401
-
-
-def _make_data(task: Task) -> tuple[list[Trajectory], list[Trajectory], float | None]:
-    """Return the records that models are fitted to, those that they are scored on, and the noise floor of these."""
-    from harness.rollout import perform
-
-    if task.plant.id.startswith(RECORDING):
-        return _recorded(task.plant.id.removeprefix(RECORDING))
-    scenario = registry.create("scenarios", task.scenario.id, **task.scenario.options)
-    streams = Streams(task.plant.stream, task.scenario.stream, task.seed)
-    with make_plant(task.plant.id, dict(task.plant.options)) as plant:
-
-        def record(role: str) -> tuple[Trajectory, dict[int, FloatArray]]:
-            experiment, clean = scenario.prepare(plant.spec, streams=streams, role=role), {}
-
-            def measure(k: int, y: FloatArray) -> FloatArray:
-                clean[k] = np.array(y)
-                measured: FloatArray = experiment.measure(k, y)
-                return measured
-
-            made = perform(plant, replace(experiment, measure=measure), rng=streams(f"{role}/plant"))
-            return made, clean
-
-        runs = [record(f"estimation/{i}")[0] for i in range(task.score.runs)]
-        pairs = [record(f"validation/{i}") for i in range(task.score.held_out)]
-    return runs, [made for made, _ in pairs], noise_floor(pairs)
-
-
-def _recorded(name: str) -> tuple[list[Trajectory], list[Trajectory], float | None]:
-    """Return the runs of a recording: those for estimation, and those for a test or else for validation.
-
-    The floor is that of the sensor noise that the recording declares, if it does so for every output.
-    """
-    from harness.data import load_dataset
-
-    data = load_dataset(registry.dataset_path(name)).dataset
-    held_out = list(data.test or data.validation)
-    if not data.estimation or not held_out:
-        raise InputError(
-            f"recording {name}",
-            expected="runs for estimation, and for test or validation",
-            got=f"{len(data.estimation)} and {len(held_out)}",
-            remedy="leave it out of the suite",
-        )
-    outputs = data.spec.outputs
-    if not all(channel.name in data.noise for channel in outputs):
-        return list(data.estimation), held_out, None
-    noise = np.array([data.noise[channel.name] for channel in outputs])
-    spreads = [np.std(record.y, axis=0) for record in held_out]
-    floor = float(np.sqrt(np.mean([np.mean((noise / spread) ** 2) for spread in spreads if (spread > 0).all()])))
-    return list(data.estimation), held_out, floor if np.isfinite(floor) else None
-
-
-def noise_floor(pairs: Sequence[tuple[Trajectory, dict[int, FloatArray]]]) -> float | None:
-    """Return the NRMSE that the true outputs score against the measured ones, pooled as the scores are.
-
-    None where nothing is measured with noise, or an output is a category.
-    """
-    total, count = 0.0, 0
-    for made, clean in pairs:
-        if any(channel.kind == "category" for channel in made.spec.outputs):
-            return None
-        true = np.array([clean[k] for k in range(len(made))])
-        wrong = residual(made.spec.outputs, made.y, true)
-        spread = np.array(
-            [
-                np.std(np.unwrap(column, period=channel.period) if channel.period else column)
-                for column, channel in zip(made.y.T, made.spec.outputs, strict=True)
-            ]
-        )
-        moving = spread > 0
-        if not moving.any():
-            return None
-        total += len(made) * float(np.mean(np.mean(wrong[:, moving] ** 2, axis=0) / spread[moving] ** 2))
-        count += len(made)
-    return float(np.sqrt(total / count)) or None
 
 
 def _memory() -> float | None:

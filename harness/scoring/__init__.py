@@ -1,5 +1,6 @@
 """Scores: equation error, simulation error, regret of online identifiers, and what a model is worth for control."""
 
+from harness.scoring.bound import LeastErrors, LinearTruth, least_errors, linear_truth
 from harness.scoring.control import ControlRegret, ControlScore, control_regret, control_score, linearise
 from harness.scoring.prediction import (
     Score,
@@ -16,6 +17,8 @@ from harness.scoring.rounds import Round, interleaved
 __all__ = [
     "ControlRegret",
     "ControlScore",
+    "LeastErrors",
+    "LinearTruth",
     "Regret",
     "Round",
     "Score",
@@ -24,6 +27,8 @@ __all__ = [
     "equation_error",
     "errors",
     "interleaved",
+    "least_errors",
+    "linear_truth",
     "linearise",
     "predict",
     "regret",

@@ -80,12 +80,30 @@ def test_over_the_floor_is_paired_with_the_floor_of_the_same_seed() -> None:
     for row, floor in zip(own, (0.1, 0.4, 0.3), strict=True):
         row.noise_floor = floor
     (line,) = summarise(own)
-    assert line.over_floor is not None
-    assert line.over_floor.median == pytest.approx(2.0)
+    assert line.over_best is not None
+    assert line.over_best.median == pytest.approx(2.0)
     own[0].noise_floor = None
     (line,) = summarise(own)
-    assert line.over_floor is not None
-    assert line.over_floor.median == pytest.approx(2.0)
+    assert line.over_best is not None
+    assert line.over_best.median == pytest.approx(2.0)
+
+
+def test_the_cramer_rao_bound_goes_before_the_noise() -> None:
+    own = rows({"a": [0.2, 0.4, 0.9]})
+    assert summarise(own)[0].bound == "noise"
+    for row in own:
+        row.least_simulation_error, row.least_equation_error = 0.1, 0.05
+    (line,) = summarise(own)
+    assert line.bound == "Cramer-Rao"
+    assert line.best_possible is not None
+    assert line.over_best is not None
+    assert (line.best_possible.median, line.over_best.median) == (0.1, pytest.approx(4.0))
+    result = BenchResult("s", tuple(own), 3, None, {}, (("p", "s", "a"),))
+    header, values = (text.split(",") for text in render(result, "csv").splitlines())
+    cells = dict(zip(header, values, strict=True))
+    assert cells["bound"] == "Cramer-Rao"
+    assert float(cells["least_equation_error_median"]) == 0.05
+    assert "| 0.1 | Cramer-Rao | 4 |" in render(result, "markdown")
 
 
 def test_summaries_mark_the_leaders_but_never_the_truth() -> None:
@@ -98,10 +116,10 @@ def test_tables_for_papers() -> None:
     own = rows({"a_1": [1.0, 2.0, 3.0, 4.0, 5.0], "b|2": [None] * 5})
     result = BenchResult("s", tuple(own), 10, None, {}, (("p", "s", "a_1"), ("p", "s", "b|2")))
     markdown = render(result, "markdown").splitlines()
-    assert "| p | s | a_1 | 5/5 |  | **3 [2, 4]** | 0.01 | 300 |" in markdown[2]
+    assert "| p | s | a_1 | 5/5 |  | **3 [2, 4]** | 0.01 | noise | 300 |" in markdown[2]
     assert "b\\|2" in markdown[3]
     assert "diverged" in markdown[3]
-    assert all(line.replace("\\|", "").count("|") == 11 for line in markdown)
+    assert all(line.replace("\\|", "").count("|") == 12 for line in markdown)
     latex = render(result, "latex")
     assert r"a\_1 & 5/5 &  & \textbf{3 [2, 4]}" in latex
     assert latex.count("{") == latex.count("}")
