@@ -139,7 +139,7 @@ def _refitted(
         assert first is not None
         return bool(wrong_signs(one, first.values)), -gains[one]
 
-    order = sorted((placed for placed in gains if gains[placed] >= enough), key=place)[: policy.refits]
+    order = sorted((placed for placed in gains if gains[placed] >= enough), key=place)[: EFFORT.refits]
     # what is exactly the same must not lose by its first steps
     same = {name for placed in order[:1] for name in family(placed.effect).exact}
     order += [placed for placed in begun if placed.effect.name in same and placed not in order and begun[placed]]
@@ -175,8 +175,8 @@ def chosen(test: ScoreTest, policy: Policy = POLICY) -> list[Lead]:
     for leader in clear[:2]:
         names = {leader.placed.effect.name, *family(leader.placed.effect).near}
         near += [one for one in clear if one.placed.effect.name in names and one.placed.at == leader.placed.at]
-    ordered = dict.fromkeys([*clear[: policy.refits], *near, *clear])
-    return [*list(ordered)[: policy.begun], *faint[:2]]
+    ordered = dict.fromkeys([*clear[: EFFORT.refits], *near, *clear])
+    return [*list(ordered)[: EFFORT.begun], *faint[:2]]
 
 
 def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None:
@@ -276,7 +276,7 @@ def _pairs(form: Form, found: Outcome, nominal: Fit, candidates: Sequence[Placed
         and (not found.accepted or _total(one) >= policy.reach * so_far)
     ]
     best: Judged | None = None
-    for rival in sorted(rivals, key=lambda one: -_total(one))[: policy.pairs]:
+    for rival in sorted(rivals, key=lambda one: -_total(one))[: EFFORT.pairs]:
         fit = rival.fit
         assert fit is not None
         others = [one for one in candidates if str(one) != str(rival.added[0])]
@@ -316,7 +316,7 @@ def _exchange(form: Form, found: Outcome, nominal: Fit, policy: Policy) -> None:
             if row.fit is not None and row.comparison is not None and row.comparison.evidence > policy.evidence
         ]
         best, placed = found.model, earlier.placed
-        for row in sorted(rivals, key=lambda row: -_total(row))[: policy.pairs + 1]:
+        for row in sorted(rivals, key=lambda row: -_total(row))[: EFFORT.pairs + 1]:
             new = row.added[0]
             if str(new) in {str(one) for one in found.model.effects}:
                 continue
