@@ -246,7 +246,10 @@ def print_bench(result: BenchResult, *, as_json: bool) -> None:
         return
     wide_console().print(rich_table(result))
     if result.folder is not None:
-        say(f"report: {result.report}")
+        if result.report is None:
+            say(f"one share of a job array: 'sysid table {result.folder.parent}' puts the shares together")
+        else:
+            say(f"report: {result.report}")
         say(f"results: {result.folder / 'results.parquet'}")
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.errors import FitError, InputError
 from harness.scoring import same_language
@@ -77,6 +79,12 @@ def _users(name: str, arguments: FloatArray) -> FloatArray:
     return found
 
 
+@lru_cache(maxsize=64)
+def _monomials(n: int, degree: int) -> npt.NDArray[np.intp]:
+    """Return the factors (m, degree) of all monomials of a degree in n arguments."""
+    return np.array(list(combinations_with_replacement(range(n), degree)), dtype=np.intp)
+
+
 @dataclass(frozen=True)
 class Dictionary:
     """Functions of the outputs (and their past) that lift them to a Koopman state.
@@ -115,8 +123,7 @@ class Dictionary:
         n = z.shape[-1]
         parts = [z, np.ones((*z.shape[:-1], 1))]
         for degree in range(2, self.degree + 1):
-            rows = [np.prod(z[..., list(pick)], axis=-1) for pick in combinations_with_replacement(range(n), degree)]
-            parts.append(np.stack(rows, axis=-1))
+            parts.append(np.prod(z[..., _monomials(n, degree)], axis=-1))
         if self.trigonometric:
             parts += [np.sin(arguments), np.cos(arguments) - 1.0]
         if self.centres:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,9 @@ from identifiers.lag_state import LagModel, Scaling, regression_data
 from identifiers.records import moving, real_signals, usable
 
 __all__ = ["ForestModel", "RandomForest", "Tree", "grow_tree"]
+
+FEW = 64
+"""Rows up to which all trees are walked at once: below it the calls cost, beyond it the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +43,9 @@ class Tree:
     right: npt.NDArray[np.intp]
     value: FloatArray
 
-    def __call__(self, rows: FloatArray) -> FloatArray:
-        """Return the values (n, ny) of rows (n, p)."""
-        node = np.zeros(len(rows), dtype=np.intp)
+    def __call__(self, rows: FloatArray, start: npt.NDArray[np.intp] | None = None) -> FloatArray:
+        """Return the values (n, ny) of rows (n, p), from the root or from a node for each row."""
+        node = np.zeros(len(rows), dtype=np.intp) if start is None else start
         number = np.arange(len(rows))
         while True:
             feature = self.feature[node]
@@ -143,9 +147,28 @@ class ForestModel(LagModel):
         """Return mean and variance (..., ny) of the next output."""
         flat = self.scaling.rows(rows).reshape(-1, rows.shape[-1])
         flat = np.where(np.isfinite(flat), flat, 0.0)
-        mean = np.mean([tree(flat) for tree in self.trees], axis=0).reshape(*rows.shape[:-1], -1)
+        if len(flat) > FEW:
+            values = np.array([tree(flat) for tree in self.trees])
+        else:  # a free run asks row by row: one walk through all trees at once
+            whole, roots = self._joined
+            values = whole(np.tile(flat, (len(roots), 1)), np.repeat(roots, len(flat)))
+            values = values.reshape(len(roots), len(flat), -1)
+        mean = np.mean(values, axis=0).reshape(*rows.shape[:-1], -1)
         mean = mean * self.scaling.y_std + (rows[..., : self.spec.ny] if self.increments else self.scaling.y_mean)
         return mean, np.broadcast_to(self.variance, mean.shape)
+
+    @cached_property
+    def _joined(self) -> tuple[Tree, npt.NDArray[np.intp]]:
+        """Return all trees as one table of nodes, and the number of each root."""
+        roots = np.cumsum([0, *(len(tree.feature) for tree in self.trees[:-1])]).astype(np.intp)
+        joined = {
+            name: np.concatenate([getattr(tree, name) for tree in self.trees])
+            for name in ("feature", "threshold", "left", "right", "value")
+        }
+        shift = np.repeat(roots, [len(tree.feature) for tree in self.trees])
+        for name in ("left", "right"):  # what a leaf has there is never asked for
+            joined[name] = joined[name] + shift
+        return Tree(**joined), roots
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""

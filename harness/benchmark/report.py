@@ -37,6 +37,7 @@ def render_html(result: BenchResult, overlays: Mapping[str, str] | None = None) 
         control=any(line.control for line in lines),
         links=links,
         more_seeds=any(len(pictures) > 1 for pictures in links.values()),
+        has_bound=any(line.bound == "Cramer-Rao" for line in lines),
         several=any(line.ok > 1 for line in lines),
         figure=figure,
         more=optional_scores(lines),

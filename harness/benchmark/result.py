@@ -50,8 +50,9 @@ class BenchResult:
 
     @property
     def report(self) -> Path | None:
-        """The HTML page, where a folder was given."""
-        return None if self.folder is None else Store(self.folder).report
+        """The HTML page, where a folder was given and it is not that of a share of a job array."""
+        page = None if self.folder is None else Store(self.folder).report
+        return page if page is not None and page.is_file() else None
 
     @property
     def ok(self) -> int:

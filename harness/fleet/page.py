@@ -17,11 +17,15 @@ from harness.benchmark.summary import figure
 from harness.fleet.row import Found, Row
 from harness.fleet.trends import Series, new_effects, series_of, trends
 
-__all__ = ["fleet_page", "size_plot"]
+__all__ = ["fleet_page", "size_limits", "size_plot", "written"]
 
 TEMPLATE = Path(__file__).with_name("fleet.html.j2")
 PANELS = 40
 """Effects that are drawn; the table has all."""
+CUT = 0.5
+"""An interval is drawn as far beyond the sizes as this share of their range."""
+LONG = 200
+"""Records beyond which their table is folded: a reader wants the machines first."""
 DIGITS = 9
 """Significant digits of a size, at most: as many as are needed to tell the ends of its interval apart."""
 
@@ -38,6 +42,8 @@ def fleet_page(rows: Sequence[Row], *, planned: int, model: str, reports: str) -
         new=new_effects(rows),
         trends=trends(series),
         sizes=size_plot(series),
+        machines=_machines(rows),
+        folded=len(rows) > LONG,
         dated=any(row.date for row in rows),
         failed=[row for row in rows if not row.ok],
         figure=figure,
@@ -87,11 +93,12 @@ def size_plot(series: Sequence[Series]) -> str:
                 if not points:
                     continue
                 colour = LINES[number % len(LINES)]
-                for when, effect in points:
-                    if effect.low is not None and effect.high is not None:
-                        axis.plot([when, when], [effect.low, effect.high], color=colour, linewidth=1.0, alpha=0.6)
+                ends = [(when, one.low, one.high) for when, one in points if one.low is not None]
+                if ends:
+                    axis.vlines(*zip(*ends, strict=True), color=colour, linewidth=1.0, alpha=0.6)
                 axis.plot([when for when, _ in points], [effect.size for _, effect in points], "o", color=colour,
                           markersize=3.5, label=machine or None)  # fmt: skip
+            axis.set_ylim(*size_limits([effect for _, effect in own.rows]))
             axis.set_title(own.effect, loc="left", fontsize=9.5, fontweight="bold", color=INK)
             axis.set_ylabel(f"{own.parameter} [{own.unit}]", fontsize=8)
             if dated:
@@ -106,3 +113,37 @@ def size_plot(series: Sequence[Series]) -> str:
         for axis in grid[len(shown) :]:
             axis.set_axis_off()
         return svg_text(drawing)
+
+
+def size_limits(effects: Sequence[Found]) -> tuple[float, float]:
+    """Return the ends of an axis that shows all sizes, and intervals as far as they tell sizes apart.
+
+    One record that says next to nothing must not press all others into a line: an interval is cut at :data:`CUT` times
+    the range of the sizes, or of the median interval where that is wider.
+    """
+    sizes = [one.size for one in effects if one.size is not None]
+    if not sizes:
+        return 0.0, 1.0
+    known = [(one.low, one.high) for one in effects if one.low is not None and one.high is not None]
+    least, most = min(sizes), max(sizes)
+    typical = sorted(high - low for low, high in known)[len(known) // 2] if known else 0.0
+    room = CUT * max(most - least, typical)
+    low = max(min([least, *(low for low, _ in known)]), least - room)
+    high = min(max([most, *(high for _, high in known)]), most + room)
+    margin = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
+    return low - margin, high + margin
+
+
+def _machines(rows: Sequence[Row]) -> list[tuple[str, int, list[tuple[str, int]]]]:
+    """Return machine, its records, and each answer with the number of records that have it."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        found.setdefault(row.machine, []).append(row)
+    return [(machine, len(own), Counter(map(_answer, own)).most_common()) for machine, own in sorted(found.items())]
+
+
+def _answer(row: Row) -> str:
+    """Return what was found in a record, in a few words."""
+    if not row.ok:
+        return row.status
+    return " + ".join(effect.name for effect in row.effects) or row.verdict.replace("_", " ")

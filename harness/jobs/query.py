@@ -132,7 +132,7 @@ def filtered(tables: Mapping[str, Any], filters: Mapping[str, Any]) -> dict[str,
         if not known:
             columns = dict.fromkeys(name for table in tables.values() for name in table.column_names)
             raise InputError(
-                "filter",
+                "no such column",
                 expected=f"a column: {', '.join(columns)}",
                 got=repr(column),
                 remedy="correct it",

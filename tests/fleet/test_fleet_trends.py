@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from harness.fleet.page import written
+from harness.fleet.page import LONG, fleet_page, size_limits, written
 from harness.fleet.row import Found, Row
 from harness.fleet.store import tables
 from harness.fleet.trends import new_effects, series_of, trends
@@ -45,6 +45,25 @@ def test_a_size_has_as_many_digits_as_its_interval_needs() -> None:
     assert text.startswith("gain 1.00001 [1.0000")
     low, high = text.split("[")[1].rstrip("]").split(", ")
     assert float(low) < 1.00001 < float(high)
+
+
+def test_a_record_that_says_nothing_does_not_press_the_others_into_a_line() -> None:
+    effects = [found("coulomb@q", size, half=0.001) for size in np.linspace(0.1, 0.2, 30)]
+    low, high = size_limits([*effects, found("coulomb@q", 0.15, half=40.0)])
+    assert low < 0.099 < 0.201 < high
+    assert high - low < 0.3
+    same = [found("coulomb@q", 0.1, half=0.01)] * 3
+    assert size_limits(same) == pytest.approx((0.089, 0.111))
+    assert size_limits([replace(found("coulomb@q", 1.0), size=None)]) == (0.0, 1.0)
+
+
+def test_many_records_are_counted_by_machine_and_folded() -> None:
+    many = [row(k, found("coulomb@q", 0.1)) for k in range(LONG)] + [row(k, machine="B") for k in range(3)]
+    page = fleet_page(many, planned=len(many), model="m", reports="reports")
+    assert f"<details><summary>all {len(many)} records" in page
+    assert f"{LONG} coulomb@q" in page
+    few = fleet_page(many[:5], planned=5, model="m", reports="reports")
+    assert "<details>" not in few
 
 
 def test_effects_are_asked_by_name_and_place() -> None:
