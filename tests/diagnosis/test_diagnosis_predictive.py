@@ -21,7 +21,7 @@ from harness.signals import Channel, PlantSpec, Trajectory
 R = 1e-3
 
 
-def swing(seed: int, n: int = 60, dt: float = 0.05) -> tuple[Likelihood, Point]:
+def swing(seed: int, n: int = 60, dt: float = 0.05, x0: tuple[float, float] = (0.4, 0.0)) -> tuple[Likelihood, Point]:
     """Return the likelihood of a free run of the pendulum from a known law, and its true point."""
     rng = np.random.default_rng(seed)
     system = load_model("pendulum")
@@ -32,7 +32,7 @@ def swing(seed: int, n: int = 60, dt: float = 0.05) -> tuple[Likelihood, Point]:
     passes = KalmanPass(without_latent_forces(system), dt)
     p = system.vector({"J": 0.25, "b": 0.05, "mgl": 4.9})
     zero = np.zeros(0)
-    point = Point(p, [np.array([0.4, 0.0])], Noise(np.array([R]), zero, zero, zero))
+    point = Point(p, [np.array(x0)], Noise(np.array([R]), zero, zero, zero))
     run = Likelihood(system, [blank], nothing, passes=passes).filtered(point)
     assert run is not None
     record = Trajectory(t, blank.u, -run[0].e + R * rng.normal(size=(n, 1)), spec)
@@ -96,3 +96,17 @@ def test_a_swing_over_the_top_decides_nothing_by_its_chaos(tmp_path: Path, seed:
         assert "coulomb_friction" in json.dumps(report.data["tie_sets"])
     else:
         assert report.data["verdict"] == "nothing_missing"
+
+
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_from_the_top_of_the_swing_the_truth_is_not_likelier_than_what_is_found(seed: int) -> None:
+    likelihood, truth = swing(seed, 300, x0=(3.12, 0.0))
+    rng = np.random.default_rng(seed)
+    spread = np.diag([2e-3, 5e-3, 4e-2])
+    estimate = truth.p + spread @ rng.normal(size=3)
+    start = Point(estimate, [truth.x0[0] + 1e-3 * rng.normal(size=2)], truth.noise)
+    found = predictive(likelihood, start, ["J", "b", "mgl"], spread)
+    off = np.linalg.solve(spread, truth.p - estimate)
+    best = likelihood.nll(found.point) + 0.5 * float(found.moved @ found.moved)
+    assert best <= likelihood.nll(truth) + 0.5 * float(off @ off) + 1e-3

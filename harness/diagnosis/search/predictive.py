@@ -6,11 +6,10 @@ into any error of the prediction. Judged at the estimate alone the true law woul
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from harness.physics.kalman_pass import Filtered
 from harness.physics.likelihood import Likelihood, LikelihoodFit, Point
@@ -23,10 +22,6 @@ _MOST = 12
 _ENOUGH = 0.02
 """Log-likelihood below which a step is not taken: nothing is decided by a fiftieth."""
 _HALVINGS = 6
-_ROUGH = 5.0
-"""Log-likelihood promised by the first step beyond which the problem is not taken for a linear one."""
-_PARTS = tuple(float(part) for part in np.geomspace(1 / 16, 1.0, 13))
-"""Parts of the records over which parameters and initial states are told one after the other."""
 _ALIVE = 1e-9
 """Share of the largest singular value below which an initial state moves nothing."""
 
@@ -111,44 +106,9 @@ def predictive(
         p[places] = np.clip(first + spread @ moved, low, high)
         return replace(start, p=p, x0=x0)
 
-    whole = likelihood.records
-    best = _climbed(likelihood, at, np.zeros(spread.shape[1]), start.x0, columns, spread, places)
-    if best.promised > _ROUGH:  # an error that grows: told over a short part first, it is small at the end of the next
-        moved, x0 = np.zeros(spread.shape[1]), start.x0
-        for part in _PARTS:
-            likelihood.records = [record[: max(int(part * len(record)), 2)] for record in whole]
-            try:
-                grown = _climbed(likelihood, at, moved, x0, columns, spread, places)
-            finally:
-                likelihood.records = whole
-            moved, x0 = grown.moved, grown.point.x0
-        best = min(best, grown, key=lambda one: one.value)
-    return Predictive(best.point, best.moved, best.price)
-
-
-@dataclass(frozen=True, eq=False)
-class _Top:
-    """Where a climb ended: point, moves, price, minus the logarithm that is maximised, what the first step promised."""
-
-    point: Point
-    moved: FloatArray
-    price: float
-    value: float
-    promised: float
-
-
-def _climbed(
-    likelihood: Likelihood,
-    at: Callable[[FloatArray, list[FloatArray]], Point],
-    moved: FloatArray,
-    x0: list[FloatArray],
-    columns: npt.NDArray[np.intp],
-    spread: FloatArray,
-    places: npt.NDArray[np.intp],
-) -> _Top:
-    """Take Gauss-Newton steps until they promise nothing or bring nothing."""
-    point, price, promised = at(moved, x0), 0.0, 0.0
-    value = likelihood.nll(point) + 0.5 * float(moved @ moved)
+    moved = np.zeros(spread.shape[1])
+    point, price = start, 0.0
+    value = likelihood.nll(point)
     for number in range(_MOST + 1):
         passed = likelihood.filtered(point, columns=columns)
         if passed is None:
@@ -159,7 +119,6 @@ def _climbed(
         gradient = moved + sum(part.along.T @ part.left for part in parts)
         step: FloatArray = np.asarray(-np.linalg.solve(matrix, gradient), dtype=float)
         promise = 0.5 * (float(-gradient @ step) + sum(part.taken for part in parts))
-        promised = promised if number else promise
         if promise < _ENOUGH or number == _MOST:
             break
         moves = [part.start(step) for part in parts]
@@ -173,7 +132,7 @@ def _climbed(
                 break
         else:
             break
-    return _Top(point, moved, price, value, promised)
+    return Predictive(point, moved, price)
 
 
 @dataclass(frozen=True, eq=False)
