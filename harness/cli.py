@@ -99,11 +99,12 @@ def new(
     folder: Annotated[Path, typer.Option(help="where sysid-NAME/ is made")] = Path("."),
 ) -> None:
     """Begin a plug-in: a distribution of its own that works and passes its checks."""
+    from harness.scaffold import entry_name
     from harness.scaffold import new as begin
 
     for path in begin(kind, name, folder=folder):
         say(f"wrote {path}")
-    say(f"now: cd {folder / f'sysid-{name}'} && pip install -e . && sysid check {name}")
+    say(f"now: cd {folder / f'sysid-{name}'} && pip install -e . && sysid check {entry_name(kind, name)}")
 
 
 @app.callback(invoke_without_command=True)

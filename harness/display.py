@@ -9,7 +9,17 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["drawing", "page", "table"]
+__all__ = ["STYLE", "drawing", "page", "table"]
+
+STYLE = (
+    "body{font:15px/1.45 system-ui,sans-serif;max-width:60em;margin:2em auto;padding:0 1em}"
+    "td,th{padding:.2em .7em;text-align:left}img{max-width:100%;background:#fff}div,p{overflow-x:auto}"
+    "@media(max-width:600px){body{margin:1em auto}h1{font-size:22px}td,th{padding:.2em .35em;font-size:13px}"
+    "img{max-width:none;width:620px}}"
+    "@media screen and (prefers-color-scheme:dark){body{background:#12181f;color:#e4e9ef}a{color:#58a6e0}}"
+    "@media print{body{max-width:none;margin:0}tr,img{break-inside:avoid}}"
+)
+"""Style of a page of one table and some pictures: wide, narrow, dark and printed."""
 
 WIDTH, HEIGHT = 520, 70
 """Size of a drawing [px]."""

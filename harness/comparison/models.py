@@ -16,7 +16,7 @@ import numpy as np
 from harness import registry
 from harness.comparison.residuals import LAGS, Correlation, correlations
 from harness.comparison.spectra import Spectrum, spectrum
-from harness.display import table
+from harness.display import STYLE, table
 from harness.errors import HarnessError, InputError
 from harness.protocols import Model
 from harness.scoring import Score, equation_error, predict, simulation_error
@@ -97,11 +97,9 @@ class Comparison:
         """Return the page: table, residual correlations, Bode diagrams with the bands of the data."""
         figures = [_picture(_residual_figure(self)), *([_picture(_bode_figure(self))] if self.spectrum else [])]
         names = ", ".join(escape(one.name) for one in self.models)
-        style = "body{font:15px sans-serif;max-width:60em;margin:2em auto;padding:0 1em}td,th{padding:.2em .7em;"
-        style += "text-align:left}img{max-width:100%}div{overflow-x:auto}"
         return (
             f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-            f"<title>{names}</title><style>{style}</style><h1>{names} on {escape(self.dataset.name)}</h1>"
+            f"<title>{names}</title><style>{STYLE}</style><h1>{names} on {escape(self.dataset.name)}</h1>"
             f"<div>{self._table()}</div><p>Residuals are those of one-step predictions; the shaded regions hold 99 % "
             f"of the lags of a white residual that is independent of the input.</p>{''.join(figures)}</html>"
         )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from harness.display import table
+from harness.display import STYLE, table
 from harness.physics.output_error import simulate_error
 from harness.physics.residual_force import LABEL
 from harness.physics.windows import data_states
@@ -28,10 +28,7 @@ _BEYOND = 0.25
 _DOTS = 3000
 """Most samples that are drawn as dots."""
 
-_STYLE = (
-    "body{font:15px sans-serif;max-width:60em;margin:2em auto;padding:0 1em}td,th{padding:.2em .7em;text-align:left}"
-    "img{max-width:100%}div{overflow-x:auto}strong{background:#ffe9b0;padding:.1em .4em}"
-)
+_STYLE = STYLE + "strong{background:#ffe9b0;color:#000;padding:.1em .4em}"
 
 
 def page(

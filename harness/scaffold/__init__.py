@@ -9,7 +9,7 @@ from pathlib import Path
 from harness.errors import InputError
 from harness.scaffold.templates import SOURCES
 
-__all__ = ["KINDS", "new"]
+__all__ = ["KINDS", "entry_name", "new"]
 
 KINDS = tuple(SOURCES)
 """Kinds of plug-ins that can be begun."""
@@ -56,6 +56,17 @@ def test_it_keeps_its_contract() -> None:  # once it is installed: pip install -
     broken = [f"{one.name}: {one.reason}" for one in api.check("ENTRY") if not one.passed]
     assert broken == []
 '''
+
+
+def entry_name(kind: str, name: str) -> str:
+    """Return the id under which a new plug-in is found: ids of effects are written with underscores.
+
+    Examples
+    --------
+    >>> entry_name("effect", "soft-friction"), entry_name("plant", "soft-wall")
+    ('soft_friction', 'soft-wall')
+    """
+    return name.replace("-", "_") if kind == "effect" else name
 
 
 def new(kind: str, name: str, *, folder: str | Path = ".") -> list[Path]:
@@ -107,7 +118,7 @@ def new(kind: str, name: str, *, folder: str | Path = ".") -> list[Path]:
         "ATTRIBUTE": plain if function else title,
         "FUNCTION": plain,
         "CLASS": title,
-        "ENTRY": plain if kind == "effect" else name,
+        "ENTRY": entry_name(kind, name),
         "NAME": name,
         "KIND": kind,
         "READER": f'\n[project.entry-points."sysid_harness.model_readers"]\n{name} = "sysid_{plain}:{title}Model"\n'

@@ -28,10 +28,11 @@ def test_what_is_begun_passes_its_checks(kind: str, tmp_path: Path, capsys: pyte
     with pytest.raises(SystemExit) as ended:
         main(["new", kind, name, "--folder", str(tmp_path)])
     assert ended.value.code == 0
-    assert f"sysid check {name}" in capsys.readouterr().out
+    printed = capsys.readouterr().out
     project = tomllib.loads((tmp_path / f"sysid-{name}" / "pyproject.toml").read_text())
     points = project["project"]["entry-points"]
     ((entry, target),) = points[f"sysid_harness.{kind}s"].items()
+    assert printed.endswith(f"sysid check {entry}\n")  # the id under which it is found, not the name of the folder
     package, _, attribute = target.partition(":")
     source = tmp_path / f"sysid-{name}" / "src" / package / "__init__.py"
     results = api.check(f"{source}:{attribute}")

@@ -77,7 +77,7 @@ def sysid(line: str) -> None:
 
 
 SECONDS: dict[str, Callable[[str], bool]] = {
-    "list": lambda line: "soft-friction" not in line and "identifiers" not in line,
+    "list": lambda line: "soft_friction" not in line and "identifiers" not in line,
     "simulate": lambda line: "repaired" not in line,
     "spectrum": lambda line: True,
     "order": lambda line: True,
