@@ -4,7 +4,7 @@
 
 Works in a temporary copy of the tree. A fault is noticed if a test fails; it is stale if its text is gone, and then no
 merit of the tests. Each result is written as it comes (``--out``, JSON lines), and a second run does what is left: a
-fault is tried again when its source file or its tests have changed. Aim: 54 of 60.
+fault is tried again when its source file or its tests have changed. Aim: 90 %.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 LIST = Path(__file__).with_suffix(".toml")
 TREE = ("harness", "plants", "identifiers", "scenarios", "tests", "pyproject.toml")
-AIM = 54
+AIM = 0.9
 LIMIT = 900.0
 """Seconds for the tests of one fault."""
 
@@ -150,10 +150,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         by = row["by"].removeprefix("FAILED ").partition(" - ")[0].rpartition("/")[2]
         print(f"| {row['name']} | {row['file'].removeprefix('harness/')} | {row['result']} | {by} |")
     noticed = sum(row["result"] == "noticed" for row in rows)
+    met = noticed >= AIM * len(faults)
     others = {word: sum(row["result"] == word for row in rows) for word in ("unnoticed", "stale", "broken")}
     rest = ", ".join([*(f"{count} {word}" for word, count in others.items()), f"{len(faults) - len(rows)} not tried"])
-    print(f"\nnoticed {noticed} of {len(faults)} ({rest}); aim {AIM} of 60: {'met' if noticed >= AIM else 'missed'}")
-    return 0 if noticed >= AIM or chosen.only or chosen.limit else 1
+    print(f"\nnoticed {noticed} of {len(faults)} ({rest}); aim {AIM:.0%}: {'met' if met else 'missed'}")
+    return 0 if met or chosen.only or chosen.limit else 1
 
 
 if __name__ == "__main__":

@@ -76,8 +76,8 @@ class Arx:
             )
         records, _ = usable(records, samples=order + 2, what=what)
         solution = one_step(records, order, self.offset, self.ridge, what, delay=delay)
-        if self.ridge == 0.0 and delay == 1:
-            refuse_feedback(solution, Columns(spec, order), self.least_excitation, what)
+        if self.ridge == 0.0:
+            refuse_feedback(solution, Columns(spec, order, delay), self.least_excitation, what)
         coefficients = _widened(solution.coefficients, spec, order, delay)
         notes = {"order": order, "delay": delay, **ladder}
         own = order * spec.ny

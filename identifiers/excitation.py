@@ -16,6 +16,8 @@ __all__ = ["Columns", "Feedback", "feedback_of", "refuse_collinear", "refuse_fee
 
 # Columns have rms 1: a combination ten times smaller is a near-dependence, one of size 1 is a signal by itself.
 _WEAK = 0.1
+# A louder residual does not hide a law: at most so much of it is counted against the law's coefficients.
+_PENALTY = _WEAK**2
 # A departure below this fraction of the inputs is rounding of the normal equations (the root of 1e-16, and room).
 _EXACT = 1e-7
 # A ridge that is none: it only asks for exact laws too, where the solver answers dependent columns.
@@ -30,15 +32,17 @@ class Columns:
     spec : PlantSpec
     lags : int
         The columns are ``y[k], ..., y[k-lags+1], u[k], ..., u[k-lags+1]``, then a constant where there is one.
+    delay : int
+        Samples that an input takes to reach an output: the first inputs are then ``u[k-delay+1]``.
     """
 
-    def __init__(self, spec: PlantSpec, lags: int = 1) -> None:
+    def __init__(self, spec: PlantSpec, lags: int = 1, delay: int = 1) -> None:
         ny, nu = spec.ny, spec.nu
         self.now = list(range(lags * ny, lags * ny + nu))
         self.output_of = {j * ny + i: i for j in range(lags) for i in range(ny)}
         self.names: list[str] = []
-        for side in (spec.outputs, spec.inputs):
-            for j in range(lags):
+        for side, first in ((spec.outputs, 0), (spec.inputs, delay - 1)):
+            for j in range(first, lags):
                 self.names += [c.name if lags == 1 else f"{c.name}[k{f'-{j}' if j else ''}]" for c in side]
         self.names.append("1")
 
@@ -80,7 +84,7 @@ def refuse_feedback(solution: Solution, columns: Columns, least: float, what: st
     r, size, noise = solution.factor, solution.scale, _noise(solution, columns)
     others = [j for j in range(r.shape[1]) if j not in columns.now]
     # The law that the true states could have had: one that only noise would need is not taken for a law.
-    left = np.vstack([r[:, others], np.diag(noise[others])])
+    left = np.vstack([r[:, others], np.diag(np.minimum(noise[others], _PENALTY))])
     right = np.vstack([r[:, columns.now], np.zeros((len(others), len(columns.now)))])
     law = np.linalg.lstsq(left, right, rcond=1e-12)[0]
     rest = r[:, columns.now] - r[:, others] @ law

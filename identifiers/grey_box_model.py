@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -69,6 +69,12 @@ class GreyBoxModel:
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name in self.__dataclass_fields__}
+
+    def with_parameters(self, parameters: Mapping[str, float]) -> GreyBoxModel:
+        """Return the model with other parameters; what was compiled is shared."""
+        other = replace(self, parameters=dict(parameters))
+        other.__dict__.update(_system=self._system, simulator=self.simulator)
+        return other
 
     def system(self) -> System:
         """Return the continuous-time system, effects included."""

@@ -17,7 +17,7 @@ from identifiers.motion import Motion, Smoothing, between, motion, noisier
 from identifiers.physical import Recipe, recipe_for
 from identifiers.records import moving, real_signals, usable
 from identifiers.row_solvers import Estimator, huber, instrumental, total
-from identifiers.simulated_records import Spread, simulated, spread_of
+from identifiers.simulated_records import Spread, corrected, pieces
 
 if TYPE_CHECKING:
     from harness.estimate import RankDecision
@@ -129,6 +129,13 @@ class Lumped:
             If the model is no mechanism, the signals are not its own, or the motion does not determine all lumped
             parameters above the noise: the message names what can change together unseen.
         """
+        model, records = self.estimated(trajectories, rng=rng)
+        return replace(model, filter_gain=tuned_gain(model, records))
+
+    def estimated(
+        self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator
+    ) -> tuple[GreyBoxModel, list[Trajectory]]:
+        """Return what :meth:`fit` does, its filter not tuned yet, and the records that were used."""
         what = f"lumped-{self.form}"
         records, spec = usable(trajectories, samples=12, what=what)
         real_signals(spec, what)
@@ -152,8 +159,7 @@ class Lumped:
             "lumped": record.to_dict(),
             "residual_rms": found.rms,
         }
-        model = GreyBoxModel(spec, recipe, parameters, notes=notes)
-        return replace(model, filter_gain=tuned_gain(model, records))
+        return GreyBoxModel(spec, recipe, parameters, notes=notes), records
 
     def regress(
         self, system: System, records: Sequence[Trajectory], *, rng: np.random.Generator | None = None
@@ -202,12 +208,11 @@ class Lumped:
                 got=str(decision),
                 remedy="excite the plant",
             )
-        n = 1 if self.form == "energy" else regression.n
-        theta, white = weighted(phi, target, kept, n, plain=self.estimator == "unweighted")
-        if self.estimator not in ("least-squares", "unweighted") and decision.full:
-            wide = white @ instants(noisy - phi, n), white @ instants((noisy_target - target)[:, None], n)
-            theta = self._otherwise(system, regression, records, moved, theta, white, (phi, target), wide)
-        rest = white @ instants((target - phi @ theta)[:, None], n)
+        noise = noisy - phi, noisy_target - target
+        theta, white = self._criterion(
+            system, regression, records, moved, (phi, target), kept, noise=noise, plain=not decision.full
+        )
+        rest = white @ instants((target - phi @ theta)[:, None], len(white))
         values = dict(zip(regression.names, theta.tolist(), strict=True))
         return Regressed(regression.names, values, decision, condition, float(np.sqrt(np.mean(rest**2)))), regression
 
@@ -260,29 +265,45 @@ class Lumped:
             found.append(np.concatenate(fine) - phi)
         return found
 
-    def _otherwise(
+    def _criterion(
         self,
         system: System,
         regression: LumpedModel,
         records: Sequence[Trajectory],
         moved: Sequence[Motion],
-        theta: FloatArray,
-        white: FloatArray,
         equations: tuple[FloatArray, FloatArray],
-        noise: tuple[FloatArray, FloatArray],
-    ) -> FloatArray:
-        """Return the parameters by another criterion than least squares, started there."""
-        what, n = f"lumped-{self.form}", white.shape[0]
+        kept: FloatArray,
+        *,
+        noise: tuple[FloatArray, FloatArray] | None = None,
+        rng: np.random.Generator | None = None,
+        plain: bool = False,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the parameters by the chosen criterion, and the whitening of the coordinates.
+
+        Without ``noise``, what noise changes in the rows and targets is drawn anew where it is needed; ``plain`` stays
+        with least squares, as where the motion does not determine all parameters.
+        """
+        what, n = f"lumped-{self.form}", 1 if self.form == "energy" else regression.n
+        theta, white = weighted(*equations, kept, n, plain=self.estimator == "unweighted")
+        if plain or self.estimator in ("least-squares", "unweighted"):
+            return theta, white
         phi = (white @ instants(equations[0], n)).reshape(-1, regression.k)
         target = (white @ instants(equations[1][:, None], n)).reshape(-1)
         if self.estimator == "huber":
-            return huber(phi, target)[0]
+            return huber(phi, target)[0], white
         if self.estimator == "l1":
             from identifiers.criteria import absolute_deviations
 
-            return absolute_deviations(phi, target[:, None], what)[:, 0]
+            return absolute_deviations(phi, target[:, None], what)[:, 0], white
         if self.estimator == "total":
-            return total(phi, target, noise[0].reshape(phi.shape), noise[1].reshape(-1), what)
+            if noise is None:
+                rng = rng or np.random.default_rng(0)
+                pairs = zip(records, moved, strict=True)
+                again = [motion(system, noisier(one, rng), self.smoothing, like=old) for one, old in pairs]
+                shaken = self.stacked(regression, again, records)
+                noise = shaken[0] - equations[0], shaken[1] - equations[1]
+            wide = (white @ instants(noise[0], n)).reshape(phi.shape)
+            return total(phi, target, wide, (white @ instants(noise[1][:, None], n)).reshape(-1), what), white
         for _ in range(_ROUNDS):
             parameters = {**regression.to_parameters(dict(zip(regression.names, theta, strict=True)))}
             copies = [
@@ -291,7 +312,7 @@ class Lumped:
             ]
             exact = self.stacked(regression, copies, records)[0]
             theta = instrumental(phi, target, (white @ instants(exact, n)).reshape(phi.shape), what)
-        return theta
+        return theta, white
 
     def _corrected(
         self,
@@ -305,23 +326,26 @@ class Lumped:
         """Return the values without the bias that simulated records show, their spread, and how it was found."""
         if not self.intervals:
             return values, None, "no intervals: not asked for (option intervals = 60 simulates records)"
-        parameters = {**regression.to_parameters(values), **self.known_of(system)}
-        model = GreyBoxModel(records[0].spec, recipe, parameters)
-        runs = simulated(model, records)
-        if runs is None:
-            return values, None, "no intervals: the model's free run leaves the records by more than their noise"
-        start = regression.values(parameters)
-        plain = replace(self, intervals=0)
+        known = self.known_of(system)
+        first = GreyBoxModel(records[0].spec, recipe, {**regression.to_parameters(values), **known})
+
+        def model_of(theta: FloatArray) -> tuple[GreyBoxModel, FloatArray]:
+            wanted = dict(zip(regression.names, theta.tolist(), strict=True))
+            parameters = {**regression.to_parameters(wanted, start=first.parameters), **known}
+            return first.with_parameters(parameters), regression.values(parameters)
 
         def refit(noisy: list[Trajectory]) -> FloatArray:
-            found = plain.regress(system, noisy, rng=rng)[0]
-            return np.array([found.values[name] for name in regression.names])
+            # smoothed as the records were: another width would be another estimate
+            moved = [motion(system, one, self.smoothing, like=old) for one, old in zip(noisy, measured, strict=True)]
+            equations = self.stacked(regression, moved, noisy)
+            return self._criterion(system, regression, noisy, moved, equations, np.eye(regression.k), rng=rng)[0]
 
-        spread = spread_of(records, runs, start, refit, self.intervals, rng)
-        if spread is None:
-            return values, None, "no intervals: fits of simulated records fail or are too biased"
-        better = {name: values[name] - spread.bias[row] for row, name in enumerate(regression.names)}
-        return better, spread, f"scatter of {spread.count} simulated records, bias taken off"
+        parts = pieces(records)
+        measured = [motion(system, one.record, self.smoothing) for one in parts]
+        found = corrected(parts, model_of, refit, self.intervals, rng)
+        if found.spread is None:
+            return values, None, found.how
+        return dict(zip(regression.names, found.values.tolist(), strict=True)), found.spread, found.how
 
     def _equations(
         self, regression: LumpedModel, moved: Motion, dt: float, *, finer: bool = False

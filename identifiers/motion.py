@@ -201,7 +201,7 @@ def _derivatives(
         from identifiers.kalman import rts
 
         return (*rts(signal, dt), 9)
-    from harness.physics.smoothing import smooth
+    from harness.physics.smoothing import local_cubics, smooth
 
     if coarser and width:
         width = 2 * (3 * width // 4) + 1
@@ -209,10 +209,7 @@ def _derivatives(
         own = max(width or smooth(signal, dt).width, 5)
         return (*_trailing_cubic(signal, dt, own), own)
     if smoothing in ("auto", "local") and width:
-        from scipy.signal import savgol_filter
-
-        value, rate, acceleration = (savgol_filter(signal, width, 3, deriv=order, delta=dt) for order in range(3))
-        return value, rate, acceleration, width
+        return (*local_cubics(signal, width, dt), width)
     if smoothing in ("auto", "local") and width is None:
         found = smooth(signal, dt)
         travel = float(np.ptp(signal)) or 1.0

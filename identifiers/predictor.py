@@ -12,7 +12,7 @@ from harness.errors import FitError
 from harness.lqr import spectral_radius
 from harness.scoring import equation_error
 from harness.signals import FloatArray, Trajectory
-from identifiers.excitation import feedback_of
+from identifiers.excitation import feedback_of, refuse_feedback_of_records
 from identifiers.filters import stationary_gain
 from identifiers.linear_model import LinearModel
 from identifiers.observers import innovation_form
@@ -30,6 +30,8 @@ _GAIN = 0.99
 _ROUNDING = 1e-7
 # The regression of the future on past and inputs is refused below this ratio of singular values.
 _RANK = 1e-10
+# Samples of the past in which a law of feedback is looked for, as in the test for feedback itself.
+_LAW = 4
 # Share of the mean power that breaks ties between directions of equal canonical correlation.
 _TIE = 1e-6
 
@@ -57,6 +59,9 @@ class Subspace:
         Keep the direct term D; under feedback leave it out.
     stable : bool
         Move eigenvalues on or outside the unit circle to radius 0.999.
+    least_excitation : float
+        As of ``least-squares``: where past outputs foretell the input, it must depart from the law by so many times
+        the noise that the law passes on; 0 asks for nothing.
 
     Examples
     --------
@@ -76,6 +81,7 @@ class Subspace:
     method: Literal["auto", "n4sid", "moesp", "cva", "parsim"] = "auto"
     direct: bool = False
     stable: bool = False
+    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return the model in innovation form."""
@@ -93,6 +99,8 @@ class Subspace:
         moving(records, what)
         records, scaling = scaled(records)
         feedback = feedback_of(records)
+        if feedback.found:
+            refuse_feedback_of_records(records, _LAW, self.least_excitation, what)
         method = self.method
         if method == "auto":
             method = "parsim" if feedback.found else "cva"

@@ -31,8 +31,8 @@ class Engine:
             self._x0, self._u, self._t = np.zeros((1, self.nx)), np.zeros((1, 2, self.nu)), np.zeros(1)
             self._xs, self._ys = np.zeros((1, 2, self.nx)), np.zeros((1, 2, self.ny))
             self._call = self._made(self._x0, self._u, self._t, self._xs, self._ys)
-            # views of what one sample takes and leaves, made once
-            self._from, self._held, self._to, self._read = self._x0[0], self._u[0], self._xs[0, 1], self._ys[0, 1]
+            # what one sample takes, moves and leaves, made once and looked up as one
+            self._sample = self._x0[0], self._u[0], self._t, self._call, self._xs[0, 1].copy, self._ys[0, 1].copy
 
     def _made(self, x0: FloatArray, u: FloatArray, t: FloatArray, xs: FloatArray, ys: FloatArray) -> Callable[[], None]:
         """Return the roll-out from and into these arrays."""
@@ -47,11 +47,10 @@ class Engine:
         if self._library is None:
             new = self.simulator.step(x, u, self.p, t)
             return new, self.simulator.output(new, u, self.p, t + self.simulator.dt)
-        self._from[:] = x
-        self._held[:] = u
-        self._t[0] = t
-        self._call()
-        return self._to.copy(), self._read.copy()
+        source, held, clock, call, new_state, output = self._sample
+        source[...], held[...], clock[0] = x, u, t
+        call()
+        return new_state(), output()
 
     def run(self, x: FloatArray, u: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:
         """Return states (N, nx) and outputs (N, ny) from a state; row 0 is the state itself."""

@@ -139,7 +139,7 @@ class OdePlant:
         self._delays_out = [(b.index, DelayLine(value[b.parameter], dt)) for b in sampled if b.kind == "output_delay"]
         self._rounding = [(b.index, value[b.parameter]) for b in sampled if b.kind == "quantise"]
         self._closed = False
-        self._shape = (self._spec.nu,)
+        self._shape, self._dt = (self._spec.nu,), dt
         # nothing between the caller and the engine: no memory, no noise, no rounding
         self._direct = not (self._delays_in or self._delays_out or self._rounding or self._noises)
         self._rng = np.random.default_rng(0)
@@ -205,11 +205,11 @@ class OdePlant:
         if not (isinstance(u, np.ndarray) and u.shape == self._shape and finite(u)):
             refuse_input(u, self._spec)
         if self._direct:
-            t = self._k * self._spec.sample_time
-            self._hold = self._x, u, t
-            self._x, y = self._engine.step(self._x, u, t)
+            x, t = self._x, self._k * self._dt
+            self._hold = x, u, t
+            self._x, y = moved = self._engine.step(x, u, t)
             self._k += 1
-            if not finite(self._x):
+            if not finite(moved[0]):
                 self._diverged(t)
             return y
         held = u

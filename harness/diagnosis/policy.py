@@ -85,15 +85,6 @@ class Policy:
         "the last steps of a fit gained up to three times what the first ones had",
         "seeds below 1000",
     )
-    starts: int = _number(
-        3,
-        "choices of an effect's nonlinear parameters that a refit starts from",
-        "the first-order promise does not order them: a Stribeck speed ten times off promised more than the true one",
-        "tests",
-    )
-    begun: int = _number(12, "refits that are begun in a round", "cost", "seeds below 1000")
-    refits: int = _number(6, "refits that are finished in a round", "cost", "seeds below 1000")
-    pairs: int = _number(2, "rivals of a first answer that are tried with a second effect", "cost", "seeds below 1000")
     most: int = _number(3, "effects in one answer", "more were never told apart in 20 s records")
     rounding: float = _number(
         0.05,
@@ -163,6 +154,15 @@ POLICY = Policy()
 class Effort:
     """How far the search looks: what is tried, and never how a comparison is decided."""
 
+    starts: int = _number(
+        3,
+        "choices of an effect's nonlinear parameters that a refit starts from",
+        "the first-order promise does not order them: a Stribeck speed ten times off promised more than the true one",
+        "tests",
+    )
+    begun: int = _number(12, "refits that are begun in a round", "cost", "seeds below 1000")
+    refits: int = _number(6, "refits that are finished in a round", "cost", "seeds below 1000")
+    pairs: int = _number(2, "rivals of a first answer that are tried with a second effect", "cost", "seeds below 1000")
     points: int = _number(3, "starts of a fit that its first steps are taken from, the likeliest ones", "cost")
     first_steps: int = _number(5, "iterations from each of several starts before the best goes on", "cost", "tests")
     close: float = _number(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +31,8 @@ _ENOUGH = 0.02
 """A step that brings less than this much log-likelihood ends a fit: nothing is decided by a fiftieth."""
 _ROUGH = 0.3
 """Below this promise the derivatives of gains and variances count, and difference quotients are taken of all."""
+_SETTLED = 5
+"""Iterations after which a step is taken as typical of those to come."""
 _LONGEST = 1.5
 """Longest step of a logarithm."""
 _MOST_DAMPING = 1e9
@@ -102,6 +104,8 @@ class LikelihoodFit:
     on_bound : tuple of str
     iterations : int
     message : str
+    beyond : bool
+        True if it was left because its steps would not have brought it within reach.
     """
 
     system: System
@@ -116,6 +120,7 @@ class LikelihoodFit:
     iterations: int
     message: str = ""
     filtered: list[Filtered] = field(default_factory=list, repr=False)
+    beyond: bool = False
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -409,7 +414,7 @@ class Likelihood:
         *,
         free: Sequence[str] | None = None,
         most: int = 60,
-        hidden: Mapping[str, float] | None = None,
+        reach: float = np.inf,
     ) -> LikelihoodFit:
         """Return the maximum near a start.
 
@@ -421,6 +426,9 @@ class Likelihood:
             default.
         most : int
             Iterations.
+        reach : float
+            A value of minus the log-likelihood that must be come to. If the iterations that are left would not do so,
+            were each to bring as much as the last one, the search ends, not converged.
 
         Raises
         ------
@@ -444,7 +452,7 @@ class Likelihood:
                 got="a diverging state",
                 remedy="start elsewhere, or check units and signs of the records",
             )
-        damping, exact, converged, message, count = 1e-3, False, False, "", 0
+        damping, exact, converged, message, count, beyond = 1e-3, False, False, "", 0, False
         entries = np.flatnonzero(chosen)
         scaled_noise = not self.noise_model.latent and bool(chosen[len(names) - self.filter.ny :].all())
         promise = first = np.inf
@@ -487,6 +495,9 @@ class Likelihood:
                     new, trial = self._concentrate(trial, passes, low, high)
                 gain, value, z, found = value - new, new, trial, passes
                 damping = max(damping / 8.0, 1e-7)
+                if count >= _SETTLED and value - (most - count) * gain > reach:
+                    message, beyond = "its steps do not bring it within reach", True
+                    break
                 if exact and gain < _ENOUGH:
                     converged = True
                     break
@@ -500,7 +511,8 @@ class Likelihood:
                 exact, damping = True, 1e-3
         else:
             message = f"no maximum after {most} iterations"
-        return self._finished(z, value, found, entries, matrix, converged, count, message)
+        fit = self._finished(z, value, found, entries, matrix, converged, count, message)
+        return replace(fit, beyond=beyond)
 
     def _finished(
         self, z: FloatArray, value: float, found: Any, entries: Any, matrix: FloatArray, converged: bool, count: int,

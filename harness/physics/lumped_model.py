@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -154,7 +154,7 @@ class LumpedModel:
         if not free or not rows:
             return result
         held = {symbols[name]: result[name] for name in symbols if name not in free}
-        function = sp.lambdify([symbols[name] for name in free], [one.subs(held) for one, _ in rows], "numpy")
+        function = _evaluated(tuple(symbols[name] for name in free), tuple(one.subs(held) for one, _ in rows))
         wanted = np.array([value for _, value in rows])
         size = np.maximum(np.abs(wanted), 1e-9 * np.abs(wanted).max(initial=1e-300))
         # A lumped value of the wrong sign cannot be reached by positive parameters: then none is forced to be.
@@ -445,3 +445,9 @@ class LumpedModel:
         split_at = own.shape[1]
         found = gained[:, split_at:]
         return gained[:, :split_at], found[:, 0] if found.shape[1] == 1 and own.shape[1] == self.k else found
+
+
+@lru_cache(maxsize=64)
+def _evaluated(symbols: tuple[sp.Symbol, ...], expressions: tuple[sp.Expr, ...]) -> Any:
+    """Return expressions as a function of numbers: a search asks for the same ones again and again."""
+    return sp.lambdify(symbols, expressions, "numpy")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,8 @@ class _Job(ctypes.Structure):
         ("foh", ctypes.c_long),
         *((name, ctypes.c_void_p) for name in (*_INPUTS, *_ROWS, *_SUMS)),
     )
+    kept: Any
+    """Arrays that must live as long as the job, if somebody has to see to it."""
 
 
 def call_rollout(
@@ -89,12 +92,8 @@ def repeated_rollout(library: ctypes.CDLL, dt: float, substeps: int, **arrays: F
         As :func:`call_rollout` takes them: ``p``, ``x0``, ``u``, ``t0``, ``x`` and ``y``.
     """
     job = _job(dt, substeps, False, 1, np.inf, arrays)
-    call, argument = library.sysid_rollout, ctypes.byref(job)
-
-    def run(_kept: Any = (job, arrays)) -> None:
-        call(argument)
-
-    return run
+    job.kept = arrays
+    return partial(library.sysid_rollout, ctypes.byref(job))
 
 
 def _job(

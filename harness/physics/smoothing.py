@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["Smoothed", "smooth"]
+__all__ = ["Smoothed", "local_cubics", "smooth"]
 
 _WIDTHS = (5, 7, 9, 13, 19, 27, 41, 61, 91)
 _KEPT = 32
@@ -57,8 +57,6 @@ def smooth(signal: FloatArray, dt: float, *, period: float | None = None) -> Smo
 @functools.lru_cache(maxsize=_KEPT)
 def _smoothed(data: bytes, dt: float, period: float | None) -> Smoothed:
     """Return the smoothed signal of the bytes of an array."""
-    from scipy.signal import savgol_coeffs, savgol_filter
-
     y = np.frombuffer(data)
     if period is not None:
         y = np.unwrap(y, period=period)
@@ -70,16 +68,58 @@ def _smoothed(data: bytes, dt: float, period: float | None) -> Smoothed:
     for width in _WIDTHS:
         if width > max(5, n // 3):
             break
-        middle = savgol_coeffs(width, 3)[width // 2]
         half = width // 2
-        left_out = (y - savgol_filter(y, width, 3))[half : n - half] / (1.0 - middle)
+        middle = _taps(width)[0][0, half]
+        left_out = (y - local_cubics(y, width, dt)[0])[half : n - half] / (1.0 - middle)
         error = float(np.sqrt(np.mean(left_out**2)))
         if best is None or error < best[0]:
             best = (error, width)
     assert best is not None
     error, width = best
-    value, rate, acceleration = (savgol_filter(y, width, 3, deriv=order, delta=dt) for order in range(3))
-    return _closed(Smoothed(value, rate, acceleration, error, width))
+    return _closed(Smoothed(*local_cubics(y, width, dt), error, width))
+
+
+def local_cubics(signal: FloatArray, width: int, dt: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return a signal (N,), its first and its second derivative by a cubic through ``width`` samples about each.
+
+    At the ends the cubic through the last ``width`` samples goes on (Savitzky & Golay 1964, Anal. Chem. 36:1627).
+
+    Parameters
+    ----------
+    signal : array (N,)
+        Uniformly sampled, N >= width.
+    width : int
+        Odd.
+    dt : float
+        Sample time [s].
+
+    Examples
+    --------
+    >>> t = np.arange(50) * 0.1
+    >>> [bool(np.allclose(a, b)) for a, b in zip(local_cubics(t**3, 7, 0.1), (t**3, 3 * t**2, 6 * t), strict=True)]
+    [True, True, True]
+    """
+    y = np.asarray(signal, dtype=float)
+    middle, first, last = _taps(width)
+    half = width // 2
+    found = np.empty((3, y.size))
+    for order in range(3):
+        found[order, half : y.size - half] = np.correlate(y, middle[order], "valid")
+    found[:, :half], found[:, y.size - half :] = first @ y[:width], last @ y[y.size - width :]
+    value, rate, acceleration = found
+    return value, rate / dt, acceleration / dt**2
+
+
+@functools.cache
+def _taps(width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return weights of value, first and second derivative per sample: (3, width) in the middle, (3, half, width)."""
+    half = width // 2
+    at = np.arange(-half, half + 1) / max(half, 1)
+    fit = np.linalg.pinv(np.vander(at, 4, increasing=True))
+    powers = [np.polynomial.Polynomial(row).deriv(order) for order in range(3) for row in np.eye(4)]
+    every = np.array([[one(at) for one in powers[4 * order : 4 * order + 4]] for order in range(3)])
+    weights = np.einsum("opn,pw->onw", every, fit) / np.array([1.0, max(half, 1), max(half, 1) ** 2])[:, None, None]
+    return weights[:, half].copy(), weights[:, :half].copy(), weights[:, half + 1 :].copy()
 
 
 def _closed(found: Smoothed) -> Smoothed:

@@ -85,7 +85,13 @@ class LinearForm:
         own = self.records.x[use]
         return np.column_stack([own["a"], own["b"], *(own[one.effect.name] for one in effects)])
 
-    def fit(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Fit:
+    def fit(
+        self,
+        effects: Sequence[Placed],
+        starts: Sequence[Mapping[str, float]],
+        base: Fit | None,
+        rival: Fit | None = None,
+    ) -> Fit:
         self.fits += 1
         names = ("a", "b", *(one.main() or "" for one in effects))
         x = self._matrix(effects, "estimation")
@@ -112,7 +118,7 @@ class LinearForm:
         made = self.fit(effects, starts, base)
         return Begun(tuple(effects), made.log_likelihood("estimation"), made.values, made)
 
-    def finish(self, begun: Begun, base: Fit | None) -> Fit:
+    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit:
         made: Fit = begun.detail
         return made
 

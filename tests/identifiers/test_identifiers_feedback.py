@@ -102,3 +102,20 @@ def test_feedback_is_told_from_open_loop():
         closed = feedback_of([record(400, seed, dither=0.3, process=0.3)])
         assert closed.found
         assert closed.share > 0.1
+
+
+@pytest.mark.parametrize("case", [*(("arx", {"order": n}) for n in (None, 1, 2, 4)), ("n4sid", {})], ids=str)
+@pytest.mark.parametrize("process", [0.001, 0.01, 0.1])
+@pytest.mark.parametrize("noise", [0.0, 1e-8, 1e-6, 1e-5])
+def test_a_plant_kept_moving_by_its_own_noise_hides_no_feedback(case, process, noise):
+    for seed in range(6):
+        data = [record(400, seed, noise=noise, process=process)]
+        with pytest.raises(FitError, match="do not determine the model"):
+            create("identifiers", case[0], **case[1]).fit(data, rng=np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("delay", [2, 3])
+def test_feedback_is_named_by_the_lag_of_the_input_that_follows_it(delay):
+    data = [record(400, 0, noise=1e-6, process=0.01)]
+    with pytest.raises(FitError, match=rf"u\[k-{delay - 1}\] = .*[qv]\[k-{delay - 1}\]"):
+        create("identifiers", "arx", order=4, delay=delay).fit(data, rng=np.random.default_rng(0))

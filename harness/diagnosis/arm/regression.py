@@ -143,7 +143,7 @@ class RegressionForm:
         names = equation.system.parameter_names
         return Begun(tuple(effects), value, dict(zip(names, map(float, p), strict=True)), (equation, best))
 
-    def finish(self, begun: Begun, base: Fit | None) -> Fit | None:
+    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         del base
         equation, (value, p, errors, converged) = begun.detail
@@ -156,10 +156,16 @@ class RegressionForm:
                 break
         return self._fitted(begun.effects, equation, p, errors, converged)
 
-    def fit(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Fit | None:
+    def fit(
+        self,
+        effects: Sequence[Placed],
+        starts: Sequence[Mapping[str, float]],
+        base: Fit | None,
+        rival: Fit | None = None,
+    ) -> Fit | None:
         """Begin and finish."""
         begun = self.begin(effects, starts, base)
-        return None if begun is None else self.finish(begun, base)
+        return None if begun is None else self.finish(begun, base, rival)
 
     def _step(
         self, equation: Equation, p: FloatArray, errors: Sequence[Coloured]

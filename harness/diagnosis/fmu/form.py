@@ -17,7 +17,8 @@ from harness.diagnosis.fmu.prepare import measured_states, rough_values, sizes_o
 from harness.diagnosis.fmu.pushes import Moved, pushes, test_pushes
 from harness.diagnosis.search.directions import Direction
 from harness.diagnosis.search.fit import Column, Fit
-from harness.diagnosis.search.likelihood_form import USES, LikelihoodForm, whitened
+from harness.diagnosis.search.likelihood_form import USES, LikelihoodForm
+from harness.diagnosis.search.predictive import whitened
 from harness.effects.effect import Placed
 from harness.physics.kalman_pass import Filtered, Pass
 from harness.physics.smoother import Smoothed

@@ -53,7 +53,7 @@ class FreePass:
         self.state_names = tuple(channel.name for channel in system.states)
         self.parameter_names = system.parameter_names
         self._period = np.array([channel.period or 0.0 for channel in system.outputs])
-        self._runs: OrderedDict[Any, tuple[FloatArray, FloatArray]] = OrderedDict()
+        self._runs: OrderedDict[Any, tuple[Trajectory, FloatArray, FloatArray]] = OrderedDict()
 
     def __call__(
         self,
@@ -102,15 +102,15 @@ class FreePass:
         return Run(e, variance, j, x=x, pushed=lambda extra: self._pushed(record, p, x0, extra))
 
     def _run(self, record: Trajectory, p: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return states and outputs of a free run; the last few are kept."""
+        """Return states and outputs of a free run; the last few are kept, with the record whose identity is the key."""
         key = (id(record), p.tobytes(), x0.tobytes())
         if key not in self._runs:
             seen = self.simulator.sampled.inputs(record.u[None], p[None], False)[0][0]
             x, y = self.simulator.run(p, x0, seen, float(record.t[0]))
-            self._runs[key] = x, self.simulator.sampled.outputs(y[None], None, p[None])[0][0]
+            self._runs[key] = record, x, self.simulator.sampled.outputs(y[None], None, p[None])[0][0]
             while len(self._runs) > KEPT:
                 self._runs.popitem(last=False)
-        return self._runs[key]
+        return self._runs[key][1:]
 
     def _pushed(self, record: Trajectory, p: FloatArray, x0: FloatArray, extra: FloatArray) -> FloatArray:
         """Return the outputs of a run with something added to the FMU's inputs."""

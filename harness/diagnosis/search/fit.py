@@ -32,7 +32,8 @@ class Fit:
         candidate has, left out.
     terms : dict
         By use, for each record the log-density of every sample (N,); of the validation records with initial states (and
-        what belongs to a record) fitted there, everything else from the estimation records.
+        what belongs to a record) fitted there, noise from the estimation records, and parameters as uncertain as these
+        leave them, what that costs spread evenly over the samples.
     deviations : dict
         Standard deviation of every free parameter, of its logarithm where ``logarithmic``.
     logarithmic : frozenset of str
@@ -107,12 +108,17 @@ class Linearised:
     """Whitened innovations of a fit by use (n,), and their derivatives by what is free already (n, p).
 
     The first ``shared`` columns belong to parameters, which the validation records share; the others to initial states,
-    which every record has for itself.
+    which every record has for itself. ``spread`` (shared, k) is a square root of the covariance of the parameters, and
+    ``moved`` (k,) how far along it they went for the validation records, see
+    :func:`harness.diagnosis.search.predictive.predictive`; without them, the parameters stay those of the estimation
+    records.
     """
 
     residual: dict[str, FloatArray]
     nuisance: dict[str, FloatArray]
     shared: int
+    spread: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    moved: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,11 +155,20 @@ class Form(Protocol):
         """
         ...
 
-    def finish(self, begun: Begun, base: Fit | None) -> Fit | None:
-        """Return the fit that was begun at its maximum, tried on the validation records."""
+    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit | None:
+        """Return the fit that was begun at its maximum, tried on the validation records.
+
+        One that cannot come near a rival any more is left on its way there, not converged.
+        """
         ...
 
-    def fit(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Fit | None:
+    def fit(
+        self,
+        effects: Sequence[Placed],
+        starts: Sequence[Mapping[str, float]],
+        base: Fit | None,
+        rival: Fit | None = None,
+    ) -> Fit | None:
         """Begin and finish."""
         ...
 

@@ -107,14 +107,25 @@ def _axis(column: Column, basis: FloatArray, residual: FloatArray, linear: Linea
     moved = np.linalg.lstsq(own, column.estimation @ values, rcond=1e-12)[0][: linear.shared]
     other = linear.residual["validation"]
     change = column.validation @ values - outside[:, : linear.shared] @ moved
+    along = outside[:, : linear.shared] @ linear.spread if len(linear.moved) else np.zeros((len(other), 0))
     starts = outside[:, linear.shared :]
     if starts.shape[1]:
         q, _ = np.linalg.qr(starts)
-        other, change = other - q @ (q.T @ other), change - q @ (q.T @ change)
-    each = 0.5 * (other**2 - (other + change) ** 2)
+        other, change, along = (part - q @ (q.T @ part) for part in (other, change, along))
+    before, after = (_expected(part, along, linear.moved) for part in (other, other + change))
+    each = before - after
     sums = np.array([part.sum() for part in np.array_split(each, policy.blocks)])
     error = float(np.sqrt(len(sums)) * sums.std(ddof=1))
     return Axis(column.names[0], evidence, float(each.sum()), error, tuple(column.names[1:]), values)
+
+
+def _expected(left: FloatArray, along: FloatArray, moved: FloatArray) -> FloatArray:
+    """Return minus the log-density of innovations (n,), parameters where their spread and these records want them.
+
+    What their move costs is spread evenly; the determinant, the same for every force, is left out.
+    """
+    step = -np.linalg.solve(np.eye(len(moved)) + along.T @ along, along.T @ left + moved)
+    return np.asarray(0.5 * (left + along @ step) ** 2 + 0.5 * float(np.sum((moved + step) ** 2)) / len(left))
 
 
 def _evidence(along: FloatArray, s: FloatArray, prior: float) -> float:

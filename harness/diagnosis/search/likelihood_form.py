@@ -15,6 +15,7 @@ from harness.diagnosis.records.unfold import HIDING, unfoldings
 from harness.diagnosis.search.directions import Trace, directions, test_functions
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.fit_records import fit_from_record, fit_record, point_from_record, point_record
+from harness.diagnosis.search.predictive import Predictive, predictive, spread_of, whitened
 from harness.diagnosis.search.robust import robust_covariance
 from harness.effects.compose import compose, recommended_substeps
 from harness.effects.effect import Placed
@@ -29,7 +30,7 @@ from harness.physics.smoother import Smoothed, innovation_response, smoothed
 from harness.physics.start import first_values
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
-__all__ = ["USES", "Detail", "LikelihoodForm", "whitened"]
+__all__ = ["USES", "Detail", "LikelihoodForm"]
 
 USES = ("estimation", "validation")
 OWN = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
@@ -38,11 +39,12 @@ OWN = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
 
 @dataclass(eq=False)
 class Detail:
-    """Points and passes by use, the filter that made them, and what halves of validation records tell of phases."""
+    """Points and passes by use, the filter that made them, what the parameters' spread costs, and phases by halves."""
 
     points: dict[str, Point]
     passes: Pass
     best: LikelihoodFit
+    predictive: Predictive
     told: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
     paths: dict[str, list[Filtered]] = field(default_factory=dict)
     smooth: dict[str, list[Smoothed]] = field(default_factory=dict)
@@ -178,20 +180,21 @@ class LikelihoodForm:
         tried.sort(key=lambda one: one.nll)
         return Begun(tuple(effects), -tried[0].nll, tried[0].parameters, (system, passes, likelihood, tried))
 
-    def finish(self, begun: Begun, base: Fit | None) -> Fit | None:
+    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         system, passes, likelihood, tried = begun.detail
+        reach = np.inf if rival is None else EFFORT.margin - rival.log_likelihood("estimation")
         try:
             near = [one for one in tried if one.nll < tried[0].nll + EFFORT.close]
-            ends = [one if one.converged else likelihood.maximise(one.point) for one in near[:2]]
+            ends = [one if one.converged else likelihood.maximise(one.point, reach=reach) for one in near[:2]]
             best = min(ends, key=lambda one: one.nll)
-            best = best if best.converged else likelihood.maximise(best.point)
-            own, told, validation = self._validated(system, passes, best, base)
-            outside = self._outside(system, passes, validation, told)
+            best = best if best.converged or best.beyond else likelihood.maximise(best.point, reach=reach)
+            own, told, expected = self._validated(system, passes, best, base)
+            outside = self._outside(system, passes, expected.point, told)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             return None
         return None if outside is None else self._fitted(
-            begun.effects, system, passes, best, own, outside, validation, told
+            begun.effects, system, passes, best, own, outside, expected, told
         )  # fmt: skip
 
     def record(self, fit: Fit) -> dict[str, Any]:
@@ -200,6 +203,8 @@ class LikelihoodForm:
         return {
             "best": fit_record(detail.best),
             "validation": point_record(detail.points["validation"]),
+            "moved": detail.predictive.moved.tolist(),
+            "price": detail.predictive.price,
             "own": fit.own,
             "told": [[p.tolist() for p in sides] for sides in detail.told],
             "substeps": detail.passes.substeps,
@@ -215,12 +220,19 @@ class LikelihoodForm:
         outside = self._outside(system, passes, point, told)
         if best is None or outside is None:
             return None
-        return self._fitted(effects, system, passes, best, dict(record["own"]), outside, point, told)
+        expected = Predictive(point, np.array(record["moved"], dtype=float), float(record["price"]))
+        return self._fitted(effects, system, passes, best, dict(record["own"]), outside, expected, told)
 
-    def fit(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Fit | None:
+    def fit(
+        self,
+        effects: Sequence[Placed],
+        starts: Sequence[Mapping[str, float]],
+        base: Fit | None,
+        rival: Fit | None = None,
+    ) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         begun = self.begin(effects, starts, base)
-        return None if begun is None else self.finish(begun, base)
+        return None if begun is None else self.finish(begun, base, rival)
 
     def _fitted(
         self,
@@ -230,7 +242,7 @@ class LikelihoodForm:
         best: LikelihoodFit,
         own: dict[str, float],
         outside: list[Filtered],
-        validation: Point,
+        expected: Predictive,
         told: list[tuple[FloatArray, FloatArray]],
     ) -> Fit:
         """Return the fit as the search wants it; initial states of the nominal model are in every candidate."""
@@ -239,19 +251,20 @@ class LikelihoodForm:
         counted = [
             name for name in best.names if not (name.startswith("x0[") and name.partition("].")[2] in nominal_states)
         ]
+        each = expected.price / sum(len(one) for one in self.records["validation"])
         return Fit(
             tuple(effects),
             system,
             best.parameters,
             tuple(name for name in best.names if name in names),
             len(counted),
-            {"estimation": [-one for one in best.terms], "validation": [-one.terms for one in outside]},
+            {"estimation": [-one for one in best.terms], "validation": [-one.terms - each for one in outside]},
             {name: best.deviation(name) for name in best.names if name in names},
             frozenset(name for name, log in zip(best.names, best.logarithmic, strict=True) if log and name in names),
             best.converged,
             best.on_bound,
             own,
-            Detail({"estimation": best.point, "validation": validation}, passes, best, told),
+            Detail({"estimation": best.point, "validation": expected.point}, passes, best, expected, told),
         )
 
     def with_deviations(self, fit: Fit) -> Fit:
@@ -294,8 +307,8 @@ class LikelihoodForm:
 
     def _validated(
         self, system: Any, passes: Pass, best: LikelihoodFit, base: Fit | None
-    ) -> tuple[dict[str, float], list[tuple[FloatArray, FloatArray]], Point]:
-        """Fit what belongs to the validation records; return it, what halves tell of phases, and the point."""
+    ) -> tuple[dict[str, float], list[tuple[FloatArray, FloatArray]], Predictive]:
+        """Fit what belongs to the validation records; return it, what halves tell of phases, and what is expected."""
         likelihood = self._likelihood(system, "validation", passes)
         own = [
             placed.name(name)
@@ -316,12 +329,14 @@ class LikelihoodForm:
                 if chosen is None or found.nll < chosen.nll:
                     chosen = found
         assert chosen is not None
+        shared = [name for name in best.names if name in system.parameter_names]
+        expected = predictive(likelihood, chosen.point, shared, spread_of(best, shared, own))
         phases = [name for name in own if name.endswith(".phi")]
-        told = self._told_by_halves(system, passes, chosen, phases) if phases else []
-        return {name: chosen.parameters[name] for name in own}, told, chosen.point
+        told = self._told_by_halves(system, passes, expected.point, phases) if phases else []
+        return {name: chosen.parameters[name] for name in own}, told, expected
 
     def _told_by_halves(
-        self, system: Any, passes: Pass, whole: LikelihoodFit, phases: Sequence[str]
+        self, system: Any, passes: Pass, whole: Point, phases: Sequence[str]
     ) -> list[tuple[FloatArray, FloatArray]]:
         """Return for every validation record the parameters with the phases that its first half tells, and its second.
 
@@ -329,15 +344,15 @@ class LikelihoodForm:
         repeats keeps its phase: each half is judged with that of the other.
         """
         found = []
-        for record, x0 in zip(self.records["validation"], whole.point.x0, strict=True):
+        for record, x0 in zip(self.records["validation"], whole.x0, strict=True):
             sides: list[FloatArray] = []
             for half, start in ((record[: len(record) // 2], x0), (record[len(record) // 2 :], None)):
                 part = self._likelihood(system, "validation", passes, records=[half])
                 if start is None:
                     start = np.zeros(passes.start_size)
-                    start[: self.nominal.nx] = self.first_state(system, half, whole.point.p)[: self.nominal.nx]
+                    start[: self.nominal.nx] = self.first_state(system, half, whole.p)[: self.nominal.nx]
                 free = [*phases, *(name for name in part.names if name.startswith("x0["))]
-                sides.append(part.maximise(replace(whole.point, x0=[start]), free=free, most=25).point.p)
+                sides.append(part.maximise(replace(whole, x0=[start]), free=free, most=25).point.p)
             found.append((sides[0], sides[1]))
         return found
 
@@ -433,7 +448,9 @@ class LikelihoodForm:
                 wide[:, count + number * states : count + (number + 1) * states] = j[:, count:]
                 parts.append(wide)
             nuisance[use] = np.concatenate(parts)
-        return Linearised(residual, nuisance, count)
+        own = [placed.name(name) for placed in fit.effects for name in OWN.get(placed.effect.name, ())]
+        spread = spread_of(fit.detail.best, fit.free, own)
+        return Linearised(residual, nuisance, count, spread, fit.detail.predictive.moved)
 
     def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
         """See :class:`harness.diagnosis.search.fit.Form`."""
@@ -545,12 +562,6 @@ class LikelihoodForm:
             Column(one.placed, one.given, one.names, *(made[use][:, first:last] for use in USES))
             for one, first, last in zip(found, edges[:-1], edges[1:], strict=True)
         ]
-
-
-def whitened(values: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return values (N, ny, ...) over their standard deviation, flat; what was not measured is 0."""
-    scaled = np.where(np.isfinite(values), values, 0.0) / np.sqrt(variance)
-    return np.asarray(scaled.reshape(scaled.shape[0] * scaled.shape[1], *scaled.shape[2:]))
 
 
 def _known(system: Any, values: Mapping[str, float]) -> dict[str, float]:

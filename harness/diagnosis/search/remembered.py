@@ -40,7 +40,7 @@ class Remembered:
         """Begin as it is asked for: first steps are cheap, and the same each time."""
         return self.form.begin(effects, starts, base)
 
-    def finish(self, begun: Begun, base: Fit | None) -> Fit | None:
+    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit | None:
         """Finish a fit; one that was finished before is the same, and a failure is kept too."""
         name = " + ".join(sorted(map(str, begun.effects))) or "nominal"
         self._number[name] = self._number.get(name, 0) + 1
@@ -48,14 +48,20 @@ class Remembered:
         known = self.store.get(key)
         if known is not None:
             return self.form.restored(begun.effects, known) if known else None
-        found = self.form.finish(begun, base)
+        found = self.form.finish(begun, base, rival)
         self.store.put(key, {} if found is None else self.form.record(found))
         return found
 
-    def fit(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Fit | None:
+    def fit(
+        self,
+        effects: Sequence[Placed],
+        starts: Sequence[Mapping[str, float]],
+        base: Fit | None,
+        rival: Fit | None = None,
+    ) -> Fit | None:
         """Begin and finish."""
         begun = self.begin(effects, starts, base)
-        return None if begun is None else self.finish(begun, base)
+        return None if begun is None else self.finish(begun, base, rival)
 
     def linearised(self, fit: Fit) -> Linearised:
         """Pass on."""

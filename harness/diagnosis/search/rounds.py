@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from harness.diagnosis.policy import EFFORT, POLICY, Policy
-from harness.diagnosis.search.compare import Judged, compared, difference, judged, violations, wrong_signs
+from harness.diagnosis.search.compare import Judged, compared, difference, impossible, judged, violations, wrong_signs
 from harness.diagnosis.search.fit import Begun, Fit, Form
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
 from harness.effects import family
@@ -139,7 +139,7 @@ def _refitted(
         assert first is not None
         return bool(wrong_signs(one, first.values)), -gains[one]
 
-    order = sorted((placed for placed in gains if gains[placed] >= enough), key=place)[: policy.refits]
+    order = sorted((placed for placed in gains if gains[placed] >= enough), key=place)[: EFFORT.refits]
     # what is exactly the same must not lose by its first steps
     same = {name for placed in order[:1] for name in family(placed.effect).exact}
     order += [placed for placed in begun if placed.effect.name in same and placed not in order and begun[placed]]
@@ -148,10 +148,17 @@ def _refitted(
         first = begun[placed]
         assert first is not None
         say(f"{placed} to its maximum")
-        fits[placed] = form.finish(first, origins[placed])
+        fits[placed] = form.finish(first, origins[placed], _best(fits, placed))
     _share_starts(form, fits, base)
     _lawful(form, fits, base, {one.placed: one.starts[0] for one in test.leads})
     return fits
+
+
+def _best(fits: Mapping[Placed, Fit | None], beside: Placed) -> Fit | None:
+    """Return the likeliest of the other refits that reached a lawful maximum."""
+    done = [one for placed, one in fits.items() if one is not None and one.converged and placed != beside]
+    lawful = [one for one in done if not any(impossible(placed, one) for placed in one.effects)]
+    return max(lawful, key=lambda one: one.log_likelihood("estimation"), default=None)
 
 
 def chosen(test: ScoreTest, policy: Policy = POLICY) -> list[Lead]:
@@ -168,8 +175,8 @@ def chosen(test: ScoreTest, policy: Policy = POLICY) -> list[Lead]:
     for leader in clear[:2]:
         names = {leader.placed.effect.name, *family(leader.placed.effect).near}
         near += [one for one in clear if one.placed.effect.name in names and one.placed.at == leader.placed.at]
-    ordered = dict.fromkeys([*clear[: policy.refits], *near, *clear])
-    return [*list(ordered)[: policy.begun], *faint[:2]]
+    ordered = dict.fromkeys([*clear[: EFFORT.refits], *near, *clear])
+    return [*list(ordered)[: EFFORT.begun], *faint[:2]]
 
 
 def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None:
@@ -185,7 +192,7 @@ def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None
                     start[mine.name(one.name)] = other.values[theirs.name(one.name)]
                 elif fit is not None:
                     start[mine.name(one.name)] = fit.values[mine.name(one.name)]
-            again = form.fit([*base.effects, mine], [start], other)
+            again = form.fit([*base.effects, mine], [start], other, _best(fits, mine))
             if again is not None and (fit is None or _value(again) > _value(fit)):
                 fits[mine] = again
 
@@ -269,7 +276,7 @@ def _pairs(form: Form, found: Outcome, nominal: Fit, candidates: Sequence[Placed
         and (not found.accepted or _total(one) >= policy.reach * so_far)
     ]
     best: Judged | None = None
-    for rival in sorted(rivals, key=lambda one: -_total(one))[: policy.pairs]:
+    for rival in sorted(rivals, key=lambda one: -_total(one))[: EFFORT.pairs]:
         fit = rival.fit
         assert fit is not None
         others = [one for one in candidates if str(one) != str(rival.added[0])]
@@ -309,7 +316,7 @@ def _exchange(form: Form, found: Outcome, nominal: Fit, policy: Policy) -> None:
             if row.fit is not None and row.comparison is not None and row.comparison.evidence > policy.evidence
         ]
         best, placed = found.model, earlier.placed
-        for row in sorted(rivals, key=lambda row: -_total(row))[: policy.pairs + 1]:
+        for row in sorted(rivals, key=lambda row: -_total(row))[: EFFORT.pairs + 1]:
             new = row.added[0]
             if str(new) in {str(one) for one in found.model.effects}:
                 continue

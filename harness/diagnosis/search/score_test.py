@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.policy import EFFORT, POLICY, Policy
 from harness.diagnosis.search.fit import Column, Fit, Form
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
@@ -106,7 +106,7 @@ def score_test(form: Form, fit: Fit, candidates: Sequence[Placed], policy: Polic
 def _joined(several: list[Lead], policy: Policy) -> Lead:
     """Return the best choice of an effect's parameters, with the starts of the next best ones."""
     ordered = sorted(several, key=lambda one: (-one.gain, -one.share))
-    starts = tuple(one.starts[0] for one in ordered[: policy.starts])
+    starts = tuple(one.starts[0] for one in ordered[: EFFORT.starts])
     return replace(ordered[0], starts=starts)
 
 

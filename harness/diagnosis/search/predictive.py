@@ -1,0 +1,214 @@
+"""How likely the validation records are, given the estimation records: parameters are as uncertain as these leave them.
+
+A motion that amplifies small errors (a pendulum near its top) turns an error of a parameter of one standard deviation
+into any error of the prediction. Judged at the estimate alone the true law would lose there to any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.physics.kalman_pass import Filtered
+from harness.physics.likelihood import Likelihood, LikelihoodFit, Point
+from harness.signals import FloatArray
+
+__all__ = ["Predictive", "predictive", "spread_of", "whitened"]
+
+_MOST = 12
+"""Steps; a record that is predicted needs one or two."""
+_ENOUGH = 0.02
+"""Log-likelihood below which a step is not taken: nothing is decided by a fiftieth."""
+_HALVINGS = 6
+_ROUGH = 5.0
+"""Log-likelihood promised by the first step beyond which the problem is not taken for a linear one."""
+_PARTS = tuple(float(part) for part in np.geomspace(1 / 16, 1.0, 13))
+"""Parts of the records over which parameters and initial states are told one after the other."""
+_ALIVE = 1e-9
+"""Share of the largest singular value below which an initial state moves nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Predictive:
+    """Where parameters and initial states are likeliest, given both uses, and what their uncertainty costs.
+
+    Attributes
+    ----------
+    point : Point
+    moved : array (k,)
+        How far the parameters went from those of the estimation records, along their spread, in standard deviations.
+    price : float
+        To be taken from the log-likelihood of the validation records at ``point``.
+    """
+
+    point: Point
+    moved: FloatArray
+    price: float
+
+
+def spread_of(best: LikelihoodFit, free: Sequence[str], own: Sequence[str]) -> FloatArray:
+    """Return a square root of the covariance of parameters, (count, k), themselves and not their logarithms.
+
+    What is 0 in truth lies a few deviations from a small estimate, and infinitely many of its logarithm.
+
+    Parameters
+    ----------
+    best : LikelihoodFit
+        Of the estimation records.
+    free : sequence of str
+    own : sequence of str
+        Those among them that belong to a record, and are no knowledge about another one: rows of 0.
+    """
+    rows = [best.names.index(name) for name in free]
+    scale = np.where(best.logarithmic[rows], [best.parameters[name] for name in free], 1.0)
+    covariance = best.covariance[np.ix_(rows, rows)] * np.outer(scale, scale)
+    for k, name in enumerate(free):
+        if name in own:
+            covariance[k], covariance[:, k] = 0.0, 0.0
+    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    known = size > 0
+    scale = np.where(known, size, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0)) * scale[:, None])[:, values > 0])
+
+
+def predictive(
+    likelihood: Likelihood,
+    start: Point,
+    free: Sequence[str],
+    spread: FloatArray,
+) -> Predictive:
+    """Return the density of records that parameters with a normal spread predict, by Laplace's approximation.
+
+    ``log p(y) = max [log p(y | p, x0) - |moved|^2 / 2] - log det(I + J' J) / 2`` with the derivatives J of the whitened
+    innovations along the spread, what the initial states can do taken out (Tierney & Kadane 1986, J. Am. Stat. Assoc.
+    81:82, eq. 2.2). The maximum by Gauss-Newton steps.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Of the records that are predicted.
+    start : Point
+        Estimates, and initial states of these records.
+    free : sequence of str
+        Parameters (count of them).
+    spread : array (count, k)
+        A square root of the covariance.
+    """
+    system = likelihood.system
+    places = np.array([system.parameter_names.index(name) for name in free], dtype=np.intp)
+    low = np.array([system.parameters[k].minimum for k in places])
+    high = np.array([system.parameters[k].maximum for k in places])
+    count, states = likelihood.filter.parameter_count, likelihood.filter.start_size
+    columns = np.concatenate([places, np.arange(count, count + states)]).astype(np.intp)
+    first = start.p[places]
+
+    def at(moved: FloatArray, x0: list[FloatArray]) -> Point:
+        p = start.p.copy()
+        p[places] = np.clip(first + spread @ moved, low, high)
+        return replace(start, p=p, x0=x0)
+
+    whole = likelihood.records
+    best = _climbed(likelihood, at, np.zeros(spread.shape[1]), start.x0, columns, spread, places)
+    if best.promised > _ROUGH:  # an error that grows: told over a short part first, it is small at the end of the next
+        moved, x0 = np.zeros(spread.shape[1]), start.x0
+        for part in _PARTS:
+            likelihood.records = [record[: max(int(part * len(record)), 2)] for record in whole]
+            try:
+                grown = _climbed(likelihood, at, moved, x0, columns, spread, places)
+            finally:
+                likelihood.records = whole
+            moved, x0 = grown.moved, grown.point.x0
+        best = min(best, grown, key=lambda one: one.value)
+    return Predictive(best.point, best.moved, best.price)
+
+
+@dataclass(frozen=True, eq=False)
+class _Top:
+    """Where a climb ended: point, moves, price, minus the logarithm that is maximised, what the first step promised."""
+
+    point: Point
+    moved: FloatArray
+    price: float
+    value: float
+    promised: float
+
+
+def _climbed(
+    likelihood: Likelihood,
+    at: Callable[[FloatArray, list[FloatArray]], Point],
+    moved: FloatArray,
+    x0: list[FloatArray],
+    columns: npt.NDArray[np.intp],
+    spread: FloatArray,
+    places: npt.NDArray[np.intp],
+) -> _Top:
+    """Take Gauss-Newton steps until they promise nothing or bring nothing."""
+    point, price, promised = at(moved, x0), 0.0, 0.0
+    value = likelihood.nll(point) + 0.5 * float(moved @ moved)
+    for number in range(_MOST + 1):
+        passed = likelihood.filtered(point, columns=columns)
+        if passed is None:
+            break
+        parts = [_outside_starts(one, len(places), spread) for one in passed]
+        matrix = np.eye(len(moved)) + sum(part.along.T @ part.along for part in parts)
+        price = 0.5 * float(moved @ moved + np.linalg.slogdet(matrix)[1])
+        gradient = moved + sum(part.along.T @ part.left for part in parts)
+        step: FloatArray = np.asarray(-np.linalg.solve(matrix, gradient), dtype=float)
+        promise = 0.5 * (float(-gradient @ step) + sum(part.taken for part in parts))
+        promised = promised if number else promise
+        if promise < _ENOUGH or number == _MOST:
+            break
+        moves = [part.start(step) for part in parts]
+        for halving in range(_HALVINGS):
+            share = 0.5**halving
+            new = moved + share * step
+            trial = at(new, [x + share * move for x, move in zip(point.x0, moves, strict=True)])
+            better = likelihood.nll(trial) + 0.5 * float(new @ new)
+            if better < value:
+                point, moved, value = trial, new, better
+                break
+        else:
+            break
+    return _Top(point, moved, price, value, promised)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A record's whitened innovations and derivatives along the spread, without what its initial state can do."""
+
+    left: FloatArray
+    along: FloatArray
+    taken: float
+    whole: tuple[FloatArray, FloatArray]
+    solve: FloatArray
+
+    def start(self, step: FloatArray) -> FloatArray:
+        """Return the move of the initial state that goes with a step along the spread."""
+        residual, along = self.whole
+        return np.asarray(-self.solve @ (residual + along @ step))
+
+
+def _outside_starts(passed: Filtered, count: int, spread: FloatArray) -> _Part:
+    """Return a record's part of the least-squares problem, its initial state solved for."""
+    assert passed.j is not None
+    residual = whitened(passed.e, passed.s)
+    j = whitened(passed.j, passed.s[..., None])
+    along, starts = j[:, :count] @ spread, j[:, count:]
+    size = np.linalg.norm(starts, axis=0)
+    scale = np.where(size > 0, size, 1.0)
+    u, s, vt = np.linalg.svd(starts / scale, full_matrices=False)
+    alive = s > _ALIVE * s.max(initial=1e-300)
+    u = u[:, alive]
+    solve = (vt[alive].T / s[alive]) @ u.T / scale[:, None]
+    inside = u.T @ residual
+    return _Part(residual - u @ inside, along - u @ (u.T @ along), float(inside @ inside), (residual, along), solve)
+
+
+def whitened(values: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return values (N, ny, ...) over their standard deviation, flat; what was not measured is 0."""
+    scaled = np.where(np.isfinite(values), values, 0.0) / np.sqrt(variance)
+    return np.asarray(scaled.reshape(scaled.shape[0] * scaled.shape[1], *scaled.shape[2:]))

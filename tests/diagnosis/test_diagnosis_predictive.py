@@ -1,0 +1,98 @@
+"""The density of the validation records given the estimation records: parameters are uncertain, motions amplify."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness import api
+from harness.diagnosis.search.predictive import predictive, spread_of
+from harness.physics import load_model
+from harness.physics.kalman_pass import KalmanPass, Noise
+from harness.physics.latent import without_latent_forces
+from harness.physics.likelihood import Likelihood, NoiseModel, Point
+from harness.signals import Channel, PlantSpec, Trajectory
+
+R = 1e-3
+
+
+def swing(seed: int, n: int = 60, dt: float = 0.05) -> tuple[Likelihood, Point]:
+    """Return the likelihood of a free run of the pendulum from a known law, and its true point."""
+    rng = np.random.default_rng(seed)
+    system = load_model("pendulum")
+    spec = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), dt)
+    t = np.arange(n) * dt
+    blank = Trajectory(t, 0.3 * rng.normal(size=(n, 1)), np.zeros((n, 1)), spec)
+    nothing = NoiseModel(np.zeros(0), np.ones(1), latent=False)
+    passes = KalmanPass(without_latent_forces(system), dt)
+    p = system.vector({"J": 0.25, "b": 0.05, "mgl": 4.9})
+    zero = np.zeros(0)
+    point = Point(p, [np.array([0.4, 0.0])], Noise(np.array([R]), zero, zero, zero))
+    run = Likelihood(system, [blank], nothing, passes=passes).filtered(point)
+    assert run is not None
+    record = Trajectory(t, blank.u, -run[0].e + R * rng.normal(size=(n, 1)), spec)
+    return Likelihood(system, [record], nothing, passes=passes), point
+
+
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 10_000), wide=st.floats(1e-4, 3e-3))
+def test_the_density_is_that_of_the_integral_over_an_uncertain_parameter(seed: int, wide: float) -> None:
+    likelihood, truth = swing(seed)
+    estimate = truth.p.copy()
+    estimate[likelihood.system.parameter_names.index("mgl")] += wide * np.random.default_rng(seed).normal()
+    start = Point(estimate, truth.x0, truth.noise)
+    found = predictive(likelihood, start, ["mgl"], np.array([[wide]]))
+    # by Gauss-Hermite quadrature over mgl, the initial state at its maximum for each value
+    nodes, weights = np.polynomial.hermite_e.hermegauss(41)
+    values = []
+    for node in nodes:
+        p = estimate.copy()
+        p[likelihood.system.parameter_names.index("mgl")] += wide * node
+        fit = likelihood.maximise(Point(p, truth.x0, truth.noise), free=["x0[0].theta", "x0[0].theta_rate"])
+        values.append(-fit.nll)
+    top = max(values)
+    integral = top + np.log(np.sum(weights * np.exp(np.array(values) - top)) / np.sqrt(2 * np.pi))
+    assert -likelihood.nll(found.point) - found.price == pytest.approx(integral, abs=0.05)
+
+
+def test_certain_parameters_cost_nothing_and_stay() -> None:
+    likelihood, truth = swing(1)
+    found = predictive(likelihood, truth, ["mgl"], np.zeros((1, 0)))
+    assert found.price == 0.0
+    np.testing.assert_array_equal(found.point.p, truth.p)
+
+
+def test_the_spread_is_a_root_of_the_covariance_without_what_belongs_to_a_record() -> None:
+    likelihood, truth = swing(2)
+    fit = likelihood.maximise(truth, free=["J", "b", "mgl", "x0[0].theta", "x0[0].theta_rate"])
+    root = spread_of(fit, ["J", "b", "mgl"], ["b"])
+    whole = root @ root.T
+    assert np.sqrt(whole[0, 0]) == pytest.approx(
+        fit.deviation("J") * (fit.parameters["J"] if fit.logarithmic[0] else 1)
+    )
+    assert whole[1, 1] == 0.0
+    assert whole[0, 2] != 0.0
+
+
+@pytest.mark.parametrize(("seed", "friction"), [(10_109, 0.0), (10_017, 0.1)])
+def test_a_swing_over_the_top_decides_nothing_by_its_chaos(tmp_path: Path, seed: int, friction: float) -> None:
+    """Records of Bullet: judged at the estimates alone, the first was called unexplained and so was the second."""
+    api.simulate(
+        "arm-bullet",
+        scenario="multisine",
+        seed=seed,
+        out=tmp_path / "record.csv",
+        options={"joint_friction": friction, "sample_time": 0.02, "substeps": 160},
+        scenario_options={"noise": 0.001},
+    )
+    report = api.close_loop(tmp_path / "record.csv", model="pendulum", out=tmp_path / "report")
+    if friction:
+        assert report.data["verdict"] == "effects_found"
+        assert "coulomb_friction" in json.dumps(report.data["tie_sets"])
+    else:
+        assert report.data["verdict"] == "nothing_missing"
