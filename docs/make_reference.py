@@ -62,6 +62,7 @@ SUITE_KEYS = {
     "horizon": "Horizon of the simulation error [s]; the whole record without it.",
     "runs": "Records that a model is fitted to.",
     "held_out": "Records that it is scored on.",
+    "curve": "Lengths of the stream at which the regret is drawn; few where a fit is long.",
     "control": "Columns of control: what a design on the model costs on the true plant, and what learning costs.",
 }
 

@@ -45,13 +45,16 @@ class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     ``horizon`` is that of the simulation error in s (the whole record without it); ``runs`` and ``held_out`` count the
     records that a model is fitted to and scored on. ``control`` asks for the columns of control too: what the design on
-    a linear model costs on the true plant, and what learning to control costs.
+    a linear model costs on the true plant, and what learning to control costs. ``curve`` is the number of lengths of
+    the stream at which the regret is drawn, each against the best fixed model of the samples so far: few where that is
+    a long fit.
     """
 
     horizon: float | None = None
     runs: int = 1
     held_out: int = 1
     control: bool = False
+    curve: int = 40
 
 
 class Group(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -164,6 +164,7 @@ def _check_group(group: Group, place: str, path: Path) -> None:
         (not group.plants, "plants", "at least one"),
         (not group.scenarios, "scenarios", "at least one"),
         (not group.identifiers, "identifiers", "at least one"),
+        (group.score.curve < 2, "score.curve", "at least 2 lengths"),
         (any(seed < 0 for seed in group.seeds or ()), "seeds", "numbers from 0 up"),
         (group.score.runs < 1 or group.score.held_out < 1, "score", "runs >= 1 and held_out >= 1"),
         (group.score.horizon is not None and group.score.horizon <= 0, "score.horizon", "a positive number of s"),
@@ -210,7 +211,7 @@ def _explained(error: msgspec.ValidationError, path: Path) -> InputError:
             "unknown key",
             expected="the keys of a suite: name, description, seeds, time_limit, cell_seconds, [[groups]] with name, "
             "plants, scenarios, identifiers (id, options, label), seeds, time_limit, score (horizon, runs, held_out, "
-            "control), axes",
+            "control, curve), axes",
             got=repr(key),
             remedy=f"remove or correct {key}",
             file=path,

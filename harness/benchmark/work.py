@@ -34,9 +34,6 @@ __all__ = ["CellBatch"]
 _SETS = 0.9
 """Probability of the sets whose coverage is shown: a few held-out samples in a hundred are enough to judge it."""
 
-POINTS = 40
-"""Lengths of the stream at which R[n] is taken, each against the best fixed model of the samples so far."""
-
 STRETCHES = 500
 """A trace keeps two samples of each: an overlay that is looked at has about a thousand points of a screen."""
 
@@ -159,7 +156,7 @@ def _do_cell(task: Task, cell: Cell, runs: Sequence[Trajectory], held_out: Seque
                 score_control(model, identifier, task, runs, row, paired)
             scored = True
         if hasattr(identifier, "hindsight"):
-            _score_regret(identifier, shown, row, rng)
+            _score_regret(identifier, shown, row, rng, task.score.curve)
             scored = True
         if not scored:
             raise PluginError(
@@ -265,12 +262,14 @@ def _doubts(model: Any) -> str:
     return one_line("; ".join(doubts))
 
 
-def _score_regret(identifier: Any, shown: Sequence[Trajectory], row: Row, rng: np.random.Generator) -> None:
+def _score_regret(
+    identifier: Any, shown: Sequence[Trajectory], row: Row, rng: np.random.Generator, points: int
+) -> None:
     """Fill in the regret on the stream of the estimation records."""
     from harness.scoring import regret
 
     started = time.perf_counter()
-    result = regret(identifier, shown, rng=rng, points=POINTS)
+    result = regret(identifier, shown, rng=rng, points=points)
     row.score_seconds += time.perf_counter() - started
     row.regret, row.average_regret, row.regret_exact = result.total, result.average, result.exact
     known = np.isfinite(result.curve)

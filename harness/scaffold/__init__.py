@@ -21,7 +21,7 @@ build-backend = "hatchling.build"
 [project]
 name = "sysid-NAME"
 version = "0.1.0"
-description = "A KIND for sysid-harness"
+description = "Plug-in of sysid-harness: KIND NAME"
 readme = "README.md"
 requires-python = ">=3.11"
 dependencies = ["numpy>=1.26", "sysid-harness>=0.1"]
@@ -35,7 +35,7 @@ packages = ["src/PACKAGE"]
 
 _README = """# sysid-NAME
 
-A KIND for sysid-harness.
+Plug-in of sysid-harness: KIND `NAME`.
 
     pip install -e .
     sysid list KINDs
