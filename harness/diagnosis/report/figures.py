@@ -125,6 +125,10 @@ def drawing(name: str, width: float, height: float) -> Iterator[tuple[Figure, li
         figure = MakeFigure(figsize=(width, height), layout="constrained")
         FigureCanvasSVG(figure)
         yield figure, svg
+        layout = figure.get_layout_engine()
+        assert layout is not None
+        layout.execute(figure)
+        figure.set_layout_engine("none")  # savefig would draw the whole figure once more to lay it out
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None}, dpi=110, transparent=True)
     whole = text.getvalue()
