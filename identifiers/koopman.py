@@ -12,15 +12,18 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError, InputError
+from harness.lqr import spectral_radius
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.arx import solution_notes
 from identifiers.excitation import Columns, refuse_feedback
 from identifiers.normal import NormalEquations
+from identifiers.one_step_estimate import lifted_estimate
 from identifiers.records import moving, real_signals, usable
-from identifiers.regression import solve
+from identifiers.regression import Solution, solve
 from identifiers.sparse import eliminate
+from identifiers.stability import clip_eigenvalues, nearest_stable
 
 __all__ = ["Dictionary", "Edmdc", "KoopmanModel", "register_functions", "registered"]
 
@@ -136,6 +139,24 @@ class Dictionary:
             parts += [np.sin(np.pi * j * z), np.cos(np.pi * j * z)]
         parts += [_users(name, arguments) for name in self.functions]
         return np.concatenate(parts, axis=-1)
+
+    def names(self, arguments: Sequence[str], size: int) -> list[str]:
+        """Return the names of the functions, given those of the arguments and the number of functions.
+
+        Examples
+        --------
+        >>> Dictionary(2, scale=(1.0, 1.0)).names(["a", "b"], 6)
+        ['a', 'b', '1', 'a a', 'a b', 'b b']
+        """
+        names = [*arguments, "1"]
+        for degree in range(2, self.degree + 1):
+            names += [" ".join(pick) for pick in combinations_with_replacement(arguments, degree)]
+        if self.trigonometric:
+            names += [f"{what}({one})" for what in ("sin", "cos") for one in arguments]
+        names += [f"radial {j + 1}" for j in range(len(self.centres))]
+        for j in range(1, self.fourier + 1):
+            names += [f"{what}({j} pi {one})" for what in ("sin", "cos") for one in arguments]
+        return names + [f"function {j + 1} of {', '.join(self.functions)}" for j in range(size - len(names))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,6 +286,9 @@ class Edmdc:
         (:func:`identifiers.sparse.eliminate`). 0 keeps all.
     delays : int
         Number of past samples among the arguments (1: none).
+    stable : bool
+        Nearest stable model where a free run would grow: all eigenvalues but that of the constant function, which is 1,
+        within radius 0.999. Not with ``threshold``: the nearest stable matrix is not sparse.
     ridge : float
         Tikhonov weight relative to the scaled columns; lifted columns are often nearly dependent.
     least_excitation : float
@@ -279,6 +303,7 @@ class Edmdc:
     functions: tuple[str, ...] = ()
     threshold: float = 0.0
     delays: int = 1
+    stable: bool = False
     ridge: float = 1e-10
     least_excitation: float = 2.0
 
@@ -292,6 +317,13 @@ class Edmdc:
                 got=f"degree={self.degree}, delays={self.delays}, radial={self.radial}, fourier={self.fourier}, "
                 f"threshold={self.threshold}",
                 remedy="correct the options",
+            )
+        if self.stable and self.threshold > 0:
+            raise FitError(
+                f"{what}: stable and threshold together",
+                expected="one of them",
+                got=f"stable=True, threshold={self.threshold}",
+                remedy="leave out threshold: the nearest stable matrix is not sparse",
             )
         records, spec = usable(trajectories, samples=self.delays + 2, what=what)
         real_signals(spec, what)
@@ -328,6 +360,12 @@ class Edmdc:
         theta, notes = solution.coefficients.T, solution_notes(solution)
         if self.threshold > 0:
             theta, notes["terms"] = self._sparse(blocks, size + spec.nu, size)
+        elif self.stable and (settled := _settled(solution, together.shape[1])) is not None:
+            theta, notes["stabilized"] = settled, True
+        elif (
+            estimate := lifted_estimate(dictionary.names(_names(spec, self.delays), size), spec, solution)
+        ) is not None:
+            notes["estimate"] = estimate.to_dict()
         return KoopmanModel(spec, theta[:, :size], theta[:, size:], dictionary, self.delays, notes)
 
     def _sparse(
@@ -337,6 +375,33 @@ class Edmdc:
         sums = NormalEquations.of(((phi.T, target.T) for phi, target in blocks()), p, m)
         coefficients, support = eliminate(sums, self.threshold)
         return coefficients.T, int(support.sum())
+
+
+def _names(spec: PlantSpec, delays: int) -> list[str]:
+    """Return the names of the arguments, as they are stacked."""
+    names = [c.name + (f"[k-{j}]" if j else "") for j in range(delays) for c in spec.outputs]
+    return names + [f"{c.name}[k-{j}]" for j in range(1, delays) for c in spec.inputs]
+
+
+def _settled(solution: Solution, constant: int) -> FloatArray | None:
+    """Return the nearest lifted matrix [A B] whose free runs do not grow, None where the fit's own do not.
+
+    The constant function keeps itself and drives the others as an input does; theirs is the part that must be stable.
+    """
+    size = solution.coefficients.shape[1]
+    moving_functions = np.delete(np.arange(size), constant)
+    order = np.concatenate([moving_functions, [constant], np.arange(size, len(solution.coefficients))])
+    theta = solution.coefficients[order][:, moving_functions]
+    if spectral_radius(theta[: size - 1]) < 1.0:
+        return None
+    factor = (solution.factor * solution.scale)[:, order]
+    length = np.linalg.norm(factor[:, : size - 1], axis=0)
+    weights = 1.0 / np.where(length > 0, length, 1.0)
+    nearest = nearest_stable(theta, factor, size - 1, clip_eigenvalues, weights)
+    whole = np.zeros_like(solution.coefficients)
+    whole[np.ix_(order, moving_functions)] = nearest
+    whole[constant, constant] = 1.0
+    return whole.T
 
 
 def _arguments(record: Trajectory, delays: int) -> FloatArray:

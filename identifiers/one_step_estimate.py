@@ -14,7 +14,7 @@ from identifiers.excitation import Columns
 from identifiers.records import lagged
 from identifiers.regression import Solution
 
-__all__ = ["jackknife_estimate", "least_squares_estimate", "quotient"]
+__all__ = ["jackknife_estimate", "least_squares_estimate", "lifted_estimate", "quotient"]
 
 LEVEL = 0.95
 LARGEST = 200
@@ -25,6 +25,8 @@ DOUBT = 1e-3
 """Probability, over all outputs, of calling white residuals correlated."""
 EXACT = 1e-9
 """Residuals below this share of the outputs are rounding."""
+DEPENDENT = 1e-10
+"""Singular values of scaled columns below this share of the largest: functions that the data do not tell apart."""
 GROUPS = 20
 """Groups of the jackknife: each a stretch of 5 % of the equations, long beside the memory of the noise."""
 
@@ -115,6 +117,40 @@ def jackknife_estimate(
     covariance = (groups - 1) / groups * away.T @ away
     half = float(t.ppf(0.5 + LEVEL / 2, groups - 1)) * np.sqrt(np.diag(covariance))
     return _record(spec, 1, solution, theta, covariance, half, f"jackknife over {groups} stretches of the records")
+
+
+def lifted_estimate(functions: Sequence[str], spec: PlantSpec, solution: Solution) -> Estimate | None:
+    """Return the record of a linear map between functions of the outputs, driven by the inputs; no intervals.
+
+    Functions of noisy outputs are regressors with errors that the residuals do not show, and a dictionary that is not
+    closed leaves errors that are no noise: a covariance of least squares would claim too much.
+
+    Parameters
+    ----------
+    functions : sequence of str
+        Names of the functions, without units.
+    spec : PlantSpec
+    solution : Solution
+        Of ``z[k+1] = theta' [z[k], u[k]]``.
+
+    Returns
+    -------
+    Estimate or None
+        None beyond 200 coefficients.
+    """
+    if solution.coefficients.size > LARGEST:
+        return None
+    columns = [*functions, *(channel.name for channel in spec.inputs)]
+    units = ["1"] * len(functions) + [quotient("1", channel.unit) for channel in spec.inputs]
+    rank = int(np.sum(solution.singular_values > DEPENDENT * solution.singular_values[0]))
+    return Estimate(
+        tuple(f"{target} on {column}" for target in functions for column in columns),
+        tuple(units * len(functions)),
+        solution.coefficients.T.ravel(),
+        method="no interval: functions of noisy outputs are no exact regressors, and the dictionary need not be closed",
+        rank=RankDecision(rank, len(columns), rule=f"singular values above {DEPENDENT:g} of the largest"),
+        condition=solution.condition,
+    )
 
 
 def _record(

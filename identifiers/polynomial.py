@@ -65,6 +65,11 @@ class Polynomials:
         """Largest moduli of the roots of F and of C."""
         return _radius(self.f), _radius(self.c)
 
+    @property
+    def slowest(self) -> float:
+        """Largest modulus of the poles: the roots of A, F and D."""
+        return max(_radius(self.a), _radius(self.f), _radius(self.d))
+
 
 @dataclass(frozen=True, eq=False)
 class Part:

@@ -39,6 +39,8 @@ class Fitted:
     arrived : bool
     free : int
         Samples beyond the number of unknowns.
+    stabilized : bool
+        Searched again among stable models.
     """
 
     model: Polynomials
@@ -48,6 +50,7 @@ class Fitted:
     singular_values: FloatArray
     arrived: bool
     free: int
+    stabilized: bool = False
 
     @property
     def errors(self) -> list[float]:

@@ -18,6 +18,7 @@ from identifiers.polynomial import Orders, Part, Polynomials, block_form, errors
 from identifiers.polynomial_estimate import Fitted, prediction_error_estimate, whiteness
 from identifiers.records import moving, real_signals, usable
 from identifiers.scaling import scaled
+from identifiers.stability import RADIUS
 
 __all__ = ["PredictionError"]
 
@@ -57,6 +58,8 @@ class PredictionError:
         Samples that an input takes to reach an output: 0 with feedthrough, else 1 or more.
     offset : bool
         Fit a constant level of each output too.
+    stable : bool
+        Where an output's model is unstable, search it again among those with all poles within radius 0.999.
 
     Examples
     --------
@@ -75,6 +78,7 @@ class PredictionError:
     order: int | None = None
     delay: int = 1
     offset: bool = True
+    stable: bool = False
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return the model in innovation form; an output-error model has no filter gain."""
@@ -105,7 +109,8 @@ class PredictionError:
         rms = (np.array(model.notes["residual_rms"]) * scaling.outputs).tolist()
         notes = {**notes, **model.notes, "order": order, "residual_rms": rms}
         estimate = prediction_error_estimate(spec, fits, scaling)
-        if estimate is not None and "warning" not in notes:  # intervals about a biased answer are none
+        # about a biased answer, or one on the edge of what is allowed, the spread of the fit says nothing
+        if estimate is not None and "warning" not in notes and "stabilized" not in notes:
             notes["estimate"] = estimate.to_dict()
         return replace(model.in_units(scaling), notes=notes)
 
@@ -136,6 +141,7 @@ class PredictionError:
             for column in range(spec.ny)
         ]
         found = [fit.model for fit in fits]
+        moved = {"stabilized": True} if any(fit.stabilized for fit in fits) else {}
         a, b, c, d, k, level_of = block_form(found, spec.nu)
         notes = {
             "residual_rms": [fit.rms for fit in fits],
@@ -145,6 +151,7 @@ class PredictionError:
                 for one in found
             ],
             "standard_errors": [fit.errors for fit in fits],
+            **moved,
         }
         return innovation_form(spec, a, b, c, d, k, np.zeros(len(a)), level_of, notes=notes), fits
 
@@ -169,8 +176,12 @@ class PredictionError:
                 got=str(rows),
                 remedy="record longer, or lower the order",
             )
-        ends = [_search(first, parts, self.offset) for first in _starting_models(parts, orders, self.offset)]
-        cost, model, miss, slopes, arrived = min(ends, key=lambda end: end[0])
+        starts = _starting_models(parts, orders, self.offset)
+        cost, model, miss, slopes, arrived = _best([_search(first, parts, self.offset) for first in starts])
+        stabilized = self.stable and model.slowest >= 1.0
+        if stabilized:
+            starts = [_settled(first) for first in (model, *starts)]
+            cost, model, miss, slopes, arrived = _best([_search(s, parts, self.offset, RADIUS) for s in starts])
         spare = max(rows - free, 1)
         length = np.linalg.norm(slopes, axis=0)
         kept = length > 0  # a level that is not fitted has no slope
@@ -181,7 +192,9 @@ class PredictionError:
         inverse[np.ix_(kept, kept)] = (right[good].T / values[good] ** 2) @ right[good]
         covariance = cost / spare * (inverse / np.outer(length, length))[:count, :count]
         residuals = np.split(miss, np.cumsum([part.y.size for part in parts])[:-1])
-        return Fitted(model, covariance, float(np.sqrt(cost / rows)), whiteness(residuals), values, arrived, spare)
+        return Fitted(
+            model, covariance, float(np.sqrt(cost / rows)), whiteness(residuals), values, arrived, spare, stabilized
+        )
 
 
 def _starting_models(parts: Sequence[Part], orders: Orders, offset: bool) -> list[Polynomials]:
@@ -274,8 +287,21 @@ def _inside(coefficients: FloatArray, radius: float = 0.98) -> FloatArray:
     return np.pad(np.real(np.poly(roots))[1:], (0, coefficients.size - roots.size))
 
 
-def _search(first: Polynomials, parts: Sequence[Part], offset: bool) -> _End:
-    """Return the least sum of squares that is reached, where, errors and slopes there, and whether it has arrived."""
+def _best(ends: Sequence[_End]) -> _End:
+    """Return the end of least cost."""
+    return min(ends, key=lambda end: end[0])
+
+
+def _settled(model: Polynomials) -> Polynomials:
+    """Return the model with its poles inside the unit circle: a start among the stable ones."""
+    return replace(model, a=_inside(model.a), d=_inside(model.d), f=_inside(model.f))
+
+
+def _search(first: Polynomials, parts: Sequence[Part], offset: bool, radius: float = np.inf) -> _End:
+    """Return the least sum of squares that is reached, where, errors and slopes there, and whether it has arrived.
+
+    No model with a pole beyond the radius is taken.
+    """
     orders, nu = first.orders, parts[0].u.shape[1]
     count, nx, nz = first.vector.size, orders.start_x, orders.start_z
     # An integrator is a root at 1: over a record its free run may grow by so much.
@@ -288,7 +314,7 @@ def _search(first: Polynomials, parts: Sequence[Part], offset: bool) -> _End:
     def evaluated(vector: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         model, starts = split(vector)
         of_f, of_c = model.radii
-        if of_f > furthest or of_c >= 1.0:
+        if of_f > furthest or of_c >= 1.0 or model.slowest > radius:
             return np.inf, np.zeros(0), np.zeros((0, 0))
         with np.errstate(over="ignore", invalid="ignore"):
             miss, slopes = errors_and_slopes(model, starts, parts)
