@@ -348,10 +348,15 @@ def print_identified(fitted: Identified, identifier: str) -> None:
         deviation = getattr(fitted.model, "deviations", {}).get(name)
         interval = estimate.interval(name) if estimate is not None and name in estimate.names else None
         text = f"  {name} = {value:.6g}" + (f" +- {deviation:.2g}" if deviation else "")
+        unit = _unit_of(fitted.model, estimate, name)
+        text += "" if unit == "1" else f" {unit}"
         text += f" [{interval[0]:.6g}, {interval[1]:.6g}]" if interval else ""
         say(text + (" (not determined alone)" if name in loose else ""))
     if estimate is not None and not named:
         _print_estimate(estimate)
+    elif estimate is not None:
+        _print_method(estimate)
+    _print_lumps(fitted.model, named)
     if estimate is not None and estimate.rank is not None:
         condition = f", condition number {estimate.condition:.3g}" if math.isfinite(estimate.condition) else ""
         say(f"  {estimate.rank}{condition}")
@@ -360,6 +365,28 @@ def print_identified(fitted: Identified, identifier: str) -> None:
     _print_order(fitted.model, conditioned=estimate is not None)
     for warning in fitted.warnings:
         say(f"warning: {warning}")
+
+
+def _unit_of(model: Any, estimate: Estimate | None, name: str) -> str:
+    """Return the unit of a parameter as its estimate or its system declares it; ``1`` where nothing does."""
+    if estimate is not None and name in estimate.names:
+        return estimate.units[estimate.names.index(name)]
+    declared = model.system().parameters if hasattr(model, "system") else ()
+    return next((one.unit for one in declared if one.name == name), "1")
+
+
+def _print_lumps(model: Any, named: Mapping[str, float]) -> None:
+    """Print the lumped parameters that a mechanical fit stands on, but for those that are parameters themselves."""
+    found = (getattr(model, "notes", None) or {}).get("lumped")
+    if not isinstance(found, Mapping):
+        return
+    rows = [
+        f"{name} = {value:.6g}" + ("" if unit == "1" else f" {unit}")
+        for name, unit, value in zip(found["names"], found["units"], found["values"], strict=True)
+        if name not in named and value is not None
+    ]
+    if rows:
+        say(f"  lumped: {', '.join(rows)}")
 
 
 VALUES = 8
@@ -381,8 +408,14 @@ def _print_estimate(estimate: Estimate) -> None:
             say(text + (f" [{interval[0]:.6g}, {interval[1]:.6g}]" if interval else ""))
     else:
         say(f"  {len(estimate.names)} coefficients (--out writes them)")
+    _print_method(estimate)
+
+
+def _print_method(estimate: Estimate) -> None:
+    """Print how intervals came about, or why there are none, and whether the search ended."""
     level = f"{100 * estimate.level:g} % intervals: " if estimate.intervals is not None else ""
-    say(f"  {level}{estimate.method}")
+    if estimate.method:
+        say(f"  {level}{estimate.method}")
     if not estimate.converged:
         say(f"warning: not converged{f': {estimate.message}' if estimate.message else ''}")
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from harness.errors import FitError, InputError
 from harness.estimate import Estimate, RankDecision
+from harness.physics.inertia import TEN, UNITS
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.arm_model import ArmDynamics
 from identifiers.motion import Motion, Smoothing, motion, noisier
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 __all__ = ["Inertial"]
 
 Method = Literal["sdp", "log-cholesky", "least-squares"]
-TEN = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
-UNITS = ("kg", "kg m", "kg m", "kg m", *("kg m^2",) * 6)
 SLOW = 0.01
 """Speed [rad/s] and acceleration [rad/s^2] at which friction of the size of the torques seen is held possible."""
 ENOUGH = 3000

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from harness.estimate import RankDecision
     from harness.physics import LumpedModel, System
 
-__all__ = ["Lumped", "Regressed", "lumped_energy", "lumped_momentum", "lumped_torque"]
+__all__ = ["Form", "Intersample", "Lumped", "Regressed", "lumped_energy", "lumped_momentum", "lumped_torque"]
 
 Form = Literal["torque", "energy", "momentum"]
 Intersample = Literal["zoh", "smooth"]
@@ -150,9 +150,9 @@ class Lumped:
                 got=str(found.rank),
                 remedy="excite the plant more richly, or give known={...}",
             )
-        values, spread, how = self._corrected(system, recipe, regression, found.values, records, rng)
+        values, spread, how = self.without_bias(system, recipe, regression, found.values, records, rng)
         parameters = {**regression.to_parameters(values), **self.known_of(system)}
-        self._refuse_unphysical(system, regression, values, parameters, what)
+        self.refuse_unphysical(system, regression, values, parameters, what)
         record = lumped_estimate(system, regression, values, spread, how, found.rank, found.condition)
         notes: dict[str, Any] = {
             "estimate": physical_estimate(system, regression, parameters, record).to_dict(),
@@ -314,7 +314,7 @@ class Lumped:
             theta = instrumental(phi, target, (white @ instants(exact, n)).reshape(phi.shape), what)
         return theta, white
 
-    def _corrected(
+    def without_bias(
         self,
         system: System,
         recipe: Recipe,
@@ -374,7 +374,7 @@ class Lumped:
             intersample=self.intersample,
         )
 
-    def _refuse_unphysical(
+    def refuse_unphysical(
         self,
         system: System,
         regression: LumpedModel,

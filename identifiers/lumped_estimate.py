@@ -117,12 +117,16 @@ def lumped_unit(system: System, combination: Any) -> str:
     plain = [one for one in sp.Add.make_args(sp.expand(combination)) if abs(one.as_coeff_Mul()[0]) == 1]
     terms = plain or list(sp.Add.make_args(sp.expand(combination)))
     term = min(terms, key=lambda one: min((order[str(symbol)] for symbol in one.free_symbols), default=len(order)))
-    parts = []
-    for base, power in sorted(term.as_powers_dict().items(), key=str):
+    powers: dict[str, Any] = {}
+    for base, power in term.as_powers_dict().items():
         unit = system.parameter(str(base)).unit if base.is_Symbol else "1"
         if unit != "1":
-            one = f"({unit})" if power != 1 and (" " in unit or "/" in unit) else unit
-            parts.append(one if power == 1 else f"{one}^{power}")
+            powers[unit] = powers.get(unit, 0) + power
+    parts = []
+    # mass before length: kg m^2
+    for unit, power in sorted(powers.items(), key=lambda one: (not one[0].startswith(("kg", "N")), one[0])):
+        base_unit = f"({unit})" if power != 1 and (" " in unit or "/" in unit) else unit
+        parts.append(base_unit if power == 1 else f"{base_unit}^{power}")
     return " ".join(parts) or "1"
 
 

@@ -150,3 +150,21 @@ EXPORT void sysid_rls_run(double *memory, long n, const double *u, const double 
         learn(&s, u, y);
     }
 }
+
+/* n rows (n, p + 1), regressors and target, rotated into a triangle (p, p + 1); before every group of rows what stands
+   in it is multiplied by root, the square root of the forgetting factor. work (p + 1). */
+EXPORT void sysid_rotate_rows(double *triangle, double *work, long p, long n, long group, double root, const double *rows)
+{
+    parts s;
+    memset(&s, 0, sizeof s);
+    s.p = p;
+    s.ny = 1;
+    s.triangle = triangle;
+    s.work = work;
+    for (long k = 0; k < n; k++, rows += p + 1) {
+        if (root != 1.0 && k % group == 0)
+            for (long i = 0; i < p * (p + 1); i++) triangle[i] *= root;
+        memcpy(work, rows, (size_t)(p + 1) * sizeof(double));
+        rotate(&s, 0);
+    }
+}

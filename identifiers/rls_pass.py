@@ -12,7 +12,7 @@ import numpy as np
 from harness.signals import FloatArray
 from identifiers.native import library, pointers
 
-__all__ = ["Layout", "learn", "run"]
+__all__ = ["Layout", "learn", "rotated", "run"]
 
 # Numbers of the head: seen, rows, order, p, ny, nu, burn-in, forgetting, prior.
 _HEAD = 9
@@ -113,6 +113,57 @@ def run(
         _plain(layout, memory, u, y, guesses)
         return
     call[1](*pointers(memory), len(y), *pointers(u, y, guesses))
+
+
+def rotated(
+    triangle: FloatArray, rows: FloatArray, *, group: int = 1, forgetting: float = 1.0, native: bool = True
+) -> FloatArray:
+    """Return ``[R z]`` (p, p + 1) after equations (n, p + 1), regressors and target, were rotated in one by one.
+
+    Parameters
+    ----------
+    triangle : array (p, p + 1)
+        Zeros before any data; ``R theta = z``.
+    rows : array (n, p + 1)
+    group : int
+        Equations of one instant, which are forgotten together.
+    forgetting : float
+        Weight of all that came before, for every group.
+    native : bool
+        False computes in numpy even where the compiled recursion is there.
+
+    Examples
+    --------
+    >>> rows = np.array([[1.0, 0.0, 2.0], [1.0, 1.0, 5.0], [1.0, 2.0, 8.0]])
+    >>> found = rotated(np.zeros((2, 3)), rows)
+    >>> np.linalg.solve(found[:, :2], found[:, 2]).round(12)
+    array([2., 3.])
+    """
+    p = len(triangle)
+    found = np.ascontiguousarray(triangle, dtype=np.float64).copy()
+    wanted = np.ascontiguousarray(rows, dtype=np.float64)
+    call = _rotator() if native else None
+    root = float(np.sqrt(forgetting))
+    if call is None:
+        for first in range(0, len(wanted), group):
+            both = np.vstack([found * root, wanted[first : first + group]])
+            found = np.asarray(np.linalg.qr(both, mode="r"), dtype=np.float64)[:p]
+        return found
+    work = np.empty(p + 1)
+    call(*pointers(found, work), p, len(wanted), group, root, *pointers(wanted))
+    return found
+
+
+@functools.cache
+def _rotator() -> Any:
+    """Return the compiled rotation of rows, or None."""
+    compiled = library("rls_loop")
+    if compiled is None:
+        return None
+    call = compiled.sysid_rotate_rows
+    call.restype = None
+    call.argtypes = [*[ctypes.c_void_p] * 2, *[ctypes.c_long] * 3, ctypes.c_double, ctypes.c_void_p]
+    return call
 
 
 @functools.cache

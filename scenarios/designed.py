@@ -112,7 +112,7 @@ class ArmDesigned(ArmComputedTorque):
         InputError
             If a parameter is unknown, or no motion tells it from the others.
         """
-        from harness.physics.arm_mechanism import TEN
+        from harness.physics.inertia import TEN
 
         joints = range(1, arm.n + 1)
         names = [f"{name}{k}" for k in joints for name in TEN]

@@ -12,17 +12,15 @@ import sympy as sp
 
 from harness.errors import InputError
 from harness.physics.arm import GRAVITY, REST, ArmModel, load_arm
+from harness.physics.inertia import TEN, UNITS
 from harness.physics.joints import MOVING, Joint
 from harness.physics.mechanism import Mechanism
 from harness.physics.parameters import Parameter
 from harness.physics.system import BodyTerm, Coordinate, System
 from harness.signals import Channel
 
-__all__ = ["TEN", "ArmMechanism", "arm_mechanism"]
+__all__ = ["ArmMechanism", "arm_mechanism"]
 
-TEN = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
-"""The ten inertial parameters of a body: mass, first moments m c, inertia about the frame of its joint."""
-UNITS = ("kg", "kg m", "kg m", "kg m", *("kg m^2",) * 6)
 SMALL = 3
 """So many moving joints are written out in symbols: a Lagrangian of four spatial joints has thousands of terms."""
 SQUARE = 1e-9

@@ -12,6 +12,8 @@ from harness.errors import InputError
 from harness.signals import FloatArray
 
 __all__ = [
+    "TEN",
+    "UNITS",
     "divergence",
     "from_log_cholesky",
     "from_pseudo_inertia",
@@ -19,6 +21,10 @@ __all__ = [
     "pseudo_inertia",
     "to_log_cholesky",
 ]
+
+TEN = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+"""Names of the ten: mass, first moments, inertia about the frame of the joint."""
+UNITS = ("kg", "kg m", "kg m", "kg m", *("kg m^2",) * 6)
 
 _UPPER = np.triu_indices(3)
 # Places of a11 a12 a13 a14 a22 a23 a24 a33 a34 a44 of an upper triangular matrix.

@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["Smoothed", "local_cubics", "smooth"]
+__all__ = ["Smoothed", "local_cubics", "local_taps", "smooth"]
 
 _WIDTHS = (5, 7, 9, 13, 19, 27, 41, 61, 91)
 _KEPT = 32
@@ -69,7 +69,7 @@ def _smoothed(data: bytes, dt: float, period: float | None) -> Smoothed:
         if width > max(5, n // 3):
             break
         half = width // 2
-        middle = _taps(width)[0][0, half]
+        middle = local_taps(width)[0][0, half]
         left_out = (y - local_cubics(y, width, dt)[0])[half : n - half] / (1.0 - middle)
         error = float(np.sqrt(np.mean(left_out**2)))
         if best is None or error < best[0]:
@@ -100,7 +100,7 @@ def local_cubics(signal: FloatArray, width: int, dt: float) -> tuple[FloatArray,
     [True, True, True]
     """
     y = np.asarray(signal, dtype=float)
-    middle, first, last = _taps(width)
+    middle, first, last = local_taps(width)
     half = width // 2
     found = np.empty((3, y.size))
     for order in range(3):
@@ -111,8 +111,14 @@ def local_cubics(signal: FloatArray, width: int, dt: float) -> tuple[FloatArray,
 
 
 @functools.cache
-def _taps(width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return weights of value, first and second derivative per sample: (3, width) in the middle, (3, half, width)."""
+def local_taps(width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return weights of the value and its derivatives per sample, by a cubic through ``width`` samples.
+
+    Returns
+    -------
+    middle, first, last : array (3, width), (3, half, width), (3, half, width)
+        Value, first and second derivative at the middle, and at the samples before and after it.
+    """
     half = width // 2
     at = np.arange(-half, half + 1) / max(half, 1)
     fit = np.linalg.pinv(np.vander(at, 4, increasing=True))

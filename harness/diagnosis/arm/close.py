@@ -13,6 +13,7 @@ from harness.diagnosis.arm.found import ArmDiagnosis
 from harness.effects.effect import Effect
 from harness.errors import InputError
 from harness.physics.arm import ArmModel, load_arm
+from harness.physics.urdf_write import urdf_with
 from harness.signals import Dataset
 
 __all__ = ["close_arm", "recorded_arm", "repaired_urdf"]
@@ -32,7 +33,7 @@ def close_arm(
 
     Parameters are those of :func:`harness.diagnosis.arm.diagnose.diagnose_arm`. The folder holds ``report.json``,
     ``report.html`` and, where the arm fits its log, ``repaired.urdf``: the URDF with the friction, damping and payload
-    that were found.
+    that were found, and the bodies where inertial parameters are free.
     """
     from harness.diagnosis.arm.page import write_arm_html
     from harness.diagnosis.arm.report import arm_report
@@ -83,10 +84,12 @@ def recorded_arm(loaded: Any) -> ArmModel:
 
 
 def repaired_urdf(found: ArmDiagnosis, data: dict[str, Any]) -> str:
-    """Return the text of the URDF with what it can hold of the effects: damping, friction, a payload."""
+    """Return the text of the URDF with what it can hold of what was found: bodies, damping, friction, a payload."""
     assert found.arm.path is not None
-    tree = ElementTree.parse(found.arm.path)
-    root = tree.getroot()
+    if found.bodies is None:
+        root = ElementTree.parse(found.arm.path).getroot()
+    else:
+        root = ElementTree.fromstring(urdf_with(found.arm, found.bodies.parameters))
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
     places = {one.name: k for k, one in enumerate(found.arm.positions)}
     left: list[str] = []

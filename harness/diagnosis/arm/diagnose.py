@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.arm.bodies import SEEN, ArmBodies, bodies_of_arm, bodies_of_joints, unit_torques
 from harness.diagnosis.arm.checks import check_torques
 from harness.diagnosis.arm.found import ArmDiagnosis, JointDiagnosis
 from harness.diagnosis.arm.joint import JointBalance, joint_dictionary, white_noise
@@ -26,6 +27,9 @@ from harness.signals import Dataset, FloatArray
 from harness.workers import one_thread
 
 __all__ = ["diagnose_arm"]
+
+ROUNDS = 3
+"""Times that joints are searched beside bodies, at most."""
 
 Progress = Callable[[float, str], None]
 
@@ -86,22 +90,69 @@ def diagnose_arm(
             if k not in moving
         ]
         directions = [] if arm.inertia == "fixed" else _inertial_directions(arm, runs["estimation"])
+
+        def whole(runs: dict[str, tuple[ArmRun, ...]], free: list[FloatArray]) -> WideResult:
+            return wide_search(
+                arm, runs, moving, calibrated=free, say=lambda text: say(0.15, text), policy=policy,
+                arm_policy=arm_policy,
+            )  # fmt: skip
+
+        def every(runs: dict[str, tuple[ArmRun, ...]], wide: WideResult, free: bool) -> tuple[JointDiagnosis, ...]:
+            calibrated = _calibrated_torques(arm, runs, directions) if free else {}
+            joints = []
+            for place, k in enumerate(moving):
+                say(0.3 + 0.55 * place / len(moving), f"joint {k + 1}")
+                joints.append(_joint(arm, k, dataset, runs, wide, calibrated, dictionary, policy, arm_policy))
+            return tuple(joints)
+
         say(0.1, "effects on the whole arm")
-        wide = wide_search(
-            arm, runs, moving, calibrated=directions, say=lambda text: say(0.15, text), policy=policy,
-            arm_policy=arm_policy,
-        )  # fmt: skip
-        calibrated = _calibrated_torques(arm, runs, directions) if directions else {}
-        joints = []
-        for place, k in enumerate(moving):
-            say(0.3 + 0.55 * place / len(moving), f"joint {k + 1}")
-            joints.append(_joint(arm, k, dataset, runs, wide, calibrated, dictionary, policy, arm_policy))
+        wide = whole(runs, directions)
+        if directions:
+            wide, joints, bodies = _with_bodies(arm, runs, moving, wide, whole, every)
+        else:
+            joints, bodies = every(runs, wide, False), None
         found = ArmDiagnosis(
-            dataset, arm, runs, wide, tuple(joints), still, policy=policy, warnings=warnings + wide.notes
+            dataset, arm, runs, wide, joints, still, bodies=bodies, policy=policy, warnings=warnings + wide.notes
         )
         found.misfit = misfit_reasons(dataset, arm, runs, found.joints, policy, arm_policy)
     found.seconds = time.monotonic() - began
     return found
+
+
+def _with_bodies(
+    arm: ArmModel,
+    runs: dict[str, tuple[ArmRun, ...]],
+    moving: Sequence[int],
+    wide: WideResult,
+    whole: Callable[[dict[str, tuple[ArmRun, ...]], list[FloatArray]], WideResult],
+    every: Callable[[dict[str, tuple[ArmRun, ...]], WideResult, bool], tuple[JointDiagnosis, ...]],
+) -> tuple[WideResult, tuple[JointDiagnosis, ...], ArmBodies]:
+    """Return what was found beside bodies that mass can make.
+
+    Directions of the inertial parameters stay free in the search while bodies do as well as they. Where they would have
+    to be a body that no mass makes, something else is hidden in them: then the search goes on beside the bodies that
+    come nearest, until what it finds leaves them alone.
+    """
+    bodies = bodies_of_arm(arm, runs, moving, wide)
+    if not bodies.possible:
+        wide = whole(bodies.runs(arm, runs), [])
+        bodies = bodies_of_arm(arm, runs, moving, wide)
+    names: list[str] = []
+    for _ in range(ROUNDS):
+        joints = every(bodies.runs(arm, runs), wide, bodies.possible)
+        free = bodies.possible
+        bodies = bodies_of_joints(arm, runs, {one.joint: one.final for one in joints}, wide)
+        now = [str(one.placed) for joint in joints for one in joint.outcome.accepted]
+        if free or now == names:
+            break
+        names = now
+    own = bodies.runs(arm, runs)
+    for joint in joints:
+        known = {use: [wide.torque(one)[:, joint.joint] for one in parts] for use, parts in own.items()}
+        balance = JointBalance(arm, joint.joint, own, known)
+        fit = RegressionForm(balance, joint.policy).fit(joint.final.effects, [joint.final.values], joint.final)
+        joint.closed = None if fit is None else (balance, fit)
+    return wide, joints, bodies
 
 
 def _moving(arm: ArmModel, dataset: Dataset, still: FloatArray, policy: ArmPolicy) -> list[int]:
@@ -153,31 +204,25 @@ def _joint(
 
 def _inertial_directions(arm: ArmModel, runs: Sequence[ArmRun]) -> list[FloatArray]:
     """Return an orthonormal basis of the inertial parameters that this motion moves at all."""
-    size = 10 * len(arm.arm.joints)
     rows = slice(None, None, max(runs[0].calm.q.shape[0] // 400, 1))
     m = runs[0].calm
-    columns = [arm.torques(m.q[rows], m.v[rows], m.a[rows], parameters=unit).reshape(-1) for unit in np.eye(size)]
-    _, singular, right = np.linalg.svd(np.stack(columns, axis=1), full_matrices=False)
-    return [row for row, value in zip(right, singular, strict=True) if value > 1e-4 * singular[0]]
+    _, singular, right = np.linalg.svd(arm.arm.regressor(m.q[rows], m.v[rows], m.a[rows]), full_matrices=False)
+    return [row for row, value in zip(right, singular, strict=True) if value > SEEN * singular[0]]
 
 
 def _calibrated_torques(
     arm: ArmModel, runs: Mapping[str, Sequence[ArmRun]], directions: Sequence[FloatArray]
 ) -> dict[str, list[FloatArray]]:
     """Return by use the torques (N, n, d) of all joints for every direction of the inertial parameters."""
-    return {
-        use: [
-            np.stack([arm.torques(m.q, m.v, m.a, parameters=one) for one in directions], axis=2)
-            for m in (run.calm for run in parts)
-        ]
-        for use, parts in runs.items()
-    }
+    turn = np.stack(directions, axis=1)
+    every = range(len(arm.arm.joints))
+    return {use: [one @ turn for one in parts] for use, parts in unit_torques(arm, runs, every).items()}
 
 
 def _free_columns(torques: Mapping[str, Sequence[FloatArray]], k: int) -> dict[str, list[FloatArray]]:
     """Return by use the torques (N, c) of one joint that calibrated inertial parameters can make, without doubles."""
     joined = np.concatenate([one[:, k] for one in torques["estimation"]])
     _, singular, right = np.linalg.svd(joined, full_matrices=False)
-    kept = singular > 1e-4 * singular[0]
+    kept = singular > SEEN * singular[0]
     turn: Any = right[kept].T * (np.sqrt(joined.shape[0]) / singular[kept])
     return {use: [one[:, k] @ turn for one in parts] for use, parts in torques.items()}

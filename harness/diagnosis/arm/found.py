@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from harness.diagnosis.arm.bodies import ArmBodies
 from harness.diagnosis.arm.joint import JointBalance
 from harness.diagnosis.arm.motion import ArmRun, moving_rows
 from harness.diagnosis.arm.wide import WideResult
@@ -38,6 +39,9 @@ class JointDiagnosis:
         Effects that were not tried because the torque is too noisy for them.
     noise : float
         Of the torque's samples, as it shows in the residual.
+    closed : (JointBalance, Fit), optional
+        The balance beside the bodies that were estimated, where inertial parameters are free, and the same effects
+        there: what is left is left by bodies, not by directions of the search.
     """
 
     joint: int
@@ -47,6 +51,7 @@ class JointDiagnosis:
     drowned: tuple[str, ...]
     noise: float
     policy: ArmPolicy = ARM_POLICY
+    closed: tuple[JointBalance, Fit] | None = None
 
     @property
     def nominal(self) -> Fit:
@@ -68,21 +73,29 @@ class JointDiagnosis:
 
     def left(self, use: str) -> float:
         """Return the rms of the residual torque of the final model while the joint moves."""
-        return self._rms(self.final, use)
+        return self._rms(self.residual(use), use)
+
+    def residual(self, use: str) -> list[FloatArray]:
+        """Return the residual torque (rows, 1) of the final model for every record."""
+        return self._residual(*(self.closed or (self.balance, self.final)), use)
 
     def before(self, use: str) -> float:
         """Return the same before the joint's own effects."""
-        return self._rms(self.nominal, use)
+        return self._rms(self._residual(self.balance, self.nominal, use), use)
 
-    def _rms(self, fit: Fit, use: str) -> float:
+    def _residual(self, balance: JointBalance, fit: Fit, use: str) -> list[FloatArray]:
+        """Return the residual torque (rows, 1) of a fit for every record."""
         known = fit.detail.residual.get(use)
-        if known is None:
-            equation = self.balance.equation(fit.effects)
-            p = np.array([fit.values[name] for name in equation.system.parameter_names])
-            known = [r for r, _ in equation.residual(p, use)]
-        if not known:
+        if known is not None:
+            return list(known)
+        equation = balance.equation(fit.effects)
+        p = np.array([fit.values[name] for name in equation.system.parameter_names])
+        return [r for r, _ in equation.residual(p, use)]
+
+    def _rms(self, residual: Sequence[FloatArray], use: str) -> float:
+        if not residual:
             return float("nan")
-        rows = [r[c[:, 0] > 0] for r, c in zip(known, self.balance.counts[use], strict=True)]
+        rows = [r[c[:, 0] > 0] for r, c in zip(residual, self.balance.counts[use], strict=True)]
         return float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
 
     @functools.cached_property
@@ -122,6 +135,8 @@ class ArmDiagnosis:
         Those that were judged.
     still : array (n,)
         Share of the time in which each joint stands still.
+    bodies : ArmBodies, optional
+        Where inertial parameters are free.
     misfit : tuple of str
         Why the model does not fit at all; empty if it does.
     policy : Policy
@@ -135,6 +150,7 @@ class ArmDiagnosis:
     wide: WideResult
     joints: tuple[JointDiagnosis, ...]
     still: FloatArray
+    bodies: ArmBodies | None = None
     misfit: tuple[str, ...] = ()
     policy: Policy = POLICY
     warnings: list[str] = field(default_factory=list)
@@ -175,15 +191,25 @@ class ArmDiagnosis:
 
     def after(self, use: str) -> FloatArray:
         """Return the rms of the torque residual of every joint with all that was found (n,)."""
-        result = self._rms(use, lambda run: run.motion.u - self.wide.torque(run))
+        result = self._rms(use, lambda run: run.motion.u - self.wide.torque(run), self.closed_runs)
         for one in self.joints:
             result[one.joint] = one.left(use)
         return result
 
-    def _rms(self, use: str, pick: Callable[[ArmRun], FloatArray]) -> FloatArray:
+    @functools.cached_property
+    def closed_runs(self) -> dict[str, tuple[ArmRun, ...]]:
+        """The records with the torques that the estimated bodies need."""
+        return self.runs if self.bodies is None else self.bodies.runs(self.arm, self.runs)
+
+    def _rms(
+        self,
+        use: str,
+        pick: Callable[[ArmRun], FloatArray],
+        runs: dict[str, tuple[ArmRun, ...]] | None = None,
+    ) -> FloatArray:
         """Return the rms of something by joint, while the joints move."""
         power, count = np.zeros(self.arm.n), np.zeros(self.arm.n)
-        for run in self.runs[use]:
+        for run in (runs or self.runs)[use]:
             moving = moving_rows(run.motion)
             power += np.sum((run.slim(pick(run)) * moving) ** 2, axis=0)
             count += np.sum(moving, axis=0)

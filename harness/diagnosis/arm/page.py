@@ -47,7 +47,8 @@ def _figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
         run = max(found.runs["validation"], key=lambda one: one.motion.q.shape[0])
         keep = moving_rows(run.motion)[:, k] > 0
         before = run.slim(run.motion.u - run.rigid)[keep, k]
-        after = run.slim(run.motion.u - found.wide.torque(run))[keep, k]
+        closed = max(found.closed_runs["validation"], key=lambda one: one.motion.q.shape[0])
+        after = run.slim(run.motion.u - found.wide.torque(closed))[keep, k]
         # friction is a function of speed; what hangs on the arm, of position
         speed = not found.wide.accepted
         rate = run.slim(run.motion.v if speed else run.motion.q)[keep, k]
@@ -63,9 +64,11 @@ def _figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
             own = -balance.force(final.values, effects, "validation")[longest][:, 0]
             speed, rate = True, decimated(motion.v, motion)[inside, 0]
             before = -joint.nominal.detail.residual["validation"][longest][inside, 0]
-            after = -final.detail.residual["validation"][longest][inside, 0]
+            after = -joint.residual("validation")[longest][inside, 0]
             fitted = own[inside]
-        changed = bool(found.wide.accepted) or any(one.outcome.accepted for one in found.joints)
+        changed = (
+            found.bodies is not None or bool(found.wide.accepted) or any(one.outcome.accepted for one in found.joints)
+        )
         views.append(
             ResidualView(
                 axis=f"{channel.name}'" if speed else channel.name,
@@ -88,7 +91,7 @@ def _levels(data: dict[str, Any]) -> str:
         ("torque (rms)", [one["torque_rms"] for one in data["joints"]], GREY),
         ("residual before", [one["before"][use] for one in data["joints"]], BEFORE),
     ]
-    if data["effects"]:
+    if data["effects"] or data["inertial_parameters"] is not None:
         rows.append(("residual after", [one["after"][use] for one in data["joints"]], AFTER))
     with drawing("levels", 10.5, 2.7) as (figure, svg):
         axis = figure.subplots()

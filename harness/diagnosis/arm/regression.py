@@ -216,8 +216,8 @@ class RegressionForm:
                 memory.clear()
                 p = inflated(z)
                 rows = equation.residual(p, "estimation")
-                r = self._white([one for one, _ in rows], "estimation", errors)
-                j = self._white([one[:, :, free] for _, one in rows], "estimation", errors)
+                r = self.whitened([one for one, _ in rows], "estimation", errors)
+                j = self.whitened([one[:, :, free] for _, one in rows], "estimation", errors)
                 memory[key] = r, j * np.where(logs, p[free], 1.0)
             return memory[key]
 
@@ -253,7 +253,7 @@ class RegressionForm:
         own = self._own(tuple(names[k] for k in free))
         residual["validation"], refitted = self._refitted(residual["validation"], jacobian["validation"], own, errors)
         logs = [system.parameters[k].minimum > 0 for k in free]
-        deviations = _deviations(self._white(jacobian["estimation"], "estimation", errors))
+        deviations = _deviations(self.whitened(jacobian["estimation"], "estimation", errors))
         values = dict(zip(names, map(float, p), strict=True))
         bound = [
             names[k]
@@ -285,11 +285,13 @@ class RegressionForm:
         if not own:
             return list(residual), np.zeros(0)
         columns = [one[:, :, own] for one in jacobian]
-        white = self._white(columns, "validation", errors)
-        change = np.asarray(np.linalg.lstsq(white, -self._white(residual, "validation", errors), rcond=1e-10)[0], float)
+        white = self.whitened(columns, "validation", errors)
+        change = np.asarray(
+            np.linalg.lstsq(white, -self.whitened(residual, "validation", errors), rcond=1e-10)[0], float
+        )
         return [r + j @ change for r, j in zip(residual, columns, strict=True)], change
 
-    def _white(self, parts: Sequence[FloatArray], use: str, errors: Sequence[Coloured]) -> FloatArray:
+    def whitened(self, parts: Sequence[FloatArray], use: str, errors: Sequence[Coloured]) -> FloatArray:
         """Return residuals (rows, n, ...) whitened, joint by joint, in one array."""
         return np.concatenate(
             [
@@ -317,8 +319,8 @@ class RegressionForm:
         own = self._own(fit.free)
         shared = [k for k in range(len(fit.free)) if k not in own]
         return Linearised(
-            {use: self._white(detail.residual[use], use, detail.errors) for use in USES},
-            {use: self._white(detail.jacobian[use], use, detail.errors)[:, [*shared, *own]] for use in USES},
+            {use: self.whitened(detail.residual[use], use, detail.errors) for use in USES},
+            {use: self.whitened(detail.jacobian[use], use, detail.errors)[:, [*shared, *own]] for use in USES},
             len(shared),
         )
 
@@ -338,7 +340,7 @@ class RegressionForm:
     def _answered(self, fit: Fit, change: Change) -> Column:
         """Return what a change does to the whitened residual."""
         errors = fit.detail.errors
-        made = {use: self._white(change.torque[use], use, errors) for use in USES}
+        made = {use: self.whitened(change.torque[use], use, errors) for use in USES}
         return Column(change.placed, change.given, change.names, made["estimation"], made["validation"])
 
 

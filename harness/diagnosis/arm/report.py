@@ -13,6 +13,11 @@
     Says in ``text`` why the bias that feedback puts on the parameters is not tested.
 ``inertia``
     ``fixed`` (the URDF is believed) or ``calibrated``.
+``inertial_parameters``
+    Of calibrated bodies, else null: the record of the estimate (``names``, ``units``, ``values`` and the rest of
+    :meth:`harness.estimate.Estimate.to_dict`), every body one that mass can make; ``impossible``: whether directions
+    free of that limit fit the log better than chance, so that something else is missing; ``lost``: by how much
+    log-likelihood.
 """
 
 from __future__ import annotations
@@ -22,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.arm.bodies import ArmBodies
 from harness.diagnosis.arm.found import ArmDiagnosis
 from harness.diagnosis.policy import ARM_POLICY, described
 from harness.diagnosis.report.experiments import separating
@@ -50,6 +56,7 @@ def arm_report(found: ArmDiagnosis) -> dict[str, Any]:
         "dataset": found.dataset.name,
         "model": found.arm.name,
         "inertia": found.arm.inertia,
+        "inertial_parameters": None if found.bodies is None else _bodies(found.bodies),
         "verdict": found.verdict,
         "adequacy": found.grade,
         "explained_share": known(found.explained_share),
@@ -73,6 +80,11 @@ def arm_report(found: ArmDiagnosis) -> dict[str, Any]:
     }
     data["summary"] = _summary(data, [found.arm.positions[one.joint].name for one in found.incomplete])
     return data
+
+
+def _bodies(bodies: ArmBodies) -> dict[str, Any]:
+    """Return the record of the bodies that were estimated."""
+    return {**bodies.estimate.to_dict(), "impossible": not bodies.possible, "lost": known(bodies.lost)}
 
 
 def known(value: float) -> float | None:

@@ -103,9 +103,11 @@ class WideBalance:
             self._base[use] = []
             for run in runs[use]:
                 m = run.calm
-                free = [arm.torques(m.q, m.v, m.a, parameters=p)[:, :, None] for p in calibrated]
                 own = own_columns(run, level)[:, :, [len(OWN) * k + c for k in joints for c in range(len(OWN))]]
-                self._base[use].append(self._slim(run, np.concatenate([own, *free], axis=2)))
+                if len(calibrated):
+                    free = arm.arm.regressor(m.q, m.v, m.a) @ np.stack(calibrated, axis=1)
+                    own = np.concatenate([own, free.reshape(*m.q.shape, -1)], axis=2)
+                self._base[use].append(self._slim(run, own))
         names = [f"{arm.positions[k].name} {word}" for k in joints for word in OWN]
         self.own = frozenset(f"inertia{k + 1}" for k in range(len(calibrated)))
         names += [f"inertia{k + 1}" for k in range(len(calibrated))]
