@@ -82,6 +82,7 @@ def tasks(count: int, only: list[str]) -> list[Task]:
     kinds += [(model, "output-error", "-") for model in MODELS]
     kinds = [one for one in kinds if not only or all(word in one for word in only)]
     rounds = range(FIRST, FIRST + count, ROUND)
+    kinds.sort(key=lambda one: one[2] == "l1")  # linear programs take longest
     return [
         (*kind, seed) for first in rounds for kind in kinds for seed in range(first, min(first + ROUND, FIRST + count))
     ]
