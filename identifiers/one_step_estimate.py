@@ -60,7 +60,7 @@ def least_squares_estimate(
     free = solution.rows - p
     if theta.size > LARGEST:
         return None
-    spread = np.sqrt(np.mean(np.concatenate([one.y for one in records]) ** 2, axis=0))
+    spread = solution.scale[: spec.ny] / np.sqrt(solution.rows)
     if free < 1 or np.all(solution.residual_rms <= EXACT * spread):
         why = "as many coefficients as equations" if free < 1 else "the residuals are rounding"
         return _record(spec, lags, solution, theta, None, None, f"no interval: {why}")
@@ -68,7 +68,7 @@ def least_squares_estimate(
 
     inverse: FloatArray = np.linalg.pinv(solution.factor) / solution.scale[:, None]
     covariance = np.asarray(
-        np.kron(_residual_covariance(records, theta, lags, offset, free), inverse @ inverse.T), dtype=np.float64
+        np.kron(_residual_covariance(records, solution, lags, offset), inverse @ inverse.T), dtype=np.float64
     )
     if (output := _foretold(records, theta, lags, offset)) is not None:
         why = f"the residuals of {output} are correlated in time, as noise on measured outputs leaves them"
@@ -200,17 +200,22 @@ def _rows(one: Trajectory, lags: int, offset: bool) -> FloatArray:
     return np.hstack([rows, np.ones((len(rows), 1))]) if offset else rows
 
 
-def _residual_covariance(
-    records: Sequence[Trajectory], theta: FloatArray, lags: int, offset: bool, free: int
-) -> FloatArray:
-    """Return that of the residuals (ny, ny), over all records, block by block."""
-    total = np.zeros((theta.shape[1],) * 2)
+def _residual_covariance(records: Sequence[Trajectory], solution: Solution, lags: int, offset: bool) -> FloatArray:
+    """Return that of the residuals (ny, ny): variances over all equations, correlations over the first of them."""
+    theta = solution.coefficients
+    total, left = np.zeros((theta.shape[1],) * 2), CHECKED
     for one in records:
-        for start in range(0, len(one) - lags, CHECKED):
-            part = one[start : start + CHECKED + lags]
-            rest = part.y[lags:] - _rows(part, lags, offset) @ theta
-            total += rest.T @ rest
-    return total / free
+        part = one[: min(len(one), left + lags)]
+        if len(part) <= lags or left <= 0:
+            continue
+        rest = part.y[lags:] - _rows(part, lags, offset) @ theta
+        total += rest.T @ rest
+        left -= len(rest)
+    size = np.sqrt(np.diag(total))
+    size = np.where(size > 0, size, 1.0)
+    deviation = solution.residual_rms * np.sqrt(solution.rows / (solution.rows - len(theta)))
+    found: FloatArray = total / np.outer(size, size) * np.outer(deviation, deviation)
+    return found
 
 
 def _foretold(records: Sequence[Trajectory], theta: FloatArray, lags: int, offset: bool) -> str | None:
