@@ -15,6 +15,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.arx import lag_model, one_step, solution_notes
 from identifiers.excitation import Columns, refuse_feedback
 from identifiers.linear_model import LinearModel
+from identifiers.one_step_estimate import least_squares_estimate
 from identifiers.records import moving, real_signals, usable
 from identifiers.regression import Solution, solve
 from identifiers.scaling import Scaling, scaled, sizes
@@ -63,6 +64,11 @@ class Dmdc:
         Tikhonov weight.
     least_excitation : float
         As of ``least-squares``; not asked with a ridge.
+
+    Notes
+    -----
+    Without ``rank`` and ``ridge`` the model keeps the record of its estimate (:func:`harness.estimate.estimate_of`),
+    with intervals where the residuals are white. With ``rank`` the directions are estimated too, and there is none.
 
     Examples
     --------
@@ -134,7 +140,11 @@ class Dmdc:
         if self.ridge == 0.0:
             refuse_feedback(solution, Columns(spec, self.delays), self.least_excitation, what)
         coefficients, notes = solution.coefficients, solution_notes(solution)
-        model = lag_model(spec, coefficients, self.delays, self.offset, notes)
+        estimate = None
+        if self.ridge == 0.0:
+            estimate = least_squares_estimate(records, solution, self.delays, self.offset)
+        kept = {} if estimate is None else {"estimate": estimate.to_dict()}
+        model = lag_model(spec, coefficients, self.delays, self.offset, {**notes, **kept})
         if self.stable and spectral_radius(model.a_matrix) >= 1.0:
             weights = 1.0 / sizes([one.y for one in records])
             factor = solution.factor * solution.scale
