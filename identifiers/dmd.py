@@ -65,6 +65,11 @@ class Dmdc:
     least_excitation : float
         As of ``least-squares``; not asked with a ridge.
 
+    Notes
+    -----
+    Without ``rank`` and ``ridge`` the model keeps the record of its estimate (:func:`harness.estimate.estimate_of`),
+    with intervals where the residuals are white. With ``rank`` the directions are estimated too, and there is none.
+
     Examples
     --------
     >>> from harness.signals import Channel

@@ -12,6 +12,7 @@ from harness.errors import FitError
 from harness.lqr import spectral_radius
 from harness.scoring import equation_error
 from harness.signals import FloatArray, Trajectory
+from identifiers.directions import lively_directions
 from identifiers.excitation import feedback_of, refuse_feedback_of_records
 from identifiers.filters import stationary_gain
 from identifiers.linear_model import LinearModel
@@ -45,7 +46,8 @@ class Subspace:
     The future outputs are regressed on past and future data, the part that the past explains is cut to few directions,
     and these are the states; A, B, C, D, K follow by least squares (Van Overschee & De Moor 1996, *Subspace
     Identification for Linear Systems*, ch. 4). All regressions run on one triangle that is made of the data block by
-    block: memory stays bounded, and no window crosses a seam.
+    block: memory stays bounded, and no window crosses a seam. Directions of the outputs that hold nothing but white
+    noise are left out before (:mod:`identifiers.directions`), so that many outputs of few states do no harm.
 
     Parameters
     ----------
@@ -58,7 +60,8 @@ class Subspace:
         innovations estimated on the way, so that no future input foretells a past error: also for data from a closed
         loop. ``"auto"`` takes it where past outputs foretell the input, else cva.
     direct : bool
-        Keep the direct term D; under feedback leave it out.
+        Keep the direct term D; under feedback leave it out. Outputs that answer the input of the same sample need it,
+        and ``feedthrough`` declared in the record's spec: else they pass for feedback and the model is wrong.
     stable : bool
         Move eigenvalues on or outside the unit circle to radius 0.999.
     least_excitation : float
@@ -99,6 +102,9 @@ class Subspace:
         records, spec = usable(trajectories, samples=2 * window + 2, what=what)
         real_signals(spec, what)
         moving(records, what)
+        measured = records[0]
+        if directions := lively_directions(records):
+            records = directions.compressed(records)
         records, scaling = scaled(records)
         feedback = feedback_of(records)
         if feedback.found:
@@ -113,11 +119,12 @@ class Subspace:
         if order is None:
             order, notes["order_error"] = self._order(records, window, method, what)
         model, values = self._models(records, window, method, [order], what)[0]
-        notes |= {"order": order, "singular_values": values[:20].tolist()}
+        notes |= {"order": order, "singular_values": values[:20].tolist(), "output_directions": records[0].spec.ny}
         if self.stable and spectral_radius(model.a_matrix) >= 1.0:
             model = replace(model, a_matrix=clip_eigenvalues(model.a_matrix))
             notes["stabilized"] = True
-        return replace(model.in_units(scaling), notes=notes)
+        model = replace(model.in_units(scaling), notes=notes)
+        return directions.expanded(model, measured) if directions else model
 
     def _order(
         self, records: Sequence[Trajectory], window: int, method: str, what: str

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from harness.errors import FitError, InputError
+from harness.estimate import estimate_of
 from harness.registry import create
 from harness.scoring import equation_error, simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
@@ -242,3 +243,30 @@ def test_a_sparse_koopman_matrix_keeps_what_counts():
     sparse = Edmdc(degree=3, ridge=1e-12, threshold=1e-3).fit(fit, rng=RNG)
     assert np.count_nonzero(sparse.a_matrix) == sparse.notes["terms"] < 0.5 * np.count_nonzero(dense.a_matrix)
     assert simulation_error(sparse, slow_manifold(99)).rms.max() < 1e-3
+
+
+def test_intervals_of_coefficients_hold_the_truth_and_are_withheld_under_noise_on_the_outputs():
+    """200 records: 95 % intervals hold the truth in 90 to 98 % (and half a percent of chance)."""
+    a, b = np.array([[0.9, 0.2], [-0.2, 0.8]]), np.array([[0.0], [1.0]])
+    spec = PlantSpec((Channel("u", "N"),), (Channel("p", "m"), Channel("v", "m/s")), 0.1)
+    truth, inside = np.hstack([a, b]).ravel(), []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        u, x = rng.normal(size=(200, 1)), np.zeros((200, 2))
+        for k in range(199):
+            x[k + 1] = a @ x[k] + b @ u[k] + 0.2 * rng.normal(size=2)
+        found = estimate_of(Dmdc().fit([Trajectory(np.arange(200) * 0.1, u, x, spec)], rng=rng))
+        assert found is not None
+        if found.intervals is not None:
+            inside.append((found.intervals[:, 0] <= truth) & (truth <= found.intervals[:, 1]))
+    assert len(inside) >= 195
+    shares = np.mean(inside, axis=0)
+    assert 0.93 <= shares.mean() <= 0.97
+    assert ((0.90 <= shares) & (shares <= 0.985)).all(), shares
+    assert found.names[:3] == ("p on p", "p on v", "p on u")
+    assert found.units[:3] == ("1", "m/(m/s)", "m/N")
+    seen = Trajectory(np.arange(200) * 0.1, u, x + 0.3 * rng.normal(size=x.shape), spec)
+    noisy = estimate_of(Dmdc().fit([seen], rng=rng))
+    assert noisy is not None
+    assert noisy.intervals is None
+    assert "correlated in time" in noisy.method
