@@ -33,10 +33,8 @@ _ROUNDING = 1e-7
 _RANK = 1e-10
 # Samples of the past in which a law of feedback is looked for, as in the test for feedback itself.
 _LAW = 4
-# Share of the mean power that directions of the future outputs are given: it breaks ties between equal canonical
-# correlations, and of many outputs that nearly depend on each other those below 3 % of the size do not count as noise-
-# free ones (24 keypoints under feedback, noise 1e-3: response off by 1.0 at a share of 1e-6, 0.11 at 1e-3 and 1e-2).
-_TIE = 1e-3
+# Share of the mean power that breaks ties between directions of equal canonical correlation.
+_TIE = 1e-6
 
 
 @dataclass(frozen=True)
