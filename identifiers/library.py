@@ -59,6 +59,31 @@ class Library:
             texts.append(" ".join(name if n == 1 else f"{name}^{n}" for name, n in powers) or "1")
         return tuple(texts)
 
+    def units(self, arguments: Sequence[str]) -> tuple[str, ...]:
+        """Return the unit of every function, given those of the arguments; sines and cosines have none.
+
+        Examples
+        --------
+        >>> Library(("q", "v", "u"), degree=2, angles=(0,)).units(("rad", "m/s", "N"))[2:8]
+        ('1', 'm/s', 'N', 'm/s', 'N', 'm/s')
+        >>> Library(("v", "u"), degree=2).units(("m/s", "N"))
+        ('1', 'm/s', 'N', '(m/s)^2', '(m/s) N', 'N^2')
+        """
+        letters: list[str] = []
+        for column, unit in enumerate(arguments):
+            letters += ["1"] * (2 * self.harmonics) if column in self.angles else [unit]
+        texts = []
+        for pick in _monomials(self):
+            powers = [(letters[i], pick.count(i)) for i in sorted(set(pick)) if letters[i] != "1"]
+            if len(powers) == 1 and powers[0][1] == 1:
+                texts.append(powers[0][0])
+                continue
+            parts = [unit if unit.isalnum() else f"({unit})" for unit, _ in powers]
+            texts.append(
+                " ".join(part if n == 1 else f"{part}^{n}" for part, (_, n) in zip(parts, powers, strict=True)) or "1"
+            )
+        return tuple(texts)
+
     def __len__(self) -> int:
         return len(_monomials(self))
 

@@ -20,6 +20,7 @@ from identifiers.observers import innovation_form
 from identifiers.records import moving, real_signals, usable
 from identifiers.scaling import scaled
 from identifiers.stability import clip_eigenvalues
+from identifiers.state_space_estimate import state_space_estimate
 
 __all__ = ["Subspace"]
 
@@ -122,7 +123,11 @@ class Subspace:
             model = replace(model, a_matrix=clip_eigenvalues(model.a_matrix))
             notes["stabilized"] = True
         model = replace(model.in_units(scaling), notes=notes)
-        return directions.expanded(model, measured) if directions else model
+        if directions:
+            model = directions.expanded(model, measured)
+        rule = "given" if self.order is not None else "held-out prediction errors"
+        estimate = state_space_estimate(model, notes["singular_values"], rule)
+        return model if estimate is None else replace(model, notes={**notes, "estimate": estimate.to_dict()})
 
     def _order(
         self, records: Sequence[Trajectory], window: int, method: str, what: str
@@ -320,7 +325,7 @@ def _completed(
     moved = _solve(np.hstack([state, inputs, innovation]), following)
     a, b, k = moved[:order].T, moved[order : order + nu].T, moved[order + nu :].T
     if spectral_radius(a - k @ c) >= 1.0:
-        k = np.zeros_like(k) if spectral_radius(a) < 1.0 else k
+        k = np.zeros_like(k)  # predictions that grow tell nothing of the noise
     # The state of data that are not centred is the same sum of their past; its means give the constants.
     both, means = nu + ny, data.means
     now, then = to_state @ means[: p * both], to_state @ means[both : (p + 1) * both]

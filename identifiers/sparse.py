@@ -10,12 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError
+from harness.estimate import Estimate, RankDecision
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.derivatives import Derivative, derivative_rows, measured_motion, unwrapped
 from identifiers.excitation import refuse_feedback_of_records
 from identifiers.library import Library
 from identifiers.normal import NormalEquations, scaled_equations, solved
 from identifiers.observers import alpha_beta_gains, best_gain
+from identifiers.one_step_estimate import DEPENDENT, LARGEST, quotient
 from identifiers.records import moving, real_signals, usable
 from identifiers.selection import best_subset, ensemble, lasso
 from identifiers.sparse_model import SparseModel
@@ -275,6 +277,33 @@ class Stlsq:
                 high = min(low + _BLOCK, len(record) - 1)
                 yield functions(np.hstack([y[low:high], record.u[low:high]]).T), y[low + 1 : high + 1].T
 
+    def _estimate(
+        self,
+        spec: PlantSpec,
+        library: Library,
+        coefficients: FloatArray,
+        support: npt.NDArray[np.bool_],
+        order: int,
+        rank: int,
+        condition: float,
+    ) -> Estimate | None:
+        """Return the record of the chosen terms, None beyond 200."""
+        chosen = [(row, column) for column in range(spec.ny) for row in np.flatnonzero(support[:, column])]
+        if len(chosen) > LARGEST:
+            return None
+        targets, units = _targets(spec, order, self.time)
+        rates = [quotient(c.unit, "s") for c in spec.outputs] if order == 2 else []
+        arguments = [c.unit for c in spec.outputs] + rates + [c.unit for c in spec.inputs]
+        by = library.units(arguments)
+        return Estimate(
+            tuple(f"{targets[column]} on {library.names[row]}" for row, column in chosen),
+            tuple(quotient(units[column], by[row]) for row, column in chosen),
+            np.array([coefficients[row, column] for row, column in chosen], dtype=float),
+            method="no interval: the terms were chosen from the same data, and their regressors are noisy",
+            rank=RankDecision(rank, len(library), rule=f"singular values above {DEPENDENT:g} of the largest"),
+            condition=condition,
+        )
+
     def _choose(self, equations: NormalEquations) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         """Return coefficients and support by the rule."""
         if self.rule == "threshold":
@@ -327,6 +356,10 @@ class Stlsq:
             "rows": equations.rows,
             **inclusion,
         }
+        dependent = int(np.sum(values > DEPENDENT**2 * values[-1]))
+        estimate = self._estimate(spec, library, coefficients, support, order, dependent, notes["condition"])
+        if estimate is not None:
+            notes["estimate"] = estimate.to_dict()
         model = SparseModel(
             spec, library, coefficients.T, order, self.time, _range(records, order), _identity(spec, order), notes=notes
         )
@@ -335,6 +368,16 @@ class Stlsq:
         starts = [model.initial_state(one[: min(len(one), 200)]) for one in records]
         gains = alpha_beta_gains(spec.ny, spec.sample_time)
         return replace(model, filter_gain=best_gain(gains, model.step, model.output, starts, records))
+
+
+def _targets(spec: PlantSpec, order: int, time: str) -> tuple[list[str], list[str]]:
+    """Return names and units of what the equations give: the next outputs, their rates, or their accelerations."""
+    if time == "discrete":
+        return [f"{c.name}[k+1]" for c in spec.outputs], [c.unit for c in spec.outputs]
+    marks = "'" * order
+    return [f"{c.name}{marks}" for c in spec.outputs], [
+        quotient(c.unit, "s" if order == 1 else "s^2") for c in spec.outputs
+    ]
 
 
 def _identity(spec: PlantSpec, order: int) -> FloatArray:

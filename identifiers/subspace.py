@@ -22,6 +22,7 @@ from identifiers.records import lagged_blocks, moving, real_signals, usable
 from identifiers.regression import solve
 from identifiers.scaling import Scaling, sizes
 from identifiers.stability import clip_eigenvalues
+from identifiers.state_space_estimate import state_space_estimate
 
 __all__ = ["HoKalman", "markov_parameters", "observer_markov", "realize"]
 
@@ -248,8 +249,10 @@ class HoKalman:
             if np.abs(np.linalg.eigvals(a - a @ gain @ c)).max() >= 1.0:
                 gain = stationary_gain(a, c)
         d = response[0] if self.direct else np.zeros((spec.ny, spec.nu))
-        model = LinearModel(spec, a, b, c, d, gain, np.zeros(a.shape[0]), level, notes=notes)
-        return model.in_units(scaling)
+        model = LinearModel(spec, a, b, c, d, gain, np.zeros(a.shape[0]), level, notes=notes).in_units(scaling)
+        rule = "given" if self.order is not None else "Hankel singular values above the noise"
+        estimate = state_space_estimate(model, notes["hankel_singular_values"], rule)
+        return model if estimate is None else replace(model, notes={**notes, "estimate": estimate.to_dict()})
 
     def _chosen(self, records: Sequence[Trajectory], what: str, rng: np.random.Generator) -> LinearModel:
         """Return the model whose memory of the observer simulates held-out data best."""

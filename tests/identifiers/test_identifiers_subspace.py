@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from harness import api
 from harness.errors import FitError
+from harness.estimate import estimate_of
 from harness.scoring import equation_error, simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from identifiers.directions import lively_directions
@@ -336,3 +337,26 @@ def test_a_growing_model_that_was_asked_for_is_told():
         assert grows == ("the model grows" in model.notes.get("warning", ""))
         warned += grows
     assert warned
+
+
+@pytest.mark.parametrize("identifier", [HoKalman(markov=30, order=2), Subspace(order=2)], ids=["ho-kalman", "n4sid"])
+def test_a_record_tells_poles_and_static_gains_with_units_and_claims_no_interval(identifier):
+    a = np.array([[0.8, 0.3], [-0.3, 0.8]])
+    b, c = np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
+    record = run(600, 0, noise=1e-4, a=a, b=b, c=c)
+    found = estimate_of(identifier.fit([record], rng=RNG))
+    assert found is not None
+    assert found.intervals is None
+    assert found.value("pole 1, modulus") == pytest.approx(np.sqrt(0.73), rel=1e-2)
+    assert found.value("pole 1, angle") == pytest.approx(np.arctan2(0.3, 0.8), rel=1e-2)
+    gain = (c @ np.linalg.solve(np.eye(2) - a, b)).item()
+    assert found.values[-1] == pytest.approx(gain, rel=1e-2)
+    assert found.rank is not None
+    assert found.rank.rank == 2
+
+
+def test_predictions_do_not_grow_where_the_noise_is_none():
+    """A pendulum's swing, noise-free: no linear model has it, and the filter of the fit alone would diverge."""
+    record = api.simulate("pendulum-ode", scenario="multisine", seed=3)
+    model = Subspace().fit([record], rng=RNG)
+    assert np.isfinite(equation_error(model, record).nrmse)
