@@ -60,6 +60,7 @@ TESTED_ELSEWHERE = {
     "attention-network": "needs torch: tested in a file of its own",
     "embed-to-control": "needs torch: tested in a file of its own",
     "lagrangian-network": "needs torch: tested in a file of its own",
+    "lumped-recursive": "needs its own mechanism: tested in a file of its own",
     "lumped-momentum": "needs its own mechanism: tested beside the lumped forms",
 }
 ONLINE: list[tuple[str, dict[str, Any]]] = [

@@ -48,6 +48,7 @@ PHYSICAL = {
     "lumped-torque": "models of physics speak SI",
     "lumped-energy": "models of physics speak SI",
     "lumped-momentum": "models of physics speak SI",
+    "lumped-recursive": "models of physics speak SI",
     "inertial": "models of physics speak SI",
     "joint-calibration": "models of physics speak SI",
     "residual-physics": "models of physics speak SI",
