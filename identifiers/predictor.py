@@ -1,16 +1,16 @@
-"""Subspace identification from inputs and outputs: N4SID, MOESP, CVA for open loop, PARSIM-E for closed loop."""
+"""Subspace identification from inputs and outputs: N4SID, MOESP, CVA for open loop, PARSIM-E and PBSID for any."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from harness.errors import FitError
 from harness.lqr import spectral_radius
-from harness.scoring import equation_error
+from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.directions import lively_directions
 from identifiers.excitation import feedback_of, refuse_feedback_of_records
@@ -18,16 +18,24 @@ from identifiers.filters import stationary_gain
 from identifiers.linear_model import LinearModel
 from identifiers.observers import innovation_form
 from identifiers.records import moving, real_signals, usable
+from identifiers.ridge import ridge_by_cross_validation
 from identifiers.scaling import scaled
 from identifiers.stability import clip_eigenvalues
 from identifiers.state_space_estimate import state_space_estimate
 
 __all__ = ["Subspace"]
 
+Method = Literal["n4sid", "moesp", "cva", "parsim", "pbsid"]
+# Methods whose regressions hold under feedback too.
+_ANY_LOOP: tuple[Method, ...] = ("parsim", "pbsid")
+
 _BLOCK = 8192
 # Without an order the candidates are those up to here; a larger one is taken only for this gain in validated error.
 _MOST = 12
 _GAIN = 0.99
+# Stretches left out of a record, at most, and windows in one of them, at least, where there are several.
+_TURNS = 4
+_STRETCH = 4
 # Errors below this fraction of the outputs are rounding: no reason for another order.
 _ROUNDING = 1e-7
 # The regression of the future on past and inputs is refused below this ratio of singular values.
@@ -51,13 +59,18 @@ class Subspace:
     Parameters
     ----------
     order : int, optional
-        State dimension; by default the one up to 12 whose one-step error on the last third of the records is least.
+        State dimension; by default the one up to 12 that errs least, on all samples and on every third stretch,
+        left out: in free runs, or one step ahead where past outputs foretell the input.
     past : int
         Samples of the past, and of the future, in the regressions; raised above the order where it is smaller.
-    method : {"auto", "n4sid", "moesp", "cva", "parsim"}
+    method : {"auto", "n4sid", "moesp", "cva", "parsim", "pbsid"}
         Weighting of the directions; ``"parsim"`` is PARSIM-E (Qin & Ljung 2003, IFAC SYSID, sec. 3): row by row, with
         innovations estimated on the way, so that no future input foretells a past error: also for data from a closed
-        loop. ``"auto"`` takes it where past outputs foretell the input, else cva.
+        loop. ``"pbsid"`` predicts from the past alone (Chiuso 2007, Automatica 43, 1034-1048, sec. 3), with a ridge
+        chosen by generalised cross-validation: also for closed loops, and for smooth inputs, whose future the past
+        foretells, so that the other regressions tell the two apart by rounding and noise. ``"auto"`` takes of cva
+        (not where past outputs foretell the input), parsim and pbsid what errs least over all samples, each of its
+        own order.
     direct : bool
         Keep the direct term D; under feedback leave it out. Outputs that answer the input of the same sample need it,
         and ``feedthrough`` declared in the record's spec: else they pass for feedback and the model is wrong.
@@ -82,7 +95,7 @@ class Subspace:
 
     order: int | None = None
     past: int = 12
-    method: Literal["auto", "n4sid", "moesp", "cva", "parsim"] = "auto"
+    method: Method | Literal["auto"] = "auto"
     direct: bool = False
     stable: bool = False
     least_excitation: float = 2.0
@@ -90,10 +103,10 @@ class Subspace:
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return the model in innovation form."""
         what = "n4sid"
-        if self.method not in ("auto", "n4sid", "moesp", "cva", "parsim") or self.past < 2 or (self.order or 1) < 1:
+        if self.method not in ("auto", *get_args(Method)) or self.past < 2 or (self.order or 1) < 1:
             raise FitError(
                 f"{what}: options",
-                expected="method auto, n4sid, moesp, cva or parsim, past >= 2, order >= 1",
+                expected="method auto, n4sid, moesp, cva, parsim or pbsid, past >= 2, order >= 1",
                 got=f"method={self.method}, past={self.past}, order={self.order}",
                 remedy="correct the options",
             )
@@ -108,17 +121,27 @@ class Subspace:
         feedback = feedback_of(records)
         if feedback.found:
             refuse_feedback_of_records(records, _LAW, self.least_excitation, what)
-        method = self.method
-        if method == "auto":
-            method = "parsim" if feedback.found else "cva"
-        notes: dict[str, Any] = {"method": method, "feedback_share": feedback.share}
-        if feedback.found and method != "parsim":
-            notes["warning"] = "past outputs foretell the input (feedback): use method parsim"
-        order = self.order
-        if order is None:
-            order, notes["order_error"] = self._order(records, window, method, what)
-        model, values = self._models(records, window, method, [order], what)[0]
-        notes |= {"order": order, "singular_values": values[:20].tolist(), "output_directions": records[0].spec.ny}
+        methods: tuple[Method, ...] = _ANY_LOOP if feedback.found else ("cva", *_ANY_LOOP)
+        if self.method != "auto":
+            methods = (self.method,)
+        orders = [self.order] if self.order else list(range(1, min(_MOST, window - 1) + 1))
+        found = self._models(records, window, methods, orders, what)
+        ladders = {
+            one: {model.a_matrix.shape[0]: _error(model, records, window, feedback.found) for model, _ in models}
+            for one, models in found.items()
+        }
+        if self.order is None:
+            ladders = self._left_out(ladders, records, window, feedback.found, what)
+        chosen = {one: _order(ladder) for one, ladder in ladders.items()}
+        method = _best({one: ladder[chosen[one]] for one, ladder in ladders.items()})
+        order = chosen[method]
+        model, values = next(one for one in found[method] if one[0].a_matrix.shape[0] == order)
+        notes: dict[str, Any] = {"method": method, "feedback_share": feedback.share, "order": order}
+        if self.order is None:
+            notes["order_error"] = {str(one): error for one, error in ladders[method].items()}
+        if feedback.found and method not in _ANY_LOOP:
+            notes["warning"] = "past outputs foretell the input (feedback): use method parsim or pbsid"
+        notes |= {"singular_values": values[:20].tolist(), "output_directions": records[0].spec.ny}
         if self.stable and spectral_radius(model.a_matrix) >= 1.0:
             model = replace(model, a_matrix=clip_eigenvalues(model.a_matrix))
             notes["stabilized"] = True
@@ -129,12 +152,16 @@ class Subspace:
         estimate = state_space_estimate(model, notes["singular_values"], rule)
         return model if estimate is None else replace(model, notes={**notes, "estimate": estimate.to_dict()})
 
-    def _order(
-        self, records: Sequence[Trajectory], window: int, method: str, what: str
-    ) -> tuple[int, dict[str, float]]:
-        """Return the order that predicts the last third of the records best, and all the errors."""
-        fit = [one[: 2 * len(one) // 3] for one in records]
-        held = [one[2 * len(one) // 3 :] for one in records]
+    def _left_out(
+        self,
+        ladders: Mapping[Method, Mapping[int, float]],
+        records: Sequence[Trajectory],
+        window: int,
+        feedback: bool,
+        what: str,
+    ) -> dict[Method, dict[int, float]]:
+        """Return the errors of methods and orders, counted also on stretches that a fit on the others left out."""
+        fit, held = _parted(records, window)
         fit, held = [one for one in fit if len(one) > 2 * window + 1], [one for one in held if len(one) > window + 1]
         if not fit or not held:
             raise FitError(
@@ -144,22 +171,39 @@ class Subspace:
                 remedy="give the order, or a smaller past",
             )
         orders = list(range(1, min(_MOST, window - 1) + 1))
-        errors: dict[str, float] = {}
-        best = (np.inf, 1)
-        for order, (model, _) in zip(orders, self._models(fit, window, method, orders, what), strict=False):
-            misses = [equation_error(model, one, burn_in=window).rms for one in held]
-            error = float(np.sqrt(np.mean(np.square(misses))))
-            errors[str(order)] = error if np.isfinite(error) else 1e300
-            if error < _GAIN * best[0] and best[0] > _ROUNDING:
-                best = (error, order)
-        return best[1], errors
+        orders = list(range(1, max(max(ladder) for ladder in ladders.values()) + 1))
+        both: dict[Method, dict[int, float]] = {}
+        for method, models in self._models(fit, window, tuple(ladders), orders, what).items():
+            errors = {model.a_matrix.shape[0]: _error(model, held, window, feedback) for model, _ in models}
+            both[method] = {n: float(np.hypot(e, errors[n])) for n, e in ladders[method].items() if n in errors}
+        return both
 
     def _models(
-        self, records: Sequence[Trajectory], window: int, method: str, orders: Sequence[int], what: str
-    ) -> list[tuple[LinearModel, FloatArray]]:
-        """Return the models of some orders, from one triangle."""
+        self, records: Sequence[Trajectory], window: int, methods: Sequence[Method], orders: Sequence[int], what: str
+    ) -> dict[Method, list[tuple[LinearModel, FloatArray]]]:
+        """Return the models of some orders by method, all from one triangle; methods that refuse it are left out."""
         data = _Stacked.of(records, window, what)
-        predicted = _parsim(data, self.direct, what) if method == "parsim" else _oblique(data, what)
+        models: dict[Method, list[tuple[LinearModel, FloatArray]]] = {}
+        refused: FitError | None = None
+        for method in methods:
+            try:
+                models[method] = self._of_method(records, data, method, orders, what)
+            except FitError as error:
+                refused = refused or error
+        if refused and not models:
+            raise refused
+        return models
+
+    def _of_method(
+        self, records: Sequence[Trajectory], data: _Stacked, method: Method, orders: Sequence[int], what: str
+    ) -> list[tuple[LinearModel, FloatArray]]:
+        """Return the models of some orders by one method."""
+        if method == "parsim":
+            predicted = _parsim(data, self.direct, what)
+        elif method == "pbsid":
+            predicted = _pbsid(data, self.direct, max(orders) if self.order else 1, what)
+        else:
+            predicted = _oblique(data, what)
         left, values, right = _weighted(data, predicted, method)
         found = []
         for order in orders:
@@ -174,6 +218,47 @@ class Subspace:
                 remedy="lower the order",
             )
         return found
+
+
+def _parted(records: Sequence[Trajectory], window: int) -> tuple[list[Trajectory], list[Trajectory]]:
+    """Return what orders are fitted on and every third stretch, left out: spread, for a sweep changes as it goes."""
+    fit, held = [], []
+    for one in records:
+        turns = min(max(len(one) // (3 * _STRETCH * window), 1), _TURNS)
+        edges = np.linspace(0, len(one), 3 * turns + 1).astype(int)
+        fit += [one[edges[i] : edges[i + 2]] for i in range(0, 3 * turns, 3)]
+        held += [one[edges[i + 2] : edges[i + 3]] for i in range(0, 3 * turns, 3)]
+    return fit, held
+
+
+def _error(model: LinearModel, records: Sequence[Trajectory], skip: int, feedback: bool) -> float:
+    """Return the rms over records and outputs of the errors one step ahead, or in open loop of free runs.
+
+    A free run shows modes that grow, which one step ahead hides; under feedback it would leave the records by itself.
+    """
+    scores = [equation_error(model, one, burn_in=skip) if feedback else simulation_error(model, one) for one in records]
+    with np.errstate(over="ignore"):
+        error = float(np.sqrt(np.mean([np.square(one.rms) for one in scores])))
+    return error if np.isfinite(error) else 1e300
+
+
+def _order(errors: Mapping[int, float]) -> int:
+    """Return the order of least error; a larger one only for a gain that is more than chance or rounding."""
+    best = (np.inf, 1)
+    for order, error in errors.items():
+        if error < _GAIN * best[0] and best[0] > _ROUNDING:
+            best = (error, order)
+    return best[1]
+
+
+def _best(errors: Mapping[Method, float]) -> Method:
+    """Return the method of least error; a later one only for a gain that is more than chance or rounding."""
+    names = list(errors)
+    best = names[0]
+    for name in names[1:]:
+        if errors[name] < _GAIN * errors[best] and errors[best] > _ROUNDING:
+            best = name
+    return best
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,17 +336,44 @@ def _solve(columns: FloatArray, targets: FloatArray) -> FloatArray:
 def _oblique(data: _Stacked, what: str) -> FloatArray:
     """Return the part of the future outputs that the past explains, given the future inputs (Van Overschee 1996)."""
     past, inputs, outputs = data.past(), data.u(data.window, 2 * data.window), data.y(data.window, 2 * data.window)
-    if inputs.shape[1]:
-        values = np.linalg.svd(inputs, compute_uv=False)
-        if values[-1] <= 1e-8 * values[0]:
-            raise FitError(
-                f"{what}: the input does not excite all lags",
-                expected=f"persistent excitation of order {inputs.shape[1]}",
-                got=f"rank {int(np.sum(values > 1e-8 * values[0]))}",
-                remedy="use a richer input (PRBS, more lines), or a smaller past",
-            )
+    _exciting(data, inputs.shape[1], what)
     theta = _solve(np.hstack([past, inputs]), outputs)
     return theta[: past.shape[1]]
+
+
+def _exciting(data: _Stacked, needed: int, what: str) -> None:
+    """Refuse inputs of which a window excites fewer directions than needed."""
+    if not data.nu:
+        return
+    values = np.linalg.svd(data.u(data.window, 2 * data.window), compute_uv=False)
+    rank = int(np.sum(values > 1e-8 * values[0]))
+    if rank < needed:
+        raise FitError(
+            f"{what}: the input does not excite all lags",
+            expected=f"persistent excitation of order {needed}",
+            got=f"rank {rank}",
+            remedy="use a richer input (PRBS, more lines), or a smaller past",
+        )
+
+
+def _pbsid(data: _Stacked, direct: bool, order: int, what: str) -> FloatArray:
+    """Return the part of the future outputs that the past explains, by the predictor from the past alone (PBSID).
+
+    A high-order ARX model, solved with a ridge, gives the Markov parameters of the predictor; what it says of output i
+    ahead from the past is the same weights, moved by i samples (Chiuso 2007, Automatica 43, sec. 3). Nothing of the
+    future is regressed on, so a smooth input does no harm; of the input, what tells a model of that order is asked
+    for (persistent excitation of order 2 n, Ljung 1999, *System Identification*, theorem 13.1).
+    """
+    _exciting(data, min(2 * order, data.window) * data.nu, what)
+    past, window, both = data.past(), data.window, data.nu + data.ny
+    columns = np.hstack([past, data.u(window, window + 1)]) if direct else past
+    weights = ridge_by_cross_validation(columns, data.y(window, window + 1), data.rows)[: past.shape[1]]
+    found = []
+    for i in range(window):
+        row = np.zeros_like(weights)
+        row[i * both :] = weights[: weights.shape[0] - i * both]
+        found.append(row)
+    return np.hstack(found)
 
 
 def _parsim(data: _Stacked, direct: bool, what: str) -> FloatArray:
@@ -279,7 +391,7 @@ def _parsim(data: _Stacked, direct: bool, what: str) -> FloatArray:
     return np.hstack(found)
 
 
-def _weighted(data: _Stacked, predicted: FloatArray, method: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _weighted(data: _Stacked, predicted: FloatArray, method: Method) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return (W^-1 U, singular values, V') of the weighted predictions: Gamma = W^-1 U S, states from V."""
     past, inputs, outputs = data.past(), data.u(data.window, 2 * data.window), data.y(data.window, 2 * data.window)
     if method == "n4sid":
@@ -287,7 +399,7 @@ def _weighted(data: _Stacked, predicted: FloatArray, method: str) -> tuple[Float
     else:  # what of the past the future inputs do not explain
         right = np.asarray(np.linalg.qr(past - inputs @ _solve(inputs, past), mode="r"))
     weight = np.eye(outputs.shape[1])
-    if method in ("cva", "parsim"):
+    if method in ("cva", *_ANY_LOOP):
         rest = outputs - inputs @ _solve(inputs, outputs)
         values, vectors = np.linalg.eigh(rest.T @ rest)
         # Without noise all canonical correlations are 1: a little of the mean power lets the stronger directions lead.

@@ -304,7 +304,7 @@ def _pooled(scores: Sequence[Score]) -> tuple[float | None, tuple[float | None, 
         total = float(np.sqrt(weights @ np.mean(nrmse[:, moving] ** 2, axis=1)))
         each = np.sqrt(weights @ rms**2)
     finite = tuple(float(value) if np.isfinite(value) else None for value in each)
-    return (total if np.isfinite(total) else None), finite
+    return (total if np.isfinite(total) and all(score.finite for score in scores) else None), finite
 
 
 def _described(error: BaseException) -> str:

@@ -8,6 +8,7 @@ import io
 import re
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -123,7 +124,7 @@ class TextFile:
             )
         except pa.ArrowInvalid:
             return None
-        found = np.array(table.column(0).to_numpy(), dtype=np.float64)
+        found = np.concatenate([_values(chunk) for chunk in table.column(0).chunks] or [np.zeros(0)])
         return found if len(found) == len(self._lines) else None
 
     def _plain(self, column: int) -> FloatArray | None:
@@ -197,3 +198,13 @@ def _text(path: Path) -> str:
         raise InputError(
             "not a text file", expected="UTF-8 text", got=str(error), remedy="save it as UTF-8 CSV"
         ) from error
+
+
+def _values(array: Any) -> FloatArray:
+    """Return an Arrow array of floats with NaN for what is missing, by its buffers: ``to_numpy`` imports pandas."""
+    valid, data = array.buffers()
+    found = np.frombuffer(data, np.float64, len(array), 8 * array.offset).copy()
+    if valid is not None:
+        bits = np.unpackbits(np.frombuffer(valid, np.uint8), bitorder="little")
+        found[bits[array.offset : array.offset + len(array)] == 0] = np.nan
+    return found

@@ -19,6 +19,10 @@ __all__ = ["Score", "equation_error", "errors", "predict", "same_language", "sim
 _FIRST = 50
 
 
+DIVERGED = 1e6
+"""NRMSE from which a prediction counts as diverged: it shows how fast the model grows, and nothing of the plant."""
+
+
 @dataclass(frozen=True, eq=False)
 class Score:
     """How far a model's predictions are from a record.
@@ -68,8 +72,9 @@ class Score:
 
     @property
     def finite(self) -> bool:
-        """False if a prediction diverged."""
-        return bool(np.isfinite(self.rms).all())
+        """False if a prediction diverged: it overflows, or misses by :data:`DIVERGED` times an output's scatter."""
+        beyond = np.isfinite(self.nrmse) & (self.nrmse > DIVERGED)
+        return bool((np.isfinite(self.rms) & ~beyond).all())
 
 
 def same_language(spec: PlantSpec, data: Trajectory, what: str = "model") -> None:

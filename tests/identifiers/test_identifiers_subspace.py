@@ -360,3 +360,38 @@ def test_predictions_do_not_grow_where_the_noise_is_none():
     record = api.simulate("pendulum-ode", scenario="multisine", seed=3)
     model = Subspace().fit([record], rng=RNG)
     assert np.isfinite(equation_error(model, record).nrmse)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_n4sid_under_an_input_far_below_the_sampling_rate_predicts_and_runs_free(seed):
+    """A slow multisine is foretold by its own past: regressing on future inputs tells noise from noise."""
+    rng = np.random.default_rng(seed)
+    n, dt = 1000, 0.02
+    t = np.arange(2 * n) * dt
+    lines = np.arange(0.05, 4.0, 0.05)
+    u = np.sin(2 * np.pi * np.outer(t, lines) + rng.uniform(0, 2 * np.pi, len(lines))).sum(1, keepdims=True) / 6
+    # a light damping: 0.8 Hz, a twentieth of critical
+    pole = np.exp(dt * 2 * np.pi * 0.8 * (-0.05 + 1j * np.sqrt(1 - 0.05**2)))
+    a = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
+    x = np.zeros((2 * n, 2))
+    for k in range(2 * n - 1):
+        x[k + 1] = a @ x[k] + [0.0, dt * u[k, 0]]
+    y = x[:, :1] + 1e-3 * rng.normal(size=(2 * n, 1))
+    spec = PlantSpec((Channel("u", "N"),), (Channel("y", "m"),), dt)
+    shown, held = (Trajectory(t[:n], u[part], y[part], spec) for part in (slice(n), slice(n, None)))
+    floor = 1e-3 / held.y.std()
+    for order in (2, None):
+        model = Subspace(order=order).fit([shown], rng=RNG)
+        assert equation_error(model, held).nrmse[0] < 5 * floor
+        assert simulation_error(model, held).nrmse[0] < 0.2
+
+
+def test_the_order_under_a_sweep_is_chosen_on_all_its_frequencies():
+    """The last third of a sweep holds its highest frequencies alone, where an order of 1 would do."""
+    for seed in range(3):
+        options = {"duration": 60.0, "band": [0.05, 4.9], "noise": 0.01}
+        shown, held = (
+            api.simulate("linear-ode", scenario="chirp", seed=k, scenario_options=options) for k in (seed, seed + 50)
+        )
+        model = Subspace().fit([shown], rng=RNG)
+        assert simulation_error(model, held).nrmse[0] < 0.1

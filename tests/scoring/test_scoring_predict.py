@@ -193,6 +193,15 @@ def test_divergence_is_infinity_and_no_exception():
     assert np.isnan(found[first:]).all()
 
 
+def test_a_run_that_only_grows_has_diverged_though_it_is_a_number():
+    data = record(np.sin(np.arange(200)))
+    grows, drifts = (simulation_error(Scalar(a), replace(data, y=data.y + 1.0)) for a in (1.1, 1.02))
+    assert np.isfinite(grows.nrmse).all()
+    assert not grows.finite
+    assert drifts.nrmse[0] > 1
+    assert drifts.finite
+
+
 def test_windows_that_diverge_are_infinity_too():
     model = Scalar(1e200)
     assert simulation_error(model, record(np.ones(8), np.zeros(8)), horizon=2.0).rms[0] == np.inf
