@@ -1,10 +1,17 @@
-"""The closed loop over a fleet: many records, each a job; which effect is where, how large, and since when."""
+"""The closed loop over a fleet: many records, each a job; which effect is where, how large, and since when.
+
+Names are loaded when they are asked for: whether a source is a fleet is asked of every record.
+"""
 
 from __future__ import annotations
 
-from harness.fleet.records import FleetRecord, find_records, is_fleet
-from harness.fleet.running import FleetResult, close_fleet, fleet_table
-from harness.fleet.store import is_fleet_folder, query
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from harness.fleet.records import FleetRecord, find_records, is_fleet
+    from harness.fleet.running import FleetResult, close_fleet, fleet_table
+    from harness.fleet.store import is_fleet_folder, query
 
 __all__ = [
     "FleetRecord",
@@ -16,3 +23,23 @@ __all__ = [
     "is_fleet_folder",
     "query",
 ]
+
+_WHERE = {
+    "FleetRecord": "records",
+    "FleetResult": "running",
+    "close_fleet": "running",
+    "find_records": "records",
+    "fleet_table": "running",
+    "is_fleet": "records",
+    "is_fleet_folder": "store",
+    "query": "store",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name on first use."""
+    if name not in _WHERE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"harness.fleet.{_WHERE[name]}"), name)
+    globals()[name] = value
+    return value
