@@ -167,8 +167,6 @@ def fits(unit: str, target: str) -> bool:
     >>> fits("deg", "rad"), fits("V", "rad")
     (True, False)
     """
-    if unit.strip() == target.strip():
-        return True
     goal = _parse(target)
     return any(_parsed(text).dimensionality == goal.dimensionality for text in _readings(unit))
 

@@ -157,7 +157,7 @@ class Beyond:
         """
         self._check_open()
         as_fmu = encoded(self.file, {name: value}, "parameters", ("parameter",))
-        variability = next(v.variability for v in self.file.description.modelVariables if v.name == name)
+        variability = self.file.variables[name].variability
         self._leave_record()
         if self._one is not idle:
             if variability != "tunable":

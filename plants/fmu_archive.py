@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import shutil
 import zipfile
@@ -43,6 +44,11 @@ class FmuFile:
     description: Any
     version: int
     problems: tuple[str, ...]
+
+    @functools.cached_property
+    def variables(self) -> dict[str, Any]:
+        """The variables of the description by name."""
+        return {variable.name: variable for variable in self.description.modelVariables}
 
     @property
     def kinds(self) -> tuple[Kind, ...]:

@@ -250,7 +250,7 @@ class Instance:
         self._instantiate()
 
     def _enter(self, values: dict[str, Any], t0: float, tolerance: float | None) -> None:
-        variables = {v.name: v for v in self.file.description.modelVariables}
+        variables = self.file.variables
         fmu, early, late = self.fmu, {}, {}
         for name, value in values.items():
             v = variables[name]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -95,23 +96,34 @@ def encoded(file: FmuFile, values: object, what: str, causalities: Sequence[str]
         got = f"{type(values).__name__} {values!r}"
         remedy = f"write {what}.NAME=VALUE, or {what}={{NAME=VALUE}}"
         raise refused(file, f"option {what}", "values by name", got, remedy, what)
-    variables = {v.name: v for v in file.description.modelVariables}
-    if causalities is None:
-        known = [n for n, v in variables.items() if _has_start(v, file.version)]
-        if what == "x0":
-            known = [n for n in known if variables[n].causality in ("output", "local")]
-    else:
-        known = [n for n, v in variables.items() if v.causality in causalities and v.variability != "constant"]
+    known = _settable(file, what, None if causalities is None else tuple(causalities))
     found = {}
     for name, value in values.items():
         if name not in known:
-            raise unknown(file, what, name, known)
-        variable = variables[name]
-        real = variable.type in ("Real", "Float64", "Float32")
-        one = port(file, variable) if real else None
-        scale, offset = (1.0, 0.0) if one is None else (one.scale, one.offset)
+            raise unknown(file, what, name, list(known))
+        variable = known[name]
+        scale, offset = _to_si(file, name)
         found[name] = encode(file, variable, value, scale, offset)
     return found
+
+
+@functools.lru_cache(maxsize=16)
+def _settable(file: FmuFile, what: str, causalities: tuple[str, ...] | None) -> dict[str, Any]:
+    """Return the variables that an option may set, by name; asked at every start of a run."""
+    if causalities is not None:
+        return {n: v for n, v in file.variables.items() if v.causality in causalities and v.variability != "constant"}
+    known = {n: v for n, v in file.variables.items() if _has_start(v, file.version)}
+    return {n: v for n, v in known.items() if what != "x0" or v.causality in ("output", "local")}
+
+
+@functools.lru_cache(maxsize=1024)
+def _to_si(file: FmuFile, name: str) -> tuple[float, float]:
+    """Return scale and offset of a variable's way to SI; what is no real number has none."""
+    variable = file.variables[name]
+    if variable.type not in ("Real", "Float64", "Float32"):
+        return 1.0, 0.0
+    found = port(file, variable)
+    return found.scale, found.offset
 
 
 def _has_start(variable: Any, version: int) -> bool:

@@ -109,7 +109,7 @@ def choose(file: FmuFile, names: Sequence[str] | None, causality: Literal["input
     InputError
         If a name is unknown or appears twice, or an input is not an input; the message lists those that there are.
     """
-    variables = {variable.name: variable for variable in file.description.modelVariables}
+    variables = file.variables
     if names is None:
         able = REALS | INTEGERS | {"Boolean"}
         chosen = [v for v in variables.values() if v.causality == causality and v.type in able]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -144,9 +145,7 @@ def _tried(
 
 def _added(nominal: FmuSystem, placed: Placed, one: Moved, values: Mapping[str, float]) -> FloatArray:
     """Return what an effect adds to the command along a motion (K, nu); hidden states by Runge-Kutta steps."""
-    import casadi as ca
-
-    made = surround(nominal, [placed])
+    made, step = _compiled(nominal, placed, one.dt)
     around = made.around
     assert around is not None
     n = len(one.u)
@@ -155,25 +154,37 @@ def _added(nominal: FmuSystem, placed: Placed, one: Moved, values: Mapping[str, 
     functions, z = around.functions, np.zeros((around.z.shape[0], n))
     motion = [one.u.T, one.q.T, one.v.T, one.record.t[None]]
     if around.z.shape[0]:
-        here = [ca.SX.sym(name, part.shape[0]) for name, part in zip("uqvt", motion, strict=True)]
-        there = [ca.SX.sym(name, part.shape[0]) for name, part in zip("uqvt", motion, strict=True)]
-        first, own = ca.SX.sym("z", around.z.shape[0]), ca.SX.sym("p", len(p))
-        state, h = first, one.dt / PARTS
-
-        def slope(now: Any, share: float) -> Any:
-            mixed = [here[0], *((1 - share) * a + share * b for a, b in zip(here[1:], there[1:], strict=True))]
-            return functions["slopes"](*mixed, now, own)
-
-        for part in range(PARTS):
-            k1 = slope(state, part / PARTS)
-            k2 = slope(state + 0.5 * h * k1, (part + 0.5) / PARTS)
-            k3 = slope(state + 0.5 * h * k2, (part + 0.5) / PARTS)
-            k4 = slope(state + h * k3, (part + 1) / PARTS)
-            state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        step = ca.Function("step", [first, *here, *there, own], [state])
         begun = np.array(functions["starts"](one.u[0], one.q[0], one.v[0], p)).ravel()
         run = step.mapaccum(n - 1)(begun, *(part[:, :-1] for part in motion), *(part[:, 1:] for part in motion),
                                    np.tile(p[:, None], n - 1))  # fmt: skip
         z = np.concatenate([begun[:, None], run.full()], axis=1)
     command = functions["command"].map(n)(*motion, z, np.tile(p[:, None], n)).full().T
     return np.asarray(command - one.u)
+
+
+@functools.lru_cache(maxsize=64)
+def _compiled(nominal: FmuSystem, placed: Placed, dt: float) -> tuple[FmuSystem, Any]:
+    """Return the FMU with one effect around it, and a Runge-Kutta step of the effect's states; None without any."""
+    import casadi as ca
+
+    made = surround(nominal, [placed])
+    around = made.around
+    assert around is not None
+    if not around.z.shape[0]:
+        return made, None
+    sizes = (nominal.nu, len(nominal.coordinates), len(nominal.coordinates), 1)
+    here, there = ([ca.SX.sym(name, size) for name, size in zip("uqvt", sizes, strict=True)] for _ in range(2))
+    first, own = ca.SX.sym("z", around.z.shape[0]), ca.SX.sym("p", len(placed.effect.parameters))
+    state, h = first, dt / PARTS
+
+    def slope(now: Any, share: float) -> Any:
+        mixed = [here[0], *((1 - share) * a + share * b for a, b in zip(here[1:], there[1:], strict=True))]
+        return around.functions["slopes"](*mixed, now, own)
+
+    for part in range(PARTS):
+        k1 = slope(state, part / PARTS)
+        k2 = slope(state + 0.5 * h * k1, (part + 0.5) / PARTS)
+        k3 = slope(state + 0.5 * h * k2, (part + 0.5) / PARTS)
+        k4 = slope(state + h * k3, (part + 1) / PARTS)
+        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return made, ca.Function("step", [first, *here, *there, own], [state])
