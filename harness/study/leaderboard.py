@@ -188,7 +188,7 @@ def answers_of_rows(path: str | Path) -> dict[str, Answer]:
     for row in read_rows(Path(path)).values():
         if row["status"] != "ok" or row["study"] == "cost":
             continue
-        accepted = tuple(_split(row["accepted"]))
+        accepted = tuple(_split(row["accepted"])) if row["verdict"] == "effects_found" else ()
         # rows keep only ties of two members or more, in the order of the effects
         listed = [[frozenset(_split(m, " & ")) for m in tie.split(" / ")] for tie in row["ties"].split("; ") if tie]
         ties = tuple(

@@ -80,7 +80,8 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str) -> Outcome:
     Right: the accepted set is the truth, effect and place. Tied: one member can be chosen for each accepted effect
     (from its tie set, or from its exactly equal family on this plant) so that together they are the truth; or
     nothing was accepted, and the report says that the truth cannot be told from the nominal parameters. Other sets are
-    wrong, unless the report calls them a stand-in: then something was flagged.
+    wrong, unless the report calls them a stand-in: then something was flagged, as where it says that the model does
+    not fit, whatever it was tried with.
 
     Examples
     --------
@@ -88,9 +89,11 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str) -> Outcome:
     'tied'
     >>> judge_answer({"coulomb_friction@x"}, Answer("effects_found", ("coulomb_friction@theta",)), "cart-pole").word
     'wrong'
+    >>> judge_answer({"backlash@x"}, Answer("model_does_not_fit", ("backlash@x",)), "cart-pole").word
+    'flagged'
     """
     wanted, accepted = frozenset(truth), frozenset(answer.accepted)
-    if not accepted:
+    if not accepted or answer.verdict == "model_does_not_fit":
         return _nothing_accepted(wanted, answer)
     if accepted == wanted:
         return Outcome("right", STAND_IN if answer.stand_in else "")
