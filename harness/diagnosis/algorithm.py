@@ -31,6 +31,7 @@ from harness.workers import one_thread
 __all__ = ["DRY", "Diagnosis", "Progress", "diagnose", "stand_in_reasons"]
 
 Progress = Callable[[float, str], None]
+WORSE = "with it the model runs further from the validation records than without"
 DRY = frozenset({"coulomb_friction", "stribeck_friction", "asymmetric_friction", "hysteresis",
                  "position_dependent_friction", "sublinear_friction"})  # fmt: skip
 """Laws of the whole dry friction of a joint: a sum of two is neither."""
@@ -80,15 +81,20 @@ class Diagnosis:
             return "model_does_not_fit"
         if self.outcome.accepted:
             return "effects_found"
+        return "unexplained" if self.incomplete else "nothing_missing"
+
+    @property
+    def incomplete(self) -> bool:
+        """True where something is left that could be predicted, or that no effect could take away in free runs."""
         left = self.leftover.best is not None or self.latent_share > self.policy.large
-        return "unexplained" if left else "nothing_missing"
+        return left or bool(self.outcome.withdrawn)
 
     @property
     def grade(self) -> str:
         """How much of the motion the final model explains over the horizon, and whether more could be predicted."""
         if self.misfit:
             return "does_not_fit"
-        if self.leftover.best is not None or self.latent_share > self.policy.large:
+        if self.incomplete:
             return "proxy_or_incomplete"
         quiet = self.latent_share <= self.policy.disturbed
         return "explained" if quiet and self.runs.left <= self.policy.explained else "mostly_explained"
@@ -195,15 +201,25 @@ def diagnose(
         candidates = [one for one in candidates if form.judges(one)]
         outcome = search(remembered, nominal, candidates, policy=policy, say=say)
         add_rounding(remembered, outcome, dataset, candidates, policy)
+        horizon = kind.horizon(system, outcome.nominal.values, dataset)
+
+        def run_freely() -> FreeRuns:
+            noise = outcome.model.detail.points["estimation"].noise.r
+            return free_runs(kind.runs(form, dataset, noise, horizon), horizon, outcome.nominal, outcome.model)
+
+        runs = run_freely()
+        if runs.worse(policy):
+            outcome.withdraw(WORSE)
+            runs = run_freely()
         say("what is left", 0.8)
         leftover = left_over(form, outcome.model, policy)
         same = outcome.model is outcome.nominal
         outcome.nominal = form.with_deviations(outcome.nominal)
         outcome.model = outcome.nominal if same else form.with_deviations(outcome.model)
-        horizon = kind.horizon(system, outcome.nominal.values, dataset)
-        noise = outcome.model.detail.points["estimation"].noise.r
-        runs = free_runs(kind.runs(form, dataset, noise, horizon), horizon, outcome.nominal, outcome.model)
         misfit = misfit_reasons(form, outcome.model, runs, policy)
+    if outcome.withdrawn:
+        names = ", ".join(str(one.placed) for one in outcome.withdrawn)
+        warnings = [*warnings, f"{names}: likely by the likelihood and taken back: {WORSE}"]
     return Diagnosis(
         dataset, system, form, outcome, leftover, runs, misfit, policy, warnings + faults, time.monotonic() - began
     )

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.policy import Policy
 from harness.diagnosis.records.horizon import Horizon
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.form import FreeRunForm
@@ -37,6 +38,24 @@ class FreeRuns:
     before: Fitted | None
     after: Fitted | None
     left: float
+
+    def worse(self, policy: Policy) -> bool:
+        """Return True if the final model runs further from the validation records than the nominal one.
+
+        By more than the standard errors over blocks that validation asks for everywhere; what an unknown torque does to
+        both is no difference between them.
+        """
+        if self.before is None or not self.before.finite or self.after is self.before:
+            return False
+        if self.after is None or not self.after.finite:
+            return True
+        sums: list[float] = []
+        for new, old in zip(self.after.validation, self.before.validation, strict=True):
+            edges = np.linspace(0, len(new), policy.blocks + 1).astype(int)
+            change = np.concatenate([[0.0], np.cumsum((new**2 - old**2).sum(axis=1))])
+            sums += list(np.diff(change[edges]))
+        more = np.array(sums)
+        return bool(more.sum() > policy.validation_z * np.sqrt(len(more)) * more.std(ddof=1))
 
 
 def free_runs(output: FreeRunForm, horizon: Horizon, nominal: Fit, final: Fit) -> FreeRuns:

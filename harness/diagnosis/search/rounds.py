@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -48,6 +48,19 @@ class Outcome:
     model: Fit
     accepted: list[Accepted] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)
+    withdrawn: list[Accepted] = field(default_factory=list)
+    """Effects that the likelihood prefers and that were taken back."""
+
+    def withdraw(self, reason: str) -> None:
+        """Take all effects back; the reason stands beside them in the rounds that accepted them."""
+        names = {str(one.placed) for one in self.accepted}
+        self.rounds = [
+            replace(here, candidates=tuple(
+                replace(one, reasons=(*one.reasons, reason)) if one.passed and one.name in names else one
+                for one in here.candidates
+            )) for here in self.rounds
+        ]  # fmt: skip
+        self.withdrawn, self.accepted, self.model = self.accepted, [], self.nominal
 
 
 def search(

@@ -1,0 +1,53 @@
+"""An answer that runs further from the validation records than the model without it is taken back."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from harness.diagnosis import diagnose
+from harness.diagnosis.policy import POLICY
+from harness.diagnosis.runs.compare import FreeRuns
+from harness.physics import load_model
+from harness.study.plan import plan
+from harness.study.records import make_records
+
+
+def shown(*validation: np.ndarray[Any, Any]) -> Any:
+    return SimpleNamespace(finite=bool(all(np.isfinite(one).all() for one in validation)), validation=validation)
+
+
+def runs(before: Any, after: Any) -> FreeRuns:
+    return FreeRuns(cast(Any, None), cast(Any, None), before, after, 0.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_worse_is_more_than_chance_over_the_records(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    old = [rng.normal(size=(1000, 2)) for _ in range(2)]
+    other = [rng.normal(size=(1000, 2)) for _ in range(2)]
+    burst = [old[0].copy(), old[1]]
+    burst[0][500:550] *= 8.0  # one block of forty
+    assert runs(shown(*old), shown(*(1.3 * one for one in old))).worse(POLICY)
+    assert runs(shown(*old), shown(*(np.nan * one for one in old))).worse(POLICY)
+    assert runs(shown(*old), None).worse(POLICY)
+    for after in (shown(*old), shown(*(0.5 * one for one in old)), shown(*burst)):
+        assert not runs(shown(*old), after).worse(POLICY)
+    assert not runs(shown(*old), shown(*(0.97 * one for one in other))).worse(POLICY)
+    assert not runs(None, shown(*old)).worse(POLICY)
+
+
+def test_an_encoder_that_errs_is_given_no_friction() -> None:
+    """Twice a turn by 2 mrad: the likelihood finds a force for it, with which the model runs further away."""
+    tasks = plan("false-alarms", base=0, plants=("pendulum",), records=None, cells=4, alarms=400)
+    task = next(one for one in tasks if one.key == "none|pendulum|bullet|none||drawn|0|8|0|eccentric-encoder")
+    records = make_records(task)
+    found = diagnose(records.dataset, load_model("pendulum"))
+    assert found.outcome.withdrawn
+    assert any("further from the validation records" in one for one in found.warnings)
+    assert found.verdict == "unexplained"
+    assert not found.outcome.accepted
+    assert found.final is found.nominal
