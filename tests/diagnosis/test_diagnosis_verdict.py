@@ -33,12 +33,16 @@ def diagnosis(
     white: float = 0.0,
     left: float = 0.01,
     misfit: tuple[str, ...] = (),
+    withdrawn: bool = False,
 ) -> Diagnosis:
     """Return a diagnosis with what verdict and grade look at; the typical force is 2."""
     noise = SimpleNamespace(s=np.array([2 * latent]), w=np.array([2 * white]))
     model = SimpleNamespace(detail=SimpleNamespace(points={"estimation": SimpleNamespace(noise=noise)}))
     outcome: Any = SimpleNamespace(
-        accepted=[SimpleNamespace(placed=DRAG)] if accepted else [], model=model, nominal=model
+        accepted=[SimpleNamespace(placed=DRAG)] if accepted else [],
+        model=model,
+        nominal=model,
+        withdrawn=[SimpleNamespace(placed=DRAG)] if withdrawn else [],
     )
     best = SimpleNamespace(name="theta over theta_rate") if left_over else None
     form: Any = SimpleNamespace(noise_model=SimpleNamespace(force_scale=np.array([2.0])))
@@ -54,6 +58,7 @@ def test_the_verdict_asks_first_whether_the_model_fits() -> None:
     assert diagnosis(latent=0.25).verdict == "unexplained"
     assert diagnosis(latent=0.15).verdict == "nothing_missing"
     assert diagnosis(latent=0.15, white=0.15).verdict == "unexplained"
+    assert diagnosis(withdrawn=True).verdict == "unexplained"
     assert diagnosis(accepted=True, misfit=("it does not",)).verdict == "model_does_not_fit"
 
 
@@ -64,6 +69,7 @@ def test_explained_is_said_of_a_model_that_leaves_little_and_nothing_to_predict(
     assert diagnosis(latent=0.06).grade == "mostly_explained"
     assert diagnosis(latent=0.25).grade == "proxy_or_incomplete"
     assert diagnosis(left_over=True).grade == "proxy_or_incomplete"
+    assert diagnosis(withdrawn=True).grade == "proxy_or_incomplete"
     assert diagnosis(misfit=("it does not",)).grade == "does_not_fit"
 
 

@@ -25,6 +25,8 @@ Keys of ``sysid-harness/close-loop/2``:
     white part w).
 ``candidates``
     Every refit with the reason it was rejected; then what the score test alone set aside.
+``withdrawn``
+    Effects that were accepted and taken back: with them the model runs further from the validation records.
 ``left_over``
     What free forces over position, speed and input would gain beside the final model, axis by axis.
 ``policy``
@@ -106,6 +108,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "parameters": {"before": _parameters(found.nominal), "after": _parameters(found.final)},
         "noise": {"before": _noise(found, found.nominal), "after": _noise(found, found.final)},
         "candidates": _candidates(found),
+        "withdrawn": [_named([one.placed]) for one in found.outcome.withdrawn],
         "left_over": [one.to_dict() for one in found.leftover.axes],
         "tests": {"before": _tests(found, found.nominal), "after": _tests(found, found.final)},
         "isolability": {"effects": list(names), "cosine": np.round(cosines, 4).tolist()},
@@ -399,11 +402,13 @@ def _summary(data: dict[str, Any]) -> str:
     if data["verdict"] == "nothing_missing":
         return f"nothing is missing in {data['model']}: validation simulation error {plain} {units}; {words}"
     best = data["left_over"][0] if data["left_over"] else None
-    cause = (
-        f"a force at {best['axis']} would"
-        if best and best["evidence"] + best["validation"] > 0
-        else ("the force that nobody measured is too large for a disturbance")
-    )
+    if best and best["evidence"] + best["validation"] > 0:
+        cause = f"a force at {best['axis']} would"
+    elif data["withdrawn"]:
+        names = " and ".join(f"{one['name'].replace('_', ' ')} at {one['at']}" for one in data["withdrawn"])
+        cause = f"{names} would by the likelihood, and takes free runs further from the validation records"
+    else:
+        cause = "the force that nobody measured is too large for a disturbance"
     return (
         f"something is missing in {data['model']}, and no effect of the dictionary explains it: {cause} "
         f"({plain} {units}; {words})"
