@@ -237,6 +237,10 @@ def hidden_effect(text: str) -> tuple[str, str, dict[str, float]]:
     return name, port, {key: float(value) for key, value in pairs.items()}
 
 
+UNFOLDED = 10_000
+"""Columns of a file or a pipe, which a benchmark's table need not fit."""
+
+
 def print_bench(result: BenchResult, *, as_json: bool) -> None:
     """Print a benchmark's table, and where its files are."""
     from harness.benchmark import rich_table
@@ -244,7 +248,10 @@ def print_bench(result: BenchResult, *, as_json: bool) -> None:
     if as_json:
         print_json(result.to_records())
         return
-    wide_console().print(rich_table(result))
+    console = wide_console()
+    if not sys.stdout.isatty():
+        console.width = UNFOLDED
+    console.print(rich_table(result))
     if result.folder is not None:
         if result.report is None:
             say(f"one share of a job array: 'sysid table {result.folder.parent}' puts the shares together")
