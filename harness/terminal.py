@@ -79,11 +79,11 @@ def print_json(content: Any) -> None:
     print(json.dumps(content, indent=1, allow_nan=False))
 
 
-def wide_console(least: int = 120) -> Console:
-    """Return a console that folds nothing up to a width when its output is a file or a pipe; COLUMNS asks for more."""
+def wide_console() -> Console:
+    """Return a console that folds nothing when its output is a file or a pipe."""
     from rich.console import Console
 
-    width = None if sys.stdout.isatty() else max(least, int(os.environ.get("COLUMNS", "0") or 0))
+    width = None if sys.stdout.isatty() else max(120, int(os.environ.get("COLUMNS", "0") or 0))
     return Console(width=width, markup=False, highlight=False, emoji=False)  # "u [N m]" is text, no style
 
 
@@ -237,6 +237,10 @@ def hidden_effect(text: str) -> tuple[str, str, dict[str, float]]:
     return name, port, {key: float(value) for key, value in pairs.items()}
 
 
+UNFOLDED = 10_000
+"""Columns of a file or a pipe, which a benchmark's table need not fit."""
+
+
 def print_bench(result: BenchResult, *, as_json: bool) -> None:
     """Print a benchmark's table, and where its files are."""
     from harness.benchmark import rich_table
@@ -244,7 +248,10 @@ def print_bench(result: BenchResult, *, as_json: bool) -> None:
     if as_json:
         print_json(result.to_records())
         return
-    wide_console(300).print(rich_table(result))
+    console = wide_console()
+    if not sys.stdout.isatty():
+        console.width = UNFOLDED
+    console.print(rich_table(result))
     if result.folder is not None:
         if result.report is None:
             say(f"one share of a job array: 'sysid table {result.folder.parent}' puts the shares together")

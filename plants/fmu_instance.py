@@ -8,7 +8,8 @@ import os
 import threading
 import weakref
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -305,17 +306,35 @@ class Instance:
         raise self.failure("1000 event iterations without an end", status="timeout")
 
     def _set(self, values: Mapping[str, Any], variables: Mapping[str, Any]) -> None:
-        """Set values through fmpy's typed setters."""
-        for name, value in values.items():
-            v = variables[name]
-            kind = v.type
-            if kind == "Enumeration":
-                kind = "Int64" if self.version == 3 else "Integer"
-            listed = list(value) if isinstance(value, list | tuple) else [value]
-            try:
-                getattr(self.fmu, f"set{kind}")([v.valueReference], listed)
-            except Exception as error:
-                raise self.failure(f"{name!r} cannot be set to {value!r}", error) from error
+        """Set values through fmpy's typed setters; real ones that follow each other in one call, for every run asks it.
+
+        Where a call for several fails, each is set by itself: what is refused is named.
+        """
+        for kind, group in groupby(values.items(), key=lambda item: self._kind(variables[item[0]])):
+            together = list(group)
+            if kind in ("Real", "Float64") and len(together) > 1:
+                try:
+                    self._call_setter(kind, together, variables)
+                    continue
+                except Exception as error:
+                    if getattr(error, "status", None) == 4:
+                        names = ", ".join(repr(name) for name, _ in together)
+                        raise self.failure(f"{names} cannot be set", error) from error
+            for name, value in together:
+                try:
+                    self._call_setter(kind, [(name, value)], variables)
+                except Exception as error:
+                    raise self.failure(f"{name!r} cannot be set to {value!r}", error) from error
+
+    def _kind(self, variable: Any) -> str:
+        """Return the type of a variable as fmpy's setters call it."""
+        kind: str = variable.type
+        return kind if kind != "Enumeration" else "Int64" if self.version == 3 else "Integer"
+
+    def _call_setter(self, kind: str, values: Sequence[tuple[str, Any]], variables: Mapping[str, Any]) -> None:
+        """Set variables of one type in one call; arrays follow each other."""
+        listed = [part for _, one in values for part in (one if isinstance(one, list | tuple) else [one])]
+        getattr(self.fmu, f"set{kind}")([variables[name].valueReference for name, _ in values], listed)
 
     def set_now(self, name: str, value: Any) -> None:
         """Set one variable while the simulation runs (a tunable parameter)."""

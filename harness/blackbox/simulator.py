@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import ctypes
 from collections import OrderedDict
-from typing import Any, Literal, cast
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any, cast
 
 import numpy as np
 
@@ -21,8 +23,9 @@ from harness.signals import FloatArray, PlantSpec
 __all__ = ["STEP", "FmuSimulator"]
 
 STEP = 1e-3
-"""Relative step of central differences: where the motion reverses, a smaller one sees the steps of the integration."""
-KEPT = 6
+"""Relative step of differences: where the motion reverses, a smaller one sees the steps of the integration."""
+KEPT = 8
+"""Free runs, and windows with their derivatives, that are kept: records alternate while a fit steps."""
 
 
 class FmuSimulator:
@@ -51,8 +54,23 @@ class FmuSimulator:
         self._compilation: Any = None
         self._library: Any = None
         self._memory: OrderedDict[bytes, tuple[FloatArray, FloatArray, FloatArray]] = OrderedDict()
-        self.wanted: Literal["all", "states", "none"] = "all"
-        """Which derivatives are computed; the others are 0."""
+        self._runs: OrderedDict[bytes, tuple[FloatArray, FloatArray]] = OrderedDict()
+        self.wanted: frozenset[int] | None = None
+        """Columns of (p, x0) by which derivatives are computed, None for all; the others are 0."""
+
+    @contextmanager
+    def deriving(self, columns: Iterable[int]) -> Iterator[None]:
+        """Compute derivatives by these columns of (p, x0) only: each of them costs a run."""
+        before, self.wanted = self.wanted, frozenset(int(k) for k in columns)
+        try:
+            yield
+        finally:
+            self.wanted = before
+
+    @property
+    def state_columns(self) -> range:
+        """The columns of (p, x0) that are initial states."""
+        return range(self.np, self.np + self.nx)
 
     def hidden_start(self, x: Any, u: Any, p: Any) -> FloatArray:
         """Return where the hidden states of effects start (hidden_count,), x being a whole state."""
@@ -119,6 +137,15 @@ class FmuSimulator:
         table, hidden, _, y = self._simulated(p, x0, u, t0, extra)
         return np.concatenate([table[:, self._states], hidden], axis=1), y
 
+    def kept_run(self, p: FloatArray, x0: FloatArray, u: FloatArray, t0: float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """Return what :meth:`run` does; the last few are kept, for the derivatives at a step that a fit takes."""
+        key = _key(p, x0, u, t0)
+        if key not in self._runs:
+            self._runs[key] = self.run(p, x0, u, t0)
+            while len(self._runs) > KEPT:
+                self._runs.popitem(last=False)
+        return self._runs[key]
+
     def motion(
         self, p: FloatArray, x0: FloatArray, u: FloatArray, t0: float = 0.0
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -167,15 +194,18 @@ class FmuSimulator:
         self, p: FloatArray, x0: FloatArray, u: FloatArray, slope: FloatArray | None, t0: float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return states, outputs and derivatives of one window; the last few are remembered."""
-        key = b"".join([self.wanted.encode(), p.tobytes(), x0.tobytes(), np.float64(t0).tobytes(), u.tobytes()])
+        wanted = frozenset(range(self.np + self.nx)) if self.wanted is None else self.wanted
+        key = repr(sorted(wanted)).encode() + _key(p, x0, u, t0)
         if key in self._memory:
             x, y, s = self._memory[key]
             return x, y, s
-        x, y = self.run(p, x0, u, t0)
+        x, y = self.kept_run(p, x0, u, t0)
         s = np.zeros((*y.shape, self.np + self.nx))
-        if np.isfinite(y).all() and self.wanted != "none":
+        if np.isfinite(y).all():
             blocks = {parameter for _, _, parameter in self.sampled.output_blocks}
-            for k in self._free if self.wanted == "all" else ():
+            for k in self._free:
+                if k not in wanted:
+                    continue
                 if k in self.sampled.delay_columns:
                     if slope is not None:
                         h = 0.01 * self.dt
@@ -185,6 +215,8 @@ class FmuSimulator:
                     s[..., k] = self._slope(k, p, x0, u, y, t0)
             sizes = np.sqrt(np.mean(x**2, axis=0))
             for k in range(self.nx):
+                if self.np + k not in wanted:
+                    continue
                 h = STEP * (float(sizes[k]) if np.isfinite(sizes[k]) and sizes[k] > 0 else 0.01)
                 begun = x0.copy()
                 begun[k] += h
@@ -343,6 +375,11 @@ class FmuSimulator:
             library.coupled.restype = count
             self._library = library
         return self._library
+
+
+def _key(p: FloatArray, x0: FloatArray, u: FloatArray, t0: float) -> bytes:
+    """Return what tells a free run from another."""
+    return b"".join([p.tobytes(), x0.tobytes(), np.float64(t0).tobytes(), u.tobytes()])
 
 
 _LOOP = """

@@ -17,7 +17,6 @@ from typing import Any
 import pytest
 
 from harness.benchmark import BenchResult, bench, rich_table, table
-from harness.benchmark.summary import figure
 from harness.errors import InputError
 
 FAILURES = ("raise", "hang", "hang-in-c", "segfault", "exit", "sys-exit", "unfit", "unstable")
@@ -197,24 +196,6 @@ def test_table_and_query_read_a_folder_back(plugins: Path, tmp_path: Path) -> No
         made.query("select nonsense")
     with pytest.raises(InputError, match="no benchmark here"):
         table(tmp_path)
-
-
-@pytest.mark.parametrize("width", [200, 100, 80, 60, 40])
-def test_a_table_on_a_narrow_terminal_cuts_no_number(width: int, plugins: Path, tmp_path: Path) -> None:
-    from rich.console import Console
-
-    made = bench(write_suite(tmp_path, GOOD), out=tmp_path / "out", workers=2)
-    console = Console(width=width, record=True, file=io.StringIO())
-    console.print(rich_table(made))
-    text = console.export_text()
-    assert "…" not in text
-    scored = [(line, line.simulation_error) for line in made.summary() if line.simulation_error is not None]
-    assert scored
-    for line, score in scored:
-        own = [row for row in text.splitlines() if line.identifier in row]
-        assert any(figure(score.median) in row.split() for row in own), f"{line.identifier} has no score at {width}"
-        assert all(f"{line.ok}/{line.run}" in row.split() for row in own)
-    assert ("narrow terminal" in text) == (width <= 100)
 
 
 def test_report_is_one_self_contained_page(plugins: Path, tmp_path: Path) -> None:

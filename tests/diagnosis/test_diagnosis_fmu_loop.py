@@ -19,11 +19,13 @@ from harness.blackbox.runner import Runner
 from harness.blackbox.simulator import FmuSimulator
 from harness.cosim.ssp_structure import read_structure
 from harness.diagnosis import close_loop
-from harness.diagnosis.fmu.prepare import nominal_fmu
+from harness.diagnosis.fmu.passes import FreePass
+from harness.diagnosis.fmu.prepare import FmuWindows, measured_states, nominal_fmu
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.errors import InputError
 from harness.export.package import SSP, write_package
+from harness.physics.kalman_pass import Noise
 from harness.plant_files import make_plant
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 from harness.specs import spec_to_dict
@@ -105,6 +107,42 @@ def test_the_compiled_coupling_is_that_of_python(effects, monkeypatch):
     x0 = np.concatenate([x0, fast.hidden_start(np.concatenate([x0, np.zeros(fast.system.hidden_count)]), u[0], p)])
     for a, b in zip(fast.run(p, x0, u), slow.run(p, x0, u), strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-12)
+
+
+def counted(simulator, monkeypatch):
+    """Return the list that grows by one with every run of the FMU."""
+    runs, begin = [], simulator.runner.start
+    monkeypatch.setattr(simulator.runner, "start", lambda *given: runs.append(given) or begin(*given))
+    return runs
+
+
+def test_a_step_of_a_fit_runs_the_fmu_once_and_once_more_by_derivative(monkeypatch):
+    around, run = simulator([("coulomb_friction", "theta", {"Fc": 0.05})])
+    runs, passes = counted(around, monkeypatch), FreePass(around)
+    noise = Noise(np.array([1e-3]), *[np.zeros(0)] * 3)
+    p, x0 = around.system.vector(), np.array([0.4, 0.0])
+    plain = passes(run, p, x0, noise)
+    wanted = [around.system.parameter_names.index("mgl"), around.np + 1]
+    slopes = passes(run, p, x0, noise, columns=np.array(wanted))
+    assert len(runs) == 1 + len(wanted), "the same run is not made again, nor one for a column that nobody asks for"
+    assert np.array_equal(plain.e, slopes.e)
+    every = passes(run, p, x0, noise, columns=np.arange(around.np + around.nx))
+    np.testing.assert_array_equal(slopes.j, every.j[..., wanted])
+
+
+def test_a_window_that_is_done_is_not_simulated_again(monkeypatch):
+    around, run = simulator([])
+    windows = FmuWindows(around, [run], 1.0, np.array([1e-3]))
+    starts = windows.starts_from([measured_states(around.system, around, run, around.system.vector())[0]])
+    runs, limits = counted(around, monkeypatch), np.full(len(windows), np.inf)
+    limits[3:] = -1.0
+    with around.deriving(around.state_columns):
+        found = windows.trial(around.system.vector(), starts, limits=limits)
+        assert len(runs) == 3 * (1 + around.nx)
+        whole = windows.trial(around.system.vector(), starts)
+    np.testing.assert_array_equal(found.costs[:3], whole.costs[:3])
+    np.testing.assert_array_equal(found.gram[:3], whole.gram[:3])
+    assert np.isinf(found.costs[3:]).all()
 
 
 @pytest.fixture(scope="module")

@@ -67,7 +67,7 @@ def data(verdict: str, **more: Any) -> dict[str, Any]:
     return {
         "verdict": verdict, "model": "pendulum", "misfit": ["the sign is wrong"], "errors": errors,
         "explained_share": 0.99996, "effects": [effect], "tie_sets": [[effect]],
-        "stand_in": {"flagged": False, "reasons": []}, "left_over": [], **more,
+        "stand_in": {"flagged": False, "reasons": []}, "left_over": [], "withdrawn": [], **more,
     }  # fmt: skip
 
 

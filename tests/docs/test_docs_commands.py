@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 import re
 import shlex
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,28 +14,40 @@ import pytest
 from typer.core import TyperGroup
 from typer.main import get_command
 
+from harness import api
 from harness.cli import app
 from harness.command import main
+from harness.data import load_dataset
+from harness.diagnosis import close_loop
+from harness.effects import builtin
+from harness.fleet import close_fleet
 from plants.mockups import mockup
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 PAGES += sorted((ROOT / "examples").glob("*/README.md"))
-FENCE = re.compile(r"^```(?:sh)?\n(.*?)^```\s*$", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r"^```(?P<info>[^\n`]*)\n(?P<code>.*?)^```\s*$", re.MULTILINE | re.DOTALL)
+INLINE = re.compile(r"`(sysid [^`]+)`")
 
 
-def commands() -> list[tuple[str, str]]:
-    """Return the page and the line of every command, continuation lines joined."""
-    found = []
-    for page in PAGES:
-        for block in FENCE.findall(page.read_text(encoding="utf-8")):
-            for line in block.replace("\\\n", " ").splitlines():
-                if line.startswith("sysid "):
-                    found.append((page.name, line))
-    return found
+def commands(text: str) -> list[str]:
+    """Return every command in the blocks of a page, continuation lines joined."""
+    blocks = [match["code"] for match in FENCE.finditer(text) if match["info"].strip() in ("", "sh")]
+    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+    return [line for line in lines if line.startswith("sysid ")]
 
 
-COMMANDS = commands()
+def mentions(text: str) -> list[str]:
+    """Return every command in the sentences of a page."""
+    return list(dict.fromkeys(INLINE.findall(FENCE.sub("", text))))
+
+
+def by_page(find: Callable[[str], list[str]]) -> list[tuple[str, str]]:
+    """Return the name of a page beside every command that is found on it."""
+    return [(page.name, line) for page in PAGES for line in find(page.read_text(encoding="utf-8"))]
+
+
+COMMANDS, MENTIONS = by_page(commands), by_page(mentions)
 
 
 def words(line: str) -> list[str]:
@@ -40,33 +55,82 @@ def words(line: str) -> list[str]:
     return shlex.split(line, comments=True)[1:]
 
 
-def test_there_are_commands() -> None:
-    assert len(COMMANDS) > 25
+def test_commands_are_found_whatever_stands_around_them() -> None:
+    text = "a `sysid list plants`\n```python\nx = 1\n```\nb\n```\nsysid list \\\n  --json\n```\n"
+    text += "```sh\nsysid check a # b\n```\n"
+    assert commands(text) == ["sysid list    --json", "sysid check a # b"]
+    assert mentions(text) == ["sysid list plants"]
+    assert len(COMMANDS) > 50
+    assert len(MENTIONS) > 25
 
 
 @pytest.mark.parametrize(("page", "line"), COMMANDS)
 def test_a_command_is_understood(page: str, line: str) -> None:
-    group = get_command(app)
-    assert isinstance(group, TyperGroup)
     name, *rest = words(line)
-    command = group.commands[name]
+    command = group().commands[name]
+    while isinstance(command, TyperGroup):
+        name, *rest = rest
+        command = command.commands[name]
     command.make_context(name, rest)  # raises for an unknown option, a missing or a superfluous argument
 
 
-def record(folder: Path) -> None:
-    """Leave what the commands of the pages expect to find: an FMU, a record, a data set with two models."""
-    for name in ("FILE.fmu", "model.fmu", "theirs.fmu", "pendulum.fmu"):
-        (folder / name).write_bytes(mockup("pendulum").read_bytes())
-    runs = ("run.csv", "estimation.csv", "validation.csv")
-    for role, name in zip(("estimation/0", "estimation/1", "validation/0"), runs, strict=True):
-        sysid(f"sysid simulate pendulum-fmu --scenario multisine -S duration=20 -S noise=1e-3 --role {role} -o {name}")
-    (folder / "dataset.toml").write_text(
-        'name = "swing"\nsignals.u = { role = "input" }\nsignals.theta = { role = "output" }\n'
-        'nominal.model = "pendulum"\n'
-        '[[runs]]\nfile = "run.csv"\n[[runs]]\nfile = "validation.csv"\nuse = "validation"\n'
-    )
-    for name, identifier in (("other.json", "arx"), ("MODEL.json", "arx"), ("OTHER.json", "dmdc -O delays=4")):
-        sysid(f"sysid identify dataset.toml --identifier {identifier} -o {name}")
+@pytest.mark.parametrize(("page", "line"), MENTIONS)
+def test_a_command_in_a_sentence_has_its_options(page: str, line: str) -> None:
+    name, *rest = words(line)
+    command = group().commands[name]
+    if isinstance(command, TyperGroup) and rest:
+        command = command.commands[rest[0]]
+    known = {flag for one in command.params for flag in (*one.opts, *one.secondary_opts)}
+    assert {word for word in rest if re.match(r"--?[a-z]", word)} <= known
+
+
+def group() -> TyperGroup:
+    """Return the command line."""
+    found = get_command(app)
+    assert isinstance(found, TyperGroup)
+    return found
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.parent.name + "-" + page.name)
+def test_what_make_and_python_run_is_there(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert set(re.findall(r"`make ([a-z]+)", text)) <= set(targets)
+    for script in re.findall(r"`python ([^` ]+\.py)", text):
+        assert (ROOT / script).is_file(), script
+
+
+# ---- those that run --------------------------------------------------------------------------------------------------
+
+ONLY_PARSED = {
+    r"study (confusion|generate)": "minutes on all cores, or hours",
+    r"close-loop records/": "a study's whole fleet",
+    r"bench examples/peers": "needs the peer packages, which are installed apart",
+    r"(check|list|identify) .*(soft_friction|peer-sippy|neighbours)": "needs a plug-in installed by pip",
+    r"export learned": "needs a force that lowers the error: tests/learned has one",
+    r"dask://": "needs a cluster",
+    r"--model iiwa --out|robot\.urdf": "an arm takes half a minute: tests/diagnosis has them",
+}
+"""Commands that no test runs, and why: what is not here runs."""
+SHORTENED = {"bench quick": "bench quick --dry-run"}
+"""Commands that take minutes, and what runs of them: the plan of the cells."""
+SENTENCES = re.compile(r"list (plants|effects|model)|isolability|simulate (pendulum|loop)|study (score|answer) docs")
+"""Commands in sentences that are whole."""
+
+
+def reason(line: str) -> str:
+    """Return why a command is only parsed; empty for one that runs."""
+    return next((text for pattern, text in ONLY_PARSED.items() if re.search(pattern, line.partition("#")[0])), "")
+
+
+WHOLE = [*COMMANDS, *((page, line) for page, line in MENTIONS if SENTENCES.search(line))]
+RUNNING = {shlex.join(words(line)): (page, line) for page, line in WHOLE if not reason(line)}
+
+
+def test_every_reason_has_its_command() -> None:
+    for pattern in ONLY_PARSED:
+        assert any(re.search(pattern, line.partition("#")[0]) for _, line in COMMANDS), pattern
+    assert len(RUNNING) > 40
 
 
 def sysid(line: str) -> None:
@@ -76,25 +140,88 @@ def sysid(line: str) -> None:
     assert ended.value.code == 0, line
 
 
-SECONDS: dict[str, Callable[[str], bool]] = {
-    "list": lambda line: "soft_friction" not in line and "identifiers" not in line,
-    "simulate": lambda line: "repaired" not in line,
-    "spectrum": lambda line: True,
-    "order": lambda line: True,
-    "identify": lambda line: "dataset.toml" in line,
-    "compare": lambda line: "arx.json" not in line,
-    "new": lambda line: True,
-    "isolability": lambda line: True,
-}
-"""Commands that take seconds and need nothing but a record; the others need an earlier one's result, or minutes."""
-QUICK = [(page, line) for page, line in COMMANDS if SECONDS.get(words(line)[0], lambda _: False)(line)]
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with what the commands of the pages expect to find: records, FMUs, models, finished work."""
+    folder = tmp_path_factory.mktemp("prepared")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for name in ("FILE.fmu", "model.fmu", "theirs.fmu", "pendulum.fmu"):
+            (folder / name).write_bytes(mockup("pendulum").read_bytes())
+        runs = ("run.csv", "estimation.csv", "validation.csv")
+        for role, name in zip(("estimation/0", "estimation/1", "validation/0"), runs, strict=True):
+            options = f"-S duration=10 -S noise=1e-3 --role {role} -o {name}"
+            sysid(f"sysid simulate pendulum-fmu --scenario multisine {options}")
+        (folder / "dataset.toml").write_text(
+            'name = "swing"\nsignals.u = { role = "input" }\nsignals.theta = { role = "output" }\n'
+            'nominal.model = "pendulum"\n'
+            '[[runs]]\nfile = "run.csv"\n[[runs]]\nfile = "validation.csv"\nuse = "validation"\n'
+        )
+        for name, identifier in (("other.json", "arx"), ("MODEL.json", "arx"), ("OTHER.json", "dmdc -O delays=4")):
+            sysid(f"sysid identify dataset.toml --identifier {identifier} -o {name}")
+        shutil.copy("other.json", "arx.json")
+        some = [builtin()[name] for name in ("coulomb_friction", "quadratic_drag")]
+        for model, out in (("pendulum", "report"), (folder / "pendulum.fmu", "box")):
+            close_loop(load_dataset("dataset.toml").dataset, model, out=out, dictionary=some)
+        shutil.copytree("report", "unexplained")
+        found = json.loads((folder / "unexplained" / "report.json").read_text())
+        found |= {"verdict": "unexplained", "adequacy": "does_not_fit"}
+        (folder / "unexplained" / "report.json").write_text(json.dumps(found))
+        (folder / "fleet.csv").write_text("file,machine,date\nrun.csv,A,2026-01-01\nestimation.csv,A,2026-02-01\n")
+        close_fleet("fleet.csv", out="fleet", model="pendulum", workers=1)
+        shutil.copytree("fleet", "run")
+        (folder / "suite.toml").write_text(
+            'name = "quick"\nseeds = [0]\n[[groups]]\nplants = [{ id = "linear-ode" }]\n'
+            'scenarios = [{ id = "prbs", options = { samples = 300 } }]\nidentifiers = [{ id = "arx" }]\n'
+        )
+        api.bench("suite.toml", out="results/quick", workers=1)
+        kept = ROOT / "docs" / "studies" / "leaderboard"
+        for place in (folder, folder / "truth"):
+            place.mkdir(exist_ok=True)
+            shutil.copy(kept / "truth.csv", place)
+        for name, source in (("theirs", "always-nothing-missing"), ("ours", "sysid-harness")):
+            shutil.copy(kept / "answers" / f"{source}.csv", folder / f"{name}.csv")
+        (folder / "docs").symlink_to(ROOT / "docs")
+        toml = next(match["code"] for match in FENCE.finditer((ROOT / "docs" / "co-simulation.md").read_text())
+                    if match["info"] == "toml")  # fmt: skip
+        (folder / "loop.toml").write_text(toml)
+    return folder
+
+
+def arrange(folder: Path, line: str) -> None:
+    """Put what one command needs beside the rest, and take away what it is to write."""
+    given = words(line)
+    if given[0] == "learn-residual":
+        shutil.rmtree(folder / "report")
+        (folder / "unexplained").rename(folder / "report")
+    if "repaired.ssp" in given and given[0] == "simulate":
+        sysid("sysid export box --out repaired.ssp")
+    if "iiwa" in given:
+        (folder / "run.csv").unlink()
+        sysid("sysid simulate iiwa-bullet --scenario arm-designed -S duration=5 -S noise=1e-4 -o run.csv")
+    for flag, target in itertools.pairwise(given):
+        if flag in ("-o", "--out") and "--resume" not in given:
+            path = folder / target
+            shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("page", "line"), QUICK)
-def test_a_quick_command_runs(page: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    record(tmp_path)
-    if words(line)[0] == "simulate":
-        (tmp_path / "run.csv").unlink()
+@pytest.mark.parametrize(("page", "line"), RUNNING.values())
+def test_a_command_runs(
+    page: str,
+    line: str,
+    prepared: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
+) -> None:
+    if " emps " in line:
+        request.getfixturevalue("recordings_folder")
+    shutil.copytree(prepared, tmp_path / "here", symlinks=True)
+    monkeypatch.chdir(tmp_path / "here")
+    arrange(tmp_path / "here", line)
+    for long, short in SHORTENED.items():
+        line = line.replace(long, short)
+    if "*" in line:
+        line = shlex.join(["sysid", *(str(one) for word in words(line) for one in sorted(Path().glob(word)) or [word])])
     sysid(line)

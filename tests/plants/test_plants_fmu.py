@@ -342,6 +342,30 @@ def test_impossible_parameters_are_the_fmus_to_refuse() -> None:
         assert caught.value.status == "crashed"
 
 
+def test_start_values_are_set_in_one_call_and_the_refused_one_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    from fmpy.fmi2 import FMU2Slave
+
+    calls: list[list[float]] = []
+    put = FMU2Slave.setReal
+
+    def spied(self: FMU2Slave, vr: list[int], value: list[float]) -> None:
+        calls.append(list(value))
+        if any(one == 0.77 for one in value):
+            raise ValueError("no such value")
+        put(self, vr, value)
+
+    monkeypatch.setattr(FMU2Slave, "setReal", spied)
+    values = {"J": 0.06, "b": 0.04, "mgl": 1.1}
+    with FmuPlant(mockup("pendulum"), sample_time=0.01, outputs=["theta"], parameters=values) as plant:
+        plant.reset(rng=np.random.default_rng(0), x0={"theta": 0.1, "omega": 0.2})
+    assert [0.06, 0.04, 1.1, 0.1, 0.2] in calls
+    with (
+        FmuPlant(mockup("pendulum"), sample_time=0.01, parameters={**values, "b": 0.77}) as plant,
+        pytest.raises(PlantError, match=r"'b' cannot be set to 0\.77: no such value"),
+    ):
+        plant.reset(rng=np.random.default_rng(0))
+
+
 def test_options_that_do_not_fit_are_refused() -> None:
     path = mockup("pendulum")
     for options, words in (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,9 +15,6 @@ from harness.physics.latent import LatentForce
 from harness.signals import FloatArray, Trajectory
 
 __all__ = ["FreePass", "Run"]
-
-KEPT = 8
-"""Runs that are kept: where only the noise changes nothing is simulated again."""
 
 
 @dataclass(eq=False)
@@ -53,7 +49,6 @@ class FreePass:
         self.state_names = tuple(channel.name for channel in system.states)
         self.parameter_names = system.parameter_names
         self._period = np.array([channel.period or 0.0 for channel in system.outputs])
-        self._runs: OrderedDict[Any, tuple[Trajectory, FloatArray, FloatArray]] = OrderedDict()
 
     def __call__(
         self,
@@ -76,11 +71,8 @@ class FreePass:
             x, y = self._run(record, p, x0)
         else:
             seen, slope = self.simulator.sampled.inputs(record.u[None], p[None], True)
-            self.simulator.wanted = "all" if (columns < self.parameter_count).any() else "states"
-            try:
+            with self.simulator.deriving(columns):
                 states, outputs, s = self.simulator.windows(p[None], x0[None], seen, slope, record.t[:1])
-            finally:
-                self.simulator.wanted = "all"
             assert s is not None
             x, y, j = states[0], outputs[0], -s[0][..., columns]
             if not np.isfinite(j).all():
@@ -102,15 +94,10 @@ class FreePass:
         return Run(e, variance, j, x=x, pushed=lambda extra: self._pushed(record, p, x0, extra))
 
     def _run(self, record: Trajectory, p: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return states and outputs of a free run; the last few are kept, with the record whose identity is the key."""
-        key = (id(record), p.tobytes(), x0.tobytes())
-        if key not in self._runs:
-            seen = self.simulator.sampled.inputs(record.u[None], p[None], False)[0][0]
-            x, y = self.simulator.run(p, x0, seen, float(record.t[0]))
-            self._runs[key] = record, x, self.simulator.sampled.outputs(y[None], None, p[None])[0][0]
-            while len(self._runs) > KEPT:
-                self._runs.popitem(last=False)
-        return self._runs[key][1:]
+        """Return states and outputs of a free run; where only the noise changes nothing is simulated again."""
+        seen = self.simulator.sampled.inputs(record.u[None], p[None], False)[0][0]
+        x, y = self.simulator.kept_run(p, x0, seen, float(record.t[0]))
+        return x, self.simulator.sampled.outputs(y[None], None, p[None])[0][0]
 
     def _pushed(self, record: Trajectory, p: FloatArray, x0: FloatArray, extra: FloatArray) -> FloatArray:
         """Return the outputs of a run with something added to the FMU's inputs."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.blackbox.reader import fmu_system
 from harness.blackbox.runner import Runner
@@ -72,11 +73,8 @@ def rough_values(system: FmuSystem, dataset: Dataset, runner: Runner) -> dict[st
     windows = FmuWindows(simulator, records, short_window(dataset), _spread(dataset))  # type: ignore[arg-type]
     starts = windows.starts_from([measured_states(system, simulator, one, p)[0] for one in records])
     free = np.array([not one.fixed for one in system.parameters], dtype=bool)
-    simulator.wanted = "states"
-    try:
+    with simulator.deriving(simulator.state_columns):
         x0 = minimise_states(windows, p, starts, 8)
-    finally:
-        simulator.wanted = "all"
     solution = minimise(windows, p, x0, free, ROUGH, decrease=DECREASE)
     if not np.isfinite(solution.evaluation.cost):
         return None
@@ -138,14 +136,26 @@ class FmuWindows(Windows):
     def evaluate(self, p: FloatArray, x0: FloatArray, *, keep: bool = False, jacobian: bool = False) -> Evaluation:
         """Simulate all windows; the normal equations follow on demand."""
         simulator: Any = self.simulator
-        if simulator.wanted != "all" or jacobian:
+        if simulator.wanted is not None or jacobian:
             return super().evaluate(p, x0, keep=keep, jacobian=jacobian)
-        simulator.wanted = "none"
-        try:
+        with simulator.deriving(()):
             plain = super().evaluate(p, x0, keep=keep)
-        finally:
-            simulator.wanted = "all"
         return _Lazy(plain, self, p, x0)
+
+    def trial(
+        self,
+        p: FloatArray,
+        x0: FloatArray,
+        *,
+        columns: npt.NDArray[np.intp] | None = None,
+        limits: FloatArray | None = None,
+        budget: float = np.inf,
+        keep: bool = False,
+    ) -> Evaluation:
+        """Simulate all windows but those that nothing is asked of: their cost is infinite."""
+        if limits is not None and (limits < 0).any():
+            x0 = np.where((limits < 0)[:, None], np.nan, x0)  # what starts nowhere is not simulated
+        return self.evaluate(p, x0, keep=keep)
 
     def complete(self, p: FloatArray, x0: FloatArray) -> Evaluation:
         """Simulate with all derivatives."""

@@ -58,11 +58,8 @@ class FmuRuns(FreeRunForm):
     def _fit_states(self, windows: Windows, p: FloatArray, x0: FloatArray, most: int) -> FloatArray:
         """Return fitted initial states (W, nx); no derivative by a parameter is needed for that."""
         simulator: Any = windows.simulator
-        simulator.wanted = "states"
-        try:
+        with simulator.deriving(simulator.state_columns):
             return minimise_states(windows, p, x0, most)
-        finally:
-            simulator.wanted = "all"
 
     def _from_data(self, simulator: Any, record: Trajectory, p: FloatArray) -> tuple[FloatArray, list[bool]]:
         """Return smoothed measurements for states that are outputs, their derivatives for rates, else 0."""
