@@ -169,6 +169,9 @@ class Effort:
         30.0, "log-likelihood within which the second start goes on beside the first", "cost", "tests"
     )
     margin: float = _number(50.0, "log-likelihood that first steps of an exchange may still lack", "cost", "tests")
+    finer: int = _number(
+        3, "times that a fit goes on with finer steps of the solver, where its law became faster than they are", "cost"
+    )
     choices: int = _number(12, "choices of an effect's nonlinear parameters in the score test", "cost")
     knots: int = _number(25, "test functions on one axis of a free force", "a law of friction has two bends")
     joint_knots: tuple[int, int] = _number((9, 6), "test functions on each of two axes", "cost: 54 together")

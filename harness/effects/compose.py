@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["compose", "recommended_substeps"]
 
 _LARGEST_SUBSTEPS = 64
+_FOLLOWED, _STABLE = 1.4, 2.5
+"""Eigenvalue times a step: what is followed, half of what the method of order 4 endures (2.78), and what is stable."""
 
 
 def compose(
@@ -82,12 +84,14 @@ def recommended_substeps(
     dt : float
         Sample time [s].
     x : array (nx,) or (K, nx), optional
-        States to look at, beside rest: a sign is steepest at zero speed, a contact is stiff where it is closed.
+        States to look at, beside rest, such as :func:`moving`: a sign is steepest at zero speed, a contact is stiff
+        where it is closed, and what slips within a short length does so the faster the faster the joint turns.
 
     Returns
     -------
     int
-        So that the fastest eigenvalue times a step stays below 1.4 (half of what RK4 endures), at most 64.
+        So that the fastest eigenvalue times a step stays below 1.4 at rest (half of what RK4 endures), and below 2.5
+        in the states ``x``, where what slips has done so before: there it need not be followed. At most 64.
 
     Examples
     --------
@@ -111,14 +115,31 @@ def recommended_substeps(
             names = [channel.name for channel in system.states]
             closed[names.index(placed.name("e"), hidden)] = 2.0 * gap
             points.append(closed)
+    rests = len(points)
     if x is not None:
         points.extend(np.atleast_2d(np.asarray(x, dtype=float)))
-    fastest = 0.0
-    for point in points:
+    needed = 1.0
+    for number, point in enumerate(points):
         matrix = jacobian(point, np.zeros(system.nu), p, 0.0).full()
         if np.isfinite(matrix).all():
-            fastest = max(fastest, float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0)))
-    return int(np.clip(np.ceil(fastest * dt / 1.4), 1, _LARGEST_SUBSTEPS))
+            reach = _FOLLOWED if number < rests else _STABLE
+            needed = max(needed, float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0)) * dt / reach)
+    return int(np.clip(np.ceil(needed), 1, _LARGEST_SUBSTEPS))
+
+
+def moving(system: System, sizes: Mapping[str, Mapping[str, float]]) -> FloatArray:
+    """Return the state in which every coordinate moves at three times its rms speed, (nx,); 0 where none is known.
+
+    Parameters
+    ----------
+    system : harness.physics.System
+    sizes : mapping
+        Port name to rms sizes, of which ``v`` is taken, see :func:`harness.effects.columns.motion_sizes`.
+    """
+    x = np.zeros(system.nx)
+    for one in system.coordinates:
+        x[one.v] = 3.0 * sizes.get(one.name, {}).get("v", 0.0)
+    return x
 
 
 # ---- placing one effect ----------------------------------------------------------------------------------------------

@@ -84,7 +84,7 @@ def score(truth: str | Path, answers: Sequence[str | Path]) -> tuple[list[Score]
                 file=path,
             )
         outcomes = {
-            record: judge_answer(_split(row["truth"]), given[record], row["plant"])
+            record: judge_answer(_split(row["truth"]), given[record], row["plant"], row["engine"])
             if record in given
             else Outcome(NOT_ANSWERED)
             for record, row in known.items()

@@ -30,6 +30,11 @@ _SAME: dict[str, tuple[tuple[Group, ...], ...]] = {
         for at in ("x", "theta")
     ),
 }
+_DAHL: dict[str, tuple[tuple[Group, ...], ...]] = {
+    plant: tuple((frozenset({f"coulomb_friction@{at}"}), frozenset({f"hysteresis@{at}"})) for at in places)
+    for plant, places in (("pendulum", ("theta",)), ("cart-pole", ("x", "theta")))
+}
+"""The dry friction of hardware is Dahl's, which is the dictionary's hysteresis with beta = 1, term by term."""
 
 
 @dataclass(frozen=True)
@@ -74,13 +79,13 @@ class Outcome:
     how: str = ""
 
 
-def judge_answer(truth: Collection[str], answer: Answer, plant: str) -> Outcome:
+def judge_answer(truth: Collection[str], answer: Answer, plant: str, engine: str = "") -> Outcome:
     """Return how an answer counts.
 
     Right: the accepted set is the truth, effect and place. Tied: one member can be chosen for each accepted effect
-    (from its tie set, or from its exactly equal family on this plant) so that together they are the truth; or
-    nothing was accepted, and the report says that the truth cannot be told from the nominal parameters. Other sets are
-    wrong, unless the report calls them a stand-in: then something was flagged, as where it says that the model does
+    (from its tie set, or from its exactly equal family on this plant and engine) so that together they are the truth;
+    or nothing was accepted, and the report says that the truth cannot be told from the nominal parameters. Other sets
+    are wrong, unless the report calls them a stand-in: then something was flagged, as where it says that the model does
     not fit, whatever it was tried with.
 
     Examples
@@ -89,6 +94,8 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str) -> Outcome:
     'tied'
     >>> judge_answer({"coulomb_friction@x"}, Answer("effects_found", ("coulomb_friction@theta",)), "cart-pole").word
     'wrong'
+    >>> judge_answer({"coulomb_friction@x"}, Answer("effects_found", ("hysteresis@x",)), "cart-pole", "hardware").word
+    'tied'
     >>> judge_answer({"backlash@x"}, Answer("model_does_not_fit", ("backlash@x",)), "cart-pole").word
     'flagged'
     """
@@ -101,7 +108,9 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str) -> Outcome:
         plain = [[frozenset({name}), *tie] for name, tie in zip(answer.accepted, _padded(answer), strict=True)]
         if _reaches(wanted, plain, ()):
             return Outcome("tied", "tie set")
-        if _reaches(wanted, plain, _SAME[plant]):
+        dahl = [family for family in _DAHL[plant] if engine == "hardware" and family[0] <= wanted]
+        same = (*_SAME[plant], *dahl)
+        if _reaches(wanted, plain, same):
             return Outcome("tied", "same family")
     covered = wanted & (accepted | {name for tie in answer.ties for group in tie for name in group})
     if not wanted:

@@ -104,7 +104,8 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
     # what the report says this experiment cannot show matters only where nothing was found
     hidden = frozenset(str(one.placed) for one in found.not_visible) if task.effects and not accepted else frozenset()
     imitates = [*found.stand_in, *found.misfit]
-    outcome = judge_answer(task.effects, Answer(found.verdict, accepted, ties, hidden, bool(imitates)), task.plant)
+    answer = Answer(found.verdict, accepted, ties, hidden, bool(imitates))
+    outcome = judge_answer(task.effects, answer, task.plant, task.engine)
     before, after = _error(found.runs.before), _error(found.runs.after)
     oracle: float | None = before  # where nothing is hidden, the nominal fit knows all
     if task.effects:
@@ -139,7 +140,7 @@ def _command(task: Task, records: Records) -> dict[str, Any]:
     timed = timed_command(task, records)
     report = timed.pop("report")
     accepted = tuple(f"{effect['name']}@{effect['at']}" for effect in report["effects"])
-    outcome = judge_answer(task.effects, Answer(report["verdict"], accepted), task.plant)
+    outcome = judge_answer(task.effects, Answer(report["verdict"], accepted), task.plant, task.engine)
     return timed | {"outcome": outcome.word, "how": outcome.how, "accepted": " + ".join(accepted)}
 
 
@@ -151,7 +152,7 @@ def _diagnose_fmu(task: Task, records: Records) -> dict[str, Any]:
     cpu, wall = _cpu_of_tree(), time.monotonic()
     found = diagnose(records.dataset, _model(task, records), kind=BlackBox())
     accepted = tuple(str(one.placed) for one in found.outcome.accepted)
-    outcome = judge_answer(task.effects, Answer(found.verdict, accepted), task.plant)
+    outcome = judge_answer(task.effects, Answer(found.verdict, accepted), task.plant, task.engine)
     return {
         "outcome": outcome.word,
         "how": outcome.how,

@@ -20,7 +20,7 @@ from harness.benchmark import bench
 
 BREAKS = {"segfault": "crashed", "kill": "crashed", "hang": "timeout", "exit": "crashed"}
 SOUND = 8
-SEEDS = 4
+SEEDS = 2
 
 
 def write_suite(folder: Path, nap: float = 0.0) -> Path:
@@ -30,7 +30,7 @@ def write_suite(folder: Path, nap: float = 0.0) -> Path:
         parts.insert(2 * place + 1, f'{{id = "test-fit", label = "{how}", options = {{fail = "{how}"}}}}')
     path = folder / "faults.toml"
     path.write_text(
-        f'name = "faults"\nseeds = {list(range(SEEDS))}\ntime_limit = 5.0\n[[groups]]\nplants = [{{id = "test-lag"}}]\n'
+        f'name = "faults"\nseeds = {list(range(SEEDS))}\ntime_limit = 3.0\n[[groups]]\nplants = [{{id = "test-lag"}}]\n'
         f'scenarios = [{{id = "prbs", options = {{samples = 60}}}}]\nidentifiers = [{", ".join(parts)}]\n'
     )
     return path
@@ -67,7 +67,7 @@ def test_every_cell_is_one_row_with_its_status_on_both_engines(plugins: Path, tm
         assert "SIGSEGV" in reasons["segfault"]
         assert "SIGKILL" in reasons["kill"]
         assert "exit status 7" in reasons["exit"]
-        assert reasons["hang"] == "hang is over its time limit of 5 s"
+        assert reasons["hang"] == "hang is over its time limit of 3 s"
     assert (tmp_path / "near" / "results.parquet").read_bytes() == (tmp_path / "far" / "results.parquet").read_bytes()
 
 

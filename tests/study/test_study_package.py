@@ -152,7 +152,8 @@ def test_our_own_rows_are_judged_as_they_were(tmp_path: Path) -> None:
     assert len(rows) == len(answers) > 50
     for row in rows:
         truth = [name for name in row["truth"].split(" + ") if name]
-        assert judge_answer(truth, answers[record_name(row["key"])], row["plant"]).word == row["outcome"], row["key"]
+        answer = answers[record_name(row["key"])]
+        assert judge_answer(truth, answer, row["plant"], row["engine"]).word == row["outcome"], row["key"]
 
 
 def test_tools_stand_side_by_side(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

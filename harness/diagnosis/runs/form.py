@@ -11,7 +11,7 @@ import numpy as np
 from harness.diagnosis.records.unfold import signs_by_model
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.states import carried_states, settled_states, state_bases
-from harness.effects.compose import compose
+from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed
 from harness.physics.levenberg import minimise_states
 from harness.physics.simulator import Simulator, default_substeps
@@ -71,7 +71,9 @@ class FreeRunForm:
 
     def simulator(self, system: Any, p: FloatArray, *, quick: bool = False) -> Simulator:
         """Return the simulator of a system with the substeps that these parameters need."""
-        steps = max(default_substeps(system, self.sample_time, p), 1)
+        values = dict(zip(system.parameter_names, p, strict=True))
+        moved = recommended_substeps(system, values, self.sample_time, x=moving(system, self.sizes))
+        steps = max(default_substeps(system, self.sample_time, p), moved)
         steps = int(2 ** np.ceil(np.log2(steps)))  # few different ones: each is compiled by itself
         backend = "casadi" if quick else "auto"
         found: Simulator = system.simulator(

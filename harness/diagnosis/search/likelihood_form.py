@@ -17,7 +17,7 @@ from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.fit_records import fit_from_record, fit_record, point_from_record, point_record
 from harness.diagnosis.search.predictive import Predictive, predictive, spread_of, whitened
 from harness.diagnosis.search.robust import robust_covariance
-from harness.effects.compose import compose, recommended_substeps
+from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed
 from harness.effects.places import port_of
 from harness.errors import FitError, HarnessError
@@ -32,6 +32,7 @@ from harness.signals import Dataset, FloatArray, Run, Trajectory
 
 __all__ = ["USES", "Detail", "LikelihoodForm"]
 
+NOISE = ("s@", "tau@", "w@", "r@")
 USES = ("estimation", "validation")
 OWN = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
 """Parameters that belong to a record and not to the plant."""
@@ -108,7 +109,8 @@ class LikelihoodForm:
     def substeps(self, system: Any, values: Mapping[str, float]) -> int:
         """Return the steps of the solver within a sample."""
         return max(
-            default_substeps(system, self.dt, system.vector(values)), recommended_substeps(system, values, self.dt)
+            default_substeps(system, self.dt, system.vector(values)),
+            recommended_substeps(system, values, self.dt, x=moving(system, self.sizes)),
         )
 
     def passes(self, system: Any, substeps: int) -> Pass:
@@ -189,6 +191,12 @@ class LikelihoodForm:
             ends = [one if one.converged else likelihood.maximise(one.point, reach=reach) for one in near[:2]]
             best = min(ends, key=lambda one: one.nll)
             best = best if best.converged or best.beyond else likelihood.maximise(best.point, reach=reach)
+            for _ in range(EFFORT.finer):  # coarse steps keep a fit from where its law is fast
+                needed = self.substeps(system, {**system.values(), **_known(system, best.parameters)})
+                if needed <= passes.substeps or best.beyond:
+                    break
+                passes = self.passes(system, needed)
+                best = self._likelihood(system, "estimation", passes).maximise(best.point, reach=reach)
             own, told, expected = self._validated(system, passes, best, base)
             outside = self._outside(system, passes, expected.point, told)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
@@ -308,7 +316,11 @@ class LikelihoodForm:
     def _validated(
         self, system: Any, passes: Pass, best: LikelihoodFit, base: Fit | None
     ) -> tuple[dict[str, float], list[tuple[FloatArray, FloatArray]], Predictive]:
-        """Fit what belongs to the validation records; return it, what halves tell of phases, and what is expected."""
+        """Fit what belongs to the validation records; return it, what halves tell of phases, and what is expected.
+
+        Initial states and noise belong to a record: a law that leaves one record without any latent force is not to
+        be judged as if there could be none in another, where a motion that amplifies small errors has to be followed.
+        """
         likelihood = self._likelihood(system, "validation", passes)
         own = [
             placed.name(name)
@@ -316,7 +328,8 @@ class LikelihoodForm:
             for name in OWN.get(placed.effect.name, ())
             if not system.parameter(placed.name(name)).fixed
         ]
-        free = [name for name in likelihood.names if name.startswith("x0[")] + own
+        free = [name for name in likelihood.names if name.startswith(("x0[", *NOISE))] + own
+        noise = self._woken(best.point.noise)
         chosen: LikelihoodFit | None = None
         longest = max(len(run) for run in self.records["validation"]) * self.dt
         for part in EFFORT.own_starts if own else (0.0,):
@@ -324,8 +337,8 @@ class LikelihoodForm:
             for name in own:
                 p[system.parameter_names.index(name)] = part * (2 * np.pi if name.endswith("phi") else longest)
             for origin in dict.fromkeys((base, None)):  # narrow friction may catch one of two starts
-                point = Point(p, self._starts(system, passes, p, "validation", origin), best.point.noise)
-                found = likelihood.maximise(point, free=free, most=25)
+                point = Point(p, self._starts(system, passes, p, "validation", origin), noise)
+                found = likelihood.maximise(point, free=free)
                 if chosen is None or found.nll < chosen.nll:
                     chosen = found
         assert chosen is not None
@@ -375,10 +388,13 @@ class LikelihoodForm:
     def _noises(self, base: Fit | None) -> list[Noise]:
         """Return the noise to start from: that of the base, else several."""
         if base is not None:
-            noise: Noise = base.detail.points["estimation"].noise
-            floor = 1e-3 * self.noise_model.force_scale  # what was lost may be needed now
-            return [replace(noise, s=np.maximum(noise.s, floor), w=np.maximum(noise.w, 0.1 * floor))]
+            return [self._woken(base.detail.points["estimation"].noise)]
         return first_noises(self.noise_model, self._first_noise, self.dt)
+
+    def _woken(self, noise: Noise) -> Noise:
+        """Return noise with latent forces that are not lost: they may be needed elsewhere."""
+        floor = 1e-3 * self.noise_model.force_scale
+        return replace(noise, s=np.maximum(noise.s, floor), w=np.maximum(noise.w, 0.1 * floor))
 
     def _starts(self, system: Any, passes: Pass, p: FloatArray, use: str, base: Fit | None) -> list[FloatArray]:
         """Return initial states to start from: those of the base, new hidden states where their effects say."""

@@ -351,10 +351,22 @@ def _pruned(form: Form, found: Outcome, policy: Policy) -> None:
     """Drop earlier effects that a later one has made needless."""
     for earlier in found.accepted[:-1]:
         left = [one.placed for one in found.accepted if one is not earlier]
-        without = form.fit(left, [found.model.values], found.model)
+        starts = [found.model.values, *_in_its_place(found.model.values, earlier.placed, left)]
+        without = form.fit(left, starts, found.model)
         if without is not None and _value(without) > _value(found.model) - policy.tie:
             found.model = without
             found.accepted = [one for one in found.accepted if one is not earlier]
+
+
+def _in_its_place(values: Mapping[str, float], gone: Placed, left: Sequence[Placed]) -> list[dict[str, float]]:
+    """Return values with which another effect at the same place carries the level of one that goes as well."""
+    found = []
+    for other in left:
+        pairs = [(a, b) for a in gone.effect.parameters for b in other.effect.parameters if a.main and b.main]
+        for a, b in pairs:
+            if other.at == gone.at and a.unit == b.unit:
+                found.append({**values, other.name(b.name): values[other.name(b.name)] + values[gone.name(a.name)]})
+    return found
 
 
 def _value(fit: Fit) -> float:

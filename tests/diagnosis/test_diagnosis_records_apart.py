@@ -1,0 +1,60 @@
+"""Laws that are fast for the sampling, and records that ask more of a model than those it was fitted to."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from harness.diagnosis.algorithm import Diagnosis, diagnose
+from harness.effects import builtin
+from harness.effects.compose import compose, moving, recommended_substeps
+from harness.effects.effect import Placed
+from harness.physics import load_model
+from harness.study.plan import plan
+from harness.study.records import Records, make_records
+
+USED = 140_000
+"""The base of records that were looked at while this was written."""
+
+
+def closed(key: str, *names: str) -> tuple[Records, Diagnosis]:
+    """Return a record of the study and its diagnosis with some effects of the dictionary."""
+    task = next(one for one in plan("confusion", base=USED) if one.key == f"{key}|{USED}")
+    records = make_records(task)
+    return records, diagnose(records.dataset, load_model(task.plant), dictionary=[builtin()[name] for name in names])
+
+
+@pytest.mark.slow
+def test_a_law_that_leaves_one_record_no_force_is_not_refused_for_a_record_that_amplifies_small_errors() -> None:
+    records, found = closed("confusion|cart-pole|laws|end_stop@theta|quarter|low|0|0", "end_stop", "cubic_spring")
+    assert [str(one.placed) for one in found.outcome.accepted] == ["end_stop@theta"]
+    truth = records.hidden[0].named
+    assert found.final.values["end_stop@theta.stop"] == pytest.approx(truth["stop"], rel=1e-3)
+    assert found.final.values["end_stop@theta.k"] == pytest.approx(truth["k"], rel=0.02)
+    estimation, validation = (found.final.detail.points[use].noise for use in ("estimation", "validation"))
+    assert (estimation.s + estimation.w < validation.s + validation.w).any()
+
+
+@pytest.mark.slow
+def test_friction_that_slips_within_one_sample_is_named_by_its_law() -> None:
+    records, found = closed(
+        "confusion|cart-pole|hardware|coulomb_friction@theta|quarter|high|0|0", "coulomb_friction", "hysteresis"
+    )
+    assert [str(one.placed) for one in found.outcome.accepted] == ["hysteresis@theta"]
+    level = records.hidden[0].named["Fc"]
+    assert found.final.values["hysteresis@theta.Fh"] == pytest.approx(level, rel=0.01)
+    assert found.final.values["hysteresis@theta.beta"] == pytest.approx(1.0, abs=0.1)  # Dahl's law
+    assert 1e-3 < found.final.values["hysteresis@theta.xs"] < 3e-3
+    after = np.concatenate(found.runs.after.validation)
+    assert np.sqrt(np.mean(after**2)) < 1.02  # the sensor noise
+
+
+def test_what_slips_is_simulated_with_steps_for_its_speed() -> None:
+    system = compose(
+        load_model("pendulum"), [Placed(builtin()["hysteresis"], "theta", {"Fh": 0.1, "xs": 1e-3, "beta": 1.0})]
+    )
+    x = moving(system, {"theta": {"v": 2.0}, "u": {"u": 1.0}})
+    assert x.tolist() == [0.0, 6.0, 0.0]
+    assert recommended_substeps(system, None, 0.004) < 3
+    # z' = (v - |v| z)/xs has the eigenvalue 6/1e-3 1/s
+    assert recommended_substeps(system, None, 0.004, x=x) == int(np.ceil(6.0 / 1e-3 * 0.004 / 2.5))
