@@ -14,7 +14,7 @@ from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
 from harness.effects import family
 from harness.effects.effect import Placed
 
-__all__ = ["Accepted", "Outcome", "Round", "search"]
+__all__ = ["Accepted", "Outcome", "Round", "in_its_place", "search"]
 
 Say = Callable[[str], None]
 WANTS = ("evidence", "validation", "it brings")
@@ -351,14 +351,14 @@ def _pruned(form: Form, found: Outcome, policy: Policy) -> None:
     """Drop earlier effects that a later one has made needless."""
     for earlier in found.accepted[:-1]:
         left = [one.placed for one in found.accepted if one is not earlier]
-        starts = [found.model.values, *_in_its_place(found.model.values, earlier.placed, left)]
+        starts = [found.model.values, *in_its_place(found.model.values, earlier.placed, left)]
         without = form.fit(left, starts, found.model)
         if without is not None and _value(without) > _value(found.model) - policy.tie:
             found.model = without
             found.accepted = [one for one in found.accepted if one is not earlier]
 
 
-def _in_its_place(values: Mapping[str, float], gone: Placed, left: Sequence[Placed]) -> list[dict[str, float]]:
+def in_its_place(values: Mapping[str, float], gone: Placed, left: Sequence[Placed]) -> list[dict[str, float]]:
     """Return values with which another effect at the same place carries the level of one that goes as well."""
     found = []
     for other in left:
