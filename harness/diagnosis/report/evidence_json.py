@@ -233,9 +233,10 @@ def _errors(found: Diagnosis, fit: Fit, fitted: Fitted | None) -> dict[str, Any]
         return {"equation_error": {**nothing, **meaning}, "simulation_error": {**nothing, **bare},
                 "log_likelihood": likelihood}  # fmt: skip
     strong = None
-    if measured_coordinates(found.system) is not None and not (output.nominal.ny and _sensors(fitted)):
+    final = fitted if found.runs.after is None else found.runs.after  # before and after are the same quantity
+    if measured_coordinates(found.system) is not None and not (output.nominal.ny and _sensors(final)):
         strong = EquationForm(found.system, found.dataset, sizes=found.form.sizes)
-    usable = strong is not None and all(map(strong.judges, fitted.effects))
+    usable = strong is not None and all(map(strong.judges, (*fitted.effects, *final.effects)))
     return {
         "equation_error": equation_error(output, strong if usable else None, fitted, found.dataset, inverse=usable),
         "simulation_error": simulation_error(
