@@ -139,6 +139,12 @@ class Policy:
         "four times the size of an effect worth finding",
         "laws outside the dictionary in the tests",
     )
+    line_parts: int = _number(
+        4,
+        "parts of a record in which a periodic force must have one amplitude and one phase, as far as evidence tells",
+        "noise in a band as narrow as a plant's resonance loses its phase within 4 s; parts of 5 s are long for a line",
+        "judged records from 150000, which judge no more",
+    )
     explained: float = _number(0.05, "share of the variance left, at most, to call a model adequate", "a fit of 95 %")
     chance: float = _number(
         0.02,
@@ -164,6 +170,7 @@ class Effort:
     refits: int = _number(6, "refits that are finished in a round", "cost", "seeds below 1000")
     pairs: int = _number(2, "rivals of a first answer that are tried with a second effect", "cost", "seeds below 1000")
     points: int = _number(3, "starts of a fit that its first steps are taken from, the likeliest ones", "cost")
+    looks: int = _number(2, "of these, iterations before starts that are far from the best one are left", "cost")
     first_steps: int = _number(5, "iterations from each of several starts before the best goes on", "cost", "tests")
     close: float = _number(
         30.0, "log-likelihood within which the second start goes on beside the first", "cost", "tests"

@@ -62,7 +62,7 @@ class Effect:
     linearises : bool
         Its columns in a regression mean something (False for hidden resonances).
     angles : bool
-        It fits only coordinates that are angles.
+        It fits only coordinates and outputs that are angles.
     initial : dict
         Where a hidden state starts if not at 0: ``"signal"`` (what arrives at the port), ``"q"`` or ``"v"``.
     requires : dict

@@ -77,9 +77,9 @@ def obstacle(system: System, effect: Effect, port: Port) -> str | None:
     """Return why an effect of the right kind does not fit a port; None if it does."""
     if port.kind == "input" and "coordinate" in effect.kinds and system.driven_by(port.name) is not None:
         return "it acts on the coordinate that this input drives"
+    if port.kind in ("coordinate", "output") and effect.angles and port.unit != "rad":
+        return "it needs an angle"
     if port.kind == "coordinate":
-        if effect.angles and port.unit != "rad":
-            return "it needs an angle"
         if effect.drives and not _driven(system, port.name):
             return "no input drives this coordinate"
         if "load" in effect.extras and carried_load(system, port.name) is None:

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from harness.effects.effect import effect, par
-from harness.effects.functions import absolute, clip
+from harness.effects.functions import absolute, clip, sin
 from harness.signals import FloatArray
 
 __all__ = [
     "QuantisationTest",
     "quantisation_test",
+    "sensor_cyclic_error",
     "sensor_delay",
     "sensor_gain",
     "sensor_offset",
@@ -49,6 +50,29 @@ def sensor_offset(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 def sensor_gain(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Wrong scale of a sensor."""
     return p.gain * y
+
+
+@effect(
+    "output",
+    [
+        par("A", "y", scale="0.01 y", neutral=0.0, main=True, linear=True, meaning="amplitude"),
+        # k times the travel (2 sqrt(2) rms) reaches pi/2: over less than a quarter of a period nothing repeats
+        par("k", "rad/y", scale="2", floor="0.56 y^-1", minimum=0.9, maximum=1000.0,
+            grid=(1.0, 0.5, 1.5, 2.0, 3.0, 4.0), meaning="periods per turn"),
+        par("phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), meaning="phase"),
+    ],
+    formula="y' = y + A sin(k y + phi), k >= 0.9",
+    family=("sensor_gain", "sensor_offset", "cogging", "eccentric_load"),
+    limits={
+        "sensor_gain": "if the motion covers less than half a period about a zero",
+        "sensor_offset": "if the motion covers less than half a period about a crest",
+    },
+    angles=True,
+    experiment="fast turns: an error of the angle accelerates with them, a torque does not; or a second encoder",
+)  # fmt: skip
+def sensor_cyclic_error(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Error of an angle that repeats with it: eccentric scale (once a turn), resolver (twice), lines (k times)."""
+    return y + p.A * sin(p.k * y + p.phi)
 
 
 @effect(

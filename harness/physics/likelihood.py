@@ -415,6 +415,7 @@ class Likelihood:
         free: Sequence[str] | None = None,
         most: int = 60,
         reach: float = np.inf,
+        exact: bool = True,
     ) -> LikelihoodFit:
         """Return the maximum near a start.
 
@@ -429,6 +430,9 @@ class Likelihood:
         reach : float
             A value of minus the log-likelihood that must be come to. If the iterations that are left would not do so,
             were each to bring as much as the last one, the search ends, not converged.
+        exact : bool
+            Whether the last steps count how parameters and initial states change the variances, too. That takes
+            difference quotients, and matters where the innovations are to be judged to less than a tenth.
 
         Raises
         ------
@@ -452,7 +456,8 @@ class Likelihood:
                 got="a diverging state",
                 remedy="start elsewhere, or check units and signs of the records",
             )
-        damping, exact, converged, message, count, beyond = 1e-3, False, False, "", 0, False
+        damping, converged, message, count, beyond = 1e-3, False, "", 0, False
+        last, counted = not exact, exact and self.noise_model.latent
         entries = np.flatnonzero(chosen)
         scaled_noise = not self.noise_model.latent and bool(chosen[len(names) - self.filter.ny :].all())
         promise = first = np.inf
@@ -462,7 +467,7 @@ class Likelihood:
             count += 1
             assert found is not None
             with np.errstate(all="ignore"):
-                gradient, matrix = self._derivatives(z, found, entries, exact and self.noise_model.latent, deviations)
+                gradient, matrix = self._derivatives(z, found, entries, last and counted, deviations)
             deviations = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
             if not (np.isfinite(gradient).all() and np.isfinite(matrix).all()):
                 message = "derivatives are not finite"
@@ -498,17 +503,17 @@ class Likelihood:
                 if count >= _SETTLED and value - (most - count) * gain > reach:
                     message, beyond = "its steps do not bring it within reach", True
                     break
-                if exact and gain < _ENOUGH:
+                if last and gain < _ENOUGH:
                     converged = True
                     break
-                if not exact and max(gain, promise) < _ROUGH:
-                    exact = True
-            elif exact:
+                if not last and max(gain, promise) < _ROUGH:
+                    last = True
+            elif last:
                 converged = first < 5 * _ENOUGH
                 message = "" if converged else "no step raises the likelihood"
                 break
             else:
-                exact, damping = True, 1e-3
+                last, damping = True, 1e-3
         else:
             message = f"no maximum after {most} iterations"
         fit = self._finished(z, value, found, entries, matrix, converged, count, message)

@@ -36,6 +36,7 @@ _OUTPUT = (
     "sensor_rectification",
     "sensor_saturation",
 )
+_ANGLE_OUTPUT = ("sensor_cyclic_error",)
 # Not hidden: viscous_friction, which both models have on every coordinate; leak, overflow, level_saturation, which
 # belong to tanks; quadratic_spring on the cart, which would run away to infinity.
 PAIRS = {
@@ -98,7 +99,8 @@ def places(plant: str) -> list[str]:
     found = [f"{name}@{at}" for name in _COORDINATE for at in coordinates if _apart(name, at, driven)]
     found += [f"{name}@theta" for name in _ANGLE] + ["gravity_tilt@base"]
     found += [f"{name}@u" for name in _INPUT] + [f"{name}@{driven}" for name in _DRIVEN]
-    return found + [f"{name}@{at}" for name in _OUTPUT for at in coordinates]
+    found += [f"{name}@{at}" for name in _OUTPUT for at in coordinates]
+    return found + [f"{name}@theta" for name in _ANGLE_OUTPUT]
 
 
 def _apart(name: str, at: str, driven: str) -> bool:
@@ -125,7 +127,7 @@ def sources(plant: str, effects: Sequence[str]) -> tuple[str, ...]:
 def _has(engine: str, plant: str, effect: str) -> bool:
     """Return whether an engine has an effect, or it can be put around it."""
     name, _, at = effect.partition("@")
-    if effect in _OWN[engine, plant] or name in ACTUATOR or name in _OUTPUT:
+    if effect in _OWN[engine, plant] or name in ACTUATOR or name in (*_OUTPUT, *_ANGLE_OUTPUT):
         return True
     if name == "gravity_tilt":
         return plant == "pendulum"

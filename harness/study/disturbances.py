@@ -14,7 +14,7 @@ import numpy as np
 from harness.signals import FloatArray
 from harness.study.context import rms
 
-__all__ = ["KINDS", "STRUCTURES", "TRUTH_ONLY", "disturbance", "natural_frequency"]
+__all__ = ["KINDS", "NAMED", "STRUCTURES", "TRUTH_ONLY", "disturbance", "natural_frequency"]
 
 GAUSS_MARKOV = "gauss-markov"
 STRUCTURES = {
@@ -22,8 +22,11 @@ STRUCTURES = {
     "drooping-drive": "the drive's gain falls with its command, by 1 % of the rms command",
     "eccentric-encoder": "the angle reads with an error of 2 mrad, twice a turn",
     "heavy-rod": "the pole has 3 % more inertia than a point mass",
+    "bent-scale": "the angle reads with an error that grows with its square, 2 mrad at 1 rad",
 }
-"""How the nominal structure is a little wrong: what is in the truth and in no model or dictionary."""
+"""How the nominal structure is a little wrong: what is in every such truth and in no model."""
+NAMED = {"eccentric-encoder": "sensor_cyclic_error@theta"}
+"""The one among them that the dictionary has: an answer may name it beside what is hidden."""
 TRUTH_ONLY = ("heavy-rod",)
 """Structures that only our own truth can have."""
 

@@ -253,6 +253,16 @@ def _sensor_gain(context: Context, at: str, scale: float, size: float, rng: np.r
     return Hidden("sensor_gain", at, {}, {"gain": gain}, sensor=lambda y: gain * y)
 
 
+def _cyclic(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    amplitude, k, phi = (
+        0.1 * size * rms(context.q(at)),
+        float(rng.integers(1, 9)),
+        float(rng.uniform(-math.pi, math.pi)),
+    )
+    named = {"A": amplitude, "k": k, "phi": phi}
+    return Hidden("sensor_cyclic_error", at, {}, named, sensor=lambda y: y + amplitude * np.sin(k * y + phi))
+
+
 def _sensor_offset(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
     value = size * rms(context.q(at)) * float(rng.choice([-1.0, 1.0]))
     if at == "theta":
@@ -307,6 +317,7 @@ _MAKERS: dict[str, Callable[[Context, str, float, float, np.random.Generator], H
     "backlash": _backlash,
     "cogging": _cogging,
     "periodic_disturbance": _periodic,
+    "sensor_cyclic_error": _cyclic,
     "sensor_delay": _sensor_delay,
     "sensor_gain": _sensor_gain,
     "sensor_offset": _sensor_offset,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 __all__ = ["STAND_IN", "Answer", "Outcome", "judge_answer"]
@@ -60,6 +60,23 @@ class Answer:
     ties: tuple[tuple[Group, ...], ...] = ()
     unseen: Group = frozenset()
     stand_in: bool = False
+
+    def without(self, name: str) -> Answer:
+        """Return the answer without an effect that is there beside what is hidden; no fault of an answer either way.
+
+        Examples
+        --------
+        >>> Answer("effects_found", ("sensor_cyclic_error@theta",)).without("sensor_cyclic_error@theta")
+        Answer(verdict='nothing_missing', accepted=(), ties=(), unseen=frozenset(), stand_in=False)
+        """
+        if name not in self.accepted:
+            return self
+        kept = [(one, tie) for one, tie in zip(self.accepted, _padded(self), strict=True) if one != name]
+        left = self.verdict if kept or self.verdict != "effects_found" else "nothing_missing"
+        verdict = "unexplained" if left == "nothing_missing" and self.stand_in else left
+        return replace(
+            self, verdict=verdict, accepted=tuple(one for one, _ in kept), ties=tuple(tie for _, tie in kept)
+        )
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 from harness.rng import stream
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory, Use
 from harness.study.applied import STEP, actuated, force_law
-from harness.study.context import PRE, Context, Hidden, Sensor, rms
-from harness.study.disturbances import disturbance, natural_frequency
+from harness.study.context import PRE, Context, Hidden, rms
+from harness.study.disturbances import NAMED, disturbance, natural_frequency
 from harness.study.engines import BALANCE_BAND, OPTIONS, balanced_run, engine_run
 from harness.study.hardware import as_hardware
 from harness.study.hidden import force_size, hide, hide_outside
@@ -32,7 +32,12 @@ SPECS = {
     "cart-pole": PlantSpec((Channel("u", "N"),), (Channel("x", "m"), _ANGLE), DT),
 }
 USES: tuple[Use, ...] = ("estimation", "validation")
-_ECCENTRIC: Sensor = lambda y: y + 0.002 * np.sin(2 * y + 1.0)  # noqa: E731 - one line
+_SENSORS: dict[str, Hidden] = {
+    "eccentric-encoder": Hidden("sensor_cyclic_error", "theta", {}, {"A": 0.002, "k": 2.0, "phi": 1.0},
+                                sensor=lambda y: y + 0.002 * np.sin(2 * y + 1.0)),
+    "bent-scale": Hidden("bent_scale", "theta", {}, {}, sensor=lambda y: y + 0.002 * y**2),
+}  # fmt: skip
+"""What wrong structures do to the reading of the angle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +54,8 @@ class Records:
         Standard deviation of the sensors [rad, m].
     peak : float
         Largest angle of the estimation record [deg].
+    known : tuple of Hidden
+        All that the dictionary has: what is hidden, and how the nominal structure is wrong where that has a name.
     """
 
     dataset: Dataset
@@ -56,6 +63,7 @@ class Records:
     hidden: tuple[Hidden, ...]
     noise: float
     peak: float
+    known: tuple[Hidden, ...] = ()
 
 
 def make_records(task: Task, *, samples: int = SAMPLES) -> Records:
@@ -86,20 +94,20 @@ def make_records(task: Task, *, samples: int = SAMPLES) -> Records:
                       commands["estimation"])  # fmt: skip
     hidden = _hidden(task, context, stream(*key, "effects"))
     values = values | _structure(task, context)
+    bent = [_SENSORS[task.structure]] if task.structure in _SENSORS else []
     runs, peak = [], 0.0
     for use in USES:
         u = commands[use]
         shaken = disturbance(task.shape, len(u), DT, natural_frequency(values), stream(*key, use, "disturbance"))
         unknown = task.disturbance * rms(u) * shaken
         reading = _simulated(task, parameters, values, hidden, use, u, unknown, starts[use])
-        if task.structure == "eccentric-encoder":
-            reading[:, -1] = _ECCENTRIC(reading[:, -1])
-        y = _measured(task.plant, hidden, reading[PRE:], noise, stream(*key, use, "noise"))
+        y = _measured(task.plant, (*bent, *hidden), reading[PRE:], noise, stream(*key, use, "noise"))
         t: FloatArray = np.arange(samples, dtype=np.float64) * DT
         recorded = u[PRE:] + task.input_noise * rms(u) * stream(*key, use, "input-noise").standard_normal(samples)
         runs.append(Run(Trajectory(t, recorded[:, None], y, SPECS[task.plant]), use, use))
         peak = peak or math.degrees(float(np.abs(reading[:, -1]).max()))
-    return Records(Dataset(task.key, tuple(runs)), parameters, hidden, noise, peak)
+    known = (*hidden, *bent) if task.structure in NAMED else hidden
+    return Records(Dataset(task.key, tuple(runs)), parameters, hidden, noise, peak, known)
 
 
 def multisine(n: int, dt: float, rng: np.random.Generator, band: tuple[float, float]) -> FloatArray:
@@ -259,4 +267,4 @@ def _balanced(task: Task, parameters: Mapping[str, float], noise: float, samples
         u = u + task.input_noise * rms(u) * stream(*key, use, "input-noise").standard_normal(u.shape)
         runs.append(Run(Trajectory(t, u, y, SPECS[task.plant]), use, use))
         peak = peak or math.degrees(float(np.abs(y[:, 1]).max()))
-    return Records(Dataset(task.key, tuple(runs)), dict(parameters), hidden, noise, peak)
+    return Records(Dataset(task.key, tuple(runs)), dict(parameters), hidden, noise, peak, hidden)

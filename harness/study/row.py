@@ -11,6 +11,7 @@ import numpy as np
 
 from harness.errors import HarnessError
 from harness.study.cost import timed_command
+from harness.study.disturbances import NAMED
 from harness.study.outcome import Answer, judge_answer
 from harness.study.plan import Task
 from harness.study.records import SAMPLES, Records, make_records
@@ -104,11 +105,11 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
     # what the report says this experiment cannot show matters only where nothing was found
     hidden = frozenset(str(one.placed) for one in found.not_visible) if task.effects and not accepted else frozenset()
     imitates = [*found.stand_in, *found.misfit]
-    answer = Answer(found.verdict, accepted, ties, hidden, bool(imitates))
+    answer = Answer(found.verdict, accepted, ties, hidden, bool(imitates)).without(NAMED.get(task.structure, ""))
     outcome = judge_answer(task.effects, answer, task.plant, task.engine)
     before, after = _error(found.runs.before), _error(found.runs.after)
     oracle: float | None = before  # where nothing is hidden, the nominal fit knows all
-    if task.effects:
+    if records.known:
         oracle = None if task.study == "outside" else _oracle(found, records)
     row: dict[str, Any] = {
         "outcome": outcome.word,
@@ -130,7 +131,7 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
         row.update(
             validation_oracle=_short(oracle), ratio=_short(after / oracle), oracle_improvement=_short(before / oracle)
         )
-    strangers = set(accepted) - set(task.effects) if outcome.word == "wrong" else set()
+    strangers = set(answer.accepted) - set(task.effects) if outcome.word == "wrong" else set()
     row.update(_coverage(found.final, records, strangers))
     return row
 
@@ -188,7 +189,7 @@ def _oracle(found: Any, records: Records) -> float | None:
     known = builtin()
     start: dict[str, float] = {**found.nominal.values, **_nominal_truth(found.nominal.values, records.parameters)}
     placed = []
-    for one in records.hidden:
+    for one in records.known:
         here = Placed(known[one.name], one.at)
         placed.append(here)
         values = here.effect.complete(one.named, found.form.sizes.get(one.at, found.form.sizes.get("base", {})))
@@ -217,7 +218,7 @@ def _coverage(model: Any, records: Records, strangers: Collection[str] = ()) -> 
 
     truth = dict(records.parameters)
     known = builtin()
-    for one in records.hidden:
+    for one in records.known:
         if one.name not in known or not one.exact:  # no parameter of the dictionary's law is exactly this one
             continue
         here = Placed(known[one.name], one.at)

@@ -11,6 +11,7 @@ import pytest
 from harness.diagnosis import diagnose
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.runs.compare import FreeRuns
+from harness.effects import builtin
 from harness.physics import load_model
 from harness.study.plan import plan
 from harness.study.records import make_records
@@ -45,9 +46,15 @@ def test_an_encoder_that_errs_is_given_no_friction() -> None:
     tasks = plan("false-alarms", base=0, plants=("pendulum",), records=None, cells=4, alarms=400)
     task = next(one for one in tasks if one.key == "none|pendulum|bullet|none||drawn|0|8|0|eccentric-encoder")
     records = make_records(task)
-    found = diagnose(records.dataset, load_model("pendulum"))
+    others = [one for name, one in builtin().items() if name != "sensor_cyclic_error"]
+    found = diagnose(records.dataset, load_model("pendulum"), dictionary=others)
     assert found.outcome.withdrawn
     assert any("further from the validation records" in one for one in found.warnings)
     assert found.verdict == "unexplained"
     assert not found.outcome.accepted
     assert found.final is found.nominal
+    named = diagnose(records.dataset, load_model("pendulum"))
+    assert [str(one.placed) for one in named.outcome.accepted] == ["sensor_cyclic_error@theta"]
+    assert abs(named.final.values["sensor_cyclic_error@theta.A"]) == pytest.approx(0.002, rel=0.05)
+    assert named.final.values["sensor_cyclic_error@theta.k"] == pytest.approx(2.0, rel=0.03)
+    assert (named.verdict, named.grade) == ("effects_found", "explained")

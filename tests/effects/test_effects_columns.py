@@ -142,7 +142,14 @@ def test_every_effect_gives_finite_columns_or_none():
         for block in blocks:
             assert block.columns.shape == (400, 1, len(block.names))
             assert np.isfinite(block.columns).all()
-    assert silent == {"backlash", "elasticity", "sensor_quantisation", "sensor_rectification", "sensor_saturation"}
+    assert silent == {
+        "backlash",
+        "elasticity",
+        "sensor_cyclic_error",
+        "sensor_quantisation",
+        "sensor_rectification",
+        "sensor_saturation",
+    }
     tanks = two_tanks().system()
     still = Signals(signals.t, signals.u, np.zeros((400, 0)), np.zeros((400, 0)), np.zeros((400, 0)))
     assert column_blocks(tanks, put("leak", "lower"), still) == []
@@ -220,6 +227,7 @@ def test_what_leaves_no_force_on_the_measured_motion_is_not_claimable():
     assert {one.effect.name for one in names} == {
         "elasticity",
         "backlash",
+        "sensor_cyclic_error",
         "sensor_quantisation",
         "sensor_rectification",
         "sensor_saturation",

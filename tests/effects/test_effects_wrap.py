@@ -65,6 +65,7 @@ U = (np.sin(np.arange(400) * 0.05) + 0.5 * np.sin(np.arange(400) * 0.17))[:, Non
         ("sensor_delay", "theta", {"tau": 0.025}, 5e-4),  # before the start: held here, continued in a fit
         ("sensor_offset", "theta", {"offset": 0.1}, 1e-12),
         ("sensor_gain", "theta", {"gain": 1.1}, 1e-12),
+        ("sensor_cyclic_error", "theta", {"A": 0.02, "k": 2.0, "phi": 1.0}, 1e-12),
         ("sensor_quantisation", "theta", {"step": 0.01}, 1e-12),
         ("sensor_rectification", "theta", {}, 1e-12),
         ("sensor_saturation", "theta", {"limit": 0.2}, 1e-12),

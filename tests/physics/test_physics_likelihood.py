@@ -102,6 +102,21 @@ def test_without_latent_force_it_is_the_output_error_fit() -> None:
     assert found.point.noise.r[0] == pytest.approx(fit.rms[0], rel=1e-4)
 
 
+def test_a_free_run_has_the_likelihood_of_its_noise_and_every_record_its_own_start() -> None:
+    system = pendulum().system()
+    starts = ([0.3, 0.0], [-0.5, 0.4])
+    parts = [record(system, system.vector(), x0, seed=k, n=600) for k, x0 in enumerate(starts)]
+    likelihood = Likelihood(system, parts, noise_model(system, latent=False))
+    begin = Point(1.05 * system.vector(), [np.array([0.0, 0.0])] * 2, some_noise(system, r=0.05))
+    found = likelihood.maximise(begin)
+    assert found.converged
+    for number, truth in enumerate(starts):
+        np.testing.assert_allclose(found.point.x0[number], truth, atol=3e-3)
+    assert found.nll == pytest.approx(likelihood.nll(found.point), rel=1e-9)
+    error = np.concatenate([one.e for one in found.filtered])
+    assert found.point.noise.r[0] == pytest.approx(np.sqrt(np.mean(error**2)))
+
+
 def test_with_a_large_latent_force_the_rates_alone_decide() -> None:
     """The force takes up every error of the model, so the likelihood no longer sees a wrong stiffness over a second."""
     system = oscillator().system()

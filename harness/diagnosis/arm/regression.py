@@ -270,7 +270,7 @@ class RegressionForm:
             frozenset(names[k] for k, log in zip(free, logs, strict=True) if log),
             converged, tuple(dict.fromkeys(bound)),
             {names[free[k]]: values[names[free[k]]] + change for k, change in zip(own, refitted, strict=True)},
-            Detail(errors, residual, jacobian),
+            detail=Detail(errors, residual, jacobian),
         )  # fmt: skip
 
     def _own(self, free: Sequence[str]) -> list[int]:

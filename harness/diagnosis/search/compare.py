@@ -107,6 +107,11 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
             reasons.append(f"it brings {100 * found.total / whole:.1f} % of what all effects bring: it changes nothing")
     for placed in added:
         reasons += impossible(placed, fit)
+        wandering = fit.wandering.get(str(placed), 0.0)
+        if wandering > policy.evidence:
+            reasons.append(
+                f"amplitude and phase change along the records (evidence {wandering:.1f}): it does not repeat"
+            )
     return Judged(tuple(added), fit, found, tuple(reasons))
 
 

@@ -23,8 +23,8 @@ from harness.errors import HarnessError
 from harness.physics.kalman_pass import Pass
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Along", "Direction", "Trace", "choices", "directions", "input_behind", "reading_directions",
-           "spline_directions", "test_functions"]  # fmt: skip
+__all__ = ["Along", "Direction", "Trace", "choices", "directions", "input_behind", "line_directions",
+           "reading_directions", "spline_directions", "test_functions"]  # fmt: skip
 
 
 class Along(Protocol):
@@ -107,6 +107,19 @@ def directions(
     return [one for one in found if _finite(one)]
 
 
+def line_directions(
+    traces: Mapping[str, Sequence[Trace]],
+    nominal: Any,
+    values: Mapping[str, float],
+    line: Placed,
+    sizes: Mapping[str, Mapping[str, float]],
+) -> list[Direction]:
+    """Return the sine and the cosine of an effect with a phase whose other values are given."""
+    signals = {use: [_signals(one, nominal) for one in parts] for use, parts in traces.items()}
+    known = {name: values[name] for name in nominal.parameter_names}
+    return _blocks(traces, signals, nominal, known, line, sizes, "phi")
+
+
 def _finite(one: Direction) -> bool:
     parts = [part for side in (one.forces, one.readings) for use in side.values() for part in use]
     return all(np.isfinite(part).all() for part in parts)
@@ -151,7 +164,9 @@ def _forces(
         placed_list = [placed.with_values({"omega": omega}) for omega in _frequencies(traces["estimation"])]
         return [one for p in placed_list for one in _blocks(traces, signals, nominal, known, p, sizes, "phi")]
     if placed.effect.name == "cogging":
-        placed_list = [placed.with_values({"k": k}) for k in _waves(signals["estimation"], nominal, placed)]
+        row = next(k for k, one in enumerate(nominal.coordinates) if one.name == placed.at)
+        angle = np.concatenate([one.q[:, row] for one in signals["estimation"]])
+        placed_list = [placed.with_values({"k": k}) for k in _waves(angle, placed)]
         return [one for p in placed_list for one in _blocks(traces, signals, nominal, known, p, sizes, "phi")]
     return _blocks(traces, signals, nominal, known, placed, sizes, "")
 
@@ -212,16 +227,14 @@ def _frequencies(traces: Sequence[Trace]) -> list[float]:
     return [one for one in found if one > 0]
 
 
-def _waves(signals: Sequence[Any], nominal: Any, placed: Placed) -> list[float]:
-    """Return wave numbers of a force that repeats along a coordinate, close enough that none is missed."""
-    row = next(k for k, one in enumerate(nominal.coordinates) if one.name == placed.at)
-    q = np.concatenate([one.q[:, row] for one in signals])
-    low, high = np.quantile(q, [0.02, 0.98])
-    span = max(float(high - low), 1e-9)
+def _waves(values: FloatArray, placed: Placed) -> list[float]:
+    """Return wave numbers of what repeats along these values, close enough that none is missed."""
+    low, high = np.quantile(values, [0.02, 0.98])
+    step = np.pi / max(float(high - low), 1e-9)
     parameter = placed.effect.parameter("k")
-    least = max(parameter.minimum, 2.5)
-    step = np.pi / span
-    return [float(one) for one in np.arange(least, min(parameter.maximum, least + 24 * step), step)]
+    return [
+        float(one) for one in np.arange(parameter.minimum, min(parameter.maximum, parameter.minimum + 24 * step), step)
+    ]
 
 
 def choices(placed: Placed, at: Mapping[str, float]) -> list[tuple[dict[str, float], tuple[str, ...]]]:
@@ -248,6 +261,8 @@ def reading_directions(
     if placed.effect.sampled == "quantise" or not placed.effect.parameters:
         return []
     at = sizes.get(placed.at, {})
+    if "phi" in placed.effect.parameter_names:
+        return _waves_of_readings(traces, nominal, placed, row, ports)
     found = []
     for given, linear in choices(placed, at):
         names = linear or ("effect",)
@@ -269,6 +284,29 @@ def reading_directions(
                     column[:, row, 0] = _sensor(placed, y, complete) - y
                 readings[use].append(column)
         found.append(Direction(placed, given, names, _nothing(traces, ports, len(names)), readings))
+    return found
+
+
+def _waves_of_readings(
+    traces: Mapping[str, Sequence[Along]], nominal: Any, placed: Placed, row: int, ports: int
+) -> list[Direction]:
+    """Return the directions of an error that repeats along the reading itself: sine and cosine of every wave number."""
+    angle = np.concatenate([trace.expected[:, row] for trace in traces["estimation"]])
+    main = placed.effect.main
+    assert main is not None
+    found = []
+    for k in _waves(angle, placed):
+        readings: dict[str, list[FloatArray]] = {}
+        for use, parts in traces.items():
+            readings[use] = []
+            for trace in parts:
+                y = trace.expected[:, row]
+                column = np.zeros((len(y), nominal.ny, 2))
+                for number, phase in enumerate((0.0, 0.5 * np.pi)):
+                    column[:, row, number] = _sensor(placed, y, {"k": k, "phi": phase, main.name: 1.0}) - y
+                readings[use].append(column)
+        names = ("in phase", "quarter turn")
+        found.append(Direction(placed, {"k": k}, names, _nothing(traces, ports, 2), readings))
     return found
 
 

@@ -41,6 +41,9 @@ class Fit:
     on_bound : tuple of str
     own : dict
         Parameters of the validation records themselves.
+    wandering : dict
+        By full name of an effect that repeats: the logarithm of the evidence that its amplitude and phase change along
+        the records.
     detail : object
         What the form itself needs to go on from here.
     """
@@ -56,6 +59,7 @@ class Fit:
     converged: bool
     on_bound: tuple[str, ...]
     own: dict[str, float] = field(default_factory=dict)
+    wandering: dict[str, float] = field(default_factory=dict)
     detail: Any = field(default=None, repr=False)
 
     @property

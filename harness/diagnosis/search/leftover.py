@@ -12,8 +12,7 @@ from harness.diagnosis.search.fit import Column, Fit, Form, Linearised
 from harness.diagnosis.search.score_test import projected
 from harness.signals import FloatArray
 
-__all__ = ["Axis", "Leftover", "left_over"]
-
+__all__ = ["Axis", "Leftover", "largest_evidence", "left_over"]
 
 PRIORS = tuple(float(one) for one in np.geomspace(1e-2, 1e6, 17))
 """Variances of the coefficients that are tried, in units of what the innovations can tell."""
@@ -99,7 +98,7 @@ def _axis(column: Column, basis: FloatArray, residual: FloatArray, linear: Linea
     left = unit - basis @ (basis.T @ unit)
     u, s, vt = np.linalg.svd(left, full_matrices=False)
     along = -(u.T @ residual)
-    evidence, prior = max((_evidence(along, s, prior), prior) for prior in PRIORS)
+    evidence, prior = largest_evidence(along, s)
     values = np.zeros(len(size))
     values[use] = vt.T @ (s * prior * along / (1.0 + prior * s**2)) / size[use]
     # the parameters move along with the force, as they did on the estimation records
@@ -126,6 +125,19 @@ def _expected(left: FloatArray, along: FloatArray, moved: FloatArray) -> FloatAr
     """
     step = -np.linalg.solve(np.eye(len(moved)) + along.T @ along, along.T @ left + moved)
     return np.asarray(0.5 * (left + along @ step) ** 2 + 0.5 * float(np.sum((moved + step) ** 2)) / len(left))
+
+
+def largest_evidence(along: FloatArray, s: FloatArray) -> tuple[float, float]:
+    """Return the largest logarithm of the evidence over the variances that are tried, and that variance.
+
+    Parameters
+    ----------
+    along : array (k,)
+        Whitened innovations along orthonormal directions.
+    s : array (k,)
+        Sizes of the functions along them.
+    """
+    return max((_evidence(along, s, prior), prior) for prior in PRIORS)
 
 
 def _evidence(along: FloatArray, s: FloatArray, prior: float) -> float:

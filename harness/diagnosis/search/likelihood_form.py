@@ -12,7 +12,8 @@ import numpy as np
 from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.records.unfold import HIDING, unfoldings
-from harness.diagnosis.search.directions import Trace, directions, test_functions
+from harness.diagnosis.search.coherence import in_parts, wandering
+from harness.diagnosis.search.directions import Trace, directions, line_directions, test_functions
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.fit_records import fit_from_record, fit_record, point_from_record, point_record
 from harness.diagnosis.search.predictive import Predictive, predictive, spread_of, whitened
@@ -171,16 +172,26 @@ class LikelihoodForm:
                 points = [likelihood.concentrated(point) for point in points]
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):  # two transmissions at one joint, say
             return None
-        tried: list[LikelihoodFit] = []
-        for point in points:
-            try:
-                tried.append(likelihood.maximise(point, most=EFFORT.first_steps))
-            except (FitError, ArithmeticError, np.linalg.LinAlgError):
-                continue
+        halved = base is not None and len(points) > 1  # everything stands on the nominal model: no step is spared there
+        tried = self._stepped(likelihood, points, EFFORT.looks if halved else EFFORT.first_steps)
+        near = [one for one in tried if halved and one.nll < tried[0].nll + EFFORT.close]
+        if any(not one.converged for one in near):
+            more = self._stepped(likelihood, [one.point for one in near], EFFORT.first_steps - EFFORT.looks)
+            tried = sorted([*more, *tried[len(near) :]], key=lambda one: one.nll)
         if not tried:
             return None
-        tried.sort(key=lambda one: one.nll)
         return Begun(tuple(effects), -tried[0].nll, tried[0].parameters, (system, passes, likelihood, tried))
+
+    @staticmethod
+    def _stepped(likelihood: Likelihood, points: Sequence[Point], most: int) -> list[LikelihoodFit]:
+        """Return where a few steps lead from each point, likeliest first; without those that cannot be simulated."""
+        found: list[LikelihoodFit] = []
+        for point in points:
+            try:
+                found.append(likelihood.maximise(point, most=most))
+            except (FitError, ArithmeticError, np.linalg.LinAlgError):
+                continue
+        return sorted(found, key=lambda one: one.nll)
 
     def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
@@ -260,7 +271,7 @@ class LikelihoodForm:
             name for name in best.names if not (name.startswith("x0[") and name.partition("].")[2] in nominal_states)
         ]
         each = expected.price / sum(len(one) for one in self.records["validation"])
-        return Fit(
+        fit = Fit(
             tuple(effects),
             system,
             best.parameters,
@@ -272,8 +283,19 @@ class LikelihoodForm:
             best.converged,
             best.on_bound,
             own,
-            Detail({"estimation": best.point, "validation": expected.point}, passes, best, expected, told),
+            detail=Detail({"estimation": best.point, "validation": expected.point}, passes, best, expected, told),
         )
+        repeating = [placed for placed in effects if "phi" in OWN.get(placed.effect.name, ())]
+        if not (self.latent and best.converged and repeating):  # elsewhere the innovations are coloured
+            return fit
+        return replace(fit, wandering={str(placed): self._wandering(fit, placed) for placed in repeating})
+
+    def _wandering(self, fit: Fit, placed: Placed) -> float:
+        """Return the evidence that the amplitude and the phase of a line change along the records."""
+        line = placed.with_values({"omega": fit.values[placed.name("omega")]})
+        found = line_directions(self._traces(fit, USES), self.nominal, fit.values, line, self.sizes)
+        pieces = [piece for one in found for piece in in_parts(one, POLICY.line_parts)]
+        return wandering(self.linearised(fit), self._answered(fit, pieces)) if pieces else 0.0
 
     def with_deviations(self, fit: Fit) -> Fit:
         """Return a fit with deviations for a coloured error of its free runs; one with latent forces as it is."""
@@ -329,19 +351,20 @@ class LikelihoodForm:
             if not system.parameter(placed.name(name)).fixed
         ]
         free = [name for name in likelihood.names if name.startswith(("x0[", *NOISE))] + own
-        noise = self._woken(best.point.noise)
-        chosen: LikelihoodFit | None = None
+        noises = [best.point.noise] if base is None else [best.point.noise, base.detail.points["validation"].noise]
         longest = max(len(run) for run in self.records["validation"]) * self.dt
+        begun: list[LikelihoodFit] = []
         for part in EFFORT.own_starts if own else (0.0,):
             p = best.point.p.copy()
             for name in own:
                 p[system.parameter_names.index(name)] = part * (2 * np.pi if name.endswith("phi") else longest)
             for origin in dict.fromkeys((base, None)):  # narrow friction may catch one of two starts
-                point = Point(p, self._starts(system, passes, p, "validation", origin), noise)
-                found = likelihood.maximise(point, free=free)
-                if chosen is None or found.nll < chosen.nll:
-                    chosen = found
-        assert chosen is not None
+                x0 = self._starts(system, passes, p, "validation", origin)
+                start = min((Point(p, x0, self._woken(noise)) for noise in noises), key=likelihood.nll)
+                begun.append(likelihood.maximise(start, free=free, most=EFFORT.first_steps, exact=False))
+        chosen = min(begun, key=lambda one: one.nll)
+        if not chosen.converged:
+            chosen = likelihood.maximise(chosen.point, free=free, exact=False)
         shared = [name for name in best.names if name in system.parameter_names]
         expected = predictive(likelihood, chosen.point, shared, spread_of(best, shared, own))
         phases = [name for name in own if name.endswith(".phi")]
@@ -365,7 +388,7 @@ class LikelihoodForm:
                     start = np.zeros(passes.start_size)
                     start[: self.nominal.nx] = self.first_state(system, half, whole.p)[: self.nominal.nx]
                 free = [*phases, *(name for name in part.names if name.startswith("x0["))]
-                sides.append(part.maximise(replace(whole, x0=[start]), free=free, most=25).point.p)
+                sides.append(part.maximise(replace(whole, x0=[start]), free=free, most=25, exact=False).point.p)
             found.append((sides[0], sides[1]))
         return found
 
