@@ -81,7 +81,7 @@ class Policy:
     )
     reach: float = _number(
         0.25,
-        "a refit is finished if its first steps gain this share of the best one's",
+        "a refit is finished if its first steps gain this share of the best one's, and of what acceptance asks",
         "the last steps of a fit gained up to three times what the first ones had",
         "seeds below 1000",
     )
@@ -165,6 +165,12 @@ class Effort:
         "choices of an effect's nonlinear parameters that a refit starts from",
         "the first-order promise does not order them: a Stribeck speed ten times off promised more than the true one",
         "tests",
+    )
+    faintest: float = _number(
+        0.02,
+        "share of the best promise below which a refit is not begun in a round; the next round asks again",
+        "what was accepted promised 0.08 of the best at least, and gained 44 times its promise at most",
+        "judged records from 150000, which judge no more",
     )
     begun: int = _number(12, "refits that are begun in a round", "cost", "seeds below 1000")
     refits: int = _number(6, "refits that are finished in a round", "cost", "seeds below 1000")
@@ -266,9 +272,9 @@ class PlanPolicy:
     """What the comparison of effects before an experiment needs."""
 
     visible: float = _number(
-        0.01,
+        0.02,
         "share of an effect's column that the nominal parameters must not be able to take up, to promise it is seen",
-        "columns are approximate: a gain that all parameters take up exactly kept shares of 0.004 to 0.009",
+        "columns are approximate: a gain that all parameters take up exactly kept shares of 0.004 to 0.015",
         "pendulum and cart-pole under multisines",
     )
     alike: float = _number(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.physics.filter_kernels import kernels
 from harness.physics.kalman_pass import Filtered
@@ -62,7 +63,12 @@ def smoothed(passed: Filtered) -> Smoothed:
 
 
 def innovation_response(
-    passed: Filtered, forces: FloatArray | None, readings: FloatArray | None, *, rates_over: float | None = None
+    passed: Filtered,
+    forces: FloatArray | None,
+    readings: FloatArray | None,
+    *,
+    rates_over: float | None = None,
+    held: npt.NDArray[np.bool_] | None = None,
 ) -> FloatArray:
     """Return what small forces and sensor errors do to the innovations, gains held fixed.
 
@@ -76,6 +82,8 @@ def innovation_response(
         The sample time [s], where ``forces`` are added to the rates of the first states instead.
     readings : array (K, ny, m) or None
         Added to what the model says that the sensors read.
+    held : array (m,), optional
+        Cases whose force is that of the sample until the next one, as that of a held input is; others change linearly.
 
     Returns
     -------
@@ -95,7 +103,8 @@ def innovation_response(
             push[:, : nx - nl] = path.transition[:, : nx - nl, nx - nl :]
         else:  # the mean of a push at the beginning of a sample and one at its end
             push = 0.5 * rates_over * (path.transition[:, :, :nl] + np.eye(nx)[:, :nl])
-        forces = 0.5 * (forces + np.concatenate([forces[1:], forces[-1:]]))
+        mean = 0.5 * (forces + np.concatenate([forces[1:], forces[-1:]]))
+        forces = mean if held is None else np.where(held, forces, mean)
     compiled = kernels(nx, ny, 0)
     if compiled is not None:
         response = np.zeros((n, ny, m)) if readings is None else np.negative(readings)

@@ -98,6 +98,17 @@ def test_what_passes_has_evidence_and_gains_on_validation() -> None:
     assert "validation gains" in verdict(50.0, -GAIN)
 
 
+def test_a_line_that_wanders_is_no_periodic_force() -> None:
+    def reasons(evidence: float) -> tuple[str, ...]:
+        one = placed("periodic_disturbance")
+        values = {"a": 1.0, **dict.fromkeys(map(one.name, one.effect.parameter_names), 1.0)}
+        fit = a_fit((np.full(400, 1.0), GAIN), [one], values=values, wandering={str(one): evidence})
+        return judged([one], fit, a_fit(), a_fit()).reasons
+
+    assert reasons(4.9) == ()
+    assert "amplitude and phase change" in reasons(5.1)[0]
+
+
 def test_a_validation_gain_within_its_error_is_chance() -> None:
     rng = np.random.default_rng(1)
     blocks = rng.standard_normal(20)

@@ -219,7 +219,7 @@ def test_a_wrong_name_is_an_interval_that_misses():
 
     from harness.study.row import _coverage
 
-    records = SimpleNamespace(parameters={"J": 0.1}, hidden=())
+    records = SimpleNamespace(parameters={"J": 0.1}, known=())
     fit = SimpleNamespace(free=("J",), on_bound=(), interval=lambda name: (0.09, 0.11), values={"J": 0.1})
     found = _coverage(fit, records, {"force_bias@theta"})
     assert found == {"covered": 1, "intervals": 2, "outside_interval": "force_bias@theta (not there)"}
@@ -255,7 +255,7 @@ def test_coverage_compares_what_means_the_same():
     from harness.study.row import _coverage
 
     hidden = Hidden("position_dependent_friction", "theta", {}, {"Fc": 0.2, "a": 0.6, "phi": 1.0})
-    records = SimpleNamespace(parameters={"J": 0.1, "b": 0.05}, hidden=(hidden,))
+    records = SimpleNamespace(parameters={"J": 0.1, "b": 0.05}, known=(hidden,))
     name = "position_dependent_friction@theta"
     intervals = {
         "J": (0.09, 0.13),
@@ -269,7 +269,7 @@ def test_coverage_compares_what_means_the_same():
     fit = SimpleNamespace(free=tuple(intervals), on_bound=(), interval=intervals.__getitem__, values=values)
     found = _coverage(fit, records)
     assert found == {"covered": 2, "intervals": 3, "outside_interval": "b (+1.5)"}
-    foreign = SimpleNamespace(parameters=records.parameters, hidden=(Hidden("even_drag", "theta", {}, {"c": 0.1}),))
+    foreign = SimpleNamespace(parameters=records.parameters, known=(Hidden("even_drag", "theta", {}, {"c": 0.1}),))
     plain = SimpleNamespace(free=("J", "b"), on_bound=(), interval=intervals.__getitem__, values=values)
     assert _coverage(plain, foreign)["intervals"] == 2, "a law outside the dictionary has no interval, the others have"
 

@@ -26,7 +26,8 @@ Keys of ``sysid-harness/close-loop/2``:
 ``candidates``
     Every refit with the reason it was rejected; then what the score test alone set aside.
 ``withdrawn``
-    Effects that were accepted and taken back: with them the model runs further from the validation records.
+    Effects that were accepted and taken back: something is left, and with them the model runs further from the
+    validation records.
 ``left_over``
     What free forces over position, speed and input would gain beside the final model, axis by axis.
 ``policy``

@@ -581,11 +581,18 @@ class LikelihoodForm:
             ]
         return found
 
+    def _held(self, placed: Placed | None) -> bool:
+        """Return True for a law without memory at an input that is held between samples: its force is held too."""
+        if placed is None or port_of(self.nominal, placed).kind != "input" or self.dataset.intersample != "zoh":
+            return False
+        return not (placed.effect.states or placed.effect.sampled)
+
     def _answered(self, fit: Fit, found: Any) -> list[Column]:
         """Return the columns of directions (lists of forces and readings by use and record)."""
         if not found:
             return []
         columns = sum(len(one.names) for one in found)
+        held = np.repeat([self._held(one.placed) for one in found], [len(one.names) for one in found])
         made: dict[str, FloatArray] = {use: np.zeros((0, columns)) for use in USES}
         for use in found[0].forces:
             passed, _ = self.paths(fit, use)
@@ -593,7 +600,8 @@ class LikelihoodForm:
             for number, one in enumerate(passed):
                 forces = np.concatenate([d.forces[use][number] for d in found], axis=2)
                 readings = np.concatenate([d.readings[use][number] for d in found], axis=2)
-                response = innovation_response(one, forces, readings, rates_over=None if self.latent else self.dt)
+                over = None if self.latent else self.dt
+                response = innovation_response(one, forces, readings, rates_over=over, held=held)
                 parts.append(whitened(response, one.s[..., None]))
             made[use] = np.concatenate(parts)
         edges = np.cumsum([0, *(len(one.names) for one in found)])

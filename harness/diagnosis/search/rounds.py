@@ -133,9 +133,9 @@ def _refitted(
     for lead in chosen(test, policy):
         say(str(lead.placed))
         origins[lead.placed] = base
-        begun[lead.placed] = form.begin(
-            [*base.effects, lead.placed], [{**base.values, **one} for one in lead.starts], base
-        )
+        promising = lead.starts if lead.penalised > 0.0 else lead.starts[:1]
+        starts = [{**base.values, **one} for one in promising]
+        begun[lead.placed] = form.begin([*base.effects, lead.placed], starts, base)
     best = max((one for one in begun.values() if one), key=lambda one: one.log_likelihood, default=None)
     for one in form.suspects(base, best, open_ones):
         say(str(one.placed))
@@ -146,13 +146,18 @@ def _refitted(
     before = base.log_likelihood("estimation")
     gains = {placed: one.log_likelihood - before for placed, one in begun.items() if one is not None}
     enough = max(policy.lead, policy.reach * max(gains.values(), default=0.0))
+    penalty = 0.5 * float(np.log(base.samples))
+
+    def needed(one: Placed) -> float:  # nothing is accepted that does not pay for its parameters
+        free = sum(not parameter.fixed for parameter in one.effect.parameters)
+        return max(enough, policy.reach * (policy.evidence + penalty * free))
 
     def place(one: Placed) -> tuple[bool, float]:  # what no law allows must not take the place of what one does
         first = begun[one]
         assert first is not None
         return bool(wrong_signs(one, first.values)), -gains[one]
 
-    order = sorted((placed for placed in gains if gains[placed] >= enough), key=place)[: EFFORT.refits]
+    order = sorted((placed for placed in gains if gains[placed] >= needed(placed)), key=place)[: EFFORT.refits]
     # what is exactly the same must not lose by its first steps
     same = {name for placed in order[:1] for name in family(placed.effect).exact}
     order += [placed for placed in begun if placed.effect.name in same and placed not in order and begun[placed]]
@@ -181,6 +186,8 @@ def chosen(test: ScoreTest, policy: Policy = POLICY) -> list[Lead]:
     """
     promising = [one for one in test.leads if one.gain >= policy.lead]
     clear = [one for one in promising if one.share >= policy.clear]
+    most = max((one.gain for one in clear), default=0.0)
+    clear = [one for one in clear if one.gain >= EFFORT.faintest * most]
     faint = [one for one in promising if one.share < policy.clear]
     if not any(one.penalised > 0.0 for one in promising):
         return []
