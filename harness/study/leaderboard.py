@@ -84,7 +84,9 @@ def score(truth: str | Path, answers: Sequence[str | Path]) -> tuple[list[Score]
                 file=path,
             )
         outcomes = {
-            record: judge_answer(_split(row["truth"]), given[record], row["plant"], row["engine"])
+            record: judge_answer(
+                _split(row["truth"]), given[record], row["plant"], row["engine"], row.get("structure", "")
+            )
             if record in given
             else Outcome(NOT_ANSWERED)
             for record, row in known.items()
@@ -95,8 +97,9 @@ def score(truth: str | Path, answers: Sequence[str | Path]) -> tuple[list[Score]
 
 
 def read_truth(path: str | Path) -> dict[str, dict[str, str]]:
-    """Return the rows of ``truth.csv`` by record."""
-    return {row["record"]: row for row in _rows(path, TRUTH_COLUMNS, ())}
+    """Return the rows of ``truth.csv`` by record; those of earlier versions do not say how a structure is wrong."""
+    needed = [name for name in TRUTH_COLUMNS if name != "structure"]
+    return {row["record"]: row for row in _rows(path, needed, ("structure",))}
 
 
 def read_answers(path: str | Path) -> dict[str, Answer]:

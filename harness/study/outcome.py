@@ -6,6 +6,8 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
+from harness.study.disturbances import NAMED
+
 __all__ = ["STAND_IN", "Answer", "Outcome", "judge_answer"]
 
 Group = frozenset[str]
@@ -96,14 +98,15 @@ class Outcome:
     how: str = ""
 
 
-def judge_answer(truth: Collection[str], answer: Answer, plant: str, engine: str = "") -> Outcome:
+def judge_answer(truth: Collection[str], answer: Answer, plant: str, engine: str = "", structure: str = "") -> Outcome:
     """Return how an answer counts.
 
     Right: the accepted set is the truth, effect and place. Tied: one member can be chosen for each accepted effect
     (from its tie set, or from its exactly equal family on this plant and engine) so that together they are the truth;
     or nothing was accepted, and the report says that the truth cannot be told from the nominal parameters. Other sets
     are wrong, unless the report calls them a stand-in: then something was flagged, as where it says that the model does
-    not fit, whatever it was tried with.
+    not fit, whatever it was tried with. An effect that names how the nominal structure is wrong
+    (:data:`harness.study.disturbances.NAMED`) may stand beside what is hidden.
 
     Examples
     --------
@@ -116,6 +119,7 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str, engine: str
     >>> judge_answer({"backlash@x"}, Answer("model_does_not_fit", ("backlash@x",)), "cart-pole").word
     'flagged'
     """
+    answer = answer.without(NAMED.get(structure, ""))
     wanted, accepted = frozenset(truth), frozenset(answer.accepted)
     if not accepted or answer.verdict == "model_does_not_fit":
         return _nothing_accepted(wanted, answer)

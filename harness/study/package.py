@@ -45,6 +45,7 @@ TRUTH_COLUMNS = (
     "index",
     "base",
     "sizes",
+    "structure",
 )
 SECRET_FROM = 200_000
 """Secret bases begin here: what lies below is for tuning and for the project's own judged records."""

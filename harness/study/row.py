@@ -105,8 +105,8 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
     # what the report says this experiment cannot show matters only where nothing was found
     hidden = frozenset(str(one.placed) for one in found.not_visible) if task.effects and not accepted else frozenset()
     imitates = [*found.stand_in, *found.misfit]
-    answer = Answer(found.verdict, accepted, ties, hidden, bool(imitates)).without(NAMED.get(task.structure, ""))
-    outcome = judge_answer(task.effects, answer, task.plant, task.engine)
+    answer = Answer(found.verdict, accepted, ties, hidden, bool(imitates))
+    outcome = judge_answer(task.effects, answer, task.plant, task.engine, task.structure)
     before, after = _error(found.runs.before), _error(found.runs.after)
     oracle: float | None = before  # where nothing is hidden, the nominal fit knows all
     if records.known:
@@ -131,7 +131,7 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
         row.update(
             validation_oracle=_short(oracle), ratio=_short(after / oracle), oracle_improvement=_short(before / oracle)
         )
-    strangers = set(answer.accepted) - set(task.effects) if outcome.word == "wrong" else set()
+    strangers = set(accepted) - {*task.effects, NAMED.get(task.structure, "")} if outcome.word == "wrong" else set()
     row.update(_coverage(found.final, records, strangers))
     return row
 

@@ -78,3 +78,18 @@ def test_bounds_are_those_of_the_binomial_distribution(found, of):
 def test_impossible_counts_are_refused():
     with pytest.raises(InputError):
         upper_bound(3, 2)
+
+
+def test_naming_how_the_structure_is_wrong_is_no_fault() -> None:
+    encoder = "sensor_cyclic_error@theta"
+    for accepted, truth, word in (
+        ((encoder,), (), "right"),
+        (("backlash@theta", encoder), ("backlash@theta",), "right"),
+        ((encoder,), ("backlash@theta",), "missed"),
+        (("cogging@theta", encoder), ("backlash@theta",), "wrong"),
+    ):
+        answer = Answer("effects_found", accepted)
+        assert judge_answer(truth, answer, "pendulum", "", "eccentric-encoder").word == word
+        assert judge_answer(truth, answer, "pendulum", "", "bent-scale").word == "wrong"
+    imitated = Answer("effects_found", (encoder,), stand_in=True)
+    assert judge_answer(("backlash@theta",), imitated, "pendulum", "", "eccentric-encoder").word == "flagged"

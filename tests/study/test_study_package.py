@@ -153,7 +153,8 @@ def test_our_own_rows_are_judged_as_they_were(tmp_path: Path) -> None:
     for row in rows:
         truth = [name for name in row["truth"].split(" + ") if name]
         answer = answers[record_name(row["key"])]
-        assert judge_answer(truth, answer, row["plant"], row["engine"]).word == row["outcome"], row["key"]
+        judged = judge_answer(truth, answer, row["plant"], row["engine"], row["structure"])
+        assert judged.word == row["outcome"], row["key"]
 
 
 def test_tools_stand_side_by_side(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
