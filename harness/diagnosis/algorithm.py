@@ -120,7 +120,11 @@ class Diagnosis:
     def stand_in(self) -> tuple[str, ...]:
         """Why accepted effects imitate something that is not in the dictionary; empty if nothing says so."""
         best = self.leftover.best
-        return stand_in_reasons([one.placed for one in self.outcome.accepted], None if best is None else best.name)
+        reasons = stand_in_reasons([one.placed for one in self.outcome.accepted], None if best is None else best.name)
+        unlawful = self.outcome.unlawful(self.policy) if self.outcome.accepted else None
+        if unlawful is None:
+            return reasons
+        return (*reasons, f"{unlawful.name} explains the records better, with values that its own physics forbids")
 
 
 def stand_in_reasons(accepted: Sequence[Placed], left: str | None) -> tuple[str, ...]:

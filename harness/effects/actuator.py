@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from harness.effects.effect import effect, par
-from harness.effects.functions import clip, dead_band, tanh
+from harness.effects.functions import absolute, clip, dead_band, tanh
 
 __all__ = [
     "actuator_lag",
     "dead_zone",
     "force_bias",
+    "input_compression",
     "input_delay",
     "input_gain",
     "rate_limit",
@@ -34,7 +35,7 @@ def dead_zone(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 
 @effect(
     "input",
-    [par("limit", "u", scale="1.2 u", sign="+", minimum=0.0, main=True, grid=(1.0, 0.7, 1.5),
+    [par("limit", "u", scale="1.2 u", sign="+", minimum=0.0, main=True, grid=(1.0, 0.7, 1.5, 2.0, 2.4),
          meaning="largest command that passes")],
     formula="u' = clip(u, -limit, limit) (corner rounded over limit/1000)",
     family=("rate_limit", "input_gain"),
@@ -110,6 +111,20 @@ def actuator_lag(u: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]
 def input_gain(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Constant factor between command and force."""
     return p.gain * u
+
+
+@effect(
+    "input",
+    [par("c", "1/u", scale="0.05 u^-1", sign="+", neutral=0.0, main=True, linear=True,
+         meaning="share of the gain that is lost at a command of 1")],
+    formula="u' = u - c u |u|",
+    family=("saturation", "input_gain", "dead_zone", "quadratic_drag"),
+    limits={"input_gain": "for commands of one size"},
+    experiment="slow swings or static loads at several commands, with a measured force: the gain falls as they grow",
+)  # fmt: skip
+def input_compression(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Gain of a drive that falls with its command (magnetic saturation, a soft supply)."""
+    return u - p.c * u * absolute(u)
 
 
 @effect(

@@ -16,6 +16,7 @@ __all__ = [
     "coulomb_friction",
     "hysteresis",
     "load_dependent_friction",
+    "position_dependent_damping",
     "position_dependent_friction",
     "quadratic_drag",
     "stribeck_friction",
@@ -183,6 +184,24 @@ def position_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 @effect(
     "coordinate",
     [
+        par("c1", "F/(q v)", scale="0.02 F/(q v)", neutral=0.0, linear=True,
+            meaning="rise of the damping along the way"),
+        par("c2", "F/(q^2 v)", scale="0.05 F/(q^2 v)", neutral=0.0, main=True, linear=True,
+            meaning="curvature of the damping along the way"),
+    ],
+    formula="F = -(c1 q + c2 q^2) v",
+    family=("viscous_friction", "position_dependent_friction", "load_dependent_friction", "quadratic_drag"),
+    limits={"viscous_friction": "for a motion that stays at one place"},
+    experiment="small fast swings about several places: the decay differs from place to place",
+)  # fmt: skip
+def position_dependent_damping(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Viscous damping that changes with the position (worn guides, gaps of a damper)."""
+    return -(p.c1 * q + p.c2 * q**2) * v
+
+
+@effect(
+    "coordinate",
+    [
         _level("Fh", "0.05 F", main=True, meaning="largest hysteretic force"),
         par(
             "xs",
@@ -200,7 +219,7 @@ def position_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     ],
     states={"z": "1"},
     formula="F = -Fh z, z' = [v - beta |v| z - (1 - beta) v |z|]/xs (Bouc-Wen of order 1, with k A = Fh/xs)",
-    family=("coulomb_friction", "linear_spring", "stribeck_friction", "backlash"),
+    family=("coulomb_friction", "linear_spring", "stribeck_friction", "backlash", "maxwell_element"),
     limits={
         "coulomb_friction": "for a presliding length far below the motion",
         "linear_spring": "for motions far below the presliding length",

@@ -17,6 +17,7 @@ __all__ = [
     "sensor_cyclic_error",
     "sensor_delay",
     "sensor_gain",
+    "sensor_nonlinearity",
     "sensor_offset",
     "sensor_quantisation",
     "sensor_rectification",
@@ -43,7 +44,7 @@ def sensor_offset(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     [par("gain", "1", scale="1.05", sign="+", minimum=0.0, neutral=1.0, main=True, linear=True,
          meaning="reading per true value")],
     formula="y' = gain y",
-    family=("input_gain", "sensor_saturation"),
+    family=("input_gain", "sensor_saturation", "linear_spring"),
     same_as={"input_gain": "where the nominal is linear"},
     experiment="angles beyond 90 deg: gravity knows the true angle; or a reference sensor",
 )  # fmt: skip
@@ -73,6 +74,19 @@ def sensor_gain(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 def sensor_cyclic_error(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Error of an angle that repeats with it: eccentric scale (once a turn), resolver (twice), lines (k times)."""
     return y + p.A * sin(p.k * y + p.phi)
+
+
+@effect(
+    "output",
+    [par("b", "1/y", scale="0.01 y^-1", neutral=0.0, main=True, linear=True, meaning="curvature of the scale")],
+    formula="y' = y + b y^2",
+    family=("sensor_gain", "sensor_offset", "sensor_cyclic_error", "quadratic_spring"),
+    limits={"sensor_cyclic_error": "if the motion covers less than half a period about a crest"},
+    experiment="a calibration at rest: known positions on both sides of zero; or a second sensor",
+)
+def sensor_nonlinearity(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Bent scale of a sensor: an error that grows with the square of the reading."""
+    return y + p.b * y * y
 
 
 @effect(

@@ -16,6 +16,7 @@ __all__ = [
     "end_stop",
     "gravity_tilt",
     "linear_spring",
+    "maxwell_element",
     "payload_step",
     "quadratic_spring",
 ]
@@ -33,6 +34,27 @@ __all__ = [
 def linear_spring(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Force proportional to the coordinate."""
     return -p.k * q
+
+
+@effect(
+    "coordinate",
+    [
+        par("k", "F/q", scale="0.05 F/q", sign="+", neutral=0.0, main=True, linear=True, meaning="stiffness"),
+        par("tau", "s", scale="1 q/v", floor="0.02 q/v", sign="+", minimum=1e-9, grid=(1.0, 0.3, 3.0),
+            meaning="relaxation time: damping over stiffness"),
+    ],
+    states={"z": "q"},
+    formula="F = -k z, z' = v - z/tau",
+    family=("hysteresis", "linear_spring", "viscous_friction", "elasticity"),
+    limits={
+        "linear_spring": "for a relaxation time far above a period of the motion",
+        "viscous_friction": "for a relaxation time far below a period of the motion",
+    },
+    experiment="a step of the position, held: the force relaxes; sines of several frequencies at one amplitude",
+)  # fmt: skip
+def maxwell_element(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
+    """Spring and damper in series, beside the coordinate: rubber, belts, creep."""
+    return -p.k * s.z, [v - s.z / p.tau]
 
 
 @effect(

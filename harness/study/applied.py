@@ -27,6 +27,7 @@ ACTUATOR = (
     "saturation",
     "rate_limit",
     "input_gain",
+    "input_compression",
 )
 FORCES = (
     "hysteresis",
@@ -42,10 +43,13 @@ FORCES = (
     "cogging",
     "periodic_disturbance",
     "even_drag",
-    "position_damping",
+    "position_dependent_damping",
     "torque_ripple",
     "force_step",
     "maxwell_element",
+    "cubic_drag",
+    "warming_damper",
+    "tiring_drive",
 )
 """Effects whose force can be put on a driven coordinate from outside."""
 
@@ -163,5 +167,8 @@ _TERMS: dict[str, Callable[[Mapping[str, float], str], Law]] = {
     "vdp": lambda one, plant: lambda q, v, t, u: -one["vdp"] * q * q * v,
     "ripple": lambda one, plant: lambda q, v, t, u: one["ripple"] * u * math.cos(5 * q),
     "stepf": lambda one, plant: lambda q, v, t, u: one["stepf"] if t >= one["stept"] else 0.0,
+    "drag3": lambda one, plant: lambda q, v, t, u: -one["drag3"] * v**3,
+    "warm": lambda one, plant: lambda q, v, t, u: -one["warm"] * (1 - t / one["warmt"]) * v,
+    "tire": lambda one, plant: lambda q, v, t, u: -one["tire"] * u * abs(v),
     "und": lambda one, plant: lambda q, v, t, u: -one["und"] * math.cos(q) * v,
 }

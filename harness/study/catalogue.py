@@ -19,6 +19,8 @@ _COORDINATE = (
     "quadratic_drag",
     "linear_spring",
     "cubic_spring",
+    "maxwell_element",
+    "position_dependent_damping",
     "force_bias",
     "payload_step",
     "end_stop",
@@ -26,11 +28,13 @@ _COORDINATE = (
     "periodic_disturbance",
 )
 _ANGLE = ("position_dependent_friction", "eccentric_load", "quadratic_spring")
-_INPUT = ("input_delay", "actuator_lag", "dead_zone", "saturation", "rate_limit", "input_gain")
+_INPUT = ("input_delay", "actuator_lag", "dead_zone", "saturation", "rate_limit", "input_gain",
+          "input_compression")  # fmt: skip
 _DRIVEN = ("elasticity", "backlash")
 _OUTPUT = (
     "sensor_delay",
     "sensor_gain",
+    "sensor_nonlinearity",
     "sensor_offset",
     "sensor_quantisation",
     "sensor_rectification",
@@ -68,17 +72,17 @@ PAIRS = {
 OUTSIDE = {
     "pendulum": (
         "even_drag@theta",
-        "position_damping@theta",
         "torque_ripple@theta",
         "force_step@theta",
-        "maxwell_element@theta",
+        "warming_damper@theta",
+        "tiring_drive@theta",
     ),
     "cart-pole": (
         "even_drag@theta",
-        "position_damping@theta",
+        "cubic_drag@x",
         "force_step@x",
-        "maxwell_element@x",
-        "maxwell_element@theta",
+        "warming_damper@x",
+        "tiring_drive@x",
     ),
 }
 ENGINES = {"pendulum": ("bullet", "fmu"), "cart-pole": ("pymunk", "fmu")}

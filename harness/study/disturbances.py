@@ -14,7 +14,7 @@ import numpy as np
 from harness.signals import FloatArray
 from harness.study.context import rms
 
-__all__ = ["KINDS", "NAMED", "STRUCTURES", "TRUTH_ONLY", "disturbance", "natural_frequency"]
+__all__ = ["KINDS", "STRUCTURES", "TRUTH_ONLY", "disturbance", "named", "natural_frequency"]
 
 GAUSS_MARKOV = "gauss-markov"
 STRUCTURES = {
@@ -23,12 +23,32 @@ STRUCTURES = {
     "eccentric-encoder": "the angle reads with an error of 2 mrad, twice a turn",
     "heavy-rod": "the pole has 3 % more inertia than a point mass",
     "bent-scale": "the angle reads with an error that grows with its square, 2 mrad at 1 rad",
+    "warming-damper": "the viscous damping falls along a record, by 1 % of the rms torque",
+    "tiring-drive": "the drive's gain falls with the speed, by 1 % of the rms torque",
 }
 """How the nominal structure is a little wrong: what is in every such truth and in no model."""
-NAMED = {"eccentric-encoder": "sensor_cyclic_error@theta"}
-"""The one among them that the dictionary has: an answer may name it beside what is hidden."""
 TRUTH_ONLY = ("heavy-rod",)
 """Structures that only our own truth can have."""
+_NAMED = {
+    "eccentric-encoder": "sensor_cyclic_error@theta",
+    "bent-scale": "sensor_nonlinearity@theta",
+    "drooping-drive": "input_compression@u",
+    "uneven-damping": "position_dependent_damping",
+}
+
+
+def named(structure: str, plant: str) -> str:
+    """Return the effect of the dictionary that a wrong structure is, at its place; empty where there is none.
+
+    An answer may name it beside what is hidden.
+
+    Examples
+    --------
+    >>> named("uneven-damping", "cart-pole"), named("heavy-rod", "cart-pole")
+    ('position_dependent_damping@x', '')
+    """
+    found = _NAMED.get(structure, "")
+    return found if "@" in found or not found else f"{found}@{'theta' if plant == 'pendulum' else 'x'}"
 
 
 def natural_frequency(values: Mapping[str, float]) -> float:

@@ -32,7 +32,7 @@ from harness.study.truths import DT, GRAVITY, SUBSTEPS
 
 __all__ = ["OUTSIDE", "force_size", "hide", "hide_outside"]
 
-OUTSIDE = ("even_drag", "position_damping", "torque_ripple", "force_step", "maxwell_element")
+OUTSIDE = ("even_drag", "cubic_drag", "torque_ripple", "force_step", "warming_damper", "tiring_drive")
 """Laws that the dictionary does not have."""
 _LEVEL = {"nominal": 1.0, "quarter": 0.25}
 
@@ -116,6 +116,21 @@ def _position(context: Context, at: str, scale: float, size: float, rng: np.rand
     level, swing, phase = size * context.torque(at), 0.6, float(rng.uniform(-math.pi, math.pi))
     truth = _put(context, at, {"Fpos": level, "pa": swing, "pphi": phase})
     return Hidden("position_dependent_friction", at, truth, {"Fc": level, "a": swing, "phi": phase})
+
+
+def _maxwell(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    v, tau = context.v(at), float(rng.uniform(0.1, 0.5))
+    stretch = np.zeros(len(v))
+    for row in range(1, len(v)):
+        stretch[row] = stretch[row - 1] + DT * (v[row - 1] - stretch[row - 1] / tau)
+    stiffness = size * context.torque(at) / rms(stretch)
+    truth = _put(context, at, {"km": stiffness, "taum": tau})
+    return Hidden("maxwell_element", at, truth, {"k": stiffness, "tau": tau})
+
+
+def _uneven(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    value = size * context.torque(at) / rms(context.q(at) ** 2 * context.v(at))
+    return Hidden("position_dependent_damping", at, _put(context, at, {"vdp": value}), {"c1": 0.0, "c2": value})
 
 
 def _bias(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
@@ -207,6 +222,11 @@ def _gain(context: Context, at: str, scale: float, size: float, rng: np.random.G
     return Hidden("input_gain", at, {"gain": gain}, {"gain": gain})
 
 
+def _compression(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    droop = size * rms(context.u) / rms(context.u**2)
+    return Hidden("input_compression", at, {"droop": droop}, {"c": droop})
+
+
 def _two_masses(context: Context, share: float, hertz: float, ratio: float) -> dict[str, float]:
     """Return motor inertia, stiffness and damping of a transmission with this resonance."""
     load = context.inertia("x" if context.plant == "cart-pole" else "theta")
@@ -263,6 +283,12 @@ def _cyclic(context: Context, at: str, scale: float, size: float, rng: np.random
     return Hidden("sensor_cyclic_error", at, {}, named, sensor=lambda y: y + amplitude * np.sin(k * y + phi))
 
 
+def _bent(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    q = context.q(at)
+    b = 0.1 * size * rms(q) / rms(q**2) * float(rng.choice([-1.0, 1.0]))
+    return Hidden("sensor_nonlinearity", at, {}, {"b": b}, sensor=lambda y: y + b * y**2)
+
+
 def _sensor_offset(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
     value = size * rms(context.q(at)) * float(rng.choice([-1.0, 1.0]))
     if at == "theta":
@@ -303,6 +329,8 @@ _MAKERS: dict[str, Callable[[Context, str, float, float, np.random.Generator], H
     "quadratic_spring": _named("quadratic_spring", _simple("k2", "k2", lambda q, v: q**2)),
     "cubic_spring": _named("cubic_spring", _simple("k3", "k3", lambda q, v: q**3)),
     "eccentric_load": _named("eccentric_load", _simple("A", "A", lambda q, v: np.cos(q))),
+    "maxwell_element": _maxwell,
+    "position_dependent_damping": _uneven,
     "force_bias": _bias,
     "gravity_tilt": _tilt,
     "payload_step": _payload,
@@ -313,6 +341,7 @@ _MAKERS: dict[str, Callable[[Context, str, float, float, np.random.Generator], H
     "saturation": _saturation,
     "rate_limit": _rate_limit,
     "input_gain": _gain,
+    "input_compression": _compression,
     "elasticity": _elasticity,
     "backlash": _backlash,
     "cogging": _cogging,
@@ -320,6 +349,7 @@ _MAKERS: dict[str, Callable[[Context, str, float, float, np.random.Generator], H
     "sensor_cyclic_error": _cyclic,
     "sensor_delay": _sensor_delay,
     "sensor_gain": _sensor_gain,
+    "sensor_nonlinearity": _bent,
     "sensor_offset": _sensor_offset,
     "sensor_quantisation": _quantisation,
     "sensor_rectification": _rectification,
@@ -337,19 +367,18 @@ def hide_outside(name: str, at: str, level: str, context: Context, rng: np.rando
     """
     force = 2 * _LEVEL[level] * float(rng.uniform(0.06, 0.10)) * context.torque(at)
     q, v = context.q(at), context.v(at)
-    if name == "maxwell_element":
-        tau = 0.3
-        m = np.zeros(len(v))
-        for k in range(1, len(v)):
-            m[k] = m[k - 1] + DT * (v[k - 1] - m[k - 1] / tau)
-        values = {"km": force / rms(m), "taum": tau}
+    if name == "warming_damper":  # the damping falls through its mean in the middle of a record
+        middle = (PRE + 0.5 * (len(v) - PRE)) * DT
+        fall = 1 - np.arange(len(v)) * DT / middle
+        values = {"warm": force / rms(fall * v), "warmt": middle}
     elif name == "force_step":
         values = {"stepf": 2 * force, "stept": (PRE + 0.5 * (len(v) - PRE)) * DT}
     else:
         truth, shape = {
             "even_drag": ("even", v**2),
-            "position_damping": ("vdp", q**2 * v),
+            "cubic_drag": ("drag3", v**3),
             "torque_ripple": ("ripple", context.u * np.cos(5 * q)),
+            "tiring_drive": ("tire", context.u * np.abs(v)),
         }.get(name, ("", v))
         if not truth:
             raise InputError("law outside the dictionary", expected=", ".join(OUTSIDE), got=name, remedy="choose one")

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
-from harness.study.disturbances import NAMED
+from harness.study.disturbances import named
 
 __all__ = ["STAND_IN", "Answer", "Outcome", "judge_answer"]
 
@@ -106,7 +106,7 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str, engine: str
     or nothing was accepted, and the report says that the truth cannot be told from the nominal parameters. Other sets
     are wrong, unless the report calls them a stand-in: then something was flagged, as where it says that the model does
     not fit, whatever it was tried with. An effect that names how the nominal structure is wrong
-    (:data:`harness.study.disturbances.NAMED`) may stand beside what is hidden.
+    (:func:`harness.study.disturbances.named`) may stand beside what is hidden.
 
     Examples
     --------
@@ -119,7 +119,7 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str, engine: str
     >>> judge_answer({"backlash@x"}, Answer("model_does_not_fit", ("backlash@x",)), "cart-pole").word
     'flagged'
     """
-    answer = answer.without(NAMED.get(structure, ""))
+    answer = answer.without(named(structure, plant))
     wanted, accepted = frozenset(truth), frozenset(answer.accepted)
     if not accepted or answer.verdict == "model_does_not_fit":
         return _nothing_accepted(wanted, answer)

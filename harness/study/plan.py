@@ -11,14 +11,14 @@ from typing import Any
 from harness.errors import InputError
 from harness.rng import stream
 from harness.study.catalogue import OUTSIDE, PAIRS, places, sources
-from harness.study.disturbances import KINDS, STRUCTURES, TRUTH_ONLY
+from harness.study.disturbances import KINDS, STRUCTURES, TRUTH_ONLY, named
 
 __all__ = ["BASES", "NOISE", "PLANTS", "SHARES", "STUDIES", "Task", "plan"]
 
 STUDIES = ("confusion", "false-alarms", "coverage", "cost")
 PLANTS = ("pendulum", "cart-pole")
-BASES = {"tuning": 0, "judged": 160_000}
-"""Records from 10 000, 20 000, ..., 150 000 on judged earlier versions: they judge no more."""
+BASES = {"tuning": 0, "judged": 170_000}
+"""Records from 10 000, 20 000, ..., 160 000 on judged earlier versions: they judge no more."""
 SHARES = {"confusion": 12, "none": 10, "two": 5, "outside": 3, "cost": 1}
 """Of the strata in any first part of a plan, while they last."""
 NOISE = {"low": 1e-4, "high": 1e-3}
@@ -59,7 +59,7 @@ class Task:
     index : int
         Repetition.
     base : int
-        0 for tuning, 160000 for judging: no record is drawn from both.
+        0 for tuning, 170000 for judging: no record is drawn from both.
     model : str
         The nominal model: ``equations``, or ``fmu`` (the same as a black box).
     shape : str
@@ -126,7 +126,7 @@ def plan(
     study : str
         One of :data:`STUDIES`, or ``all``.
     base : int
-        0 (tuning) or 160000 (judged).
+        0 (tuning) or 170000 (judged).
     plants : sequence of str
     records : int, optional
         Only the first so many tasks.
@@ -185,7 +185,7 @@ def _cells(plants: Sequence[str], base: int, cells: int) -> list[Task]:
                     size = 0
                 engine = _turn(sources(plant, [name]), number + index)
                 level, words = ("nominal", "quarter")[size], ("low", "high")[noise]
-                more = _surroundings(plant, engine, f"{plant} {name}", index, shaken)
+                more = _surroundings(plant, engine, (name,), index, shaken)
                 here.append(
                     Task("confusion", plant, engine, (name,), level, words, _DISTURBED * shaken, index, base, **more)
                 )
@@ -207,23 +207,23 @@ def _turn(engines: Sequence[str], number: int) -> str:
     return order[(number - number // 6) % len(order)]
 
 
-def _surroundings(plant: str, engine: str, what: str, index: int, shaken: int) -> dict[str, Any]:
+def _surroundings(plant: str, engine: str, what: Sequence[str], index: int, shaken: int) -> dict[str, Any]:
     """Return the kind of disturbance, and for a third of the records how the nominal structure is a little wrong."""
-    draw = stream("study-surroundings", what, index)
+    draw = stream("study-surroundings", f"{plant} {' '.join(what)}", index)
     start = int(draw.integers(0, 12))
     shape = "gauss-markov"
     if shaken and engine != "balanced" and (start + index) % 3 == 0:
         shape = _ODD[int(draw.integers(0, len(_ODD)))]
     structure = ""
     if engine != "balanced" and (start // 3 + index) % 3 == 0:
-        able = [name for name in STRUCTURES if name not in TRUTH_ONLY or _may(plant, engine)]
+        able = [name for name in STRUCTURES if _may(name, plant, engine) and named(name, plant) not in what]
         structure = able[int(draw.integers(0, len(able)))]
     return {"shape": shape, "structure": structure}
 
 
-def _may(plant: str, engine: str) -> bool:
-    """Return whether a truth can have a structure that only our own laws have."""
-    return plant == "cart-pole" and engine in ("laws", "hardware")
+def _may(structure: str, plant: str, engine: str) -> bool:
+    """Return whether a truth can have a structure."""
+    return structure not in TRUTH_ONLY or (plant == "cart-pole" and engine in ("laws", "hardware"))
 
 
 def _pairs(plants: Sequence[str], base: int, cells: int) -> list[Task]:
@@ -237,7 +237,7 @@ def _pairs(plants: Sequence[str], base: int, cells: int) -> list[Task]:
                 noise = ("low", "high")[(number + index) % 2]
                 shaken = (number + index // 2) % 2
                 engine = _turn(sources(plant, pair), number + index)
-                more = _surroundings(plant, engine, f"{plant} {' '.join(pair)}", index, shaken)
+                more = _surroundings(plant, engine, pair, index, shaken)
                 here.append(
                     Task("two", plant, engine, pair, "nominal", noise, _DISTURBED * shaken, index, base, **more)
                 )
@@ -275,7 +275,7 @@ def _nothing(plants: Sequence[str], base: int, count: int) -> list[Task]:
         engine = _STILL[plant][turn % len(_STILL[plant])]
         if index % 3 == 2:
             engine = "laws" if engine == "balanced" else engine
-            able = [name for name in STRUCTURES if name not in TRUTH_ONLY or _may(plant, engine)]
+            able = [name for name in STRUCTURES if _may(name, plant, engine)]
             structure = able[turn % len(able)]
         for shaken in (0, 1):
             shape = "gauss-markov"

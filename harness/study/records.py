@@ -13,7 +13,7 @@ from harness.rng import stream
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory, Use
 from harness.study.applied import STEP, actuated, force_law
 from harness.study.context import PRE, Context, Hidden, rms
-from harness.study.disturbances import NAMED, disturbance, natural_frequency
+from harness.study.disturbances import disturbance, named, natural_frequency
 from harness.study.engines import BALANCE_BAND, OPTIONS, balanced_run, engine_run
 from harness.study.hardware import as_hardware
 from harness.study.hidden import force_size, hide, hide_outside
@@ -32,12 +32,6 @@ SPECS = {
     "cart-pole": PlantSpec((Channel("u", "N"),), (Channel("x", "m"), _ANGLE), DT),
 }
 USES: tuple[Use, ...] = ("estimation", "validation")
-_SENSORS: dict[str, Hidden] = {
-    "eccentric-encoder": Hidden("sensor_cyclic_error", "theta", {}, {"A": 0.002, "k": 2.0, "phi": 1.0},
-                                sensor=lambda y: y + 0.002 * np.sin(2 * y + 1.0)),
-    "bent-scale": Hidden("bent_scale", "theta", {}, {}, sensor=lambda y: y + 0.002 * y**2),
-}  # fmt: skip
-"""What wrong structures do to the reading of the angle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,20 +87,20 @@ def make_records(task: Task, *, samples: int = SAMPLES) -> Records:
     context = Context(task.plant, values, simulate(values, commands["estimation"], start=starts["estimation"]),
                       commands["estimation"])  # fmt: skip
     hidden = _hidden(task, context, stream(*key, "effects"))
-    values = values | _structure(task, context)
-    bent = [_SENSORS[task.structure]] if task.structure in _SENSORS else []
+    wrong = _structure(task, context)
+    values = values | {name: value for one in wrong for name, value in one.truth.items()}
     runs, peak = [], 0.0
     for use in USES:
         u = commands[use]
         shaken = disturbance(task.shape, len(u), DT, natural_frequency(values), stream(*key, use, "disturbance"))
         unknown = task.disturbance * rms(u) * shaken
         reading = _simulated(task, parameters, values, hidden, use, u, unknown, starts[use])
-        y = _measured(task.plant, (*bent, *hidden), reading[PRE:], noise, stream(*key, use, "noise"))
+        y = _measured(task.plant, (*wrong, *hidden), reading[PRE:], noise, stream(*key, use, "noise"))
         t: FloatArray = np.arange(samples, dtype=np.float64) * DT
         recorded = u[PRE:] + task.input_noise * rms(u) * stream(*key, use, "input-noise").standard_normal(samples)
         runs.append(Run(Trajectory(t, recorded[:, None], y, SPECS[task.plant]), use, use))
         peak = peak or math.degrees(float(np.abs(reading[:, -1]).max()))
-    known = (*hidden, *bent) if task.structure in NAMED else hidden
+    known = (*hidden, *wrong) if named(task.structure, task.plant) else hidden
     return Records(Dataset(task.key, tuple(runs)), parameters, hidden, noise, peak, known)
 
 
@@ -168,14 +162,31 @@ def _hidden(task: Task, context: Context, rng: np.random.Generator) -> tuple[Hid
     return tuple(as_hardware(one, context, force_size(task.level, context, one.at)) for one in found)
 
 
-def _structure(task: Task, context: Context) -> dict[str, float]:
-    """Return what is in the truth and in no model: the nominal structure is a little wrong."""
+def _structure(task: Task, context: Context) -> tuple[Hidden, ...]:
+    """Return what is in the truth and in no model: how the nominal structure is a little wrong."""
+    if not task.structure:
+        return ()
     driven = "theta" if task.plant == "pendulum" else "x"
-    if task.structure == "uneven-damping":
-        return {"und0": 0.01 * rms(context.u) / rms(np.cos(context.q(driven)) * context.v(driven))}
+    u, q, v = context.u, context.q(driven), context.v(driven)
+    name, _, at = (named(task.structure, task.plant) or f"{task.structure}@{driven}").partition("@")
+    if task.structure == "eccentric-encoder":
+        values = {"A": 0.002, "k": 2.0, "phi": 1.0}
+        return (Hidden(name, at, {}, values, sensor=lambda y: y + 0.002 * np.sin(2 * y + 1.0)),)
+    if task.structure == "bent-scale":
+        return (Hidden(name, at, {}, {"b": 0.002}, sensor=lambda y: y + 0.002 * y**2),)
+    if task.structure == "uneven-damping":  # the cosine's bend: the dictionary has a parabola
+        uneven = 0.01 * rms(u) / rms(np.cos(q) * v)
+        return (Hidden(name, at, {"und0": uneven}, {"c1": 0.0, "c2": -0.5 * uneven}, exact=False),)
     if task.structure == "drooping-drive":
-        return {"droop": 0.01 * rms(context.u) / rms(context.u**2)}
-    return {"rod": 0.03} if task.structure == "heavy-rod" else {}
+        droop = 0.01 * rms(u) / rms(u**2)
+        return (Hidden(name, at, {"droop": droop}, {"c": droop}),)
+    if task.structure == "warming-damper":
+        middle = (PRE + 0.5 * (len(u) - PRE)) * DT
+        fall = 1 - np.arange(len(u)) * DT / middle
+        return (Hidden(name, at, {"warm0": 0.01 * rms(u) / rms(fall * v), "warmt0": middle}),)
+    if task.structure == "tiring-drive":
+        return (Hidden(name, at, {"tire0": 0.01 * rms(u) / rms(u * v)}),)
+    return (Hidden(name, at, {"rod": 0.03}),)
 
 
 def _split(effect: str) -> tuple[str, str]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from harness.errors import HarnessError
 from harness.study.cost import timed_command
-from harness.study.disturbances import NAMED
+from harness.study.disturbances import named
 from harness.study.outcome import Answer, judge_answer
 from harness.study.plan import Task
 from harness.study.records import SAMPLES, Records, make_records
@@ -102,8 +102,10 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
     cpu, wall = _cpu_of_tree() - cpu, time.monotonic() - wall
     accepted = tuple(str(one.placed) for one in found.outcome.accepted)
     ties = tuple(tuple(frozenset(map(str, member)) for member in one.tie) for one in found.outcome.accepted)
-    # what the report says this experiment cannot show matters only where nothing was found
-    hidden = frozenset(str(one.placed) for one in found.not_visible) if task.effects and not accepted else frozenset()
+    # what the report says this experiment cannot show matters only where nothing of what is hidden was found
+    beside = named(task.structure, task.plant)
+    silent = task.effects and not set(accepted) - {beside}
+    hidden = frozenset(str(one.placed) for one in found.not_visible) if silent else frozenset()
     imitates = [*found.stand_in, *found.misfit]
     answer = Answer(found.verdict, accepted, ties, hidden, bool(imitates))
     outcome = judge_answer(task.effects, answer, task.plant, task.engine, task.structure)
@@ -131,7 +133,7 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
         row.update(
             validation_oracle=_short(oracle), ratio=_short(after / oracle), oracle_improvement=_short(before / oracle)
         )
-    strangers = set(accepted) - {*task.effects, NAMED.get(task.structure, "")} if outcome.word == "wrong" else set()
+    strangers = set(accepted) - {*task.effects, beside} if outcome.word == "wrong" else set()
     row.update(_coverage(found.final, records, strangers))
     return row
 

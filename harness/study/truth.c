@@ -102,6 +102,7 @@ static double force(const double *p, int i, const double *x, double *dx, double 
     f -= AT(P_root, i) * (AT(P_rootv, i) > 0 ? asinh(v / AT(P_rootv, i)) : sign(v) * sqrt(fabs(v)));
     f -= AT(P_even, i) * v * v + AT(P_vdp, i) * q * q * v;
     f += AT(P_ripple, i) * u * cos(5 * q);
+    f -= AT(P_drag3, i) * v * v * v + AT(P_warm, i) * (1 - t / AT(P_warmt, i)) * v + AT(P_tire, i) * u * fabs(v);
     if (t >= AT(P_stept, i)) f += AT(P_stepf, i);
     f -= AT(P_dG, i) * taken(t - AT(P_t0, i), p[P_ramp]) * sin(q);
     return f;

@@ -42,7 +42,8 @@ def evidence(estimation: FloatArray, validation: FloatArray) -> float:
     """For a line that wanders, where a constant one is already free."""
     constant = np.sum([one.estimation for one in line()], axis=0)
     nuisance = {"estimation": constant, "validation": np.zeros((N, 2))}
-    linear = Linearised({"estimation": estimation, "validation": validation}, nuisance, 2, spread=np.zeros((2, 0)))
+    residual = {"estimation": estimation, "validation": validation}
+    linear = Linearised(residual, nuisance, ("a", "b"), spread=np.zeros((2, 0)))
     return wandering(linear, line())
 
 

@@ -126,7 +126,7 @@ class LinearForm:
         values = np.array([fit.values[name] for name in fit.free])
         matrices = {use: self._matrix(fit.effects, use) for use in USES}
         residual = {use: self.records.y[use] - matrices[use] @ values for use in USES}
-        return Linearised(residual, {use: -matrices[use] for use in USES}, len(fit.free))
+        return Linearised(residual, {use: -matrices[use] for use in USES}, tuple(fit.free))
 
     def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
         found = []
@@ -187,8 +187,17 @@ def test_a_promise_is_the_gain_where_everything_is_linear() -> None:
         y = form.records.y["estimation"]
         assert lead.starts[0][name] == pytest.approx(float(left @ y / (left @ left)), rel=1e-6), "size and sign"
         assert lead.share == pytest.approx(np.linalg.norm(left) / np.linalg.norm(column), rel=1e-9)
+        assert lead.starts[0] == pytest.approx(whole.values, rel=1e-6), "what was free already moves along"
     gains = [lead.penalised for lead in test.leads]
     assert gains == sorted(gains, reverse=True)
+
+
+def test_a_start_that_moves_too_far_leaves_what_was_free_where_it_is() -> None:
+    """Beyond a factor of two the first order means nothing."""
+    form = LinearForm(linear_records(3, {"cubic_spring": -3.0}, absorbed={"cubic_spring": 0.5}))
+    nominal = form.fit((), [], None)
+    (lead,) = [one for one in score_test(form, nominal, ALL).leads if one.placed.effect.name == "cubic_spring"]
+    assert set(lead.starts[0]) == {main("cubic_spring")}
 
 
 def test_what_the_nominal_parameters_take_up_cannot_be_seen() -> None:
@@ -328,3 +337,18 @@ def test_an_effect_that_later_ones_make_needless_is_dropped_and_one_that_counts_
         _pruned(form, outcome, POLICY)
         assert accepted(outcome) == ({earlier, "quadratic_drag"} if stays else {"quadratic_drag"})
         assert len(outcome.model.effects) == len(outcome.accepted)
+
+
+@pytest.mark.parametrize("size", [-20.0, 20.0])
+def test_a_law_of_the_wrong_sign_that_explains_more_makes_the_answer_a_stand_in(size: float) -> None:
+    """A drag that pushes is no drag, and a spring that looks like it is not the answer either."""
+    form = LinearForm(linear_records(5, {"quadratic_drag": size}, alike={"cubic_spring": "quadratic_drag"}))
+    found = search(form, form.fit((), [], None), ALL)
+    names = {one.placed.effect.name for one in found.accepted}
+    better = found.unlawful()
+    if size > 0:
+        assert (names, better) == ({"quadratic_drag"}, None)
+    else:
+        assert "cubic_spring" in names
+        assert better is not None
+        assert "quadratic_drag" in better.name

@@ -91,5 +91,8 @@ def test_naming_how_the_structure_is_wrong_is_no_fault() -> None:
         answer = Answer("effects_found", accepted)
         assert judge_answer(truth, answer, "pendulum", "", "eccentric-encoder").word == word
         assert judge_answer(truth, answer, "pendulum", "", "bent-scale").word == "wrong"
+    damping = Answer("effects_found", ("position_dependent_damping@x",))
+    assert judge_answer((), damping, "cart-pole", "", "uneven-damping").word == "right"
+    assert judge_answer((), damping, "pendulum", "", "uneven-damping").word == "wrong"
     imitated = Answer("effects_found", (encoder,), stand_in=True)
     assert judge_answer(("backlash@theta",), imitated, "pendulum", "", "eccentric-encoder").word == "flagged"

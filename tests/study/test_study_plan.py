@@ -116,7 +116,14 @@ def test_an_unequal_input_and_a_wrong_structure_change_the_record():
     assert np.array_equal(plain.dataset.estimation[0].y, noisy.dataset.estimation[0].y)
     error = noisy.dataset.estimation[0].u - plain.dataset.estimation[0].u
     assert rms(error) / rms(plain.dataset.estimation[0].u) == pytest.approx(0.01, rel=0.2)
-    for structure in ("uneven-damping", "drooping-drive", "eccentric-encoder", "bent-scale"):
+    for structure in (
+        "uneven-damping",
+        "drooping-drive",
+        "eccentric-encoder",
+        "bent-scale",
+        "warming-damper",
+        "tiring-drive",
+    ):
         wrong = made(structure=structure)
         change = rms(wrong.dataset.estimation[0].y - plain.dataset.estimation[0].y)
         assert 5e-4 < change < 0.1, structure

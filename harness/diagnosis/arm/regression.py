@@ -321,7 +321,7 @@ class RegressionForm:
         return Linearised(
             {use: self.whitened(detail.residual[use], use, detail.errors) for use in USES},
             {use: self.whitened(detail.jacobian[use], use, detail.errors)[:, [*shared, *own]] for use in USES},
-            len(shared),
+            tuple(fit.free[k] for k in shared),
         )
 
     def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:

@@ -11,7 +11,14 @@ import numpy as np
 
 from harness.blackbox.effects import surround
 from harness.blackbox.system import FmuSystem
-from harness.diagnosis.search.directions import Direction, choices, input_behind, reading_directions, spline_directions
+from harness.diagnosis.search.directions import (
+    Direction,
+    choices,
+    drift_directions,
+    input_behind,
+    reading_directions,
+    spline_directions,
+)
 from harness.effects.effect import Placed
 from harness.effects.places import port_of
 from harness.errors import HarnessError
@@ -64,7 +71,7 @@ def pushes(
 
 
 def test_pushes(nominal: FmuSystem, moved: Mapping[str, Sequence[Moved]]) -> list[Direction]:
-    """Return piecewise linear pushes over positions, rates, outputs and inputs, at every input of the FMU."""
+    """Return piecewise linear pushes over positions, rates, outputs, inputs and time, at every input of the FMU."""
     names = [name for one in nominal.coordinates for name in (one.name, f"{one.name}'")]
     shown = [row for row, one in enumerate(nominal.outputs) if one.name not in names]
     values = {
@@ -78,7 +85,10 @@ def test_pushes(nominal: FmuSystem, moved: Mapping[str, Sequence[Moved]]) -> lis
         values[one.name] = {use: [part.u[:, row] for part in parts] for use, parts in moved.items()}
     inputs = [one.name for one in nominal.inputs]
     pairs = [(one.name, other) for one in nominal.coordinates for other in (f"{one.name}'", *inputs)]
-    return spline_directions(values, pairs, inputs, {use: [one.y for one in parts] for use, parts in moved.items()})
+    pairs += [(f"{one.name}'", other) for one in nominal.coordinates for other in inputs]
+    readings = {use: [one.y for one in parts] for use, parts in moved.items()}
+    times = {use: [one.record.t for one in parts] for use, parts in moved.items()}
+    return spline_directions(values, pairs, inputs, readings) + drift_directions(values, times, inputs, readings)
 
 
 def _commands(

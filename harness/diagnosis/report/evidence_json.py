@@ -29,7 +29,7 @@ Keys of ``sysid-harness/close-loop/2``:
     Effects that were accepted and taken back: something is left, and with them the model runs further from the
     validation records.
 ``left_over``
-    What free forces over position, speed and input would gain beside the final model, axis by axis.
+    What free forces over position, speed, input and time would gain beside the final model, axis by axis.
 ``policy``
     Every deciding number with its reason, source and what it was tuned on.
 ``tests``, ``isolability``, ``not_visible``, ``closed_loop``, ``closed_loop_bias``, ``horizon``

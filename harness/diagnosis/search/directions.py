@@ -23,8 +23,19 @@ from harness.errors import HarnessError
 from harness.physics.kalman_pass import Pass
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Along", "Direction", "Trace", "choices", "directions", "input_behind", "line_directions",
-           "reading_directions", "spline_directions", "test_functions"]  # fmt: skip
+__all__ = [
+    "Along",
+    "Direction",
+    "Trace",
+    "choices",
+    "directions",
+    "drift_directions",
+    "input_behind",
+    "line_directions",
+    "reading_directions",
+    "spline_directions",
+    "test_functions",
+]
 
 
 class Along(Protocol):
@@ -384,7 +395,8 @@ def input_behind(placed: Placed, trace: Along, nominal: Any, values: Mapping[str
 def test_functions(traces: Mapping[str, Sequence[Trace]], nominal: Any) -> list[Direction]:
     """Return test functions that are no effect: piecewise linear forces of one or two axes, at every port.
 
-    The axes are every state and every input; of a coordinate also position with speed and with each input together.
+    The axes are every state and every input; of a coordinate also position with speed, and either with each input
+    together. Forces in proportion to one of them may change with the time since a record began.
     """
     names = [channel.name for channel in nominal.states]
     inputs = [channel.name for channel in nominal.inputs]
@@ -396,8 +408,11 @@ def test_functions(traces: Mapping[str, Sequence[Trace]], nominal: Any) -> list[
         for row, name in enumerate(inputs)
     }
     pairs = [(names[one.q], other) for one in nominal.coordinates for other in (names[one.v], *inputs)]
+    pairs += [(names[one.v], other) for one in nominal.coordinates for other in inputs]
     readings = {use: [one.record.y for one in parts] for use, parts in traces.items()}
-    return spline_directions(values, pairs, traces["estimation"][0].ports, readings)
+    times = {use: [one.record.t for one in parts] for use, parts in traces.items()}
+    ports = traces["estimation"][0].ports
+    return spline_directions(values, pairs, ports, readings) + drift_directions(values, times, ports, readings)
 
 
 def spline_directions(
@@ -434,14 +449,59 @@ def spline_directions(
             for number in range(len(parts)):
                 hats = [hat_basis(values[name][use][number], at) for name, at in zip(group, knots, strict=True)]
                 basis[use].append(hats[0] if len(hats) == 1 else joint_basis(hats[0], hats[1]))
-        grid = list(itertools.product(*knots))
-        nothing = {use: [np.zeros((*part.shape, len(grid))) for part in parts] for use, parts in readings.items()}
-        for row, port in enumerate(ports):
-            forces = {
-                use: [np.stack([part * float(k == row) for k in range(len(ports))], axis=1) for part in made]
-                for use, made in basis.items()
-            }
-            labels = [", ".join(f"{n} {v:.3g}" for n, v in zip(group, at, strict=True)) for at in grid]
-            names_of = (f"{port} over {' and '.join(group)}", *labels[1:])
-            found.append(Direction(None, {}, names_of, forces, nothing))
+        labels = [", ".join(f"{n} {v:.3g}" for n, v in zip(group, at, strict=True)) for at in itertools.product(*knots)]
+        found += _at_every_port(basis, ports, readings, " and ".join(group), labels)
+    return found
+
+
+def drift_directions(
+    values: Mapping[str, Mapping[str, Sequence[FloatArray]]],
+    times: Mapping[str, Sequence[FloatArray]],
+    ports: Sequence[str],
+    readings: Mapping[str, Sequence[FloatArray]],
+) -> list[Direction]:
+    """Return forces in proportion to each axis, by a factor that changes piecewise linearly with time, at every port.
+
+    What warms up, wears or tires does so in every record; an unknown force has no part that follows the motion.
+
+    Parameters
+    ----------
+    values : mapping of str to mapping of str to sequence of array (K,)
+        Axes by name, use and record.
+    times : mapping of str to sequence of array (K,)
+        Of the samples; only what has passed since the first counts.
+    ports : sequence of str
+    readings : mapping of str to sequence of array (K, ny)
+        Only their shapes count.
+    """
+    longest = max(float(one[-1] - one[0]) for one in times["estimation"])
+    knots = np.linspace(0.0, longest, EFFORT.joint_knots[0])
+    hats = {use: [hat_basis(one - one[0], knots) for one in parts] for use, parts in times.items()}
+    found: list[Direction] = []
+    for name, axis in values.items():
+        basis = {
+            use: [value[:, None] * hat for value, hat in zip(axis[use], parts, strict=True)]
+            for use, parts in hats.items()
+        }
+        labels = [f"{at:.3g} s" for at in knots]
+        found += _at_every_port(basis, ports, readings, f"{name}, changing with time", labels)
+    return found
+
+
+def _at_every_port(
+    basis: Mapping[str, Sequence[FloatArray]],
+    ports: Sequence[str],
+    readings: Mapping[str, Sequence[FloatArray]],
+    axis: str,
+    labels: Sequence[str],
+) -> list[Direction]:
+    """Return the forces of a basis (K, k) by use and record at each port."""
+    nothing = {use: [np.zeros((*part.shape, len(labels))) for part in parts] for use, parts in readings.items()}
+    found = []
+    for row, port in enumerate(ports):
+        forces = {
+            use: [np.stack([part * float(k == row) for k in range(len(ports))], axis=1) for part in made]
+            for use, made in basis.items()
+        }
+        found.append(Direction(None, {}, (f"{port} over {axis}", *labels[1:]), forces, nothing))
     return found

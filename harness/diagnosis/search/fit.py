@@ -111,18 +111,23 @@ class Column:
 class Linearised:
     """Whitened innovations of a fit by use (n,), and their derivatives by what is free already (n, p).
 
-    The first ``shared`` columns belong to parameters, which the validation records share; the others to initial states,
-    which every record has for itself. ``spread`` (shared, k) is a square root of the covariance of the parameters, and
-    ``moved`` (k,) how far along it they went for the validation records, see
+    The first columns belong to the parameters ``names``, which the validation records share; the others to initial
+    states, which every record has for itself. ``spread`` (shared, k) is a square root of the covariance of the
+    parameters, and ``moved`` (k,) how far along it they went for the validation records, see
     :func:`harness.diagnosis.search.predictive.predictive`; without them, the parameters stay those of the estimation
     records.
     """
 
     residual: dict[str, FloatArray]
     nuisance: dict[str, FloatArray]
-    shared: int
+    names: tuple[str, ...]
     spread: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     moved: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def shared(self) -> int:
+        """Number of the columns of parameters."""
+        return len(self.names)
 
 
 @dataclass(frozen=True, eq=False)

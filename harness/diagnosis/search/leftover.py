@@ -1,4 +1,4 @@
-"""What a free force over position, speed or input could still predict of the innovations of a model."""
+"""What a free force over position, speed, input or time could still predict of the innovations of a model."""
 
 from __future__ import annotations
 

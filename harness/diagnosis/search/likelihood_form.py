@@ -489,7 +489,7 @@ class LikelihoodForm:
             nuisance[use] = np.concatenate(parts)
         own = [placed.name(name) for placed in fit.effects for name in OWN.get(placed.effect.name, ())]
         spread = spread_of(fit.detail.best, fit.free, own)
-        return Linearised(residual, nuisance, count, spread, fit.detail.predictive.moved)
+        return Linearised(residual, nuisance, tuple(fit.free), spread, fit.detail.predictive.moved)
 
     def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
         """See :class:`harness.diagnosis.search.fit.Form`."""
@@ -517,7 +517,10 @@ class LikelihoodForm:
         return found + self._piled_up(base, candidates) + self._lost_signs(base, candidates)
 
     def _piled_up(self, base: Fit, candidates: Sequence[Placed]) -> list[Suspect]:
-        """Return sensors whose readings pile up at their largest value, to start from there."""
+        """Return sensors whose readings pile up at their largest value, to start from there.
+
+        A nominal model that was made to follow the ceiling is no start: they are fitted together from the first one on.
+        """
         names = [channel.name for channel in self.nominal.outputs]
         noise = base.detail.points["estimation"].noise.r
         found = []
@@ -529,8 +532,11 @@ class LikelihoodForm:
             column = names.index(placed.at)
             size = np.abs(np.concatenate([record.y[:, column] for record in self.records["estimation"]]))
             top = float(np.nanmax(size))
-            if int(np.sum(size > top - EFFORT.pile_width * noise[column])) > EFFORT.pile * len(size):
-                found.append(Suspect(placed, ({placed.name(main.name): top - 2 * float(noise[column])},)))
+            if int(np.sum(size > top - EFFORT.pile_width * noise[column])) <= EFFORT.pile * len(size):
+                continue
+            start = {placed.name(main.name): top - 2 * float(noise[column])}
+            anew = None if base.effects else self.fit([placed], [one | start for one in self.first_starts()], None)
+            found.append(Suspect(placed, (start if anew is None else anew.values,), anew))
         return found
 
     def _lost_signs(self, base: Fit, candidates: Sequence[Placed]) -> list[Suspect]:

@@ -51,6 +51,23 @@ class Outcome:
     withdrawn: list[Accepted] = field(default_factory=list)
     """Effects that the likelihood prefers and that were taken back."""
 
+    def unlawful(self, policy: Policy = POLICY) -> Judged | None:
+        """Return the candidate that explains the records best, if its law forbids its values and the answer is worse.
+
+        Where one is, the answer is the best of the laws that were allowed, and not the law of the plant.
+        """
+        best: tuple[float, Judged] | None = None
+        for one in (candidate for here in self.rounds for candidate in here.candidates):
+            if one.fit is None or not any(
+                wrong_signs(it, one.fit.values) or violations(it, one.fit) for it in one.added
+            ):
+                continue
+            gap = compared(one.fit, self.model, policy).total
+            _, error = difference(one.fit, self.model, ("estimation", "validation"), policy)
+            if gap > max(policy.tie, policy.tie_z * error) and (best is None or gap > best[0]):
+                best = gap, one
+        return None if best is None else best[1]
+
     def withdraw(self, reason: str) -> None:
         """Take all effects back; the reason stands beside them in the rounds that accepted them."""
         names = {str(one.placed) for one in self.accepted}
@@ -224,7 +241,8 @@ def _lawful(form: Form, fits: dict[Placed, Fit | None], base: Fit, starts: Mappi
         if fit is None or other is None or rich not in starts or not violations(rich, fit):
             continue
         shared = {one.name for one in simple.effect.parameters if one.nuisance}
-        start = {**other.values, **starts[rich]}
+        own = {name: value for name, value in starts[rich].items() if name.startswith(f"{rich}.")}
+        start = {**other.values, **own}
         start |= {rich.name(name): other.values[simple.name(name)] for name in shared}
         again = form.fit([*base.effects, rich], [start], other)
         if again is not None and not violations(rich, again):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -33,6 +33,7 @@ class Lead:
         Part of its column that nothing free can take up; below ``policy.seen`` it cannot be told from that.
     starts : tuple of dict
         Values by full name: those that the gain is for first, then of the next best choices of what is not linear.
+        With the effect's own, the values of what is free already, moved along at first order.
     direction : array (n,)
         The whitened innovations that it would explain, nuisance projected out, of length 1.
     span : array (n, k)
@@ -46,6 +47,8 @@ class Lead:
     starts: tuple[dict[str, float], ...]
     direction: FloatArray = field(repr=False)
     span: FloatArray = field(repr=False)
+    taken: FloatArray = field(repr=False)
+    """What the effect at its start does to the whitened innovations (n,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +96,9 @@ def score_test(form: Form, fit: Fit, candidates: Sequence[Placed], policy: Polic
     basis, residual = projected(form, fit)
     found: dict[str, list[Lead]] = {}
     penalty = 0.5 * float(np.log(fit.samples))
+    moved = _mover(form, fit)
     for column in form.columns(fit, candidates):
-        lead = _lead(column, basis, residual, penalty)
+        lead = moved(_lead(column, basis, residual, penalty))
         found.setdefault(str(lead.placed), []).append(lead)
     best = [_joined(several, policy) for several in found.values()]
     ranked = sorted(best, key=lambda one: -one.penalised)
@@ -142,7 +146,28 @@ def _lead(column: Column, basis: FloatArray, residual: FloatArray, penalty: floa
         direction = direction / (np.linalg.norm(direction) or 1.0)
     starts = (_start(column, coefficients),)
     penalised = gain - penalty * _free(column.placed)
-    return Lead(column.placed, gain, penalised, share, starts, direction, span)
+    return Lead(column.placed, gain, penalised, share, starts, direction, span, column.estimation @ coefficients)
+
+
+def _mover(form: Form, fit: Fit) -> Callable[[Lead], Lead]:
+    """Return what adds to the start of a lead how the parameters that are free already move along with the effect.
+
+    Left where they are, an effect that they can take up in part starts far below its base.
+    """
+    linear = form.linearised(fit)
+    nuisance = linear.nuisance["estimation"]
+    size = np.linalg.norm(nuisance, axis=0)
+    size[size == 0] = 1.0
+    back = np.linalg.pinv(nuisance / size, rcond=1e-12)[: linear.shared] / size[: linear.shared, None]
+
+    def moved(lead: Lead) -> Lead:
+        steps = -(back @ lead.taken)
+        values = {name: fit.values[name] + float(step) for name, step in zip(linear.names, steps, strict=True)}
+        if any(not 0.5 < value / (fit.values[name] or 1.0) < 2.0 for name, value in values.items()):
+            return lead  # the first order does not reach so far
+        return replace(lead, starts=tuple({**values, **one} for one in lead.starts))
+
+    return moved
 
 
 def _free(placed: Placed) -> int:
