@@ -24,6 +24,7 @@ from harness.physics.kalman_pass import Pass
 from harness.signals import FloatArray, Trajectory
 
 __all__ = [
+    "DRIFT",
     "Along",
     "Direction",
     "Trace",
@@ -36,6 +37,9 @@ __all__ = [
     "spline_directions",
     "test_functions",
 ]
+
+DRIFT = ", changing with time"
+"""How the name of an axis ends whose force drifts through every record."""
 
 
 class Along(Protocol):
@@ -477,6 +481,7 @@ def drift_directions(
     longest = max(float(one[-1] - one[0]) for one in times["estimation"])
     knots = np.linspace(0.0, longest, EFFORT.joint_knots[0])
     hats = {use: [hat_basis(one - one[0], knots) for one in parts] for use, parts in times.items()}
+    hats = {use: [part - part.mean(axis=0) for part in parts] for use, parts in hats.items()}  # no lasting part
     found: list[Direction] = []
     for name, axis in values.items():
         basis = {
@@ -484,7 +489,7 @@ def drift_directions(
             for use, parts in hats.items()
         }
         labels = [f"{at:.3g} s" for at in knots]
-        found += _at_every_port(basis, ports, readings, f"{name}, changing with time", labels)
+        found += _at_every_port(basis, ports, readings, f"{name}{DRIFT}", labels)
     return found
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.search.directions import DRIFT
 from harness.diagnosis.search.fit import Column, Fit, Form, Linearised
 from harness.diagnosis.search.score_test import projected
 from harness.signals import FloatArray
@@ -69,8 +70,12 @@ class Leftover:
     @property
     def best(self) -> Axis | None:
         """The axis that predicts most of what is left, if one does so beyond chance."""
+        policy = self.policy
         for one in self.axes:
-            if one.total > self.policy.spline and one.validation > self.policy.spline_z * one.error:
+            size, z = one.total, policy.spline_z
+            if one.name.endswith(DRIFT):  # by chance an unknown force may follow the motion in one record for a while
+                size, z = min(one.evidence, one.validation), policy.validation_z
+            if size > policy.spline and one.validation > z * one.error:
                 return one
         return None
 

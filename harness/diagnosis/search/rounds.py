@@ -52,15 +52,17 @@ class Outcome:
     """Effects that the likelihood prefers and that were taken back."""
 
     def unlawful(self, policy: Policy = POLICY) -> Judged | None:
-        """Return the candidate that explains the records best, if its law forbids its values and the answer is worse.
+        """Return the rival that explains the records best, if its law forbids its values and the answer is worse.
 
-        Where one is, the answer is the best of the laws that were allowed, and not the law of the plant.
+        Where one is, the answer is the best of the laws that were allowed, and not the law of the plant. What has the
+        answer in it is no rival of it.
         """
         best: tuple[float, Judged] | None = None
+        answer = {str(one) for one in self.model.effects}
         for one in (candidate for here in self.rounds for candidate in here.candidates):
-            if one.fit is None or not any(
-                wrong_signs(it, one.fit.values) or violations(it, one.fit) for it in one.added
-            ):
+            if one.fit is None or answer <= {str(it) for it in one.fit.effects}:
+                continue
+            if not any(wrong_signs(it, one.fit.values) or violations(it, one.fit) for it in one.added):
                 continue
             gap = compared(one.fit, self.model, policy).total
             _, error = difference(one.fit, self.model, ("estimation", "validation"), policy)
