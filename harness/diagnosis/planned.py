@@ -154,7 +154,7 @@ def isolability_of(
         form.resize(fit)
         candidates = place_all(system, dictionary)
         test = score_test(form, fit, candidates, replace(policy, seen=plan.visible))
-        names, cosines = test.cosines()
+        names, cosines = test.cosines(most=len(test.leads))
         both = np.minimum(cosines, cosines.T)
         pairs = [
             (names[i], names[j], round(float(both[i, j]), 4))

@@ -86,8 +86,8 @@ def coulomb_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     nests=("coulomb_friction",),
     requires={
         "the level near standstill Fs lies above the level at speed Fc": lambda p: p["Fs"] > p["Fc"],
-        # the sign has turned to 99 % at 2.65 w: less of a rise than two thirds of it there is a sharper sign
-        "the Stribeck speed vs lies far above the smoothing width w": lambda p: p["vs"] > 4 * p["w"],
+        # the sign has turned to 99 % at 2.65 w: less of a rise than three quarters of it there is a sharper sign
+        "the Stribeck speed vs lies far above the smoothing width w": lambda p: p["vs"] > 5 * p["w"],
     },
     limits={"coulomb_friction": "at speeds far above the Stribeck speed vs"},
     experiment="a slow triangle through zero speed: the force must fall as the speed rises",

@@ -11,7 +11,7 @@ from harness.effects import builtin
 from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed
 from harness.physics import load_model
-from harness.study.plan import plan
+from harness.study.plan import Task
 from harness.study.records import Records, make_records
 
 USED = 140_000
@@ -20,7 +20,8 @@ USED = 140_000
 
 def closed(key: str, *names: str) -> tuple[Records, Diagnosis]:
     """Return a record of the study and its diagnosis with some effects of the dictionary."""
-    task = next(one for one in plan("confusion", base=USED) if one.key == f"{key}|{USED}")
+    study, plant, engine, effect, level, noise, disturbance, index = key.split("|")
+    task = Task(study, plant, engine, (effect,), level, noise, float(disturbance), int(index), USED)
     records = make_records(task)
     return records, diagnose(records.dataset, load_model(task.plant), dictionary=[builtin()[name] for name in names])
 

@@ -34,6 +34,7 @@ def diagnosis(
     left: float = 0.01,
     misfit: tuple[str, ...] = (),
     withdrawn: bool = False,
+    rival: str = "",
 ) -> Diagnosis:
     """Return a diagnosis with what verdict and grade look at; the typical force is 2."""
     noise = SimpleNamespace(s=np.array([2 * latent]), w=np.array([2 * white]))
@@ -43,6 +44,7 @@ def diagnosis(
         model=model,
         nominal=model,
         withdrawn=[SimpleNamespace(placed=DRAG)] if withdrawn else [],
+        unlawful=lambda policy: SimpleNamespace(name=rival) if rival else None,
     )
     best = SimpleNamespace(name="theta over theta_rate") if left_over else None
     form: Any = SimpleNamespace(noise_model=SimpleNamespace(force_scale=np.array([2.0])))
@@ -75,6 +77,9 @@ def test_explained_is_said_of_a_model_that_leaves_little_and_nothing_to_predict(
 
 def test_effects_beside_which_something_can_be_predicted_are_stand_ins() -> None:
     assert diagnosis(accepted=True).stand_in == ()
+    (reason,) = diagnosis(accepted=True, rival="coulomb_friction@theta").stand_in
+    assert "coulomb_friction@theta" in reason
+    assert diagnosis(rival="coulomb_friction@theta").stand_in == (), "nothing was named"
     assert diagnosis(accepted=True, left_over=True).stand_in
     assert diagnosis(left_over=True).stand_in == ()
 

@@ -112,6 +112,10 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
             reasons.append(
                 f"amplitude and phase change along the records (evidence {wandering:.1f}): it does not repeat"
             )
+    names = {str(one) for one in added}
+    for placed in fit.effects:  # what was found before must stay what it is
+        if str(placed) not in names:
+            reasons += [f"beside it {placed} is no such law: {text}" for text in wrong_signs(placed, fit.values)]
     return Judged(tuple(added), fit, found, tuple(reasons))
 
 
