@@ -30,9 +30,10 @@ hardens, a motor with back-EMF, current and voltage limits, a command held by a 
 formulas of `laws`, with which it agrees to rounding), `laws` (the dictionary's formulas in C, steps of 0.2 ms, friction
 with a true standstill, sharp corners). Sizes: nominal is 6 to 10 % of the rms torque, quarter a fourth; noise: low
 1e-4, high 1e-3 (rad, m); disturbance: unknown torque of 2 % of the rms torque, Gauss-Markov or not. A third of the
-records have a nominal structure that is a little wrong: {structures}. One of these has a name in the dictionary
-(the eccentric encoder: a cyclic error), and an answer that names it beside what is hidden is right. Both models have
-viscous friction: it is not hidden."""
+records have a nominal structure that is a little wrong: {structures}. Four of these have a name in the
+dictionary (damping that depends on the position, a drive whose gain falls with its command, a cyclic error and a bent
+scale of the sensor), and an answer that names it beside what is hidden is right; a heavy rod, a damper that warms up
+and a drive that tires at speed have none. Both models have viscous friction: it is not hidden."""
 NAMED = ("payload_step", "backlash", "sensor_offset", "end_stop")
 """Effects that the headline shows one by one."""
 

@@ -13,7 +13,7 @@ from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.records.unfold import HIDING, unfoldings
 from harness.diagnosis.search.coherence import in_parts, wandering
-from harness.diagnosis.search.directions import Trace, directions, line_directions, test_functions
+from harness.diagnosis.search.directions import Direction, Trace, directions, line_directions, test_functions
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.fit_records import fit_from_record, fit_record, point_from_record, point_record
 from harness.diagnosis.search.predictive import Predictive, predictive, spread_of, whitened
@@ -35,6 +35,8 @@ __all__ = ["USES", "Detail", "LikelihoodForm"]
 
 NOISE = ("s@", "tau@", "w@", "r@")
 USES = ("estimation", "validation")
+_TOGETHER = 64
+"""Columns of the score test that are answered together."""
 OWN = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
 """Parameters that belong to a record and not to the plant."""
 
@@ -597,24 +599,40 @@ class LikelihoodForm:
         """Return the columns of directions (lists of forces and readings by use and record)."""
         if not found:
             return []
-        columns = sum(len(one.names) for one in found)
-        held = np.repeat([self._held(one.placed) for one in found], [len(one.names) for one in found])
-        made: dict[str, FloatArray] = {use: np.zeros((0, columns)) for use in USES}
-        for use in found[0].forces:
-            passed, _ = self.paths(fit, use)
+        paths = {use: self.paths(fit, use)[0] for use in found[0].forces}
+        return [column for some in _portions(found) for column in self._together(paths, some)]
+
+    def _together(self, paths: Mapping[str, Sequence[Filtered]], found: Sequence[Direction]) -> list[Column]:
+        """Return the columns of a few directions."""
+        edges = np.cumsum([0, *(len(one.names) for one in found)])
+        held = np.repeat([self._held(one.placed) for one in found], np.diff(edges))
+        over = None if self.latent else self.dt
+        made = dict.fromkeys(USES, np.zeros((0, edges[-1])))
+        for use, passed in paths.items():
             parts = []
             for number, one in enumerate(passed):
                 forces = np.concatenate([d.forces[use][number] for d in found], axis=2)
                 readings = np.concatenate([d.readings[use][number] for d in found], axis=2)
-                over = None if self.latent else self.dt
                 response = innovation_response(one, forces, readings, rates_over=over, held=held)
                 parts.append(whitened(response, one.s[..., None]))
             made[use] = np.concatenate(parts)
-        edges = np.cumsum([0, *(len(one.names) for one in found)])
         return [
             Column(one.placed, one.given, one.names, *(made[use][:, first:last] for use in USES))
             for one, first, last in zip(found, edges[:-1], edges[1:], strict=True)
         ]
+
+
+def _portions(found: Sequence[Direction]) -> list[list[Direction]]:
+    """Return directions in groups of few enough columns to stay in the cache."""
+    groups: list[list[Direction]] = []
+    size = _TOGETHER
+    for one in found:
+        size += len(one.names)
+        if size > _TOGETHER:
+            groups.append([])
+            size = len(one.names)
+        groups[-1].append(one)
+    return groups
 
 
 def _known(system: Any, values: Mapping[str, float]) -> dict[str, float]:
