@@ -11,7 +11,7 @@ from harness.diagnosis.policy import EFFORT, POLICY, Policy
 from harness.diagnosis.search.compare import Judged, compared, difference, impossible, judged, violations, wrong_signs
 from harness.diagnosis.search.fit import Begun, Fit, Form
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
-from harness.effects import family
+from harness.effects import family, nested
 from harness.effects.effect import Placed
 
 __all__ = ["Accepted", "Outcome", "Round", "in_its_place", "search"]
@@ -55,12 +55,12 @@ class Outcome:
         """Return the rival that explains the records best, if its law forbids its values and the answer is worse.
 
         Where one is, the answer is the best of the laws that were allowed, and not the law of the plant. What has the
-        answer in it is no rival of it.
+        answer in it, as a special case of a law or beside others, is no rival of it.
         """
         best: tuple[float, Judged] | None = None
         answer = {str(one) for one in self.model.effects}
         for one in (candidate for here in self.rounds for candidate in here.candidates):
-            if one.fit is None or answer <= {str(it) for it in one.fit.effects}:
+            if one.fit is None or answer <= _contained(one.fit.effects):
                 continue
             if not any(wrong_signs(it, one.fit.values) or violations(it, one.fit) for it in one.added):
                 continue
@@ -133,6 +133,11 @@ def search(
             break
     found.nominal = nominal
     return found
+
+
+def _contained(effects: Sequence[Placed]) -> set[str]:
+    """Return the effects with their special cases."""
+    return {f"{name}@{one.at}" for one in effects for name in (one.effect.name, *map(str, nested(one.effect)))}
 
 
 def _accept(found: Outcome, best: Judged, tie: tuple[tuple[Placed, ...], ...]) -> None:
