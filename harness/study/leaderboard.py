@@ -195,7 +195,8 @@ def answers_of_rows(path: str | Path) -> dict[str, Answer]:
         # rows keep only ties of two members or more, in the order of the effects
         listed = [[frozenset(_split(m, " & ")) for m in tie.split(" / ")] for tie in row["ties"].split("; ") if tie]
         ties = tuple(
-            next((tuple(tie) for tie in listed if frozenset({name}) in tie), (frozenset({name}),)) for name in accepted
+            tuple(listed.pop(0)) if listed and frozenset({name}) in listed[0] else (frozenset({name}),)
+            for name in accepted
         )
         unseen = frozenset(_split(row["truth"])) if row["how"] == "said to be invisible" else frozenset()
         stand_in = bool(row["stand_in"]) or row["how"] == STAND_IN

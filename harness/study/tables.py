@@ -34,6 +34,7 @@ records have a nominal structure that is a little wrong: {structures}. Four of t
 dictionary (damping that depends on the position, a drive whose gain falls with its command, a cyclic error and a bent
 scale of the sensor), and an answer that names it beside what is hidden is right; a heavy rod, a damper that warms up
 and a drive that tires at speed have none. Both models have viscous friction: it is not hidden."""
+PART = " (the order is balanced within every part, so what is done is a fair sample)"
 NAMED = ("payload_step", "backlash", "sensor_offset", "end_stop")
 """Effects that the headline shows one by one."""
 
@@ -57,7 +58,7 @@ def summary(rows: Iterable[Row], *, seeds: str, planned: int, keys: Collection[s
     parts = [
         "# What the closed loop finds on simulated truths",
         f"Made by `sysid study` on {seeds} seeds: {len(known)} of {planned} planned records done"
-        f"{'' if len(known) == planned else ' (the order is balanced, so the part done is a fair sample)'}.",
+        f"{'' if len(known) == planned else PART}.",
         LEGEND.format(structures="; ".join(STRUCTURES.values())),
     ]
     single = [row for row in good if row["study"] == "confusion"]
