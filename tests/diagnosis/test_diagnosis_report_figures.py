@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from harness.diagnosis.report import evidence_json
+from harness.diagnosis.report.html import environment
 from harness.diagnosis.search.compare import Comparison, Judged
 from harness.effects import builtin
 from harness.effects.effect import Placed
@@ -92,3 +93,21 @@ def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: 
     assert "100 %" not in text
     if verdict != "model_does_not_fit":
         assert "99.99 % of the validation variance" in text
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (None, "hardly changed"),
+        (1.0, "hardly changed"),
+        (1.04, "hardly changed"),
+        (0.97, "hardly changed"),
+        (21.8, "21.8 times smaller"),
+        (1.1, "1.1 times smaller"),
+        (0.6326, "1.58 times larger"),
+        (0.05, "20 times larger"),
+    ],
+)
+def test_a_card_says_what_the_error_did_also_where_it_grew(factor: float | None, words: str) -> None:
+    text = environment().from_string("{{ factor|change }}").render(factor=factor)
+    assert text == words

@@ -18,7 +18,7 @@ def environment() -> Any:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    made.filters.update(number=_number, percent=_percent, words=_words, p=_probability)
+    made.filters.update(number=_number, percent=_percent, words=_words, p=_probability, change=_change)
     return made
 
 
@@ -64,6 +64,13 @@ def _error_row(
         "nrmse_after": None if after is None else after["nrmse"],
         "factor": a / b if a is not None and b else None,
     }
+
+
+def _change(factor: float | None) -> str:
+    """Return in words what an error did whose value before is this many times the value after."""
+    if factor is None or 1 / 1.05 < factor < 1.05:
+        return "hardly changed"
+    return f"{factor:.3g} times smaller" if factor > 1 else f"{1 / factor:.3g} times larger"
 
 
 def _number(value: float | None) -> str:
