@@ -140,8 +140,8 @@ class _Placing:
             if one.angle_only and port.unit != "rad":
                 fixed, value = True, one.neutral or 0.0
             symbol = ca.SX.sym(placed.name(one.name))
-            unit, low = unit_of(one.unit, units), one.lowest(sizes, value)
-            declared.append(Parameter(placed.name(one.name), unit, value, low, one.maximum, fixed))
+            unit, low, high = unit_of(one.unit, units), one.lowest(sizes, value), one.highest(sizes, value)
+            declared.append(Parameter(placed.name(one.name), unit, value, low, high, fixed))
             named[one.name] = symbol
             self.symbols.append(symbol)
         if effect.sampled:

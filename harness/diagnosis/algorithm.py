@@ -75,8 +75,10 @@ class Diagnosis:
     @property
     def not_visible(self) -> list[Lead]:
         """Effects that the nominal parameters and initial states can do as well: these data do not show them."""
-        accepted = {str(one.placed) for one in self.outcome.accepted}
-        faint = [one for one in self.test.leads if one.share < PLAN_POLICY.visible and str(one.placed) not in accepted]
+        first = self.outcome.rounds[0].candidates
+        shown = {one.name for one in first if one.comparison and one.comparison.evidence >= self.policy.evidence}
+        shown |= {str(one.placed) for one in self.outcome.accepted}
+        faint = [one for one in self.test.leads if one.share < PLAN_POLICY.visible and str(one.placed) not in shown]
         return sorted([*self.test.hidden, *faint], key=lambda one: str(one.placed))
 
     @property

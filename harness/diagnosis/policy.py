@@ -172,10 +172,21 @@ class Effort:
         "what was accepted promised 0.08 of the best at least, and gained 44 times its promise at most",
         "judged records from 150000, which judge no more",
     )
+    faint: int = _number(
+        4,
+        "refits that are begun along columns which the nominal parameters take up nearly whole",
+        "their promises are uncertain: a second viscous friction promised 150 and had nothing to give",
+        "tests",
+    )
     begun: int = _number(12, "refits that are begun in a round", "cost", "seeds below 1000")
     refits: int = _number(6, "refits that are finished in a round", "cost", "seeds below 1000")
     pairs: int = _number(2, "rivals of a first answer that are tried with a second effect", "cost", "seeds below 1000")
     points: int = _number(3, "starts of a fit that its first steps are taken from, the likeliest ones", "cost")
+    parts: tuple[float, ...] = _number(
+        (0.5, 0.25, 0.1, 0.03),
+        "of the way from a base to a start that is worse, where a likelier start is looked for",
+        "steps of first order are right at a short way",
+    )
     looks: int = _number(2, "of these, iterations before starts that are far from the best one are left", "cost")
     first_steps: int = _number(5, "iterations from each of several starts before the best goes on", "cost", "tests")
     close: float = _number(

@@ -52,7 +52,8 @@ def saturation(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     [
         par("R", "u/s", scale="0.2 u/dt", sign="+", minimum=1e-12, main=True, grid=(1.0, 0.2, 0.04, 3.0),
             meaning="largest rate of the actuator"),
-        par("tau", "s", scale="1 dt", sign="+", minimum=1e-9, nuisance=True, meaning="time constant below the limit"),
+        par("tau", "s", scale="1 dt", floor="0.2 dt", sign="+", minimum=1e-9, nuisance=True,
+            meaning="time constant below the limit"),
     ],
     states={"z": "u"},
     initial={"z": "signal"},

@@ -184,7 +184,8 @@ def _symbols(system: System, placed: Placed, port: Port, sizes: Mapping[str, flo
         if one.angle_only and port.unit != "rad":
             fixed, value = True, one.neutral or 0.0
         name, unit = placed.name(one.name), unit_of(one.unit, units)
-        declared.append((Parameter(name, unit, value, one.lowest(sizes, value), one.maximum, fixed), symbol))
+        low, high = one.lowest(sizes, value), one.highest(sizes, value)
+        declared.append((Parameter(name, unit, value, low, high, fixed), symbol))
         named[one.name] = symbol
     return _Symbols(declared, named, [ca.SX.sym(placed.name(name)) for name in placed.effect.states])
 

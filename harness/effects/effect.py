@@ -146,9 +146,14 @@ class Effect:
             for one in self.parameters
         }
 
+    @property
+    def vanishes(self) -> bool:
+        """True if there are values at which the effect is not there, see :meth:`neutral`."""
+        return any(one.neutral is not None for one in self.parameters)
+
     def neutral(self, values: Mapping[str, float] | None = None) -> dict[str, float] | None:
         """Return parameters at which the effect vanishes (the neutral ones replaced), None where there are none."""
-        if not any(one.neutral is not None for one in self.parameters):
+        if not self.vanishes:
             return None
         given = self.complete(values or {})
         return {one.name: given[one.name] if one.neutral is None else one.neutral for one in self.parameters}

@@ -52,6 +52,8 @@ class EffectParameter:
         It belongs to a record, not to the plant (an instant, a phase of a line): refitted on every record.
     floor : str
         Lower bound that follows from the sizes of the data, written as ``scale`` is: what this motion could show.
+    ceiling : str
+        Upper bound of the same kind: a constant so fast that nothing in these samples could show it.
     grid : tuple of float
         Factors on the start value for several starts and for screens (local minima: gaps, change times, orders).
     meaning : str
@@ -72,11 +74,12 @@ class EffectParameter:
     angle_only: bool = False
     per_record: bool = False
     floor: str = ""
+    ceiling: str = ""
     grid: tuple[float, ...] = (1.0,)
     meaning: str = ""
 
     def start(self, sizes: Mapping[str, float]) -> float:
-        """Return the start value for data of these sizes, within the bounds (the floor that they set included).
+        """Return the start value for data of these sizes, within the bounds (those that they set included).
 
         Parameters
         ----------
@@ -90,7 +93,7 @@ class EffectParameter:
         0.02
         """
         value = _sized(self.scale or self._default_scale(), sizes)
-        return float(np.clip(value, self.lowest(sizes, np.inf), self.maximum))
+        return float(np.clip(value, self.lowest(sizes, np.inf), self.highest(sizes, -np.inf)))
 
     def lowest(self, sizes: Mapping[str, float], value: float) -> float:
         """Return the lower bound for data of these sizes; never above a value that was given."""
@@ -98,11 +101,17 @@ class EffectParameter:
             return self.minimum
         return float(max(self.minimum, min(_sized(self.floor, sizes), value, self.maximum)))
 
+    def highest(self, sizes: Mapping[str, float], value: float) -> float:
+        """Return the upper bound for data of these sizes; never below a value that was given."""
+        if not self.ceiling or not sizes:
+            return self.maximum
+        return float(min(self.maximum, max(_sized(self.ceiling, sizes), value, self.minimum)))
+
     def starts(self, sizes: Mapping[str, float]) -> tuple[float, ...]:
         """Return the start values worth trying, the usual one first."""
         first = self.start(sizes)
-        low = self.lowest(sizes, np.inf)
-        values = [float(np.clip(first * factor, low, self.maximum)) for factor in self.grid]
+        low, high = self.lowest(sizes, np.inf), self.highest(sizes, -np.inf)
+        values = [float(np.clip(first * factor, low, high)) for factor in self.grid]
         return tuple(dict.fromkeys([first, *values]))
 
     def _default_scale(self) -> str:

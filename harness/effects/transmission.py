@@ -27,8 +27,9 @@ def _stiffness(scale: str, *, main: bool) -> EffectParameter:
 
 
 def _damping(scale: str) -> EffectParameter:
-    """Return the damping of the transmission."""
-    return par("d", "F/v", scale=scale, sign="+", minimum=0.0, nuisance=True, meaning="damping in the transmission")
+    """Return the damping of the transmission; what fades within a sample time is as good as rigid."""
+    return par("d", "F/v", scale=scale, ceiling="1 F/(a dt)", sign="+", minimum=0.0, nuisance=True,
+               meaning="damping in the transmission")  # fmt: skip
 
 
 @effect(

@@ -106,6 +106,8 @@ class LikelihoodFit:
     message : str
     beyond : bool
         True if it was left because its steps would not have brought it within reach.
+    pace : float
+        Log-likelihood that its last step gained; 0 where it converged.
     """
 
     system: System
@@ -121,6 +123,7 @@ class LikelihoodFit:
     message: str = ""
     filtered: list[Filtered] = field(default_factory=list, repr=False)
     beyond: bool = False
+    pace: float = 0.0
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -334,21 +337,18 @@ class Likelihood:
         told = np.zeros(len(which), dtype=bool)
         if passes is not None and len(chosen):
             told |= which < limit
-            whole = [np.asarray(one.j) for one in passes]
-            edges = np.cumsum([0, *(one.shape[0] for one in whole)])
-            for row, k in enumerate(which):
-                if k >= limit:
-                    continue
-                column = np.zeros((edges[-1], self.filter.ny))
-                if k < n:
-                    place = columns.index(int(k))
-                    for part, first, last in zip(whole, edges[:-1], edges[1:], strict=True):
-                        column[first:last] = part[..., place]
-                    column *= point.p[k] if self._log[k] else 1.0
-                else:
-                    number, state = divmod(int(k) - n, m)
-                    column[edges[number] : edges[number + 1]] = whole[number][..., len(columns) + state]
-                by_e[row] = column.ravel()[known] * root
+            whole = [np.asarray(one.j).reshape(-1, len(chosen)) for one in passes]
+            edges = np.cumsum([0, *(len(one) for one in whole)])
+            for part, first, last in zip(whole, edges[:-1], edges[1:], strict=True):  # what is not known is 0 in j
+                part *= np.where(known[first:last], 1.0 / np.sqrt(s[first:last]), 0.0)[:, None]
+            shared = np.flatnonzero(which < n)
+            scale = np.where(self._log, point.p, 1.0)[which[shared]]
+            full = np.zeros((len(which), edges[-1]))
+            for number, (part, first, last) in enumerate(zip(whole, edges[:-1], edges[1:], strict=True)):
+                full[shared, first:last] = part[:, : len(columns)].T * scale[:, None]
+                own = np.flatnonzero((which >= n + number * m) & (which < n + (number + 1) * m))
+                full[own, first:last] = part[:, len(columns) + which[own] - n - number * m].T
+            by_e = full if known.all() else full[:, known]
         if passes is not None and all(one.e_noise is not None for one in passes):
             told |= which >= limit
             noisy = np.flatnonzero(which >= limit)
@@ -391,8 +391,11 @@ class Likelihood:
             by_e[row] = change / h * root
             by_s[row] = np.log(s2[known] / s[known]) / h
         normal = e[known] * root
-        gradient = by_e @ normal + 0.5 * (by_s @ (1.0 - normal**2))
-        return gradient, by_e @ by_e.T + 0.5 * (by_s @ by_s.T)
+        gradient, matrix = by_e @ normal, by_e @ by_e.T
+        spread = np.flatnonzero(by_s.any(axis=1))
+        gradient[spread] += 0.5 * (by_s[spread] @ (1.0 - normal**2))
+        matrix[np.ix_(spread, spread)] += 0.5 * (by_s[spread] @ by_s[spread].T)
+        return gradient, matrix
 
     def _noise_lanes(self) -> list[int]:
         """Return where a pass has the derivative by each logarithm of the noise, in the order of the vector."""
@@ -416,6 +419,7 @@ class Likelihood:
         most: int = 60,
         reach: float = np.inf,
         exact: bool = True,
+        near: bool = False,
     ) -> LikelihoodFit:
         """Return the maximum near a start.
 
@@ -432,7 +436,10 @@ class Likelihood:
             were each to bring as much as the last one, the search ends, not converged.
         exact : bool
             Whether the last steps count how parameters and initial states change the variances, too. That takes
-            difference quotients, and matters where the innovations are to be judged to less than a tenth.
+            difference quotients, and matters where the innovations are to be judged to less than a tenth. What they
+            add is kept until the steps with it have come to their end.
+        near : bool
+            Whether the start is where a search that was not exact ended: the last steps are taken at once.
 
         Raises
         ------
@@ -457,17 +464,25 @@ class Likelihood:
                 remedy="start elsewhere, or check units and signs of the records",
             )
         damping, converged, message, count, beyond = 1e-3, False, "", 0, False
-        last, counted = not exact, exact and self.noise_model.latent
+        last, counted = near, exact and self.noise_model.latent
         entries = np.flatnonzero(chosen)
         scaled_noise = not self.noise_model.latent and bool(chosen[len(names) - self.filter.ny :].all())
         promise = first = np.inf
+        gain = 0.0
         matrix = np.eye(len(entries))
         deviations: FloatArray | None = None
+        more: tuple[FloatArray, FloatArray] | None = None
+        seen = value
         for _ in range(most):
             count += 1
             assert found is not None
             with np.errstate(all="ignore"):
-                gradient, matrix = self._derivatives(z, found, entries, last and counted, deviations)
+                gradient, matrix = self._derivatives(z, found, entries, False, deviations)
+                if last and counted:
+                    if more is None:
+                        whole = self._derivatives(z, found, entries, True, deviations)
+                        more, seen = (whole[0] - gradient, whole[1] - matrix), value
+                    gradient, matrix = gradient + more[0], _positive(matrix + more[1], matrix)
             deviations = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
             if not (np.isfinite(gradient).all() and np.isfinite(matrix).all()):
                 message = "derivatives are not finite"
@@ -504,10 +519,14 @@ class Likelihood:
                     message, beyond = "its steps do not bring it within reach", True
                     break
                 if last and gain < _ENOUGH:
-                    converged = True
-                    break
+                    if more is None or seen - value < _ROUGH:
+                        converged = True
+                        break
+                    more = None
                 if not last and max(gain, promise) < _ROUGH:
                     last = True
+            elif last and more is not None and seen - value >= _ROUGH:
+                more, damping = None, 1e-3
             elif last:
                 converged = first < 5 * _ENOUGH
                 message = "" if converged else "no step raises the likelihood"
@@ -517,7 +536,7 @@ class Likelihood:
         else:
             message = f"no maximum after {most} iterations"
         fit = self._finished(z, value, found, entries, matrix, converged, count, message)
-        return replace(fit, beyond=beyond)
+        return replace(fit, beyond=beyond, pace=0.0 if converged else gain)
 
     def _finished(
         self, z: FloatArray, value: float, found: Any, entries: Any, matrix: FloatArray, converged: bool, count: int,
@@ -552,6 +571,13 @@ class Likelihood:
             message,
             list(found),
         )
+
+
+def _positive(matrix: FloatArray, instead: FloatArray) -> FloatArray:
+    """Return a matrix if it is positive definite within rounding, else another."""
+    size = np.sqrt(np.maximum(np.diag(instead), 1e-12))
+    least = np.linalg.eigvalsh(matrix / np.outer(size, size))[0] if np.isfinite(matrix).all() else -np.inf
+    return matrix if least > -1e-9 else instead
 
 
 def _log(values: FloatArray, least: FloatArray) -> FloatArray:

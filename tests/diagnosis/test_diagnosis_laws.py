@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from harness.diagnosis import diagnose
+from harness.diagnosis.dictionary import placed
+from harness.diagnosis.kinds import Equations
 from harness.diagnosis.search.leftover import Axis, Leftover
+from harness.diagnosis.search.rounds import chosen
+from harness.diagnosis.search.score_test import score_test
+from harness.effects import builtin
 from harness.physics import load_model
 from harness.study.plan import Task
 from harness.study.records import make_records
@@ -33,6 +38,31 @@ def test_what_imitates_other_effects_gets_its_own_name(effect: str, held: tuple[
     assert (found.verdict, found.grade) == ("effects_found", "explained")
     for name in held:
         assert found.final.values[f"{effect}.{name}"] == pytest.approx(records.hidden[0].named[name], rel=within)
+
+
+def test_no_refit_starts_below_what_it_adds_to() -> None:
+    """What nominal parameters and initial states take up nearly whole started 8000 units too low, and was lost."""
+    records = make_records(replace(TASK, plant="cart-pole", engine="pymunk", effects=("sensor_gain@x",), noise="low"))
+    form = Equations().form(load_model("cart-pole"), records.dataset)
+    nominal = form.fit((), form.first_starts(), None)
+    assert nominal is not None
+    form.resize(nominal)
+    candidates, _ = placed(form.nominal, list(builtin().values()))
+    begun = 0
+    for lead in chosen(score_test(form, nominal, candidates)):
+        if lead.placed.effect.vanishes and lead.placed.effect.name != "end_stop":  # a stop is never softer than gravity
+            first = form.begin([lead.placed], [{**nominal.values, **one} for one in lead.starts], nominal)
+            assert first is not None
+            assert first.log_likelihood > nominal.log_likelihood("estimation") - 10.0, str(lead.placed)
+            begun += 1
+    assert begun > 3
+
+
+def test_a_gain_of_a_sensor_is_found_beside_a_drive_that_tires() -> None:
+    """The nominal parameters take up nine tenths of it, and a hysteresis with a cogging imitated the rest."""
+    task = replace(TASK, plant="cart-pole", engine="pymunk", effects=("sensor_gain@x",), structure="tiring-drive")
+    found = diagnose(make_records(task).dataset, load_model("cart-pole"))
+    assert [str(one.placed) for one in found.outcome.accepted] == ["sensor_gain@x"]
 
 
 def test_a_force_over_speed_and_command_together_is_seen() -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.search.compare import compared
+from harness.diagnosis.search.compare import compared, judged
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.rounds import Accepted, Outcome, _pruned, search
@@ -193,11 +193,15 @@ def test_a_promise_is_the_gain_where_everything_is_linear() -> None:
 
 
 def test_a_start_that_moves_too_far_leaves_what_was_free_where_it_is() -> None:
-    """Beyond a factor of two the first order means nothing."""
+    """Beyond a factor of two the first order means nothing, but where the effect vanishes there is a way back."""
     form = LinearForm(linear_records(3, {"cubic_spring": -3.0}, absorbed={"cubic_spring": 0.5}))
     nominal = form.fit((), [], None)
-    (lead,) = [one for one in score_test(form, nominal, ALL).leads if one.placed.effect.name == "cubic_spring"]
-    assert set(lead.starts[0]) == {main("cubic_spring")}
+    spring = builtin()["cubic_spring"]
+    (stiffness,) = spring.parameters
+    stays = Placed(replace(spring, parameters=(replace(stiffness, neutral=None),)), "theta")
+    for one, names in ((stays, set()), (placed("cubic_spring"), {"a", "b"})):
+        (lead,) = score_test(form, nominal, [one]).leads
+        assert set(lead.starts[0]) == {main("cubic_spring"), *names}
 
 
 def test_what_the_nominal_parameters_take_up_cannot_be_seen() -> None:
@@ -352,3 +356,30 @@ def test_a_law_of_the_wrong_sign_that_explains_more_makes_the_answer_a_stand_in(
         assert "cubic_spring" in names
         assert better is not None
         assert "quadratic_drag" in better.name
+
+
+def test_an_effect_whose_own_law_forbids_what_is_left_of_it_is_not_left_alone() -> None:
+    """Without the drag, the spring would be negative and explain as much: the drag is not needless then."""
+    records = linear_records(14, {"quadratic_drag": 0.4})
+    for use in USES:
+        own = records.x[use]
+        own["viscous_friction"] = -own["quadratic_drag"] + 0.02 * own["viscous_friction"]
+    form = LinearForm(records)
+    nominal = form.fit((), [], None)
+    chosen = [placed("quadratic_drag"), placed("viscous_friction")]
+    outcome = Outcome(nominal, form.fit(chosen, [], nominal), [Accepted(one, ((one,),), 1, 1) for one in chosen])
+    alone = form.fit(chosen[1:], [], nominal)
+    assert alone.values[main("viscous_friction")] < 0, "its sign is forbidden"
+    assert compared(alone, outcome.model).total > -POLICY.tie, "and it explains as much"
+    _pruned(form, outcome, POLICY)
+    assert accepted(outcome) == {"quadratic_drag", "viscous_friction"}
+
+
+def test_what_was_left_on_its_way_is_said_to_be_and_not_that_it_did_not_converge() -> None:
+    form = LinearForm(linear_records(15, {"linear_spring": 0.4}))
+    nominal = form.fit((), [], None)
+    behind = replace(form.fit([placed("quadratic_drag")], [], nominal), converged=False, beyond=True)
+    stuck = replace(behind, beyond=False)
+    (first, *_), (second, *_) = (judged(one.effects, one, nominal, nominal).reasons for one in (behind, stuck))
+    assert "left on its way" in first
+    assert second == "its fit did not converge"

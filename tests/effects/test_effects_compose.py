@@ -389,3 +389,25 @@ def test_a_refit_from_the_hinted_start_finds_what_was_hidden(hidden):
     assert fit.chi2 < 1.3
     main = hidden.main()
     assert fit.parameters[main] == pytest.approx(truth.values()[main], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "at", "fast"),
+    [("backlash", "theta", {"k": 5e3, "Jm": 0.05, "d": 1e6}), ("rate_limit", "u", {"tau": 1e-8})],
+)
+def test_what_is_faster_than_the_samples_is_as_good_as_at_once(name, at, fast):
+    """Fits went to such values, and took 64 steps of the solver for every sample there."""
+    sizes = {at: {"dt": 0.01, "F": 1.0, "q": 1.0, "v": 3.0, "a": 10.0, "u": 1.0}}
+    system = compose(pendulum().system(), [Placed(builtin()[name], at)], sizes=sizes)
+    bounded = {
+        f"{name}@{at}.{key}": float(np.clip(value, *_bounds(system, f"{name}@{at}.{key}")))
+        for key, value in fast.items()
+    }
+    assert recommended_substeps(system, bounded, 0.01) <= 8
+    loose = compose(pendulum().system(), [Placed(builtin()[name], at, fast)], sizes=sizes)
+    assert recommended_substeps(loose, None, 0.01) > 30, "what a user gives stays as it is"
+
+
+def _bounds(system, name):
+    one = system.parameter(name)
+    return one.minimum, one.maximum

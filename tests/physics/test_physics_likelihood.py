@@ -157,6 +157,21 @@ def test_the_gradient_is_that_of_the_exact_likelihood(make, s, tau, seed) -> Non
         assert gradient[k] == pytest.approx(central, rel=2e-3, abs=2e-3 * np.sqrt(matrix[k, k]) + 1e-2)
 
 
+@settings(max_examples=8, deadline=None)
+@given(st.sampled_from([pendulum, cart_pole]), st.floats(0.9, 1.2), st.floats(0.02, 0.2), st.integers(0, 1000))
+def test_a_fit_that_converged_gains_nothing_when_it_goes_on(make, start, s, seed) -> None:
+    """What only difference quotients tell is kept over several steps, and never past the end of a fit."""
+    system = make().system()
+    data = record(system, system.vector(), np.full(system.nx, 0.1), force=s, seed=seed, n=400)
+    likelihood = Likelihood(system, [data], noise_model(system))
+    first = likelihood.maximise(Point(start * system.vector(), [np.full(system.nx, 0.1)], some_noise(system, s=s)))
+    again = likelihood.maximise(first.point, near=True)
+    if first.converged:
+        assert again.nll == pytest.approx(first.nll, abs=0.3)
+    else:
+        assert again.nll <= first.nll
+
+
 def test_the_truth_is_recovered_with_its_noise() -> None:
     system = pendulum().system()
     truth = system.vector()

@@ -11,8 +11,19 @@ from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.fit import Fit
 from harness.effects.effect import Placed
 
-__all__ = ["Comparison", "Judged", "compared", "difference", "impossible", "judged", "violations", "wrong_signs"]
+__all__ = [
+    "BEYOND",
+    "Comparison",
+    "Judged",
+    "compared",
+    "difference",
+    "impossible",
+    "judged",
+    "violations",
+    "wrong_signs",
+]
 
+BEYOND = "it was left on its way: its steps did not bring it near the best rival"
 _NEAR_BOUND = 1e-4
 """Share of a bound's size within which a value lies on it."""
 
@@ -94,7 +105,9 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
         return Judged(tuple(added), None, None, ("it cannot be simulated here",))
     found = compared(fit, base, policy)
     reasons = []
-    if not fit.converged:
+    if fit.beyond:
+        reasons.append(BEYOND)
+    elif not fit.converged:
         reasons.append("its fit did not converge")
     if found.evidence < policy.evidence:
         reasons.append(f"evidence {found.evidence:.1f} on the estimation records, {policy.evidence:g} asked")

@@ -39,6 +39,8 @@ class Fit:
     logarithmic : frozenset of str
     converged : bool
     on_bound : tuple of str
+    beyond : bool
+        True if it was left on its way because it could not come near a rival any more.
     own : dict
         Parameters of the validation records themselves.
     wandering : dict
@@ -61,6 +63,7 @@ class Fit:
     own: dict[str, float] = field(default_factory=dict)
     wandering: dict[str, float] = field(default_factory=dict)
     detail: Any = field(default=None, repr=False)
+    beyond: bool = False
 
     @property
     def samples(self) -> int:
@@ -123,6 +126,7 @@ class Linearised:
     names: tuple[str, ...]
     spread: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     moved: FloatArray = field(default_factory=lambda: np.zeros(0))
+    states: dict[str, float] = field(default_factory=dict)
 
     @property
     def shared(self) -> int:
@@ -132,12 +136,16 @@ class Linearised:
 
 @dataclass(frozen=True, eq=False)
 class Begun:
-    """The first steps of a fit: the log-likelihood of the estimation records so far, and what the form goes on from."""
+    """The first steps of a fit: the log-likelihood of the estimation records so far, and what the form goes on from.
+
+    ``pace`` is what the last step gained.
+    """
 
     effects: tuple[Placed, ...]
     log_likelihood: float
     values: dict[str, float]
     detail: Any = field(repr=False)
+    pace: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

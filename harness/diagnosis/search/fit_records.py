@@ -39,6 +39,7 @@ def fit_record(fit: LikelihoodFit) -> dict[str, Any]:
         "on_bound": list(fit.on_bound),
         "iterations": fit.iterations,
         "message": fit.message,
+        "beyond": fit.beyond,
     }
 
 
@@ -62,4 +63,5 @@ def fit_from_record(record: dict[str, Any], likelihood: Likelihood) -> Likelihoo
         int(record["iterations"]),
         str(record["message"]),
         found,
+        bool(record["beyond"]),
     )

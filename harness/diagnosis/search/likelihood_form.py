@@ -160,10 +160,16 @@ class LikelihoodForm:
             passes = self.passes(system, int(np.median([self.substeps(system, one) for one in vectors])))
             likelihood = self._likelihood(system, "estimation", passes)
             points = [
-                Point(p, self._starts(system, passes, p, "estimation", base), noise)
-                for p in map(system.vector, vectors)
+                Point(p, self._placed(self._starts(system, passes, p, "estimation", base), passes, start), noise)
+                for p, start in zip(map(system.vector, vectors), starts, strict=True)
                 for noise in self._noises(base)
             ]
+            gone = self._without(effects, base)
+            if gone is not None:
+                assert base is not None
+                points = [
+                    self._back(system, passes, likelihood, point, {**base.values, **gone}, base) for point in points
+                ]
             if len(points) > EFFORT.points:
                 points = sorted(points, key=likelihood.nll)[: EFFORT.points]
             if effects and not self.latent:  # no force took up what was missing: it has driven the parameters away
@@ -174,23 +180,83 @@ class LikelihoodForm:
                 points = [likelihood.concentrated(point) for point in points]
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):  # two transmissions at one joint, say
             return None
-        halved = base is not None and len(points) > 1  # everything stands on the nominal model: no step is spared there
-        tried = self._stepped(likelihood, points, EFFORT.looks if halved else EFFORT.first_steps)
-        near = [one for one in tried if halved and one.nll < tried[0].nll + EFFORT.close]
-        if any(not one.converged for one in near):
-            more = self._stepped(likelihood, [one.point for one in near], EFFORT.first_steps - EFFORT.looks)
-            tried = sorted([*more, *tried[len(near) :]], key=lambda one: one.nll)
+        tried = self._looked(likelihood, points, spare=base is not None)
         if not tried:
             return None
-        return Begun(tuple(effects), -tried[0].nll, tried[0].parameters, (system, passes, likelihood, tried))
+        detail = system, passes, likelihood, tried
+        return Begun(tuple(effects), -tried[0].nll, tried[0].parameters, detail, tried[0].pace)
 
     @staticmethod
-    def _stepped(likelihood: Likelihood, points: Sequence[Point], most: int) -> list[LikelihoodFit]:
+    def _placed(x0: list[FloatArray], passes: Pass, start: Mapping[str, float]) -> list[FloatArray]:
+        """Return initial states with those that a start names."""
+        names = passes.state_names
+        return [
+            np.array([start.get(_state(number, name), value) for name, value in zip(names, one, strict=True)])
+            for number, one in enumerate(x0)
+        ]
+
+    @staticmethod
+    def _without(effects: Sequence[Placed], base: Fit | None) -> dict[str, float] | None:
+        """Return the values at which what a base lacks vanishes; None where there is no such place."""
+        if base is None:
+            return None
+        present = {str(one) for one in base.effects}
+        fresh = [one for one in effects if str(one) not in present]
+        if not fresh or len(fresh) + len(present) > len(effects) or not all(one.effect.vanishes for one in fresh):
+            return None
+        return {
+            one.name(each.name): each.neutral
+            for one in fresh
+            for each in one.effect.parameters
+            if each.neutral is not None
+        }
+
+    def _back(
+        self, system: Any, passes: Pass, likelihood: Likelihood, point: Point, gone: Mapping[str, float], base: Fit
+    ) -> Point:
+        """Return a start, or the likeliest place on the way back from it to the base if it is worse than that.
+
+        A first-order step may lead far beyond what it holds for; the base itself is always a start.
+        """
+        best, least = point, likelihood.nll(point)
+        enough = -base.log_likelihood("estimation")
+        values = dict(zip(system.parameter_names, map(float, point.p), strict=True))
+        p = system.vector(_within(system, {**values, **_known(system, gone)}))
+        x0 = self._starts(system, passes, p, "estimation", base)
+        for part in EFFORT.parts:
+            if least < enough:
+                break
+            starts = [old + part * (new - old) for old, new in zip(x0, point.x0, strict=True)]
+            trial = Point(p + part * (point.p - p), starts, point.noise)
+            value = likelihood.nll(trial)
+            if value < least:
+                best, least = trial, value
+        return best
+
+    def _looked(
+        self, likelihood: Likelihood, points: Sequence[Point], *, spare: bool = True, free: Sequence[str] | None = None
+    ) -> list[LikelihoodFit]:
+        """Return where first steps lead from some points, likeliest first; those that fall behind take fewer.
+
+        Everything stands on the nominal model: no step is spared there.
+        """
+        halved = spare and len(points) > 1
+        tried = self._stepped(likelihood, points, EFFORT.looks if halved else EFFORT.first_steps, free)
+        near = [one for one in tried if halved and one.nll < tried[0].nll + EFFORT.close]
+        if any(not one.converged for one in near):
+            more = self._stepped(likelihood, [one.point for one in near], EFFORT.first_steps - EFFORT.looks, free)
+            tried = sorted([*more, *tried[len(near) :]], key=lambda one: one.nll)
+        return tried
+
+    @staticmethod
+    def _stepped(
+        likelihood: Likelihood, points: Sequence[Point], most: int, free: Sequence[str] | None = None
+    ) -> list[LikelihoodFit]:
         """Return where a few steps lead from each point, likeliest first; without those that cannot be simulated."""
         found: list[LikelihoodFit] = []
         for point in points:
             try:
-                found.append(likelihood.maximise(point, most=most))
+                found.append(likelihood.maximise(point, most=most, free=free, exact=False))
             except (FitError, ArithmeticError, np.linalg.LinAlgError):
                 continue
         return sorted(found, key=lambda one: one.nll)
@@ -201,7 +267,7 @@ class LikelihoodForm:
         reach = np.inf if rival is None else EFFORT.margin - rival.log_likelihood("estimation")
         try:
             near = [one for one in tried if one.nll < tried[0].nll + EFFORT.close]
-            ends = [one if one.converged else likelihood.maximise(one.point, reach=reach) for one in near[:2]]
+            ends = [likelihood.maximise(one.point, reach=reach, near=one.converged) for one in near[:2]]
             best = min(ends, key=lambda one: one.nll)
             best = best if best.converged or best.beyond else likelihood.maximise(best.point, reach=reach)
             for _ in range(EFFORT.finer):  # coarse steps keep a fit from where its law is fast
@@ -286,6 +352,7 @@ class LikelihoodForm:
             best.on_bound,
             own,
             detail=Detail({"estimation": best.point, "validation": expected.point}, passes, best, expected, told),
+            beyond=best.beyond,
         )
         repeating = [placed for placed in effects if "phi" in OWN.get(placed.effect.name, ())]
         if not (self.latent and best.converged and repeating):  # elsewhere the innovations are coloured
@@ -355,16 +422,20 @@ class LikelihoodForm:
         free = [name for name in likelihood.names if name.startswith(("x0[", *NOISE))] + own
         noises = [best.point.noise] if base is None else [best.point.noise, base.detail.points["validation"].noise]
         longest = max(len(run) for run in self.records["validation"]) * self.dt
-        begun: list[LikelihoodFit] = []
+        points = []
         for part in EFFORT.own_starts if own else (0.0,):
             p = best.point.p.copy()
             for name in own:
                 p[system.parameter_names.index(name)] = part * (2 * np.pi if name.endswith("phi") else longest)
             for origin in dict.fromkeys((base, None)):  # narrow friction may catch one of two starts
                 x0 = self._starts(system, passes, p, "validation", origin)
-                start = min((Point(p, x0, self._woken(noise)) for noise in noises), key=likelihood.nll)
-                begun.append(likelihood.maximise(start, free=free, most=EFFORT.first_steps, exact=False))
-        chosen = min(begun, key=lambda one: one.nll)
+                points.append(min((Point(p, x0, self._woken(noise)) for noise in noises), key=likelihood.nll))
+        tried = self._looked(likelihood, points, free=free)
+        if not tried:
+            raise FitError(
+                "validation", expected="a model that can be filtered", got="divergence", remedy="start elsewhere"
+            )
+        chosen = tried[0]
         if not chosen.converged:
             chosen = likelihood.maximise(chosen.point, free=free, exact=False)
         shared = [name for name in best.names if name in system.parameter_names]
@@ -491,7 +562,13 @@ class LikelihoodForm:
             nuisance[use] = np.concatenate(parts)
         own = [placed.name(name) for placed in fit.effects for name in OWN.get(placed.effect.name, ())]
         spread = spread_of(fit.detail.best, fit.free, own)
-        return Linearised(residual, nuisance, tuple(fit.free), spread, fit.detail.predictive.moved)
+        point: Point = fit.detail.points["estimation"]
+        states = {
+            _state(number, name): float(value)
+            for number, x0 in enumerate(point.x0)
+            for name, value in zip(fit.detail.passes.state_names, x0, strict=True)
+        }
+        return Linearised(residual, nuisance, tuple(fit.free), spread, fit.detail.predictive.moved, states)
 
     def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
         """See :class:`harness.diagnosis.search.fit.Form`."""
@@ -633,6 +710,11 @@ def _portions(found: Sequence[Direction]) -> list[list[Direction]]:
             size = len(one.names)
         groups[-1].append(one)
     return groups
+
+
+def _state(number: int, name: str) -> str:
+    """Return the name of an initial state of a record, as :class:`Likelihood` has it."""
+    return f"x0[{number}].{name}"
 
 
 def _known(system: Any, values: Mapping[str, float]) -> dict[str, float]:

@@ -8,7 +8,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from harness.diagnosis.policy import EFFORT, POLICY, Policy
-from harness.diagnosis.search.compare import Judged, compared, difference, impossible, judged, violations, wrong_signs
+from harness.diagnosis.search.compare import (
+    BEYOND,
+    Judged,
+    compared,
+    difference,
+    impossible,
+    judged,
+    violations,
+    wrong_signs,
+)
 from harness.diagnosis.search.fit import Begun, Fit, Form
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
 from harness.effects import family, nested
@@ -118,7 +127,7 @@ def search(
             nominal = better if base is nominal else nominal
             base = found.model = better
         rows = [judged([placed], fit, base, nominal, policy) for placed, fit in fits.items()]
-        found.rounds.append(Round(base, test, tuple(rows)))
+        found.rounds.append(Round(base, test.with_shown(_shown(rows, policy)), tuple(rows)))
         passed = [one for one in rows if one.passed]
         if passed:
             best = _answer(passed, policy)
@@ -133,6 +142,12 @@ def search(
             break
     found.nominal = nominal
     return found
+
+
+def _shown(rows: Sequence[Judged], policy: Policy) -> set[str]:
+    """Return what a refit has shown, whatever the score test said of it."""
+    clear = [one for one in rows if one.comparison is not None and one.comparison.evidence >= policy.evidence]
+    return {str(one.added[0]) for one in clear}
 
 
 def _contained(effects: Sequence[Placed]) -> set[str]:
@@ -181,7 +196,15 @@ def _refitted(
         assert first is not None
         return bool(wrong_signs(one, first.values)), -gains[one]
 
-    order = sorted((placed for placed in gains if gains[placed] >= needed(placed)), key=place)[: EFFORT.refits]
+    faint = {str(one.placed) for one in (*test.leads, *test.hidden) if one.share < policy.clear}
+
+    def hoped(one: Placed) -> float:  # along a narrow valley the first steps are short
+        first = begun[one]
+        return gains[one] + (EFFORT.first_steps * first.pace if first and str(one) in faint else 0.0)
+
+    order = sorted((placed for placed in gains if hoped(placed) >= needed(placed)), key=place)
+    lawful = sum(not place(one)[0] for one in order)
+    order = order[: min(lawful + 1, EFFORT.refits)]  # one law that is not allowed says that none which is explains it
     # what is exactly the same must not lose by its first steps
     same = {name for placed in order[:1] for name in family(placed.effect).exact}
     order += [placed for placed in begun if placed.effect.name in same and placed not in order and begun[placed]]
@@ -206,13 +229,14 @@ def _best(fits: Mapping[Placed, Fit | None], beside: Placed) -> Fit | None:
 def chosen(test: ScoreTest, policy: Policy = POLICY) -> list[Lead]:
     """Return the leads whose refits are begun: those that promise most, and the families of the first two.
 
-    A promise along a column that the nominal parameters take up nearly whole is uncertain: two such are tried as well.
+    A promise along a column that the nominal parameters take up nearly whole is uncertain, as columns are: some such
+    are tried as well. With little noise a thousandth of a column is seen.
     """
-    promising = [one for one in test.leads if one.gain >= policy.lead]
+    promising = [one for one in (*test.leads, *test.hidden) if one.gain >= policy.lead]
     clear = [one for one in promising if one.share >= policy.clear]
     most = max((one.gain for one in clear), default=0.0)
     clear = [one for one in clear if one.gain >= EFFORT.faintest * most]
-    faint = [one for one in promising if one.share < policy.clear]
+    faint = sorted((one for one in promising if one.share < policy.clear), key=lambda one: -one.penalised)
     if not any(one.penalised > 0.0 for one in promising):
         return []
     near: list[Lead] = []
@@ -220,7 +244,7 @@ def chosen(test: ScoreTest, policy: Policy = POLICY) -> list[Lead]:
         names = {leader.placed.effect.name, *family(leader.placed.effect).near}
         near += [one for one in clear if one.placed.effect.name in names and one.placed.at == leader.placed.at]
     ordered = dict.fromkeys([*clear[: EFFORT.refits], *near, *clear])
-    return [*list(ordered)[: EFFORT.begun], *faint[:2]]
+    return [*list(ordered)[: EFFORT.begun], *faint[: EFFORT.faint]]
 
 
 def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None:
@@ -261,7 +285,10 @@ def _polished(form: Form, base: Fit, fits: Sequence[Fit]) -> Fit:
     best = max(fits, key=lambda one: one.penalised, default=None)
     if best is None or best.penalised < base.penalised:
         return base
-    again = form.fit(base.effects, [best.values], best)
+    begun = form.begin(base.effects, [best.values], best)
+    if begun is None or begun.log_likelihood < base.log_likelihood("estimation") - EFFORT.margin:
+        return base
+    again = form.finish(begun, best)
     better = again is not None and again.penalised > base.penalised + 0.5
     return again if again is not None and better and (again.converged or not base.converged) else base
 
@@ -308,8 +335,12 @@ def _ties(best: Judged, rows: Sequence[Judged], policy: Policy) -> tuple[tuple[P
 
 
 def _pairs(form: Form, found: Outcome, nominal: Fit, candidates: Sequence[Placed], policy: Policy, say: Say) -> None:
-    """Try the best rivals of the first answer with a second effect: one law may stand in for two."""
+    """Try the best rivals of the first answer to their end and with a second effect: one law may stand in for two.
+
+    What was tried beside the answer and is impossible there is not tried beside what is like it.
+    """
     so_far = compared(found.model, nominal, policy).total
+    ruled_out = {str(one.added[0]) for here in found.rounds[1:] for one in here.candidates if not _physical(one)}
     present = {str(one) for one in found.model.effects}
     rivals = [
         one
@@ -317,14 +348,20 @@ def _pairs(form: Form, found: Outcome, nominal: Fit, candidates: Sequence[Placed
         if one.comparison is not None
         and one.comparison.evidence >= policy.evidence
         and str(one.added[0]) not in present
-        and _physical(one)
+        and (_physical(one) or one.reasons == (BEYOND,))
         and (not found.accepted or _total(one) >= policy.reach * so_far)
     ]
     best: Judged | None = None
     for rival in sorted(rivals, key=lambda one: -_total(one))[: EFFORT.pairs]:
         fit = rival.fit
-        assert fit is not None
-        others = [one for one in candidates if str(one) != str(rival.added[0])]
+        if fit is not None and fit.beyond:  # alone it had no hope: beside another it may
+            fit = form.fit(fit.effects, [fit.values], fit)
+            alone = judged(rival.added, fit, nominal, nominal, policy)
+            if alone.passed and (best is None or _total(alone) > _total(best)):
+                best = alone
+        if fit is None:
+            continue
+        others = [one for one in candidates if str(one) not in {str(rival.added[0]), *ruled_out}]
         leads = [one for one in score_test(form, fit, others, policy).leads if one.share >= policy.clear]
         for lead in leads[:2]:
             if found.accepted and _total(rival) + 2 * lead.penalised < so_far + policy.tie:  # both uses gain alike
@@ -339,9 +376,9 @@ def _pairs(form: Form, found: Outcome, nominal: Fit, candidates: Sequence[Placed
         return
     assert best.fit is not None
     assert best.comparison is not None
-    half = 0.5 * best.comparison.evidence, 0.5 * best.comparison.validation
+    each = best.comparison.evidence / len(best.added), best.comparison.validation / len(best.added)
     found.model = best.fit
-    found.accepted = [Accepted(one, ((one,),), *half) for one in best.added]
+    found.accepted = [Accepted(one, ((one,),), *each) for one in best.added]
 
 
 def _physical(one: Judged) -> bool:
@@ -385,7 +422,9 @@ def _pruned(form: Form, found: Outcome, policy: Policy) -> None:
         left = [one.placed for one in found.accepted if one is not earlier]
         starts = [found.model.values, *in_its_place(found.model.values, earlier.placed, left)]
         without = form.fit(left, starts, found.model)
-        if without is not None and _value(without) > _value(found.model) - policy.tie:
+        if without is None or not without.converged or any(impossible(one, without) for one in left):
+            continue
+        if _value(without) > _value(found.model) - policy.tie:
             found.model = without
             found.accepted = [one for one in found.accepted if one is not earlier]
 

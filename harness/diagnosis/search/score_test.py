@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -33,7 +33,7 @@ class Lead:
         Part of its column that nothing free can take up; below ``policy.seen`` it cannot be told from that.
     starts : tuple of dict
         Values by full name: those that the gain is for first, then of the next best choices of what is not linear.
-        With the effect's own, the values of what is free already, moved along at first order.
+        With the effect's own, the values of what is free already, initial states too, moved along at first order.
     direction : array (n,)
         The whitened innovations that it would explain, nuisance projected out, of length 1.
     span : array (n, k)
@@ -57,6 +57,11 @@ class ScoreTest:
 
     leads: list[Lead]
     hidden: list[Lead]
+
+    def with_shown(self, shown: Collection[str]) -> ScoreTest:
+        """Return the same with what was shown among the leads, however little of its column nothing takes up."""
+        seen = [one for one in self.hidden if str(one.placed) in shown]
+        return ScoreTest([*self.leads, *seen], [one for one in self.hidden if one not in seen])
 
     def cosines(self, first: Sequence[str] = (), most: int = 26) -> tuple[tuple[str, ...], FloatArray]:
         """Return how well each visible effect is mimicked by every other.
@@ -150,21 +155,23 @@ def _lead(column: Column, basis: FloatArray, residual: FloatArray, penalty: floa
 
 
 def _mover(form: Form, fit: Fit) -> Callable[[Lead], Lead]:
-    """Return what adds to the start of a lead how the parameters that are free already move along with the effect.
+    """Return what adds to the start of a lead how everything that is free already moves along with the effect.
 
-    Left where they are, an effect that they can take up in part starts far below its base.
+    Left where they are, parameters and initial states that can take up an effect in part put it far below its base.
     """
     linear = form.linearised(fit)
     nuisance = linear.nuisance["estimation"]
     size = np.linalg.norm(nuisance, axis=0)
     size[size == 0] = 1.0
-    back = np.linalg.pinv(nuisance / size, rcond=1e-12)[: linear.shared] / size[: linear.shared, None]
+    here = {**{name: fit.values[name] for name in linear.names}, **linear.states}
+    back = (np.linalg.pinv(nuisance / size, rcond=1e-12) / size[:, None])[: len(here)]
 
     def moved(lead: Lead) -> Lead:
         steps = -(back @ lead.taken)
-        values = {name: fit.values[name] + float(step) for name, step in zip(linear.names, steps, strict=True)}
-        if any(not 0.5 < value / (fit.values[name] or 1.0) < 2.0 for name, value in values.items()):
-            return lead  # the first order does not reach so far
+        values = {name: value + float(step) for (name, value), step in zip(here.items(), steps, strict=True)}
+        ratios = [values[name] / (fit.values[name] or 1.0) for name in linear.names]
+        if not lead.placed.effect.vanishes and any(not 0.5 < ratio < 2.0 for ratio in ratios):
+            return lead  # the first order does not reach so far, and there is no going back
         return replace(lead, starts=tuple({**values, **one} for one in lead.starts))
 
     return moved
