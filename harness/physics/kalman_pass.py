@@ -94,12 +94,13 @@ class Filtered:
         """Minus the logarithm of the density of every sample (K,)."""
         with np.errstate(over="ignore"):  # of a run far off its data: the density is 0
             each = 0.5 * (_LOG_2PI + np.log(self.s) + self.e**2 / self.s)
-        return np.asarray(np.where(np.isfinite(self.e), each, 0.0).sum(axis=1))
+            return np.asarray(np.where(np.isfinite(self.e), each, 0.0).sum(axis=1))
 
     @property
     def nll(self) -> float:
         """Minus the log-likelihood of the record."""
-        return float(self.terms.sum())
+        with np.errstate(over="ignore"):
+            return float(self.terms.sum())
 
 
 class Pass(Protocol):
