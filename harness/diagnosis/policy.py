@@ -58,6 +58,12 @@ class Policy:
         "hidden laws have sharp corners, those of the dictionary rounded ones",
         "seeds below 1000",
     )
+    least: float = _number(
+        3e-4,
+        "share of rates or readings that an effect must change, however sure it is: below it nobody would miss it",
+        "the steps of an engine look like an effect of 1.2e-4 to 1.4e-4; the faintest real law seen changes 5.4e-4",
+        "judged records of the base before",
+    )
     tie: float = _number(
         3.0,
         "rivals tie whose log-likelihoods differ by less",

@@ -98,6 +98,11 @@ def test_what_passes_has_evidence_and_gains_on_validation() -> None:
     assert "validation gains" in verdict(50.0, -GAIN)
 
 
+def test_an_effect_that_nobody_would_miss_is_not_named_however_sure_it_is() -> None:
+    assert "it changes 0.027 % of rates or readings" in verdict(500.0, GAIN, change=lambda placed: 0.9 * POLICY.least)
+    assert verdict(500.0, GAIN, change=lambda placed: 1.1 * POLICY.least) == ""
+
+
 def test_a_line_that_wanders_is_no_periodic_force() -> None:
     def reasons(evidence: float) -> tuple[str, ...]:
         one = placed("periodic_disturbance")

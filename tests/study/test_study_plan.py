@@ -11,7 +11,7 @@ from harness.errors import InputError
 from harness.study.catalogue import places, sources
 from harness.study.context import rms
 from harness.study.disturbances import KINDS, disturbance
-from harness.study.plan import BASES, SHARES, Task, plan
+from harness.study.plan import BASES, NOISE, SHARES, Task, plan
 from harness.study.records import make_records
 from harness.study.truths import SUBSTEPS
 
@@ -205,4 +205,4 @@ def test_engines_agree_with_the_laws_where_nothing_is_hidden(plant, engine):
     u = 0.5 * records.multisine(500, 0.004, np.random.default_rng(1), (0.5, 3.0))
     theirs = engines.engine_run(engine, plant, values, {}, np.repeat(u, SUBSTEPS), start)[::SUBSTEPS]
     ours = records.simulate(records._truth_values(plant, values), u, start=start)
-    assert np.abs(theirs - ours.q).max() < 2e-3 * np.abs(ours.q).max()
+    assert np.abs(theirs - ours.q).max() < 0.25 * min(NOISE.values()), "an engine that errs hides an effect of its own"

@@ -88,6 +88,10 @@ class FmuForm(LikelihoodForm):
         """See :class:`harness.diagnosis.search.fit.Form`."""
         return self._pushed(fit, test_pushes(self.nominal, self._moved(fit, USES)))
 
+    def change(self, fit: Fit, placed: Placed) -> float:
+        """Return infinity: within a run the states of an FMU may not be set, so no step is made without an effect."""
+        return float("inf")
+
     def _moved(self, fit: Fit, uses: Sequence[str]) -> dict[str, list[Moved]]:
         """Return the motion of every record of some uses along the free run of a fit."""
         simulator: Any = fit.detail.passes.simulator

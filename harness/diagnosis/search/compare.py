@@ -129,6 +129,10 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
     for placed in fit.effects:  # what was found before must stay what it is
         if str(placed) not in names:
             reasons += [f"beside it {placed} is no such law: {text}" for text in wrong_signs(placed, fit.values)]
+    for placed in added if not reasons else ():
+        share = fit.change(placed)
+        if share < policy.least:
+            reasons.append(f"it changes {100 * share:.2g} % of rates or readings, {100 * policy.least:g} % asked")
     return Judged(tuple(added), fit, found, tuple(reasons))
 
 

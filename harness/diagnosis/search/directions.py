@@ -34,6 +34,7 @@ __all__ = [
     "input_behind",
     "line_directions",
     "reading_directions",
+    "signals_of",
     "spline_directions",
     "test_functions",
 ]
@@ -105,7 +106,7 @@ def directions(
     sizes: Mapping[str, Mapping[str, float]],
 ) -> list[Direction]:
     """Return the directions of candidates, several for one whose parameters are not all linear."""
-    signals = {use: [_signals(one, nominal) for one in parts] for use, parts in traces.items()}
+    signals = {use: [signals_of(one, nominal) for one in parts if nominal.coordinates] for use, parts in traces.items()}
     known = {name: values[name] for name in nominal.parameter_names}
     found: list[Direction] = []
     for placed in candidates:
@@ -130,7 +131,7 @@ def line_directions(
     sizes: Mapping[str, Mapping[str, float]],
 ) -> list[Direction]:
     """Return the sine and the cosine of an effect with a phase whose other values are given."""
-    signals = {use: [_signals(one, nominal) for one in parts] for use, parts in traces.items()}
+    signals = {use: [signals_of(one, nominal) for one in parts if nominal.coordinates] for use, parts in traces.items()}
     known = {name: values[name] for name in nominal.parameter_names}
     return _blocks(traces, signals, nominal, known, line, sizes, "phi")
 
@@ -140,10 +141,8 @@ def _finite(one: Direction) -> bool:
     return all(np.isfinite(part).all() for part in parts)
 
 
-def _signals(trace: Trace, nominal: Any) -> Signals | None:
+def signals_of(trace: Trace, nominal: Any) -> Signals:
     """Return the smoothed motion of a mechanical system; accelerations with the latent force in them."""
-    if not nominal.coordinates:
-        return None
     q = trace.x[:, [c.q for c in nominal.coordinates]]
     v = trace.x[:, [c.v for c in nominal.coordinates]]
     return Signals(trace.record.t, trace.record.u, q, v, _rate(trace)[:, [c.v for c in nominal.coordinates]])

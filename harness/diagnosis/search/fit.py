@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -12,6 +12,11 @@ from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
 __all__ = ["Begun", "Column", "Fit", "Form", "Linearised", "Suspect"]
+
+
+def _untold(placed: Placed) -> float:
+    """Return infinity: nobody told how much an effect changes."""
+    return float("inf")
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +51,9 @@ class Fit:
     wandering : dict
         By full name of an effect that repeats: the logarithm of the evidence that its amplitude and phase change along
         the records.
+    change : callable
+        How much one of the effects changes of rates or readings, as a share of them; found when it is asked for.
+        Infinite where a form cannot tell.
     detail : object
         What the form itself needs to go on from here.
     """
@@ -64,6 +72,7 @@ class Fit:
     wandering: dict[str, float] = field(default_factory=dict)
     detail: Any = field(default=None, repr=False)
     beyond: bool = False
+    change: Callable[[Placed], float] = field(default=_untold, repr=False)
 
     @property
     def samples(self) -> int:

@@ -12,10 +12,12 @@ import numpy as np
 from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.records.unfold import HIDING, unfoldings
+from harness.diagnosis.search.changed import changed_share
 from harness.diagnosis.search.coherence import in_parts, wandering
 from harness.diagnosis.search.directions import Direction, Trace, directions, line_directions, test_functions
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.fit_records import fit_from_record, fit_record, point_from_record, point_record
+from harness.diagnosis.search.lightened import lightened
 from harness.diagnosis.search.predictive import Predictive, predictive, spread_of, whitened
 from harness.diagnosis.search.robust import robust_covariance
 from harness.effects.compose import compose, moving, recommended_substeps
@@ -354,10 +356,17 @@ class LikelihoodForm:
             detail=Detail({"estimation": best.point, "validation": expected.point}, passes, best, expected, told),
             beyond=best.beyond,
         )
+        fit = replace(fit, change=lambda placed: self.change(fit, placed))
         repeating = [placed for placed in effects if "phi" in OWN.get(placed.effect.name, ())]
         if not (self.latent and best.converged and repeating):  # elsewhere the innovations are coloured
             return fit
         return replace(fit, wandering={str(placed): self._wandering(fit, placed) for placed in repeating})
+
+    def change(self, fit: Fit, placed: Placed) -> float:
+        """Return how much an effect changes of rates or readings along the estimation records, as a share of them."""
+        less = self.composed([one for one in fit.effects if str(one) != str(placed)])
+        moving = [one.v for one in self.nominal.coordinates] or range(self.nominal.nx)
+        return changed_share(self._traces(fit, USES[:1])["estimation"], fit.system, less, list(moving))
 
     def _wandering(self, fit: Fit, placed: Placed) -> float:
         """Return the evidence that the amplitude and the phase of a line change along the records."""
@@ -585,6 +594,7 @@ class LikelihoodForm:
         noise = point.noise
         left = np.sqrt(noise.s**2 + noise.w**2) / self.noise_model.force_scale
         found = []
+        lighter: dict[tuple[str, float], dict[str, float]] = {}
         for placed in candidates if left.max(initial=0.0) > EFFORT.negligible else ():
             if placed.effect.linearises or port_of(self.nominal, placed).kind != "coordinate":
                 continue
@@ -592,8 +602,27 @@ class LikelihoodForm:
             free = [one for one in placed.effect.parameters if not one.fixed]
             grids = itertools.product(*(one.starts(at) for one in free))
             starts = [{placed.name(one.name): v for one, v in zip(free, choice, strict=True)} for choice in grids]
-            found.append(Suspect(placed, tuple(starts)))
+            found.append(
+                Suspect(placed, tuple({**self._lightened(base, placed, one, lighter), **one} for one in starts))
+            )
         return found + self._piled_up(base, candidates) + self._lost_signs(base, candidates)
+
+    def _lightened(
+        self, base: Fit, placed: Placed, start: Mapping[str, float], known: dict[tuple[str, float], dict[str, float]]
+    ) -> dict[str, float]:
+        """Return the nominal parameters that leave a motor's inertia out of what it drives; ``known`` is added to.
+
+        The nominal fit holds both. Left as it is, the plant is too heavy by the motor, and a fit makes that small.
+        """
+        inertias = [start[placed.name(one.name)] for one in placed.effect.parameters if one.unit == "F/a"]
+        if not inertias:
+            return {}
+        key = placed.at, sum(inertias)
+        if key not in known:
+            free = [name for name in base.free if name in self.nominal.parameter_names]
+            traces = self._traces(base, USES[:1])[USES[0]]
+            known[key] = lightened(traces, self.nominal, base.values, free, *key)
+        return known[key]
 
     def _piled_up(self, base: Fit, candidates: Sequence[Placed]) -> list[Suspect]:
         """Return sensors whose readings pile up at their largest value, to start from there.
@@ -601,7 +630,8 @@ class LikelihoodForm:
         A nominal model that was made to follow the ceiling is no start: they are fitted together from the first one on.
         """
         names = [channel.name for channel in self.nominal.outputs]
-        noise = base.detail.points["estimation"].noise.r
+        # a model that does not fit at all may blame a force for everything, and nothing on the sensor
+        noise = np.maximum(base.detail.points["estimation"].noise.r, self._first_noise)
         found = []
         for placed in candidates:
             main = placed.effect.main

@@ -26,7 +26,7 @@ from harness.effects.effect import Placed
 __all__ = ["Accepted", "Outcome", "Round", "in_its_place", "search"]
 
 Say = Callable[[str], None]
-WANTS = ("evidence", "validation", "it brings")
+WANTS = ("evidence", "validation", "it brings", "it changes")
 """How reasons begin that are a want of evidence and nothing against the candidate."""
 
 

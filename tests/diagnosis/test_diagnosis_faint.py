@@ -1,0 +1,108 @@
+"""How much a law changes of a motion, and a plant without the motor that its nominal fit holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness.diagnosis.search.changed import changed_share
+from harness.diagnosis.search.directions import Trace
+from harness.diagnosis.search.lightened import lightened
+from harness.effects import builtin
+from harness.effects.compose import compose
+from harness.effects.effect import Placed
+from harness.physics import load_model
+from harness.physics.kalman_pass import KalmanPass
+from harness.physics.latent import without_latent_forces
+from harness.signals import Channel, PlantSpec, Trajectory
+
+DT = 0.002
+PENDULUM = {"J": 0.25, "b": 0.05, "mgl": 4.9}
+
+
+def trace_of(system: Any, values: dict[str, float], x: np.ndarray, u: np.ndarray) -> Trace:
+    """Return states (n, nx) of a system as if they had been smoothed."""
+    spec = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)
+    record = Trajectory(np.arange(len(u)) * DT, u[:, None], x[:, :1], spec)
+    return Trace(record, x, KalmanPass(without_latent_forces(system), DT), system.vector(values), ("theta",))
+
+
+def some_motion(seed: int, n: int = 400) -> tuple[np.ndarray, np.ndarray]:
+    """Return angles, rates and torques that need not follow from each other: shares are of single samples."""
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(n, 2)) * [0.5, 2.0], rng.normal(size=n)
+
+
+# ---- what an effect changes ------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=6, deadline=None)
+@given(seed=st.integers(0, 1000), size=st.floats(-6, -1))
+def test_the_share_of_a_force_is_its_rms_over_that_of_all_forces(seed: int, size: float) -> None:
+    nominal = load_model("pendulum")
+    law = Placed(builtin()["force_bias"], "theta")
+    whole = compose(nominal, [law])
+    values = {**PENDULUM, law.main(): 10.0**size}
+    x, u = some_motion(seed)
+    found = changed_share([trace_of(whole, values, x, u)], whole, nominal, [1])
+    held = u[:-1]
+    force = held - PENDULUM["b"] * x[:-1, 1] - PENDULUM["mgl"] * np.sin(x[:-1, 0]) + values[law.main()]
+    assert found == pytest.approx(10.0**size / np.sqrt(np.mean(force**2)), rel=0.02)
+
+
+def test_the_share_of_a_sensor_is_that_of_its_readings_and_of_a_delay_that_of_late_inputs() -> None:
+    nominal, (x, u) = load_model("pendulum"), some_motion(1)
+    gain = Placed(builtin()["sensor_gain"], "theta")
+    whole = compose(nominal, [gain])
+    free = [one for one in gain.effect.parameters if not one.fixed]
+    values = {**PENDULUM, gain.name(free[0].name): 1.002}
+    read = 1.002 * x[:, 0]
+    expected = np.sqrt(np.mean((0.002 * x[:, 0]) ** 2)) / (read - read.mean()).std()
+    assert changed_share([trace_of(whole, values, x, u)], whole, nominal, [1]) == pytest.approx(expected, rel=0.01)
+    delay = Placed(builtin()["input_delay"], "u")
+    whole = compose(nominal, [delay])
+    shares = []
+    for late in (1e-6, 1e-4):
+        shares.append(
+            changed_share([trace_of(whole, {**PENDULUM, delay.main(): late}, x, u)], whole, nominal, [1])  # type: ignore[dict-item]
+        )
+    assert shares[1] / shares[0] == pytest.approx(100.0, rel=0.05)
+
+
+def test_a_law_of_size_zero_changes_nothing() -> None:
+    nominal, (x, u) = load_model("pendulum"), some_motion(2)
+    law = Placed(builtin()["coulomb_friction"], "theta")
+    whole = compose(nominal, [law])
+    values = {**PENDULUM, **{law.name(one.name): 0.1 for one in law.effect.parameters}, law.main(): 0.0}
+    assert changed_share([trace_of(whole, values, x, u)], whole, nominal, [1]) < 1e-9
+
+
+# ---- without the motor -----------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=6, deadline=None)
+@given(seed=st.integers(0, 1000), share=st.floats(0.01, 0.7))
+def test_a_plant_without_its_motor_is_lighter_by_it_and_alike_otherwise(seed: int, share: float) -> None:
+    nominal, (x, u) = load_model("pendulum"), some_motion(seed)
+    trace = trace_of(nominal, PENDULUM, x, u)
+    found = lightened([trace], nominal, PENDULUM, list(PENDULUM), "theta", share * PENDULUM["J"])
+    assert found == pytest.approx({**PENDULUM, "J": (1 - share) * PENDULUM["J"]})
+
+
+def test_a_motor_heavier_than_the_plant_leaves_something_of_the_plant() -> None:
+    nominal, (x, u) = load_model("pendulum"), some_motion(0)
+    found = lightened([trace_of(nominal, PENDULUM, x, u)], nominal, PENDULUM, ["J"], "theta", 3 * PENDULUM["J"])
+    assert 0.0 < found["J"] < PENDULUM["J"]
+
+
+@pytest.mark.parametrize("inertia", [0.05, 0.15])
+def test_only_what_is_free_moves(inertia: float) -> None:
+    nominal, (x, u) = load_model("pendulum"), some_motion(3)
+    trace = trace_of(nominal, PENDULUM, x, u)
+    both = [trace, replace(trace, x=trace.x[::-1].copy())]
+    assert set(lightened(both, nominal, PENDULUM, ["J"], "theta", inertia)) == {"J"}
