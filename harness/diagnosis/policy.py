@@ -221,7 +221,11 @@ class Effort:
         "more than the peaks of a swing",
         "tests",
     )
-    pile_width: float = _number(6.0, "noises below the largest reading that count as at it", "six standard deviations")
+    pile_width: float = _number(
+        9.0,
+        "noises below the largest reading that count as at it",
+        "of thousands of readings at a ceiling the largest lies four above it, and the least four below",
+    )
 
 
 EFFORT = Effort()
@@ -368,7 +372,7 @@ class DataPolicy:
     turn: float = _number(10.0, "log-likelihood that every change of the sign must bring", "twice that of an effect")
     near_zero: float = _number(0.1, "reading over the rms below which its sign is open", "a tenth of a swing")
     shortest: int = _number(
-        50, "samples that a window of an FMU has at least", "fewer do not tell its initial state from its parameters"
+        50, "samples that a piece of a record has at least", "fewer do not tell its initial state from its parameters"
     )
     look: int = _number(2000, "samples on which a parameter of an FMU must move an output to be calibrated", "cost")
 

@@ -14,14 +14,15 @@ import numpy as np
 from harness.signals import FloatArray
 from harness.study.context import rms
 
-__all__ = ["KINDS", "STRUCTURES", "TRUTH_ONLY", "disturbance", "named", "natural_frequency"]
+__all__ = ["KINDS", "STRUCTURES", "TRUTH_ONLY", "UNNAMED", "disturbance", "named", "natural_frequency"]
 
 GAUSS_MARKOV = "gauss-markov"
 STRUCTURES = {
     "uneven-damping": "the viscous damping changes along the motion, by 1 % of the rms torque",
     "drooping-drive": "the drive's gain falls with its command, by 1 % of the rms command",
     "eccentric-encoder": "the angle reads with an error of 2 mrad, twice a turn",
-    "heavy-rod": "the pole has 3 % more inertia than a point mass",
+    "heavy-rod": "the pole has 3 % more inertia than its point mass (the model holds it all the same: as a lighter "
+    "point mass farther out)",
     "bent-scale": "the angle reads with an error that grows with its square, 2 mrad at 1 rad",
     "warming-damper": "the viscous damping falls along a record, by 1 % of the rms torque",
     "tiring-drive": "the drive's gain falls with the speed, by 1 % of the rms torque",
@@ -29,6 +30,8 @@ STRUCTURES = {
 """How the nominal structure is a little wrong: what is in every such truth and in no model."""
 TRUTH_ONLY = ("heavy-rod",)
 """Structures that only our own truth can have."""
+UNNAMED = ("warming-damper", "tiring-drive")
+"""Structures that no model holds and the dictionary has no name for."""
 _NAMED = {
     "eccentric-encoder": "sensor_cyclic_error@theta",
     "bent-scale": "sensor_nonlinearity@theta",

@@ -32,6 +32,8 @@ SPECS = {
     "cart-pole": PlantSpec((Channel("u", "N"),), (Channel("x", "m"), _ANGLE), DT),
 }
 USES: tuple[Use, ...] = ("estimation", "validation")
+_HEAVY_ROD = 0.03
+"""Inertia of the pole beyond that of a point mass, over it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +103,7 @@ def make_records(task: Task, *, samples: int = SAMPLES) -> Records:
         runs.append(Run(Trajectory(t, recorded[:, None], y, SPECS[task.plant]), use, use))
         peak = peak or math.degrees(float(np.abs(reading[:, -1]).max()))
     known = (*hidden, *wrong) if named(task.structure, task.plant) else hidden
-    return Records(Dataset(task.key, tuple(runs)), parameters, hidden, noise, peak, known)
+    return Records(Dataset(task.key, tuple(runs)), _of_the_model(task, parameters), hidden, noise, peak, known)
 
 
 def multisine(n: int, dt: float, rng: np.random.Generator, band: tuple[float, float]) -> FloatArray:
@@ -111,6 +113,15 @@ def multisine(n: int, dt: float, rng: np.random.Generator, band: tuple[float, fl
     phases = rng.uniform(0, 2 * np.pi, lines.size)
     wave = np.cos(2 * np.pi * np.outer(np.arange(n) * dt, lines) + phases).sum(axis=1)
     return np.asarray(wave * math.sqrt(2 / lines.size))
+
+
+def _of_the_model(task: Task, parameters: dict[str, float]) -> dict[str, float]:
+    """Return the true parameters in the words of the model: a heavy rod is a lighter point mass, farther out."""
+    if task.structure != "heavy-rod":
+        return parameters
+    more = 1.0 + _HEAVY_ROD
+    mass = parameters["mp"] / more
+    return {**parameters, "mp": mass, "l": parameters["l"] * more, "mc": parameters["mc"] + parameters["mp"] - mass}
 
 
 def _draw_parameters(plant: str, rng: np.random.Generator) -> dict[str, float]:
@@ -186,7 +197,7 @@ def _structure(task: Task, context: Context) -> tuple[Hidden, ...]:
         return (Hidden(name, at, {"warm0": 0.01 * rms(u) / rms(fall * v), "warmt0": middle}),)
     if task.structure == "tiring-drive":
         return (Hidden(name, at, {"tire0": 0.01 * rms(u) / rms(u * v)}),)
-    return (Hidden(name, at, {"rod": 0.03}),)
+    return (Hidden(name, at, {"rod": _HEAVY_ROD}),)
 
 
 def _split(effect: str) -> tuple[str, str]:

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Collection, Mapping
-from typing import Any
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from harness.errors import HarnessError
 from harness.study.cost import timed_command
-from harness.study.disturbances import named
+from harness.study.disturbances import UNNAMED, named
+from harness.study.hardware import LAWS
 from harness.study.outcome import Answer, judge_answer
 from harness.study.plan import Task
 from harness.study.records import SAMPLES, Records, make_records
+
+if TYPE_CHECKING:
+    from harness.effects.effect import Placed
 
 __all__ = ["COLUMNS", "do_row"]
 
@@ -54,6 +58,7 @@ COLUMNS = (
     "covered",
     "intervals",
     "outside_interval",
+    "holds_truth",
     "noise_sd",
     "peak_deg",
     "cpu_s",
@@ -135,7 +140,23 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
         )
     strangers = set(accepted) - {*task.effects, beside} if outcome.word == "wrong" else set()
     row.update(_coverage(found.final, records, strangers))
+    row["holds_truth"] = "yes" if _holds(task, [one.placed for one in found.outcome.accepted], records) else "no"
     return row
+
+
+def _holds(task: Task, accepted: Sequence[Placed], records: Records) -> bool:
+    """Return True if the answer's model has the truth in it, so that every parameter has a true value.
+
+    Laws of another formulation than the dictionary's are in no model, though their names may be right.
+    """
+    from harness.effects import nested
+
+    if task.structure in UNNAMED or not all(one.exact for one in records.known):
+        return False
+    if task.engine == "hardware" and any(one.name in LAWS for one in records.known):
+        return False
+    names = {f"{name}@{one.at}" for one in accepted for name in (one.effect.name, *map(str, nested(one.effect)))}
+    return all(f"{one.name}@{one.at}" in names for one in records.known)
 
 
 def _command(task: Task, records: Records) -> dict[str, Any]:

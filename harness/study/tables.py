@@ -219,13 +219,17 @@ def _coverage(rows: Sequence[Row]) -> str:
     """Return how many intervals hold the truth: in every record that was answered, right or wrong."""
     lines = [
         "Intervals of nominal and effect parameters in every answer, right or not; an accepted effect that is not "
-        "there counts as an interval that does not hold the truth. 90 to 98 % is the aim. The interval of the share "
-        "takes parameters as independent.",
+        "there counts as an interval that does not hold the truth. 90 to 98 % is the aim. A parameter has a true value "
+        "where the model has the truth in it: what is there was selected, and neither hardware's own formulation of a "
+        "law nor a structure without a name is beside it. In the other answers the same name means something else in "
+        "truth and model. The interval of the share takes parameters as independent.",
         "",
         "| class | records | intervals | hold the truth |",
         "|---|---|---|---|",
     ]
     classes: dict[str, Callable[[Row], bool]] = {
+        "**the model has the truth in it, effects among it**": lambda row: _holds(row) and bool(row["accepted"]),
+        "the model has the truth in it, nothing is missing": lambda row: _holds(row) and not row["accepted"],
         "every answer": lambda row: True,
         "nominal structure right": lambda row: not row["structure"],
         "nominal structure a little wrong": lambda row: bool(row["structure"]),
@@ -244,6 +248,10 @@ def _coverage(rows: Sequence[Row]) -> str:
             total = sum(int(row["intervals"]) for row in here)
             lines.append(f"| {name} | {len(here)} | {total} | {share(sum(int(r['covered']) for r in here), total)} |")
     return "\n".join(lines)
+
+
+def _holds(row: Row) -> bool:
+    return row.get("holds_truth") == "yes"
 
 
 def _cost(rows: Sequence[Row]) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from harness.diagnosis.policy import DATA_POLICY
 from harness.signals import Dataset, FloatArray, Run
 
-__all__ = ["cut_alike", "stretched", "windowed"]
+__all__ = ["cut_alike", "stretched", "uncut", "windowed"]
 
 
 def stretched(
@@ -141,3 +141,53 @@ def windowed(dataset: Dataset, seconds: float | None) -> Dataset:
             for first, last in zip(edges, [*edges[1:], n], strict=True)
         ]
     return replace(dataset, runs=tuple(runs))
+
+
+def uncut(dataset: Dataset, column: int, ceiling: float, *, count: int = DATA_POLICY.stretches) -> Dataset | None:
+    """Return the longest pieces of each use that lie below the ceiling of a sensor, each a record of its own.
+
+    What a sensor cuts off it did not measure.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    column : int
+        The output.
+    ceiling : float
+        Readings of this size or more are cut off.
+    count : int
+        Pieces of each use.
+
+    Returns
+    -------
+    Dataset or None
+        None if a use has no piece of ``DATA_POLICY.shortest`` samples.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec, Trajectory
+    >>> spec = PlantSpec((Channel("u", "N"),), (Channel("q", "m"),), 0.5)
+    >>> y = np.where(np.arange(200) // 20 == 3, 1.0, 0.5)[:, None]
+    >>> record = Trajectory(np.arange(200) * 0.5, np.zeros((200, 1)), y, spec)
+    >>> pieces = uncut(Dataset("x", (Run(record), Run(record, "validation"))), 0, 0.9)
+    >>> [(len(one), float(one.t[0])) for one in pieces.estimation]
+    [(60, 0.0), (120, 40.0)]
+    """
+    found: list[Run] = []
+    for use in ("estimation", "validation"):
+        pieces = []
+        for run in dataset.runs:
+            if run.use != use:
+                continue
+            below = np.abs(run.trajectory.y[:, column]) < ceiling
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], below, [False]]).astype(int)))
+            pieces += [
+                replace(run, trajectory=run.trajectory[first:last])
+                for first, last in zip(edges[::2], edges[1::2], strict=True)
+                if last - first >= DATA_POLICY.shortest
+            ]
+        longest = sorted(pieces, key=lambda one: -len(one.trajectory))[:count]
+        if not longest:
+            return None
+        found += [one for one in pieces if one in longest]
+    return replace(dataset, runs=tuple(found))

@@ -31,7 +31,7 @@ class Path:
     signs : array (N,)
         1 at the first sample.
     gain : float
-        By how much it is likelier than a path that never changes its sign (natural logarithm).
+        By how much it is likelier than a path that never changes its sign (natural logarithm); 0 if it is that one.
     """
 
     signs: FloatArray
@@ -49,7 +49,7 @@ def tracked(y: FloatArray) -> Path | None:
     Returns
     -------
     Path or None
-        None if no change of the sign, or another path, explains the record nearly as well.
+        None if another path, or one that changes its sign less often, explains the record nearly as well.
 
     Notes
     -----
@@ -64,8 +64,8 @@ def tracked(y: FloatArray) -> Path | None:
     >>> y = np.sin(2.0 * t) + 0.4 * np.cos(5.1 * t)
     >>> folded = np.abs(y) + 1e-3 * np.random.default_rng(0).normal(size=3000)
     >>> path = tracked(folded)
-    >>> bool(np.all((path.signs == np.sign(y))[np.abs(y) > 5e-3])), tracked(2.0 + y)
-    (True, None)
+    >>> bool(np.all((path.signs == np.sign(y))[np.abs(y) > 5e-3])), tracked(2.0 + y).gain
+    (True, 0.0)
     """
     record = np.asarray(y, dtype=float)[:LONGEST]
     size = float(np.sqrt(np.mean(record**2))) if len(record) else 0.0
@@ -83,8 +83,8 @@ def tracked(y: FloatArray) -> Path | None:
             best, walk = other, walk * step
     likely, signs = best[0]
     turns = np.count_nonzero(np.diff(signs))
-    straight = _followed(scaled, walk, folds=False)[0][0]
-    if turns == 0 or likely - straight < DATA_POLICY.turn * turns:
+    straight = likely if turns == 0 else _followed(scaled, walk, folds=False)[0][0]
+    if likely - straight < DATA_POLICY.turn * turns:
         return None
     for rival, others in best[1:]:
         if likely - rival < DATA_POLICY.rival and np.mean(others != signs) > 0.01:

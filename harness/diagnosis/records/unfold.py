@@ -108,7 +108,7 @@ def _unfolded(runs: Sequence[Trajectory], column: int) -> list[Unfolding]:
     if not any(_low_turns(one, DATA_POLICY.near_zero * size) for one in whole):
         return []
     paths = [one for one in (_path(y.tobytes()) for y in whole) if one is not None]
-    if len(paths) == len(whole):
+    if len(paths) == len(whole) and any(path.gain > 0 for path in paths):
         return _both_ways(runs, column, paths)
     records = tuple(run[: min(len(run), _LONGEST)] for run in runs)
     folded = [one[:_LONGEST] for one in whole]

@@ -11,6 +11,7 @@ import numpy as np
 
 from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.records.prepare import sizes_of
+from harness.diagnosis.records.stretches import uncut
 from harness.diagnosis.records.unfold import HIDING, unfoldings
 from harness.diagnosis.search.changed import changed_share
 from harness.diagnosis.search.coherence import in_parts, wandering
@@ -159,34 +160,45 @@ class LikelihoodForm:
         try:
             system = self.composed(effects)
             vectors = [_within(system, {**system.values(), **_known(system, start)}) for start in starts]
-            passes = self.passes(system, int(np.median([self.substeps(system, one) for one in vectors])))
-            likelihood = self._likelihood(system, "estimation", passes)
-            points = [
-                Point(p, self._placed(self._starts(system, passes, p, "estimation", base), passes, start), noise)
-                for p, start in zip(map(system.vector, vectors), starts, strict=True)
-                for noise in self._noises(base)
-            ]
-            gone = self._without(effects, base)
-            if gone is not None:
-                assert base is not None
-                points = [
-                    self._back(system, passes, likelihood, point, {**base.values, **gone}, base) for point in points
-                ]
-            if len(points) > EFFORT.points:
-                points = sorted(points, key=likelihood.nll)[: EFFORT.points]
-            if effects and not self.latent:  # no force took up what was missing: it has driven the parameters away
-                p = system.vector({**vectors[0], **self.nominal.values()})
-                noise = first_noises(self.noise_model, self._first_noise, self.dt)[0]
-                points.append(Point(p, self._starts(system, passes, p, "estimation", None), noise))
-            if not self.latent:
-                points = [likelihood.concentrated(point) for point in points]
+            substeps = int(np.median([self.substeps(system, one) for one in vectors]))
+            for finer in range(EFFORT.finer):  # what diverges may do so by its steps alone
+                passes = self.passes(system, substeps * 2**finer)
+                likelihood, points = self._to_start(system, passes, vectors, starts, effects, base)
+                tried = self._looked(likelihood, points, spare=base is not None)
+                if tried:
+                    detail = system, passes, likelihood, tried
+                    return Begun(tuple(effects), -tried[0].nll, tried[0].parameters, detail, tried[0].pace)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):  # two transmissions at one joint, say
             return None
-        tried = self._looked(likelihood, points, spare=base is not None)
-        if not tried:
-            return None
-        detail = system, passes, likelihood, tried
-        return Begun(tuple(effects), -tried[0].nll, tried[0].parameters, detail, tried[0].pace)
+        return None
+
+    def _to_start(
+        self,
+        system: Any,
+        passes: Pass,
+        vectors: Sequence[Mapping[str, float]],
+        starts: Sequence[Mapping[str, float]],
+        effects: Sequence[Placed],
+        base: Fit | None,
+    ) -> tuple[Likelihood, list[Point]]:
+        """Return the likelihood of the estimation records and the points from which first steps are taken."""
+        likelihood = self._likelihood(system, "estimation", passes)
+        points = [
+            Point(p, self._placed(self._starts(system, passes, p, "estimation", base), passes, start), noise)
+            for p, start in zip(map(system.vector, vectors), starts, strict=True)
+            for noise in self._noises(base)
+        ]
+        gone = self._without(effects, base)
+        if gone is not None:
+            assert base is not None
+            points = [self._back(system, passes, likelihood, point, {**base.values, **gone}, base) for point in points]
+        if len(points) > EFFORT.points:
+            points = sorted(points, key=likelihood.nll)[: EFFORT.points]
+        if effects and not self.latent:  # no force took up what was missing: it has driven the parameters away
+            p = system.vector({**vectors[0], **self.nominal.values()})
+            noise = first_noises(self.noise_model, self._first_noise, self.dt)[0]
+            points.append(Point(p, self._starts(system, passes, p, "estimation", None), noise))
+        return likelihood, points if self.latent else [likelihood.concentrated(point) for point in points]
 
     @staticmethod
     def _placed(x0: list[FloatArray], passes: Pass, start: Mapping[str, float]) -> list[FloatArray]:
@@ -627,7 +639,7 @@ class LikelihoodForm:
     def _piled_up(self, base: Fit, candidates: Sequence[Placed]) -> list[Suspect]:
         """Return sensors whose readings pile up at their largest value, to start from there.
 
-        A nominal model that was made to follow the ceiling is no start: they are fitted together from the first one on.
+        A nominal model that was made to follow the ceiling is no start: it is fitted to what lies below it first.
         """
         names = [channel.name for channel in self.nominal.outputs]
         # a model that does not fit at all may blame a force for everything, and nothing on the sensor
@@ -641,12 +653,23 @@ class LikelihoodForm:
             column = names.index(placed.at)
             size = np.abs(np.concatenate([record.y[:, column] for record in self.records["estimation"]]))
             top = float(np.nanmax(size))
-            if int(np.sum(size > top - EFFORT.pile_width * noise[column])) <= EFFORT.pile * len(size):
+            ceiling = top - EFFORT.pile_width * float(noise[column])
+            piled = size[size > ceiling]
+            if len(piled) <= EFFORT.pile * len(size):
                 continue
-            start = {placed.name(main.name): top - 2 * float(noise[column])}
-            anew = None if base.effects else self.fit([placed], [one | start for one in self.first_starts()], None)
+            start = {placed.name(main.name): float(np.median(piled))}
+            anew = None if base.effects else self._from_uncut(placed, column, ceiling, start)
             found.append(Suspect(placed, (start if anew is None else anew.values,), anew))
         return found
+
+    def _from_uncut(self, placed: Placed, column: int, ceiling: float, start: dict[str, float]) -> Fit | None:
+        """Return the fit with a sensor's ceiling that starts from the nominal fit to what lies below it."""
+        below = uncut(self.dataset, column, ceiling)
+        plain = None
+        if below is not None:
+            plain = self.on(below).fit((), self.first_starts(), None)
+        starts = self.first_starts() if plain is None else [plain.values]
+        return self.fit([placed], [one | start for one in starts], None)
 
     def _lost_signs(self, base: Fit, candidates: Sequence[Placed]) -> list[Suspect]:
         """Return sensors that may have lost a sign, with the fit of the nominal model to the unfolded output."""
