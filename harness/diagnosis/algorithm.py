@@ -16,6 +16,7 @@ from harness.diagnosis.policy import PLAN_POLICY, POLICY, Policy
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.records.stretches import stretched, windowed
 from harness.diagnosis.runs.compare import FreeRuns, free_runs
+from harness.diagnosis.search.apart import Apart
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Leftover, left_over
 from harness.diagnosis.search.likelihood_form import LikelihoodForm
@@ -53,6 +54,7 @@ class Diagnosis:
     leftover: Leftover
     runs: FreeRuns
     misfit: tuple[str, ...]
+    apart: Apart | None
     policy: Policy
     warnings: list[str] = field(default_factory=list)
     seconds: float = 0.0
@@ -92,9 +94,14 @@ class Diagnosis:
 
     @property
     def incomplete(self) -> bool:
-        """True where something is left that could be predicted, or that no effect could take away in free runs."""
+        """True where something is left: that could be predicted, that no effect takes away, or between the uses."""
         left = self.leftover.best is not None or self.latent_share > self.policy.large
-        return left or bool(self.outcome.withdrawn)
+        return left or bool(self.outcome.withdrawn) or self.disagree
+
+    @property
+    def disagree(self) -> bool:
+        """True where the validation records want other parameters than the estimation records."""
+        return self.apart is not None and self.apart.matters(self.policy)
 
     @property
     def grade(self) -> str:
@@ -103,8 +110,9 @@ class Diagnosis:
             return "does_not_fit"
         if self.incomplete:
             return "proxy_or_incomplete"
-        quiet = self.latent_share <= self.policy.disturbed
-        return "explained" if quiet and self.runs.left <= self.policy.explained else "mostly_explained"
+        quiet = self.latent_share <= self.policy.disturbed and not self.runs.worse(self.policy)
+        good = quiet and self.runs.left <= self.policy.explained and not self.stand_in
+        return "explained" if good else "mostly_explained"
 
     @property
     def structure_fits(self) -> bool:
@@ -205,7 +213,8 @@ def diagnose(
                 got="a state that diverges",
                 remedy="check signs and units of the columns, or give start values nearer to the plant",
             )
-        form.resize(nominal)
+        if form.resize(nominal):
+            nominal = remembered.fit((), [nominal.values], nominal) or nominal
         candidates, faults = placed(
             system, dictionary, composed=lambda one: form.composed(one) if all(map(form.judges, one)) else None
         )
@@ -230,9 +239,14 @@ def diagnose(
         outcome.nominal = form.with_deviations(outcome.nominal)
         outcome.model = outcome.nominal if same else form.with_deviations(outcome.model)
         misfit = misfit_reasons(form, outcome.model, runs, policy)
+        apart = form.apart(outcome.model)
     if outcome.withdrawn:
         names = ", ".join(str(one.placed) for one in outcome.withdrawn)
         warnings = [*warnings, f"{names}: likely by the likelihood and taken back: {WORSE}"]
-    return Diagnosis(
-        dataset, system, form, outcome, leftover, runs, misfit, policy, warnings + faults, time.monotonic() - began
-    )
+    found = Diagnosis(
+        dataset, system, form, outcome, leftover, runs, misfit, apart, policy, warnings + faults,
+        time.monotonic() - began,
+    )  # fmt: skip
+    if apart is not None and found.disagree:
+        found.warnings.append(apart.words(outcome.model.values))
+    return found

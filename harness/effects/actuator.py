@@ -116,9 +116,9 @@ def input_gain(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 
 @effect(
     "input",
-    [par("c", "1/u", scale="0.05 u^-1", sign="+", neutral=0.0, main=True, linear=True,
+    [par("c", "1/u", scale="0.05 u^-1", ceiling="0.15 u^-1", sign="+", neutral=0.0, main=True, linear=True,
          meaning="share of the gain that is lost at a command of 1")],
-    formula="u' = u - c u |u|",
+    formula="u' = u - c u |u| (more command gives more force, up to three times its rms)",
     family=("saturation", "input_gain", "dead_zone", "quadratic_drag"),
     limits={"input_gain": "for commands of one size"},
     experiment="slow swings or static loads at several commands, with a measured force: the gain falls as they grow",

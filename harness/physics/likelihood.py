@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from harness.physics.simulator import Intersample
     from harness.physics.system import System
 
-__all__ = ["Likelihood", "LikelihoodFit", "NoiseModel", "Point"]
+__all__ = ["Likelihood", "LikelihoodFit", "NoiseModel", "Point", "interval"]
 
 _STEP = 1e-6
 """Of the difference quotients, in units of a parameter's scale: half of the digits of a double are left."""
@@ -33,6 +33,10 @@ _ROUGH = 0.3
 """Below this promise the derivatives of gains and variances count, and difference quotients are taken of all."""
 _SETTLED = 5
 """Iterations after which a step is taken as typical of those to come."""
+_TOLD = 1e-12
+"""Curvature along a direction, over the largest, below which it is rounding: nothing is told along it."""
+_PARTLY = 1e-3
+"""Share of such a direction from which on an entry is undetermined."""
 _LONGEST = 1.5
 """Longest step of a logarithm."""
 _MOST_DAMPING = 1e9
@@ -108,6 +112,9 @@ class LikelihoodFit:
         True if it was left because its steps would not have brought it within reach.
     pace : float
         Log-likelihood that its last step gained; 0 where it converged.
+    undetermined : tuple of str
+        What the records tell in combinations only: it can move along with others and nothing changes. ``covariance``
+        is that of the combinations.
     """
 
     system: System
@@ -124,6 +131,7 @@ class LikelihoodFit:
     filtered: list[Filtered] = field(default_factory=list, repr=False)
     beyond: bool = False
     pace: float = 0.0
+    undetermined: tuple[str, ...] = ()
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -131,17 +139,19 @@ class LikelihoodFit:
         return dict(zip(self.system.parameter_names, (float(one) for one in self.point.p), strict=True))
 
     def deviation(self, name: str) -> float:
-        """Return the standard deviation of an estimate, from the curvature; of its logarithm where that was fitted."""
+        """Return the standard deviation of an estimate, from the curvature; of its logarithm where that was fitted.
+
+        Infinite where the records do not determine it.
+        """
+        if name in self.undetermined:
+            return float("inf")
         k = self.names.index(name)
         return float(np.sqrt(max(self.covariance[k, k], 0.0)))
 
     def interval(self, name: str, level: float = 1.96) -> tuple[float, float]:
         """Return the 95 % interval of a parameter."""
-        value, k = self.parameters[name], self.names.index(name)
-        half = level * self.deviation(name)
-        if self.logarithmic[k]:
-            return float(value * np.exp(-min(half, 50.0))), float(value * np.exp(min(half, 50.0)))
-        return value - half, value + half
+        k = self.names.index(name)
+        return interval(self.parameters[name], level * self.deviation(name), bool(self.logarithmic[k]))
 
 
 class Likelihood:
@@ -454,6 +464,7 @@ class Likelihood:
         else:
             wanted = set(free)
             chosen[:] = [name in wanted for name in names]
+        longest = np.where(log, -_LONGEST, -np.inf)
         z = np.clip(self._pack(start), low, high)
         value, found = self._value(z)
         if found is None:
@@ -493,10 +504,8 @@ class Likelihood:
             scaled = matrix / np.outer(size, size)
             improved, first = False, np.inf
             while damping < _MOST_DAMPING:
-                step = np.zeros(len(entries))
-                inner = scaled[np.ix_(live, live)] + damping * np.eye(int(live.sum())) + 1e-12 * np.eye(int(live.sum()))
-                step[live] = -np.linalg.solve(inner, gradient[live] / size[live]) / size[live]
-                step = np.where(log[entries], np.clip(step, -_LONGEST, _LONGEST), step)
+                step = _damped(scaled, gradient / size, damping, live, np.maximum(low - z, longest)[entries] * size,
+                               np.minimum(high - z, -longest)[entries] * size) / size  # fmt: skip
                 trial = z.copy()
                 trial[entries] = np.clip(z[entries] + step, low[entries], high[entries])
                 moved = trial[entries] - z[entries]
@@ -551,12 +560,15 @@ class Likelihood:
         bound = (z[entries] <= low[entries] + margin) | (z[entries] >= high[entries] - margin)
         inner = ~bound
         covariance = np.zeros_like(matrix)
+        undetermined = np.zeros(len(entries), dtype=bool)
         if not np.isfinite(matrix).all():
             inner = np.zeros_like(bound)
-        scaled = matrix[np.ix_(inner, inner)] / np.outer(size[inner], size[inner])
         if inner.any():
-            inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) / np.outer(size[inner], size[inner])
-            covariance[np.ix_(inner, inner)] = inverse
+            eigenvalues, vectors = np.linalg.eigh(matrix[np.ix_(inner, inner)] / np.outer(size[inner], size[inner]))
+            told = eigenvalues > _TOLD * eigenvalues[-1]
+            inverse = (vectors[:, told] / eigenvalues[told]) @ vectors[:, told].T
+            covariance[np.ix_(inner, inner)] = inverse / np.outer(size[inner], size[inner])
+            undetermined[inner] = (np.abs(vectors[:, ~told]) > _PARTLY).any(axis=1)
         return LikelihoodFit(
             self.system,
             self._unpack(z),
@@ -570,7 +582,50 @@ class Likelihood:
             count,
             message,
             list(found),
+            undetermined=tuple(names[k] for k in entries[undetermined]),
         )
+
+
+def _damped(
+    matrix: FloatArray,
+    gradient: FloatArray,
+    damping: float,
+    live: npt.NDArray[np.bool_],
+    low: FloatArray,
+    high: FloatArray,
+) -> FloatArray:
+    """Return Levenberg's step of the live entries within bounds; what would go beyond stays there, and others follow.
+
+    A logarithm of something that the data hardly tell wants long steps. If it alone were shortened, the step of the
+    others would be that for a place where it never comes.
+    """
+    step = np.zeros(len(gradient))
+    free = live.copy()
+    for _ in range(3):
+        inner = matrix[np.ix_(free, free)] + (damping + 1e-12) * np.eye(int(free.sum()))
+        right = gradient[free] + matrix[np.ix_(free, ~free)] @ step[~free]
+        step[free] = -np.linalg.solve(inner, right)
+        beyond = free & ((step < low) | (step > high))
+        step = np.clip(step, low, high)
+        if not beyond.any():
+            break
+        free &= ~beyond
+    return step
+
+
+def interval(value: float, half: float, logarithmic: bool) -> tuple[float, float]:
+    """Return an interval about a value, or about its logarithm; without ends where the half width is infinite.
+
+    Examples
+    --------
+    >>> interval(2.0, float("inf"), True), interval(2.0, 0.5, False)
+    ((0.0, inf), (1.5, 2.5))
+    """
+    if not logarithmic:
+        return value - half, value + half
+    if not np.isfinite(half):
+        return 0.0, float("inf")
+    return float(value * np.exp(-min(half, 50.0))), float(value * np.exp(min(half, 50.0)))
 
 
 def _positive(matrix: FloatArray, instead: FloatArray) -> FloatArray:

@@ -130,9 +130,14 @@ def first_state(system: System, record: Trajectory, p: FloatArray, intersample: 
     return np.asarray(np.where(np.isfinite(found), found, 0.0))
 
 
-def force_scale(system: System, records: Sequence[Trajectory], intersample: Intersample) -> FloatArray:
-    """Return the typical size of the force on every equation of motion, or of every rate, from smoothed records."""
-    p = system.vector()
+def force_scale(
+    system: System, records: Sequence[Trajectory], intersample: Intersample, values: Mapping[str, float] | None = None
+) -> FloatArray:
+    """Return the typical size of the force on every equation of motion, or of every rate, from smoothed records.
+
+    ``values`` are those of the parameters, the declared ones by default.
+    """
+    p = system.vector(values)
     dt = records[0].spec.sample_time
     simulator = system.simulator(dt, intersample=intersample)
     states = [data_states(simulator, one, p)[0] for one in records]

@@ -74,9 +74,10 @@ class FmuForm(LikelihoodForm):
         rough = rough_values(self.nominal, self.dataset, self.runner)
         return [declared] if rough is None else [rough, declared]
 
-    def resize(self, nominal: Fit) -> None:
-        """Take the sizes of positions and rates from the nominal fit."""
+    def resize(self, nominal: Fit) -> bool:
+        """Take the sizes of positions and rates from the nominal fit; False: it stands."""
         self.sizes = sizes_of(self.nominal, [one for use in USES for one in self._moved(nominal, USES)[use]])
+        return False
 
     # ---- what the score test needs -----------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.runs.states import on_validation, settled_states
 from harness.diagnosis.search.fit import Fit
 from harness.errors import HarnessError
+from harness.signals import FloatArray, Trajectory
 
 __all__ = ["FreeRuns", "free_runs", "seen"]
 
@@ -30,7 +32,8 @@ class FreeRuns:
     before, after : Fitted or None
         None where the simulation diverges.
     left : float
-        Share of the variance of the validation outputs that the final model leaves over the horizon, the worst output.
+        Mean square of what the final model leaves of the validation outputs over the horizon, over that of what a
+        straight line through the same windows leaves: the share of the motion, the worst output.
     """
 
     horizon: Horizon
@@ -64,10 +67,34 @@ def free_runs(output: FreeRunForm, horizon: Horizon, nominal: Fit, final: Fit) -
     after = before if final is nominal else seen(output, final)
     left = np.inf
     if after is not None and after.finite:
-        y = np.concatenate([run.y for run in output.records["validation"]])
         error = np.concatenate(list(after.validation)) * output.weights
-        left = float(np.max(np.mean(error**2, axis=0) / np.maximum(y.var(axis=0), 1e-300)))
+        motion = _motion(output.records["validation"], horizon)
+        left = float(np.max(np.mean(error**2, axis=0) / np.maximum(motion, 1e-300)))
     return FreeRuns(horizon, output, before, after, left)
+
+
+def _motion(records: Sequence[Trajectory], horizon: Horizon) -> FloatArray:
+    """Return the mean square of every output about a straight line through each window (ny,).
+
+    Over a short window a line follows most of a slow motion: what no model is needed for explains nothing. An angle
+    that goes round is known to half a turn by nothing at all.
+    """
+    spec = records[0].spec
+    total, count = np.zeros(spec.ny), 0
+    for record in records:
+        y = record.y.copy()
+        for k, channel in enumerate(spec.outputs):
+            if channel.period is not None:
+                y[:, k] = np.unwrap(y[:, k], period=channel.period)
+        n = len(y)
+        length = n if horizon.seconds is None else min(n, max(3, round(horizon.seconds / spec.sample_time)))
+        for first in range(0, n - length + 1, length):
+            part = y[first : first + length]
+            line = np.column_stack([np.ones(length), np.arange(length)])
+            total += ((part - line @ np.linalg.lstsq(line, part, rcond=None)[0]) ** 2).sum(axis=0)
+            count += length
+    most = [np.inf if channel.period is None else channel.period**2 / 12 for channel in spec.outputs]
+    return np.minimum(total / max(count, 1), most)
 
 
 def seen(output: FreeRunForm, fit: Fit) -> Fitted | None:

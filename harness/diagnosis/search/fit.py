@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from harness.effects.effect import Placed
+from harness.physics.likelihood import interval
 from harness.signals import FloatArray
 
 __all__ = ["Begun", "Column", "Fit", "Form", "Linearised", "Suspect"]
@@ -90,10 +91,7 @@ class Fit:
 
     def interval(self, name: str) -> tuple[float, float]:
         """Return the 95 % interval of a free parameter, from the curvature."""
-        value, half = self.values[name], 1.96 * self.deviations[name]
-        if name in self.logarithmic:
-            return float(value * np.exp(-min(half, 50.0))), float(value * np.exp(min(half, 50.0)))
-        return value - half, value + half
+        return interval(self.values[name], 1.96 * self.deviations[name], name in self.logarithmic)
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,6 +40,7 @@ def fit_record(fit: LikelihoodFit) -> dict[str, Any]:
         "iterations": fit.iterations,
         "message": fit.message,
         "beyond": fit.beyond,
+        "undetermined": list(fit.undetermined),
     }
 
 
@@ -64,4 +65,5 @@ def fit_from_record(record: dict[str, Any], likelihood: Likelihood) -> Likelihoo
         str(record["message"]),
         found,
         bool(record["beyond"]),
+        undetermined=tuple(record["undetermined"]),
     )

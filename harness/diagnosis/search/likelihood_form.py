@@ -13,6 +13,7 @@ from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.records.stretches import uncut
 from harness.diagnosis.records.unfold import HIDING, unfoldings
+from harness.diagnosis.search.apart import Apart
 from harness.diagnosis.search.changed import changed_share
 from harness.diagnosis.search.coherence import in_parts, wandering
 from harness.diagnosis.search.directions import Direction, Trace, directions, line_directions, test_functions
@@ -38,6 +39,8 @@ __all__ = ["USES", "Detail", "LikelihoodForm"]
 
 NOISE = ("s@", "tau@", "w@", "r@")
 USES = ("estimation", "validation")
+_FAR = 2.0
+"""Factor between typical forces, as declared and as fitted, beyond which a fit is made anew."""
 _TOGETHER = 64
 """Columns of the score test that are answered together."""
 OWN = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
@@ -141,8 +144,12 @@ class LikelihoodForm:
         )
         return [dict(zip(system.parameter_names, map(float, one), strict=True)) for one in vectors]
 
-    def resize(self, nominal: Fit) -> None:
-        """Take the sizes of forces and of unmeasured levels from the nominal fit: effects start from them."""
+    def resize(self, nominal: Fit) -> bool:
+        """Take the sizes of forces and of unmeasured levels from the nominal fit: effects start from them.
+
+        The noise is bounded by them as well. True where declared parameters were so far off that a fit must be made
+        anew within the new bounds.
+        """
         sizes = {port: dict(one) for port, one in sizes_of(self.nominal, nominal.values, self.dataset).items()}
         _, smooth = self.paths(nominal, "estimation")
         x = np.concatenate([one.x for one in smooth])
@@ -152,6 +159,12 @@ class LikelihoodForm:
                 level = float(np.sqrt(np.mean(x[:, names.index(port.name)] ** 2)))
                 sizes.setdefault(port.name, {})["x"] = level
         self.sizes = sizes
+        if not self.latent:
+            return False
+        old = self.noise_model.force_scale
+        scale = force_scale(self.nominal, self.records["estimation"], self.dataset.intersample, nominal.values)
+        self.noise_model = replace(self.noise_model, force_scale=scale)
+        return bool((np.maximum(scale / old, old / scale) > _FAR).any())
 
     # ---- fits ------------------------------------------------------------------------------------------------------
 
@@ -387,6 +400,34 @@ class LikelihoodForm:
         pieces = [piece for one in found for piece in in_parts(one, POLICY.line_parts)]
         return wandering(self.linearised(fit), self._answered(fit, pieces)) if pieces else 0.0
 
+    def apart(self, fit: Fit) -> Apart | None:
+        """Return how much likelier the validation records are with parameters of their own; None without latent forces.
+
+        Free runs of processes have coloured errors: their evidence is overstated.
+        """
+        if not self.latent:
+            return None
+        likelihood = self._likelihood(fit.system, "validation", fit.detail.passes)
+        point = fit.detail.points["validation"]
+        try:
+            before = likelihood.filtered(point)
+            after = likelihood.maximise(point, exact=False)
+        except (FitError, ArithmeticError, np.linalg.LinAlgError):
+            return None
+        if before is None:
+            return None
+        gains = [one.terms - own for one, own in zip(before, after.terms, strict=True)]
+        moved = {}
+        for name in fit.free:
+            spread = float(np.hypot(fit.deviations[name], after.deviation(name) if name in after.names else 0.0))
+            change = after.parameters[name] - fit.values[name]
+            if name in fit.logarithmic:
+                change = float(np.log(max(after.parameters[name], 1e-300) / max(fit.values[name], 1e-300)))
+            if 0 < spread < np.inf:
+                moved[name] = abs(change) / spread
+        farthest = max(moved, key=lambda name: moved[name], default="")
+        return Apart(float(sum(one.sum() for one in gains)), gains, farthest, after.parameters.get(farthest, np.nan))
+
     def with_deviations(self, fit: Fit) -> Fit:
         """Return a fit with deviations for a coloured error of its free runs; one with latent forces as it is."""
         if self.latent:
@@ -406,7 +447,7 @@ class LikelihoodForm:
         covariance = robust_covariance([one.e for one in passed], parts, POLICY.order, self._floor)
         found = dict(fit.deviations)
         for k, column in enumerate(keep):
-            if column < count:
+            if column < count and np.isfinite(fit.deviations[fit.free[column]]):
                 name = fit.free[column]
                 size = abs(fit.values[name]) if name in fit.logarithmic else 1.0
                 found[name] = float(np.sqrt(max(covariance[k, k], 0.0)) / max(size, 1e-300))
@@ -518,6 +559,8 @@ class LikelihoodForm:
         found = []
         names = [channel.name for channel in system.states]
         simulator = passes.simulator
+        if base is not None and list(map(len, base.terms[use])) != list(map(len, self.records[use])):
+            base = None  # of pieces of these records
         for number, record in enumerate(self.records[use]):
             x = np.zeros(passes.start_size)
             if base is None:
@@ -669,7 +712,7 @@ class LikelihoodForm:
         if below is not None:
             plain = self.on(below).fit((), self.first_starts(), None)
         starts = self.first_starts() if plain is None else [plain.values]
-        return self.fit([placed], [one | start for one in starts], None)
+        return self.fit([placed], [one | start for one in starts], plain)
 
     def _lost_signs(self, base: Fit, candidates: Sequence[Placed]) -> list[Suspect]:
         """Return sensors that may have lost a sign, with the fit of the nominal model to the unfolded output."""

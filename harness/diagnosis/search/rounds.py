@@ -290,6 +290,8 @@ def _polished(form: Form, base: Fit, fits: Sequence[Fit]) -> Fit:
         return base
     again = form.finish(begun, best)
     better = again is not None and again.penalised > base.penalised + 0.5
+    if again is not None and any(impossible(one, again) and not impossible(one, base) for one in base.effects):
+        return base  # it was accepted as a law
     return again if again is not None and better and (again.converged or not base.converged) else base
 
 

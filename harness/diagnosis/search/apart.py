@@ -1,0 +1,60 @@
+"""Do estimation and validation records agree on the parameters? If not, one model cannot be that of both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from harness.diagnosis.policy import Policy
+from harness.signals import FloatArray
+
+__all__ = ["Apart"]
+
+
+@dataclass(frozen=True, eq=False)
+class Apart:
+    """The validation records with parameters of their own, against those that the estimation records leave them.
+
+    Attributes
+    ----------
+    gain : float
+        Log-likelihood that they gain.
+    terms : sequence of array (K,)
+        The same by record and sample.
+    name : str
+        The parameter that moves farthest, in standard deviations; empty if none does.
+    value : float
+        What the validation records want it to be.
+    """
+
+    gain: float
+    terms: Sequence[FloatArray] = field(repr=False)
+    name: str
+    value: float
+
+    def matters(self, policy: Policy) -> bool:
+        """Return True if the records disagree by evidence, and not in a few places only.
+
+        Examples
+        --------
+        >>> from harness.diagnosis.policy import POLICY
+        >>> even = np.full(2000, 0.1)
+        >>> Apart(200.0, [even], "J", 0.05).matters(POLICY), Apart(2.0, [even / 100], "J", 0.05).matters(POLICY)
+        (True, False)
+        """
+        sums = np.concatenate(
+            [np.add.reduceat(one, np.linspace(0, len(one), policy.blocks, endpoint=False).astype(int))
+             for one in self.terms]
+        )  # fmt: skip
+        error = float(np.sqrt(len(sums)) * sums.std(ddof=1))
+        return self.gain > max(policy.misfit_gain, policy.validation_z * error)
+
+    def words(self, values: Mapping[str, float]) -> str:
+        """Return what to tell a user; ``values`` are those of the estimation records."""
+        moved = f", {self.name} {values[self.name]:.4g} -> {self.value:.4g}" if self.name else ""
+        return (
+            "the validation records want other parameters than the estimation records (log-likelihood "
+            f"{self.gain:.0f} higher{moved}): another machine, another load, or something that changes between records"
+        )
