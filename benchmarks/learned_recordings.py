@@ -2,7 +2,7 @@
 
 Run ``SYSID_HARNESS_DATA=... python benchmarks/learned_recordings.py [silverbox|cascaded-tanks]``. Prints the rms
 of the free run on every run of the recording, the initial state estimated from the first 50 samples, and the CPU
-time of the fit. Named physics (``sysid close-loop``): Silverbox 0.31 mV on the test multisine, tanks 0.244 V.
+time of the fit. Named physics (``sysid close-loop``): Silverbox 0.24 mV on the test multisine, tanks 0.244 V.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ class Simulator:
     dt : float
         Sample time [s].
     intersample : {"zoh", "foh", "smooth"}
-        Input held; moving on a straight line to the next sample (held after the last); or on the cubic spline through
+        Input held; moving on a straight line to the next sample (held after the last); or on the quintic spline through
         the samples, for an input that was measured behind an anti-aliasing filter and not held by a converter.
     substeps : int, optional
         Runge-Kutta steps in a sample; by default from the eigenvalues of the system at its nominal parameters.
@@ -341,11 +341,14 @@ class Simulator:
         return np.ascontiguousarray(array)
 
     def refined(self, signal: FloatArray) -> FloatArray:
-        """Return a signal (M, N, ...) on the finer grid of its cubic spline, ((N - 1) substeps + 1) samples.
+        """Return a signal (M, N, ...) on the finer grid of its quintic spline, ((N - 1) substeps + 1) samples.
 
+        The solver joins them by straight lines, whose means miss a twelfth of the curvature: it is taken off before,
+        but not where an output shows the input itself. So an input at a third of the sampling frequency keeps its size
+        within 1.2 %; on straight lines between the values of a cubic spline, in 4 pieces, it would lose 8 %.
         A fit asks for the same windows again and again: the last few answers are kept.
         """
-        from scipy.interpolate import CubicSpline
+        from scipy.interpolate import make_interp_spline
 
         for known, answer in self._finer:
             if known is signal:
@@ -356,7 +359,9 @@ class Simulator:
             held = np.minimum(np.round(grid).astype(int), n - 1)
             finer = np.ascontiguousarray(signal[:, held])
         else:
-            finer = np.ascontiguousarray(CubicSpline(np.arange(n), signal, axis=1)(grid))
+            spline = make_interp_spline(np.arange(n), signal, k=5 if n > 5 else 3, axis=1)
+            bent = 0.0 if self.spec.feedthrough else spline.derivative(2)(grid) / (12 * pieces**2)
+            finer = np.ascontiguousarray(spline(grid) - bent)
         self._finer = [*self._finer[-7:], (signal, finer)]
         return finer
 

@@ -141,6 +141,17 @@ def test_a_smooth_input_is_followed_between_the_samples():
     assert by_x.shape == (200, 1, 2)
 
 
+@pytest.mark.parametrize("share", [0.1, 0.2, 0.3])
+def test_a_smooth_input_keeps_its_size_near_half_the_sampling_frequency(share):
+    system = models.oscillator().system()
+    dt, p = 0.1, np.array([1.0, 5.0, 9.0])
+    omega, t = 2 * np.pi * share / dt, np.arange(400) * dt
+    y = system.simulator(dt, intersample="smooth", substeps=4).rollout(p, [0, 0], np.sin(omega * t)[:, None])[:, 0]
+    exact = np.imag(np.exp(1j * omega * t) / (p[2] - omega**2 + 1j * omega * p[1]))
+    settled = slice(200, 380)
+    assert np.std(y[settled] - exact[settled]) < 0.01 * np.std(exact[settled])
+
+
 def test_a_diverged_rollout_is_nan_from_there_on():
     system = models.oscillator().system()
     for backend in ("c", "casadi") if compiler() else ("casadi",):

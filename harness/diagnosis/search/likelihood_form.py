@@ -491,7 +491,7 @@ class LikelihoodForm:
                 p[system.parameter_names.index(name)] = part * (2 * np.pi if name.endswith("phi") else longest)
             for origin in dict.fromkeys((base, None)):  # narrow friction may catch one of two starts
                 x0 = self._starts(system, passes, p, "validation", origin)
-                points.append(min((Point(p, x0, self._woken(noise)) for noise in noises), key=likelihood.nll))
+                points.append(min((Point(p, x0, self._woken(noise, best)) for noise in noises), key=likelihood.nll))
         tried = self._looked(likelihood, points, free=free)
         if not tried:
             raise FitError(
@@ -546,13 +546,20 @@ class LikelihoodForm:
     def _noises(self, base: Fit | None) -> list[Noise]:
         """Return the noise to start from: that of the base, else several."""
         if base is not None:
-            return [self._woken(base.detail.points["estimation"].noise)]
+            return [self._woken(base.detail.points["estimation"].noise, base.detail.best)]
         return first_noises(self.noise_model, self._first_noise, self.dt)
 
-    def _woken(self, noise: Noise) -> Noise:
-        """Return noise with latent forces that are not lost: they may be needed elsewhere."""
+    def _woken(self, noise: Noise, seen: LikelihoodFit) -> Noise:
+        """Return noise of which no part is lost, neither a latent force nor a sensor's: it may be needed elsewhere.
+
+        A model that lacks much leaves its innovations to the force alone, as an equation error does, and where r has
+        gone to 0 no derivative brings it back. Three tenths of the innovations are a tenth of their variance: little is
+        lost where they are not needed, and where a law has taken up the force the next steps find them.
+        """
         floor = 1e-3 * self.noise_model.force_scale
-        return replace(noise, s=np.maximum(noise.s, floor), w=np.maximum(noise.w, 0.1 * floor))
+        spread = np.sqrt(np.median(np.concatenate([one.s for one in seen.filtered]), axis=0))
+        r = np.maximum(noise.r, 0.3 * spread)
+        return replace(noise, s=np.maximum(noise.s, floor), w=np.maximum(noise.w, 0.1 * floor), r=r)
 
     def _starts(self, system: Any, passes: Pass, p: FloatArray, use: str, base: Fit | None) -> list[FloatArray]:
         """Return initial states to start from: those of the base, new hidden states where their effects say."""

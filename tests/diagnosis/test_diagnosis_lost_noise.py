@@ -1,0 +1,50 @@
+"""Sensor noise that a poor model leaves to the force alone comes back with the law that was missing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from harness.diagnosis.kinds import Equations
+from harness.effects import builtin
+from harness.effects.compose import compose
+from harness.effects.effect import Placed
+from harness.physics import load_model
+from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
+
+DT, FINER, NOISE = 2e-3, 16, 2e-4
+PLANT = {"m": 5e-6, "c": 2e-4, "k": 1.0}
+
+
+def record(seed: int, n: int = 2500) -> Trajectory:
+    """Return a hardening oscillator under a multisine up to 0.3 of the sampling frequency."""
+    rng = np.random.default_rng(seed)
+    lines = int(0.3 * n)
+    spectrum = np.zeros(n * FINER // 2 + 1, dtype=complex)
+    spectrum[1:lines] = np.exp(2j * np.pi * rng.random(lines - 1))
+    u = np.fft.irfft(spectrum, n * FINER)[:, None]
+    u *= 0.03 / u.std()
+    law = Placed(builtin()["cubic_spring"], "q")
+    plant = compose(load_model("oscillator"), [law])
+    p = plant.vector({**PLANT, law.name("k3"): 4.0})
+    y = plant.simulator(DT / FINER, intersample="foh", substeps=1).rollout(p, [0.0, 0.0], u)[::FINER]
+    spec = PlantSpec((Channel("u", "N"),), (Channel("q", "m"),), DT)
+    return Trajectory(np.arange(n) * DT, u[::FINER], y + NOISE * rng.normal(size=(n, 1)), spec)
+
+
+def test_a_law_that_takes_up_the_force_gives_the_sensor_its_noise_back() -> None:
+    runs = (Run(record(0), "estimation"), Run(record(1), "validation"))
+    dataset = Dataset("hardening", runs, intersample="smooth")
+    nominal = load_model("oscillator").with_parameters(PLANT)
+    form = Equations().form(nominal, dataset)
+    poor = form.fit((), form.first_starts(), None)
+    assert poor is not None
+    assert poor.detail.points["estimation"].noise.r[0] < 0.01 * NOISE  # what is missing looks like a force
+    form.resize(poor)
+    law = Placed(builtin()["cubic_spring"], "q")
+    fit = form.fit([law], [{**poor.values, law.name("k3"): 1.0}], poor)
+    assert fit is not None
+    assert fit.converged
+    assert fit.detail.points["estimation"].noise.r[0] == pytest.approx(NOISE, rel=0.1)
+    assert fit.values[law.name("k3")] == pytest.approx(4.0, rel=0.02)
+    assert {name: fit.values[name] for name in PLANT} == pytest.approx(PLANT, rel=0.01)
