@@ -54,10 +54,10 @@ class Diagnosis:
     leftover: Leftover
     runs: FreeRuns
     misfit: tuple[str, ...]
-    apart: Apart | None
     policy: Policy
     warnings: list[str] = field(default_factory=list)
     seconds: float = 0.0
+    apart: Apart | None = None
 
     @property
     def nominal(self) -> Fit:
@@ -244,9 +244,18 @@ def diagnose(
         names = ", ".join(str(one.placed) for one in outcome.withdrawn)
         warnings = [*warnings, f"{names}: likely by the likelihood and taken back: {WORSE}"]
     found = Diagnosis(
-        dataset, system, form, outcome, leftover, runs, misfit, apart, policy, warnings + faults,
+        dataset,
+        system,
+        form,
+        outcome,
+        leftover,
+        runs,
+        misfit,
+        policy,
+        warnings + faults,
         time.monotonic() - began,
-    )  # fmt: skip
+        apart,
+    )
     if apart is not None and found.disagree:
         found.warnings.append(apart.words(outcome.model.values))
     return found

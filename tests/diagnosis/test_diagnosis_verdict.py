@@ -15,6 +15,7 @@ from harness.diagnosis.misfit import misfit_reasons, mistakes
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.horizon import choose_horizon
 from harness.diagnosis.runs.errors import figures
+from harness.diagnosis.search.apart import Apart
 from harness.diagnosis.store import Store, fingerprint
 from harness.effects import builtin
 from harness.effects.effect import Placed
@@ -35,6 +36,8 @@ def diagnosis(
     misfit: tuple[str, ...] = (),
     withdrawn: bool = False,
     rival: str = "",
+    worse: bool = False,
+    apart: float = 0.0,
 ) -> Diagnosis:
     """Return a diagnosis with what verdict and grade look at; the typical force is 2."""
     noise = SimpleNamespace(s=np.array([2 * latent]), w=np.array([2 * white]))
@@ -48,9 +51,14 @@ def diagnosis(
     )
     best = SimpleNamespace(name="theta over theta_rate") if left_over else None
     form: Any = SimpleNamespace(noise_model=SimpleNamespace(force_scale=np.array([2.0])))
-    rest: dict[str, Any] = {"leftover": SimpleNamespace(best=best), "runs": SimpleNamespace(left=left)}
+    rest: dict[str, Any] = {
+        "leftover": SimpleNamespace(best=best),
+        "runs": SimpleNamespace(left=left, worse=lambda policy: worse),
+    }
     nothing: Any = None
-    return Diagnosis(nothing, nothing, form, outcome, rest["leftover"], rest["runs"], misfit, POLICY)
+    made = Diagnosis(nothing, nothing, form, outcome, rest["leftover"], rest["runs"], misfit, POLICY)
+    made.apart = Apart(apart, [np.full(1000, apart / 1000)], "J", 0.05)
+    return made
 
 
 def test_the_verdict_asks_first_whether_the_model_fits() -> None:
