@@ -96,7 +96,8 @@ class Diagnosis:
     def incomplete(self) -> bool:
         """True where something is left: that could be predicted, that no effect takes away, or between the uses."""
         left = self.leftover.best is not None or self.latent_share > self.policy.large
-        return left or bool(self.outcome.withdrawn) or self.disagree
+        refused = not self.outcome.accepted and self.outcome.promised(self.policy) is not None
+        return left or refused or bool(self.outcome.withdrawn) or self.disagree
 
     @property
     def disagree(self) -> bool:

@@ -114,6 +114,10 @@ class LinearForm:
             on_bound=(),
         )
 
+    def forgetful(self, fit: Fit) -> Fit | None:
+        """Return nothing: there is no latent force."""
+        return None
+
     def begin(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Begun:
         made = self.fit(effects, starts, base)
         return Begun(tuple(effects), made.log_likelihood("estimation"), made.values, made)

@@ -38,6 +38,7 @@ def diagnosis(
     rival: str = "",
     worse: bool = False,
     apart: float = 0.0,
+    promised: str = "",
 ) -> Diagnosis:
     """Return a diagnosis with what verdict and grade look at; the typical force is 2."""
     noise = SimpleNamespace(s=np.array([2 * latent]), w=np.array([2 * white]))
@@ -48,6 +49,7 @@ def diagnosis(
         nominal=model,
         withdrawn=[SimpleNamespace(placed=DRAG)] if withdrawn else [],
         unlawful=lambda policy: SimpleNamespace(name=rival) if rival else None,
+        promised=lambda policy: SimpleNamespace(name=promised) if promised else None,
     )
     best = SimpleNamespace(name="theta over theta_rate") if left_over else None
     form: Any = SimpleNamespace(noise_model=SimpleNamespace(force_scale=np.array([2.0])))
@@ -69,6 +71,10 @@ def test_the_verdict_asks_first_whether_the_model_fits() -> None:
     assert diagnosis(latent=0.15).verdict == "nothing_missing"
     assert diagnosis(latent=0.15, white=0.15).verdict == "unexplained"
     assert diagnosis(withdrawn=True).verdict == "unexplained"
+    assert diagnosis(apart=200.0).verdict == "unexplained"
+    assert diagnosis(apart=20.0).verdict == "nothing_missing"
+    assert diagnosis(promised="backlash@theta").verdict == "unexplained"
+    assert diagnosis(accepted=True, promised="backlash@theta").grade == "explained", "an answer has rivals"
     assert diagnosis(accepted=True, misfit=("it does not",)).verdict == "model_does_not_fit"
 
 
@@ -77,6 +83,9 @@ def test_explained_is_said_of_a_model_that_leaves_little_and_nothing_to_predict(
     assert diagnosis(left=0.04).grade == "explained"
     assert diagnosis(left=0.06).grade == "mostly_explained"
     assert diagnosis(latent=0.06).grade == "mostly_explained"
+    assert diagnosis(accepted=True, worse=True).grade == "mostly_explained"
+    assert diagnosis(accepted=True, rival="coulomb_friction@theta").grade == "mostly_explained", "a stand-in"
+    assert diagnosis(accepted=True, apart=200.0).grade == "proxy_or_incomplete"
     assert diagnosis(latent=0.25).grade == "proxy_or_incomplete"
     assert diagnosis(left_over=True).grade == "proxy_or_incomplete"
     assert diagnosis(withdrawn=True).grade == "proxy_or_incomplete"
@@ -110,7 +119,7 @@ def doubted(left: float, force: float, *, on_bound: tuple[str, ...] = (), repair
         fit=lambda effects, starts, base: SimpleNamespace(log_likelihood=lambda use: 100.0 + repaired),
     )
     form: Any = SimpleNamespace(
-        dataset=dataset(), on=lambda data: other, noise_model=SimpleNamespace(force_scale=np.array([2.0]))
+        dataset=dataset(), on=lambda data: other, noise_model=SimpleNamespace(force_scale=np.array([2.0])), latent=False
     )
     runs: Any = SimpleNamespace(left=left, horizon=SimpleNamespace(seconds=None))
     return misfit_reasons(form, final, runs, POLICY)

@@ -328,6 +328,10 @@ class RegressionForm:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         return [self._answered(fit, one) for one in self.balance.changes(fit.values, candidates)]
 
+    def forgetful(self, fit: Fit) -> Fit | None:
+        """No force of a joint remembers."""
+        return None
+
     def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
         """Return nothing: every effect on measured motion shows at first order."""
         del base, rival, candidates

@@ -34,6 +34,8 @@ class FreeRuns:
     left : float
         Mean square of what the final model leaves of the validation outputs over the horizon, over that of what a
         straight line through the same windows leaves: the share of the motion, the worst output.
+    motion : array (ny,)
+        The latter.
     """
 
     horizon: Horizon
@@ -41,6 +43,7 @@ class FreeRuns:
     before: Fitted | None
     after: Fitted | None
     left: float
+    motion: FloatArray
 
     def worse(self, policy: Policy) -> bool:
         """Return True if the final model runs further from the validation records than the nominal one.
@@ -65,12 +68,11 @@ def free_runs(output: FreeRunForm, horizon: Horizon, nominal: Fit, final: Fit) -
     """Simulate both models over windows, initial states fitted to each."""
     before = seen(output, nominal)
     after = before if final is nominal else seen(output, final)
-    left = np.inf
+    left, motion = np.inf, _motion(output.records["validation"], horizon)
     if after is not None and after.finite:
         error = np.concatenate(list(after.validation)) * output.weights
-        motion = _motion(output.records["validation"], horizon)
         left = float(np.max(np.mean(error**2, axis=0) / np.maximum(motion, 1e-300)))
-    return FreeRuns(horizon, output, before, after, left)
+    return FreeRuns(horizon, output, before, after, left, motion)
 
 
 def _motion(records: Sequence[Trajectory], horizon: Horizon) -> FloatArray:

@@ -196,6 +196,13 @@ class Form(Protocol):
         """Begin and finish."""
         ...
 
+    def forgetful(self, fit: Fit) -> Fit | None:
+        """Return a fit with latent forces that are as quick as the fitted ones and remember nothing, None if they do.
+
+        A force that remembers a tenth of a record takes up what is constant along it, and no promise is left of that.
+        """
+        ...
+
     def linearised(self, fit: Fit) -> Linearised:
         """Return the whitened innovations of a fit and their derivatives."""
         ...

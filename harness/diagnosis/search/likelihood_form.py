@@ -359,12 +359,13 @@ class LikelihoodForm:
         expected: Predictive,
         told: list[tuple[FloatArray, FloatArray]],
     ) -> Fit:
-        """Return the fit as the search wants it; initial states of the nominal model are in every candidate."""
+        """Return the fit as the search wants it.
+
+        Initial states do not count: what is known of one comes from the first moments of a record and does not grow
+        with its length, as that of a parameter does whose price is half the logarithm of the samples (Schwarz 1978).
+        """
         names = set(system.parameter_names)
-        nominal_states = {channel.name for channel in self.nominal.states}
-        counted = [
-            name for name in best.names if not (name.startswith("x0[") and name.partition("].")[2] in nominal_states)
-        ]
+        counted = [name for name in best.names if not name.startswith("x0[")]
         each = expected.price / sum(len(one) for one in self.records["validation"])
         fit = Fit(
             tuple(effects),
@@ -613,6 +614,22 @@ class LikelihoodForm:
             detail.paths[use] = [one for one in found if one is not None]
             detail.smooth[use] = [self.smooth(one) for one in detail.paths[use]]
         return detail.paths[use], detail.smooth[use]
+
+    def forgetful(self, fit: Fit) -> Fit | None:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        if not self.latent:
+            return None
+        longest = max(len(run) for run in self.records["estimation"]) * self.dt
+        noise = fit.detail.points["estimation"].noise
+        slow = (noise.tau > EFFORT.memory * longest) & (noise.s > EFFORT.negligible * self.noise_model.force_scale)
+        if not slow.any():
+            return None
+        points = {}
+        for use, point in fit.detail.points.items():
+            tau = np.where(slow, 0.1 * EFFORT.memory * longest, point.noise.tau)
+            s = point.noise.s * np.sqrt(np.minimum(tau / point.noise.tau, 1.0))
+            points[use] = replace(point, noise=replace(point.noise, s=s, tau=tau))
+        return replace(fit, detail=replace(fit.detail, points=points, paths={}, smooth={}))
 
     def linearised(self, fit: Fit) -> Linearised:
         """See :class:`harness.diagnosis.search.fit.Form`."""

@@ -63,6 +63,10 @@ class Remembered:
         begun = self.begin(effects, starts, base)
         return None if begun is None else self.finish(begun, base, rival)
 
+    def forgetful(self, fit: Fit) -> Fit | None:
+        """Pass on."""
+        return self.form.forgetful(fit)
+
     def linearised(self, fit: Fit) -> Linearised:
         """Pass on."""
         return self.form.linearised(fit)

@@ -79,6 +79,19 @@ class Outcome:
                 best = gap, one
         return None if best is None else best[1]
 
+    def promised(self, policy: Policy = POLICY) -> Judged | None:
+        """Return the likeliest rival of the answer that nothing but its own fit or law speaks against, if any.
+
+        The data prefer it by all that is asked of an effect: it is no answer, and without it something is missing.
+        """
+        asked = (*WANTS, "amplitude and phase", "beside it")
+        rows = [one for one in self.rounds[-1].candidates if one.fit is not None and one.reasons]
+        held = [one for one in rows if not any(text.startswith(asked) for text in one.reasons)]
+        best = max(held, key=_total, default=None)
+        if best is None or best.fit is None or best.fit.change(best.added[0]) < policy.least:
+            return None
+        return best
+
     def withdraw(self, reason: str) -> None:
         """Take all effects back; the reason stands beside them in the rounds that accepted them."""
         names = {str(one.placed) for one in self.accepted}
@@ -169,7 +182,7 @@ def _refitted(
     """Begin the refits of all that promises something; finish those whose first steps keep up with the best."""
     origins: dict[Placed, Fit] = {}
     begun: dict[Placed, Begun | None] = {}
-    for lead in chosen(test, policy):
+    for lead in [*chosen(test, policy), *_remembered(form, base, test, open_ones, policy)]:
         say(str(lead.placed))
         origins[lead.placed] = base
         promising = lead.starts if lead.penalised > 0.0 else lead.starts[:1]
@@ -214,6 +227,15 @@ def _refitted(
         assert first is not None
         say(f"{placed} to its maximum")
         fits[placed] = form.finish(first, origins[placed], _best(fits, placed))
+    for placed in [
+        one
+        for one in begun
+        if one not in fits
+        and any(
+            fit is not None and one.at == rich.at and one.effect.name in rich.effect.nests for rich, fit in fits.items()
+        )
+    ]:  # a law is no answer before its special cases were tried from where it ended
+        fits[placed] = None
     _share_starts(form, fits, base)
     _lawful(form, fits, base, {one.placed: one.starts[0] for one in test.leads})
     return fits
@@ -245,6 +267,16 @@ def chosen(test: ScoreTest, policy: Policy = POLICY) -> list[Lead]:
         near += [one for one in clear if one.placed.effect.name in names and one.placed.at == leader.placed.at]
     ordered = dict.fromkeys([*clear[: EFFORT.refits], *near, *clear])
     return [*list(ordered)[: EFFORT.begun], *faint[: EFFORT.faint]]
+
+
+def _remembered(form: Form, base: Fit, test: ScoreTest, open_ones: Sequence[Placed], policy: Policy) -> list[Lead]:
+    """Return leads that promise something only where the latent force does not remember what it took up."""
+    forgetful = form.forgetful(base)
+    if forgetful is None:
+        return []
+    known = {str(one.placed) for one in (*test.leads, *test.hidden) if one.gain >= policy.lead}
+    leads = score_test(form, forgetful, [one for one in open_ones if str(one) not in known], policy).leads
+    return [one for one in leads if one.penalised > 0.0 and one.share >= policy.clear][: EFFORT.faint]
 
 
 def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None:

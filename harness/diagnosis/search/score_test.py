@@ -190,9 +190,11 @@ def _start(column: Column, coefficients: FloatArray) -> dict[str, float]:
     for name, coefficient in zip(column.names, coefficients, strict=True):
         if name == "effect":  # the whole effect counts this many times: its main parameter scales so, at first order
             main = placed.effect.main
-            if main is not None and main.neutral is not None and main.name in values:
-                part = float(np.clip(coefficient, 0.1, 3.0))
-                values[main.name] = main.neutral + part * (values[main.name] - main.neutral)
+            if main is not None and main.name in values:
+                nothing = 0.0 if main.unit == "s" else main.neutral  # a lag of no time is none
+                if nothing is not None:
+                    part = float(np.clip(coefficient, 0.1, 3.0))
+                    values[main.name] = nothing + part * (values[main.name] - nothing)
         elif name in placed.effect.parameter_names:
             values[name] = (placed.effect.parameter(name).neutral or 0.0) + float(coefficient)
     if column.names == ("in phase", "quarter turn"):
