@@ -478,7 +478,7 @@ class Likelihood:
         last, counted = near, exact and self.noise_model.latent
         entries = np.flatnonzero(chosen)
         scaled_noise = not self.noise_model.latent and bool(chosen[len(names) - self.filter.ny :].all())
-        promise = first = np.inf
+        promise = first = plain = np.inf
         gain = 0.0
         matrix = np.eye(len(entries))
         deviations: FloatArray | None = None
@@ -491,6 +491,7 @@ class Likelihood:
                 gradient, matrix = self._derivatives(z, found, entries, False, deviations)
                 if last and counted:
                     if more is None:
+                        plain = 0.5 * float(gradient @ np.linalg.pinv(matrix, rcond=1e-12, hermitian=True) @ gradient)
                         whole = self._derivatives(z, found, entries, True, deviations)
                         more, seen = (whole[0] - gradient, whole[1] - matrix), value
                     gradient, matrix = gradient + more[0], _positive(matrix + more[1], matrix)
@@ -537,7 +538,8 @@ class Likelihood:
             elif last and more is not None and seen - value >= _ROUGH:
                 more, damping = None, 1e-3
             elif last:
-                converged = first < 5 * _ENOUGH
+                # where steps of the solver follow the motion, difference quotients may be rounding: without them then
+                converged = min(first, plain) < 5 * _ENOUGH
                 message = "" if converged else "no step raises the likelihood"
                 break
             else:

@@ -118,7 +118,13 @@ class LinearForm:
         """Return nothing: there is no latent force."""
         return None
 
-    def begin(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Begun:
+    def begin(
+        self,
+        effects: Sequence[Placed],
+        starts: Sequence[Mapping[str, float]],
+        base: Fit | None,
+        hope: float = -np.inf,
+    ) -> Begun:
         made = self.fit(effects, starts, base)
         return Begun(tuple(effects), made.log_likelihood("estimation"), made.values, made)
 

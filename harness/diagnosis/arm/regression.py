@@ -123,8 +123,15 @@ class RegressionForm:
 
     # ---- fits --------------------------------------------------------------------------------------------------------
 
-    def begin(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Begun | None:
-        """See :class:`harness.diagnosis.search.fit.Form`."""
+    def begin(
+        self,
+        effects: Sequence[Placed],
+        starts: Sequence[Mapping[str, float]],
+        base: Fit | None,
+        hope: float = -np.inf,
+    ) -> Begun | None:
+        """See :class:`harness.diagnosis.search.fit.Form`; the steps of a regression are cheap."""
+        del hope
         try:
             equation = self.balance.equation(effects)
         except HarnessError:  # two blocks that exclude each other

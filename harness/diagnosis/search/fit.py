@@ -172,10 +172,17 @@ class Form(Protocol):
         """The nominal system."""
         ...
 
-    def begin(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Begun | None:
+    def begin(
+        self,
+        effects: Sequence[Placed],
+        starts: Sequence[Mapping[str, float]],
+        base: Fit | None,
+        hope: float = -np.inf,
+    ) -> Begun | None:
         """Take the first steps of a fit of the nominal model with effects, from one or more starts.
 
-        ``base`` is the fit to go on from: its noise and initial states. None where it cannot be simulated.
+        ``base`` is the fit to go on from: its noise and initial states. None where it cannot be simulated. What is not
+        on its way to the log-likelihood ``hope`` may take fewer steps.
         """
         ...
 

@@ -168,7 +168,13 @@ class LikelihoodForm:
 
     # ---- fits ------------------------------------------------------------------------------------------------------
 
-    def begin(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Begun | None:
+    def begin(
+        self,
+        effects: Sequence[Placed],
+        starts: Sequence[Mapping[str, float]],
+        base: Fit | None,
+        hope: float = -np.inf,
+    ) -> Begun | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         try:
             system = self.composed(effects)
@@ -177,7 +183,7 @@ class LikelihoodForm:
             for finer in range(EFFORT.finer):  # what diverges may do so by its steps alone
                 passes = self.passes(system, substeps * 2**finer)
                 likelihood, points = self._to_start(system, passes, vectors, starts, effects, base)
-                tried = self._looked(likelihood, points, spare=base is not None)
+                tried = self._looked(likelihood, points, spare=base is not None, hope=hope)
                 if tried:
                     detail = system, passes, likelihood, tried
                     return Begun(tuple(effects), -tried[0].nll, tried[0].parameters, detail, tried[0].pace)
@@ -261,16 +267,22 @@ class LikelihoodForm:
         return best
 
     def _looked(
-        self, likelihood: Likelihood, points: Sequence[Point], *, spare: bool = True, free: Sequence[str] | None = None
+        self,
+        likelihood: Likelihood,
+        points: Sequence[Point],
+        *,
+        spare: bool = True,
+        free: Sequence[str] | None = None,
+        hope: float = -np.inf,
     ) -> list[LikelihoodFit]:
         """Return where first steps lead from some points, likeliest first; those that fall behind take fewer.
 
         Everything stands on the nominal model: no step is spared there.
         """
-        halved = spare and len(points) > 1
+        halved = spare and (len(points) > 1 or hope > -np.inf)
         tried = self._stepped(likelihood, points, EFFORT.looks if halved else EFFORT.first_steps, free)
         near = [one for one in tried if halved and one.nll < tried[0].nll + EFFORT.close]
-        if any(not one.converged for one in near):
+        if any(not one.converged and -one.nll + EFFORT.first_steps * one.pace >= hope for one in near):
             more = self._stepped(likelihood, [one.point for one in near], EFFORT.first_steps - EFFORT.looks, free)
             tried = sorted([*more, *tried[len(near) :]], key=lambda one: one.nll)
         return tried

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.likelihood_form import LikelihoodForm
 from harness.diagnosis.store import Store, fingerprint
@@ -36,9 +38,15 @@ class Remembered:
         """See :class:`harness.diagnosis.search.fit.Form`, also below."""
         return self.form.nominal
 
-    def begin(self, effects: Sequence[Placed], starts: Sequence[Mapping[str, float]], base: Fit | None) -> Begun | None:
+    def begin(
+        self,
+        effects: Sequence[Placed],
+        starts: Sequence[Mapping[str, float]],
+        base: Fit | None,
+        hope: float = -np.inf,
+    ) -> Begun | None:
         """Begin as it is asked for: first steps are cheap, and the same each time."""
-        return self.form.begin(effects, starts, base)
+        return self.form.begin(effects, starts, base, hope)
 
     def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit | None:
         """Finish a fit; one that was finished before is the same, and a failure is kept too."""

@@ -182,27 +182,32 @@ def _refitted(
     """Begin the refits of all that promises something; finish those whose first steps keep up with the best."""
     origins: dict[Placed, Fit] = {}
     begun: dict[Placed, Begun | None] = {}
+    before = base.log_likelihood("estimation")
+
+    def enough() -> float:  # what is not refitted in the end need not be begun in full
+        gains = [one.log_likelihood - before for one in begun.values() if one is not None]
+        return max(policy.lead, policy.reach * max(gains, default=0.0))
+
     for lead in [*chosen(test, policy), *_remembered(form, base, test, open_ones, policy)]:
         say(str(lead.placed))
         origins[lead.placed] = base
         promising = lead.starts if lead.penalised > 0.0 else lead.starts[:1]
         starts = [{**base.values, **one} for one in promising]
-        begun[lead.placed] = form.begin([*base.effects, lead.placed], starts, base)
+        begun[lead.placed] = form.begin([*base.effects, lead.placed], starts, base, before + enough())
     best = max((one for one in begun.values() if one), key=lambda one: one.log_likelihood, default=None)
     for one in form.suspects(base, best, open_ones):
         say(str(one.placed))
         origin = base if one.base is None else one.base
         starts = [{**origin.values, **start} for start in one.starts]
         origins[one.placed] = origin
-        begun[one.placed] = form.begin([*base.effects, one.placed], starts, origin)
-    before = base.log_likelihood("estimation")
+        begun[one.placed] = form.begin([*base.effects, one.placed], starts, origin, before + enough())
     gains = {placed: one.log_likelihood - before for placed, one in begun.items() if one is not None}
-    enough = max(policy.lead, policy.reach * max(gains.values(), default=0.0))
+    least = enough()
     penalty = 0.5 * float(np.log(base.samples))
 
     def needed(one: Placed) -> float:  # nothing is accepted that does not pay for its parameters
         free = sum(not parameter.fixed for parameter in one.effect.parameters)
-        return max(enough, policy.reach * (policy.evidence + penalty * free))
+        return max(least, policy.reach * (policy.evidence + penalty * free))
 
     def place(one: Placed) -> tuple[bool, float]:  # what no law allows must not take the place of what one does
         first = begun[one]
