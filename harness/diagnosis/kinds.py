@@ -23,7 +23,7 @@ class Kind(Protocol):
     """How a kind of nominal model is prepared, fitted and simulated."""
 
     def prepared(self, dataset: Dataset, system: Any) -> tuple[Dataset, list[str]]:
-        """Return the data as they are judged, and what is suspicious about their columns."""
+        """Return the data as they are judged, and why their columns are in doubt: nothing is looked for then."""
         ...
 
     def horizon(self, system: Any, values: Mapping[str, float], dataset: Dataset) -> Horizon:

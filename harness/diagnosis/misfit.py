@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +19,9 @@ __all__ = ["misfit_reasons", "mistakes"]
 DEGREES = np.pi / 180
 
 
-def misfit_reasons(form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Policy) -> tuple[str, ...]:
+def misfit_reasons(
+    form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Policy, doubts: Sequence[str] = ()
+) -> tuple[str, ...]:
     """Return why the model does not fit the data, and what probably is wrong; empty if it fits.
 
     Parameters
@@ -29,6 +31,8 @@ def misfit_reasons(form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Pol
         With all effects that were accepted.
     runs : FreeRuns
     policy : Policy
+    doubts : sequence of str
+        What is probably wrong with the columns by the declared values: the model fits nothing that it was meant for.
     """
     reasons = []
     if not runs.left <= policy.misfit_nrmse**2:
@@ -45,7 +49,9 @@ def misfit_reasons(form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Pol
     bound = [name for name in final.on_bound if "@" not in name]
     if bound and reasons:
         reasons.append(f"{', '.join(bound)} ended on a bound")
-    if reasons:
+    if doubts:
+        reasons += doubts
+    elif reasons:
         reasons += _likely(form, final, policy)
     return tuple(reasons)
 
