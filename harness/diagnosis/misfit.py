@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -12,11 +11,16 @@ from harness.diagnosis.policy import Policy
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.likelihood_form import LikelihoodForm
-from harness.signals import Dataset
+from harness.signals import Dataset, Run, Trajectory
 
 __all__ = ["misfit_reasons", "mistakes"]
 
 DEGREES = np.pi / 180
+SHIFTS = (1, 2, 5, 10, 20)
+"""Samples by which an input is tried late and early; then those between the best one and its neighbours."""
+LATEST = SHIFTS[-1]
+SAMPLES = 1500
+"""Samples of a record that tell how late an input is."""
 
 
 def misfit_reasons(
@@ -61,16 +65,16 @@ def _length(runs: FreeRuns) -> str:
 
 
 def _likely(form: LikelihoodForm, final: Fit, policy: Policy) -> list[str]:
-    """Return the mistake whose repair makes the nominal model much likelier, if there is one."""
-    best, words = final.log_likelihood("estimation"), ""
-    for text, dataset, scale in mistakes(form.dataset):
+    """Return the mistakes whose repair makes the nominal model much likelier, all that do so about as well."""
+    least = final.log_likelihood("estimation") + policy.misfit_gain
+    found = []
+    for text, dataset, scale in [*mistakes(form.dataset), *_shifted(form)]:
         other = form.on(dataset)
-        found = other.fit((), other.first_starts(), None)
-        if found is None:
-            continue
-        value = found.log_likelihood("estimation") + scale
-        if value > best + policy.misfit_gain:
-            best, words = value, text
+        fit = other.fit((), other.first_starts(), None)
+        if fit is not None and (value := fit.log_likelihood("estimation") + scale) > least:
+            found.append((value, text))
+    best = max((value for value, _ in found), default=0.0)
+    words = " or ".join(text for value, text in found if value > best - policy.misfit_gain)
     return [f"check {words}: with that repaired the model fits far better"] if words else []
 
 
@@ -80,28 +84,69 @@ def mistakes(dataset: Dataset) -> Iterator[tuple[str, Dataset, float]]:
     count = sum(len(run) for run in dataset.estimation)
     for kind, channels in (("u", spec.inputs), ("y", spec.outputs)):
         for k, channel in enumerate(channels):
-            yield f"the sign of {channel.name}", _changed(dataset, kind, k, -1.0), 0.0
+            yield f"the sign of {channel.name}", _changed(dataset, kind, [k], -1.0), 0.0
             if kind == "y" and channel.unit == "rad":
                 scale = count * float(np.log(DEGREES))
-                yield f"whether {channel.name} is in degrees", _changed(dataset, kind, k, DEGREES), scale
-    for k in range(len(spec.inputs)):
-        late = replace(dataset, runs=tuple(_late(run, k) for run in dataset.runs))
-        yield f"whether {spec.inputs[k].name} is recorded late or early", late, 0.0
+                yield f"whether {channel.name} is in degrees", _changed(dataset, kind, [k], DEGREES), scale
+        if len(channels) > 1:
+            what = "inputs" if kind == "u" else "outputs"
+            yield f"the signs of all {what}", _changed(dataset, kind, range(len(channels)), -1.0), 0.0
 
 
-def _changed(dataset: Dataset, kind: str, column: int, factor: float) -> Dataset:
-    """Return the data with one column scaled."""
+def _shifted(form: LikelihoodForm) -> Iterator[tuple[str, Dataset, float]]:
+    """Yield the data with each input moved by as many samples as make a part of a record likeliest."""
+    dataset = form.dataset
+    longest = max(dataset.estimation, key=len)
+    most = min(LATEST, len(longest) // 10)
+    for k, channel in enumerate(dataset.spec.inputs):
+        values: dict[int, float] = {}
+        trial = [0, *(sign * size for size in SHIFTS for sign in (1, -1) if size <= most)]
+        while trial:
+            for shift in trial:
+                values[shift] = _first_steps(form, _moved_part(longest, k, shift, most))
+            best = max(values, key=lambda one: values[one])
+            below = max((one for one in values if one < best), default=best)
+            above = min((one for one in values if one > best), default=best)
+            trial = [one for one in {(below + best) // 2, (best + above + 1) // 2} if one not in values]
+        if not best or not np.isfinite(values[best]):
+            continue
+        moved = replace(
+            dataset, runs=tuple(replace(run, trajectory=_moved(run.trajectory, k, best)) for run in dataset.runs)
+        )
+        here, there = ("late", "early") if best > 0 else ("early", "late")
+        many = f"{abs(best)} sample{'s' if abs(best) > 1 else ''}"
+        yield f"whether {channel.name} is recorded about {many} {here}, or the outputs {there}", moved, 0.0
 
-    def one(run: Any) -> Any:
+
+def _first_steps(form: LikelihoodForm, record: Trajectory) -> float:
+    """Return the log-likelihood of one record after the first steps of a fit of the nominal model to it."""
+    other = form.on(replace(form.dataset, runs=(Run(record, "estimation"),)))
+    begun = other.begin((), other.first_starts(), None)
+    return -np.inf if begun is None else begun.log_likelihood
+
+
+def _moved_part(record: Trajectory, column: int, shift: int, most: int) -> Trajectory:
+    """Return the first samples of a record with an input moved, without the ends that some shift does not reach."""
+    part = record[: min(len(record), SAMPLES)]
+    return _moved(part, column, shift)[most : len(part) - most]
+
+
+def _moved(record: Trajectory, column: int, shift: int) -> Trajectory:
+    """Return a record with an input this many samples earlier (later if negative), its end (start) as it was."""
+    u = record.u.copy()
+    if shift > 0:
+        u[:-shift, column] = record.u[shift:, column]
+    elif shift < 0:
+        u[-shift:, column] = record.u[:shift, column]
+    return replace(record, u=u)
+
+
+def _changed(dataset: Dataset, kind: str, columns: Sequence[int], factor: float) -> Dataset:
+    """Return the data with some columns scaled."""
+
+    def one(run: Run) -> Run:
         values = getattr(run.trajectory, kind).copy()
-        values[:, column] *= factor
+        values[:, list(columns)] *= factor
         return replace(run, trajectory=replace(run.trajectory, **{kind: values}))
 
     return replace(dataset, runs=tuple(one(run) for run in dataset.runs))
-
-
-def _late(run: Any, column: int) -> Any:
-    """Return a run with an input five samples earlier."""
-    u = run.trajectory.u.copy()
-    u[:-5, column] = u[5:, column]
-    return replace(run, trajectory=replace(run.trajectory, u=u))
