@@ -11,9 +11,10 @@ from harness.diagnosis.policy import Policy
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.likelihood_form import LikelihoodForm
-from harness.signals import Dataset, Run, Trajectory
+from harness.physics.likelihood_fit import sensor_noise
+from harness.signals import Dataset, FloatArray, Run, Trajectory
 
-__all__ = ["misfit_reasons", "mistakes"]
+__all__ = ["misfit_reasons", "mistakes", "mostly_noise"]
 
 DEGREES = np.pi / 180
 SHIFTS = (1, 2, 5, 10, 20)
@@ -36,11 +37,14 @@ def misfit_reasons(
     runs : FreeRuns
     policy : Policy
     doubts : sequence of str
-        What is probably wrong with the columns by the declared values: the model fits nothing that it was meant for.
+        Why nothing was looked for in the records: columns that are probably wrong, or noise.
     """
     reasons = []
-    if not runs.left <= policy.misfit_nrmse**2:
-        share = "diverges" if not np.isfinite(runs.left) else f"leaves {100 * np.sqrt(runs.left):.0f} % of the motion"
+    left, noisy = _left(form, final, runs)
+    if not left <= policy.misfit_nrmse**2:
+        if noisy:  # a fit to noise is none, and says nothing about the model
+            return tuple(doubts) or (noisy,)
+        share = "diverges" if not np.isfinite(left) else f"leaves {100 * np.sqrt(left):.0f} % of the motion"
         reasons.append(f"the prediction of the validation data {share} over {_length(runs)}")
     noise = final.detail.points["estimation"].noise
     forces = np.sqrt(noise.s**2 + noise.w**2)
@@ -53,11 +57,51 @@ def misfit_reasons(
     bound = [name for name in final.on_bound if "@" not in name]
     if bound and reasons:
         reasons.append(f"{', '.join(bound)} ended on a bound")
-    if doubts:
+    if doubts:  # they say what is to be done, and no repair of a column is asked for
         reasons += doubts
     elif reasons:
         reasons += _likely(form, final, policy)
     return tuple(reasons)
+
+
+def mostly_noise(form: LikelihoodForm, nominal: Fit, policy: Policy) -> list[str]:
+    """Return why nothing can be told from records that are noise in every output; empty if one of them is not."""
+    shares = _noise(form, nominal) / form.noise_model.output_scale**2
+    return [_noisy(form, shares)] if shares.size and (shares >= policy.noise).all() else []
+
+
+def _noise(form: LikelihoodForm, fit: Fit) -> FloatArray:
+    """Return the variance of the sensor noise (ny,): what a model leaves is noise only as far as neighbours differ."""
+    found = np.asarray(fit.detail.points["estimation"].noise.r, dtype=float)
+    return np.asarray(np.minimum(found, sensor_noise(form.records["estimation"])) ** 2)
+
+
+def _noisy(form: LikelihoodForm, shares: FloatArray) -> str:
+    """Return that readings are noise."""
+    names = " and ".join(channel.name for channel in form.dataset.spec.outputs)
+    share = f"{100 * float(np.min(np.minimum(shares, 1.0))):.0f} % of the variance"
+    return f"the readings of {names} are mostly noise ({share}), or far too coarse in time: nothing can be told"
+
+
+def _left(form: LikelihoodForm, final: Fit, runs: FreeRuns) -> tuple[float, str]:
+    """Return the share of the motion's variance that free runs leave, noise taken off, and whether readings are noise.
+
+    Returns
+    -------
+    left : float
+        Of the worst output, on the validation records; not finite where the runs diverge.
+    noisy : str
+        Words where more than half of what the worst output reads is noise; else empty.
+    """
+    if runs.after is None or not np.isfinite(runs.left):
+        return runs.left, ""
+    noise = _noise(form, final)
+    error = np.concatenate(list(runs.after.validation)) * runs.output.weights
+    moved = np.concatenate([run.y for run in runs.output.records["validation"]]).var(axis=0)
+    rest = np.maximum(np.mean(error**2, axis=0) - noise, 0.0) / np.maximum(moved, 1e-300)
+    worst = int(np.argmax(rest))
+    shares = noise / np.maximum(moved, 1e-300)
+    return float(rest[worst]), _noisy(form, shares) if shares[worst] > 0.5 else ""
 
 
 def _length(runs: FreeRuns) -> str:

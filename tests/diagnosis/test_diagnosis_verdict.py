@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from harness.diagnosis.algorithm import Diagnosis
+from harness.diagnosis.close import close_loop
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.misfit import _shifted, misfit_reasons, mistakes
 from harness.diagnosis.policy import POLICY
@@ -95,14 +96,17 @@ def doubted(
     on_bound: tuple[str, ...] = (),
     repaired: float | dict[str, float] = 0.0,
     doubts: tuple[str, ...] = (),
+    noise: float = 0.0,
 ) -> tuple[str, ...]:
     """Return the reasons for a model that leaves a share of the variance and needs a force of this share.
 
+    ``noise``: share of the readings' variance that the sensor makes; the readings are as white as noise here.
     ``repaired``: what every repair gains, or those of some columns (their first values are negative in ``dataset``).
     """
-    noise = SimpleNamespace(s=np.array([2 * force]), w=np.zeros(1))
+    y = dataset().validation[0].y
+    noises = SimpleNamespace(s=np.array([2 * force]), w=np.zeros(1), r=np.sqrt(noise * y.var(axis=0)))
     forces = (SimpleNamespace(port="theta"),)
-    points = {"estimation": SimpleNamespace(noise=noise)}
+    points = {"estimation": SimpleNamespace(noise=noises)}
     final: Any = SimpleNamespace(
         detail=SimpleNamespace(points=points, passes=SimpleNamespace(forces=forces)),
         on_bound=on_bound,
@@ -120,8 +124,19 @@ def doubted(
             begin=lambda effects, starts, base: None,
         )
 
-    form: Any = SimpleNamespace(dataset=dataset(), on=other, noise_model=SimpleNamespace(force_scale=np.array([2.0])))
-    runs: Any = SimpleNamespace(left=left, horizon=SimpleNamespace(seconds=None))
+    form: Any = SimpleNamespace(
+        dataset=dataset(),
+        records={"estimation": dataset().estimation},
+        on=other,
+        noise_model=SimpleNamespace(force_scale=np.array([2.0])),
+    )
+    error = np.sqrt(left * y.var(axis=0)) / 0.5 * np.ones((len(y), 1))
+    runs: Any = SimpleNamespace(
+        left=left,
+        horizon=SimpleNamespace(seconds=None),
+        after=SimpleNamespace(validation=(error,)),
+        output=SimpleNamespace(weights=np.array([0.5]), records={"validation": dataset().validation}),
+    )
     return misfit_reasons(form, final, runs, POLICY, doubts)
 
 
@@ -158,6 +173,26 @@ def test_repairs_that_do_as_well_are_named_together() -> None:
         for text in doubted(0.5, 0.0, repaired={"u": 900.0, "y": 870.0})
     )
     assert any("check the sign of theta:" in text for text in doubted(0.5, 0.0, repaired={"u": 700.0, "y": 870.0}))
+
+
+def test_noise_of_the_sensor_is_no_misfit() -> None:
+    """Readings that are all noise were "leaves 100 % of the motion"."""
+    assert doubted(0.5, 0.0, noise=0.4) == ()
+    assert "leaves 55 % of the motion" in doubted(0.7, 0.0, noise=0.4)[0]
+    (reason,) = doubted(1.0, 0.0, noise=0.7, repaired=900.0)
+    assert "the readings of theta are mostly noise (70 % of the variance)" in reason
+
+
+def test_nothing_is_looked_for_in_readings_that_are_noise(foreign_pendulum) -> None:
+    good = foreign_pendulum(3, n=300)
+    rng = np.random.default_rng(0)
+    runs = tuple(replace(run, trajectory=replace(run.trajectory, y=rng.standard_normal((300, 1)))) for run in good)
+    report = close_loop(replace(good, runs=runs), "pendulum")
+    assert report.verdict == "model_does_not_fit"
+    assert report.data["effects"] == []
+    assert not any(one["refitted"] for one in report.data["candidates"])
+    assert "nothing can be told" in report.data["misfit"][-1]
+    assert "leaves" not in report.data["summary"]
 
 
 def test_columns_in_doubt_are_reason_enough() -> None:
