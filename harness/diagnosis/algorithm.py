@@ -11,7 +11,7 @@ from typing import Any
 
 from harness.diagnosis.dictionary import placed
 from harness.diagnosis.kinds import Equations, Kind
-from harness.diagnosis.misfit import misfit_reasons
+from harness.diagnosis.misfit import misfit_reasons, mostly_noise
 from harness.diagnosis.policy import PLAN_POLICY, POLICY, Policy
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.records.stretches import stretched, windowed
@@ -207,6 +207,7 @@ def diagnose(
                 or "check signs and units of the columns, or give start values nearer to the plant",
             )
         form.resize(nominal)
+        doubts = [*doubts, *mostly_noise(form, nominal, policy)]
         candidates, faults = placed(
             system, dictionary, composed=lambda one: form.composed(one) if all(map(form.judges, one)) else None
         )
