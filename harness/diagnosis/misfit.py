@@ -17,6 +17,8 @@ from harness.signals import Dataset, FloatArray, Run, Trajectory
 __all__ = ["misfit_reasons", "mistakes", "mostly_noise"]
 
 DEGREES = np.pi / 180
+MOSTLY = 0.5
+"""Share of a variance that is most of it."""
 SHIFTS = (1, 2, 5, 10, 20)
 """Samples by which an input is tried late and early; then those between the best one and its neighbours."""
 LATEST = SHIFTS[-1]
@@ -78,8 +80,10 @@ def _noise(form: LikelihoodForm, fit: Fit) -> FloatArray:
 
 def _noisy(form: LikelihoodForm, shares: FloatArray) -> str:
     """Return that readings are noise."""
-    names = " and ".join(channel.name for channel in form.dataset.spec.outputs)
-    share = f"{100 * float(np.min(np.minimum(shares, 1.0))):.0f} % of the variance"
+    pairs = zip(form.dataset.spec.outputs, np.minimum(shares, 1.0), strict=True)
+    these = {channel.name: float(share) for channel, share in pairs if share > MOSTLY}
+    names = " and ".join(these)
+    share = f"{100 * min(these.values()):.0f} % of the variance"
     return f"the readings of {names} are mostly noise ({share}), or far too coarse in time: nothing can be told"
 
 
@@ -101,7 +105,7 @@ def _left(form: LikelihoodForm, final: Fit, runs: FreeRuns) -> tuple[float, str]
     rest = np.maximum(np.mean(error**2, axis=0) - noise, 0.0) / np.maximum(moved, 1e-300)
     worst = int(np.argmax(rest))
     shares = noise / np.maximum(moved, 1e-300)
-    return float(rest[worst]), _noisy(form, shares) if shares[worst] > 0.5 else ""
+    return float(rest[worst]), _noisy(form, shares) if shares[worst] > MOSTLY else ""
 
 
 def _length(runs: FreeRuns) -> str:
