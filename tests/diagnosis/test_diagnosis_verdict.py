@@ -310,6 +310,9 @@ def test_errors_are_rms_and_over_the_spread_of_the_measurement() -> None:
     assert found["b"] == {"rms": 1.0, "nrmse": None, "unit": "V"}
     assert figures([error * np.nan], [y], [("a", "m")])["a"]["rms"] is None
     assert figures([], [], [("a", "m")]) == {}
+    constant = np.full((300, 1), 0.1)  # whose mean is off by rounding
+    assert constant.std() > 0
+    assert figures([0.1 * constant], [constant], [("a", "m")])["a"]["nrmse"] is None, "4.44e+15 % was said"
 
 
 def test_records_that_cannot_be_judged_are_refused_with_the_reason() -> None:
