@@ -11,7 +11,7 @@ from typing import Any
 
 from harness.diagnosis.dictionary import placed
 from harness.diagnosis.kinds import Equations, Kind
-from harness.diagnosis.misfit import misfit_reasons
+from harness.diagnosis.misfit import misfit_reasons, mostly_noise
 from harness.diagnosis.policy import PLAN_POLICY, POLICY, Policy
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.records.stretches import stretched, windowed
@@ -197,9 +197,9 @@ def diagnose(
 
     with one_thread():
         kind = kind or Equations()
-        dataset, warnings = kind.prepared(checked(dataset, system), system)
+        dataset, doubts = kind.prepared(checked(dataset, system), system)
         judged = stretched(stretched(dataset), use="validation")
-        warnings = [*judged.warnings, *warnings]
+        warnings = [*judged.warnings]
         form = kind.form(system, judged)
         if not form.latent:  # a plant that loses its start cannot be judged by whole free runs
             horizon = kind.horizon(system, system.values(), judged)
@@ -212,14 +212,16 @@ def diagnose(
                 f"the nominal model {system.name}",
                 expected="start values from which it can be simulated along the data",
                 got="a state that diverges",
-                remedy="check signs and units of the columns, or give start values nearer to the plant",
+                remedy="; ".join(doubts)
+                or "check signs and units of the columns, or give start values nearer to the plant",
             )
         if form.resize(nominal):
             nominal = remembered.fit((), [nominal.values], nominal) or nominal
+        doubts = [*doubts, *mostly_noise(form, nominal, policy)]
         candidates, faults = placed(
             system, dictionary, composed=lambda one: form.composed(one) if all(map(form.judges, one)) else None
         )
-        candidates = [one for one in candidates if form.judges(one)]
+        candidates = [] if doubts else [one for one in candidates if form.judges(one)]
         outcome = search(remembered, nominal, candidates, policy=policy, say=say)
         add_rounding(remembered, outcome, dataset, candidates, policy)
         horizon = kind.horizon(system, outcome.nominal.values, dataset)
@@ -239,7 +241,7 @@ def diagnose(
         same = outcome.model is outcome.nominal
         outcome.nominal = form.with_deviations(outcome.nominal)
         outcome.model = outcome.nominal if same else form.with_deviations(outcome.model)
-        misfit = misfit_reasons(form, outcome.model, runs, policy)
+        misfit = misfit_reasons(form, outcome.model, runs, policy, doubts)
         apart = form.apart(outcome.model)
     if outcome.withdrawn:
         names = ", ".join(str(one.placed) for one in outcome.withdrawn)

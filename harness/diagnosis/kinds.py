@@ -13,7 +13,7 @@ from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.records.thinning import thinned_dataset
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.search.likelihood_form import LikelihoodForm
-from harness.errors import HarnessError
+from harness.errors import HarnessError, InputError
 from harness.signals import Dataset, FloatArray
 
 __all__ = ["Equations", "Kind"]
@@ -23,7 +23,7 @@ class Kind(Protocol):
     """How a kind of nominal model is prepared, fitted and simulated."""
 
     def prepared(self, dataset: Dataset, system: Any) -> tuple[Dataset, list[str]]:
-        """Return the data as they are judged, and what is suspicious about their columns."""
+        """Return the data as they are judged, and why their columns are in doubt: nothing is looked for then."""
         ...
 
     def horizon(self, system: Any, values: Mapping[str, float], dataset: Dataset) -> Horizon:
@@ -44,6 +44,14 @@ class Equations:
 
     def prepared(self, dataset: Dataset, system: Any) -> tuple[Dataset, list[str]]:
         """See :class:`Kind`."""
+        if not system.nx:  # no force and no rate that could be missing: all at the input would be called invisible
+            raise InputError(
+                f"the model {system.name} is static",
+                expected="a model with states, as what it lacks is looked for in its forces and rates",
+                got="outputs that follow from the inputs of the same instant",
+                remedy="give it the dynamics of the plant (a lag of the sensor or the drive, say), or fit its "
+                "parameters alone with fit_output_error",
+            )
         return thinned_dataset(dataset), check_columns(system, dataset)
 
     def horizon(self, system: Any, values: Mapping[str, float], dataset: Dataset) -> Horizon:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -12,14 +11,24 @@ from harness.diagnosis.policy import Policy
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.likelihood_form import LikelihoodForm
-from harness.signals import Dataset, FloatArray
+from harness.physics.likelihood_fit import sensor_noise
+from harness.signals import Dataset, FloatArray, Run, Trajectory
 
-__all__ = ["misfit_reasons", "mistakes"]
+__all__ = ["misfit_reasons", "mistakes", "mostly_noise"]
 
 DEGREES = np.pi / 180
+MOSTLY = 0.5
+"""Share of a variance that is most of it."""
+SHIFTS = (1, 2, 5, 10, 20)
+"""Samples by which an input is tried late and early; then those between the best one and its neighbours."""
+LATEST = SHIFTS[-1]
+SAMPLES = 1500
+"""Samples of a record that tell how late an input is."""
 
 
-def misfit_reasons(form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Policy) -> tuple[str, ...]:
+def misfit_reasons(
+    form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Policy, doubts: Sequence[str] = ()
+) -> tuple[str, ...]:
     """Return why the model does not fit the data, and what probably is wrong; empty if it fits.
 
     Parameters
@@ -29,18 +38,27 @@ def misfit_reasons(form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Pol
         With all effects that were accepted.
     runs : FreeRuns
     policy : Policy
+    doubts : sequence of str
+        Why nothing was looked for in the records: columns that are probably wrong, or noise.
     """
+    if doubts:  # they say what is to be done
+        return tuple(doubts)
     reasons = []
-    if not runs.left <= policy.misfit_nrmse**2 and not carried_away(form, final, runs, policy):
-        share = "diverges" if not np.isfinite(runs.left) else f"leaves {100 * np.sqrt(runs.left):.0f} % of the motion"
+    left, noisy = _left(form, final, runs)
+    if not left <= policy.misfit_nrmse**2 and not carried_away(form, final, runs, policy):
+        if noisy:  # a fit to noise is none, and says nothing about the model
+            return (noisy,)
+        share = "diverges" if not np.isfinite(left) else f"leaves {100 * np.sqrt(left):.0f} % of the motion"
         reasons.append(f"the prediction of the validation data {share} over {_length(runs)}")
     noise = final.detail.points["estimation"].noise
     forces = np.sqrt(noise.s**2 + noise.w**2)
     for port, size, scale in zip(final.detail.passes.forces, forces, form.noise_model.force_scale,
                                  strict=True):  # fmt: skip
         if size > policy.misfit_force * scale:
+            least = "at least " if f"s@{port.port}" in final.on_bound else ""
             reasons.append(
-                f"a force that nobody measured would have to be {100 * size / scale:.0f} % of what moves {port.port}"
+                f"a force that nobody measured would have to be {least}{100 * size / scale:.0f} % of what moves "
+                f"{port.port}"
             )
     bound = [name for name in final.on_bound if "@" not in name]
     if bound and reasons:
@@ -83,21 +101,63 @@ def carried_away(form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Polic
     return bool((np.mean(squares, axis=0) <= (policy.misfit_nrmse * size) ** 2).all())
 
 
+def mostly_noise(form: LikelihoodForm, nominal: Fit, policy: Policy) -> list[str]:
+    """Return why nothing can be told from records that are noise in every output; empty if one of them is not."""
+    shares = _noise(form, nominal) / form.noise_model.output_scale**2
+    return [_noisy(form, shares)] if shares.size and (shares >= policy.noise).all() else []
+
+
+def _noise(form: LikelihoodForm, fit: Fit) -> FloatArray:
+    """Return the variance of the sensor noise (ny,): what a model leaves is noise only as far as neighbours differ."""
+    found = np.asarray(fit.detail.points["estimation"].noise.r, dtype=float)
+    return np.asarray(np.minimum(found, sensor_noise(form.records["estimation"])) ** 2)
+
+
+def _noisy(form: LikelihoodForm, shares: FloatArray) -> str:
+    """Return that readings are noise."""
+    pairs = zip(form.dataset.spec.outputs, np.minimum(shares, 1.0), strict=True)
+    these = {channel.name: float(share) for channel, share in pairs if share > MOSTLY}
+    names = " and ".join(these)
+    share = f"{100 * min(these.values()):.0f} % of the variance"
+    return f"the readings of {names} are mostly noise ({share}), or far too coarse in time: nothing can be told"
+
+
+def _left(form: LikelihoodForm, final: Fit, runs: FreeRuns) -> tuple[float, str]:
+    """Return the share of the motion's variance that free runs leave, noise taken off, and whether readings are noise.
+
+    Returns
+    -------
+    left : float
+        Of the worst output, on the validation records; not finite where the runs diverge.
+    noisy : str
+        Words where more than half of what the worst output reads is noise; else empty.
+    """
+    if runs.after is None or not np.isfinite(runs.left):
+        return runs.left, ""
+    noise = _noise(form, final)
+    error = np.concatenate(list(runs.after.validation)) * runs.output.weights
+    moved = np.maximum(runs.motion, 1e-300)
+    rest = np.maximum(np.mean(error**2, axis=0) - noise, 0.0) / moved
+    worst = int(np.argmax(rest))
+    shares = noise / moved
+    return float(rest[worst]), _noisy(form, shares) if shares[worst] > MOSTLY else ""
+
+
 def _length(runs: FreeRuns) -> str:
     return "whole records" if runs.horizon.seconds is None else f"windows of {runs.horizon.seconds:g} s"
 
 
 def _likely(form: LikelihoodForm, final: Fit, policy: Policy) -> list[str]:
-    """Return the mistake whose repair makes the nominal model much likelier, if there is one."""
-    best, words = final.log_likelihood("estimation"), ""
-    for text, dataset, scale in mistakes(form.dataset):
+    """Return the mistakes whose repair makes the nominal model much likelier, all that do so about as well."""
+    least = final.log_likelihood("estimation") + policy.misfit_gain
+    found = []
+    for text, dataset, scale in [*mistakes(form.dataset), *_shifted(form)]:
         other = form.on(dataset)
-        found = other.fit((), other.first_starts(), None)
-        if found is None:
-            continue
-        value = found.log_likelihood("estimation") + scale
-        if value > best + policy.misfit_gain:
-            best, words = value, text
+        fit = other.fit((), other.first_starts(), None)
+        if fit is not None and (value := fit.log_likelihood("estimation") + scale) > least:
+            found.append((value, text))
+    best = max((value for value, _ in found), default=0.0)
+    words = " or ".join(text for value, text in found if value > best - policy.misfit_gain)
     return [f"check {words}: with that repaired the model fits far better"] if words else []
 
 
@@ -107,28 +167,69 @@ def mistakes(dataset: Dataset) -> Iterator[tuple[str, Dataset, float]]:
     count = sum(len(run) for run in dataset.estimation)
     for kind, channels in (("u", spec.inputs), ("y", spec.outputs)):
         for k, channel in enumerate(channels):
-            yield f"the sign of {channel.name}", _changed(dataset, kind, k, -1.0), 0.0
+            yield f"the sign of {channel.name}", _changed(dataset, kind, [k], -1.0), 0.0
             if kind == "y" and channel.unit == "rad":
                 scale = count * float(np.log(DEGREES))
-                yield f"whether {channel.name} is in degrees", _changed(dataset, kind, k, DEGREES), scale
-    for k in range(len(spec.inputs)):
-        late = replace(dataset, runs=tuple(_late(run, k) for run in dataset.runs))
-        yield f"whether {spec.inputs[k].name} is recorded late or early", late, 0.0
+                yield f"whether {channel.name} is in degrees", _changed(dataset, kind, [k], DEGREES), scale
+        if len(channels) > 1:
+            what = "inputs" if kind == "u" else "outputs"
+            yield f"the signs of all {what}", _changed(dataset, kind, range(len(channels)), -1.0), 0.0
 
 
-def _changed(dataset: Dataset, kind: str, column: int, factor: float) -> Dataset:
-    """Return the data with one column scaled."""
+def _shifted(form: LikelihoodForm) -> Iterator[tuple[str, Dataset, float]]:
+    """Yield the data with each input moved by as many samples as make a part of a record likeliest."""
+    dataset = form.dataset
+    longest = max(dataset.estimation, key=len)
+    most = min(LATEST, len(longest) // 10)
+    for k, channel in enumerate(dataset.spec.inputs):
+        values: dict[int, float] = {}
+        trial = [0, *(sign * size for size in SHIFTS for sign in (1, -1) if size <= most)]
+        while trial:
+            for shift in trial:
+                values[shift] = _first_steps(form, _moved_part(longest, k, shift, most))
+            best = max(values, key=lambda one: values[one])
+            below = max((one for one in values if one < best), default=best)
+            above = min((one for one in values if one > best), default=best)
+            trial = [one for one in {(below + best) // 2, (best + above + 1) // 2} if one not in values]
+        if not best or not np.isfinite(values[best]):
+            continue
+        moved = replace(
+            dataset, runs=tuple(replace(run, trajectory=_moved(run.trajectory, k, best)) for run in dataset.runs)
+        )
+        here, there = ("late", "early") if best > 0 else ("early", "late")
+        many = f"{abs(best)} sample{'s' if abs(best) > 1 else ''}"
+        yield f"whether {channel.name} is recorded about {many} {here}, or the outputs {there}", moved, 0.0
 
-    def one(run: Any) -> Any:
+
+def _first_steps(form: LikelihoodForm, record: Trajectory) -> float:
+    """Return the log-likelihood of one record after the first steps of a fit of the nominal model to it."""
+    other = form.on(replace(form.dataset, runs=(Run(record, "estimation"),)))
+    begun = other.begin((), other.first_starts(), None)
+    return -np.inf if begun is None else begun.log_likelihood
+
+
+def _moved_part(record: Trajectory, column: int, shift: int, most: int) -> Trajectory:
+    """Return the first samples of a record with an input moved, without the ends that some shift does not reach."""
+    part = record[: min(len(record), SAMPLES)]
+    return _moved(part, column, shift)[most : len(part) - most]
+
+
+def _moved(record: Trajectory, column: int, shift: int) -> Trajectory:
+    """Return a record with an input this many samples earlier (later if negative), its end (start) as it was."""
+    u = record.u.copy()
+    if shift > 0:
+        u[:-shift, column] = record.u[shift:, column]
+    elif shift < 0:
+        u[-shift:, column] = record.u[:shift, column]
+    return replace(record, u=u)
+
+
+def _changed(dataset: Dataset, kind: str, columns: Sequence[int], factor: float) -> Dataset:
+    """Return the data with some columns scaled."""
+
+    def one(run: Run) -> Run:
         values = getattr(run.trajectory, kind).copy()
-        values[:, column] *= factor
+        values[:, list(columns)] *= factor
         return replace(run, trajectory=replace(run.trajectory, **{kind: values}))
 
     return replace(dataset, runs=tuple(one(run) for run in dataset.runs))
-
-
-def _late(run: Any, column: int) -> Any:
-    """Return a run with an input five samples earlier."""
-    u = run.trajectory.u.copy()
-    u[:-5, column] = u[5:, column]
-    return replace(run, trajectory=replace(run.trajectory, u=u))

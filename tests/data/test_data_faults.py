@@ -144,19 +144,34 @@ def test_what_may_be_meant_is_said_with_its_column(change: Change, words: str, t
     ("make", "change", "words"),
     [
         (pendulum, changed("theta", lambda y: 1000 * y), "theta"),
-        (pendulum, lambda t: {**t, "u": t["theta"], "theta": t["u"]}, "u and theta are swapped"),
         (pendulum, changed("theta", lambda y: np.full_like(y, 0.2)), "outputs never move"),
+    ],
+)
+def test_columns_that_no_model_can_mean_are_refused_by_name(
+    make: Callable[[int], Table], change: Change, words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=words) as refused:
+        close_loop_file(written(tmp_path, both(make, change)), out=tmp_path / "out")
+    assert "remedy" in str(refused.value)
+    assert not (tmp_path / "out" / "report.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("make", "change", "words"),
+    [
+        (pendulum, lambda t: {**t, "u": t["theta"], "theta": t["u"]}, "u and theta are swapped"),
         (cart, lambda t: {**t, "x": t["theta"], "theta": t["x"]}, "x and theta are swapped"),
     ],
 )
-def test_units_and_swapped_columns_are_refused_by_name(
+def test_swapped_columns_are_a_model_that_does_not_fit(
     make: Callable[[int], Table], change: Change, words: str, tmp_path: Path
 ) -> None:
     model, signals = ("pendulum", PENDULUM) if make is pendulum else ("cart-pole", CART)
-    with pytest.raises(InputError, match=words) as refused:
-        close_loop_file(written(tmp_path, both(make, change), model=model, signals=signals), out=tmp_path / "out")
-    assert "remedy" in str(refused.value)
-    assert not (tmp_path / "out" / "report.json").exists()
+    data = written(tmp_path, both(make, change), model=model, signals=signals)
+    report = close_loop_file(data, out=tmp_path / "out")
+    assert report.verdict == "model_does_not_fit", report.data["summary"]
+    assert words in report.data["misfit"][-1]
+    assert (tmp_path / "out" / "report.json").exists()
 
 
 def test_one_run_in_another_unit_is_said(tmp_path: Path) -> None:
@@ -171,7 +186,7 @@ def test_validation_that_is_the_estimation_is_refused(tmp_path: Path) -> None:
 
 
 def test_good_records_pass_the_column_check() -> None:
-    from harness.diagnosis.records.columns_check import likely_repair
+    from harness.diagnosis.records.columns_check import doubts
     from harness.physics import load_model
     from harness.signals import PlantSpec, Trajectory
 
@@ -180,4 +195,4 @@ def test_good_records_pass_the_column_check() -> None:
 
         spec = PlantSpec(system.inputs, system.outputs, DT)
         y = np.column_stack([table[one] for one in columns])
-        assert likely_repair(system, Trajectory(table["time"], table["u"][:, None], y, spec)) is None
+        assert doubts(system, Trajectory(table["time"], table["u"][:, None], y, spec)) == []

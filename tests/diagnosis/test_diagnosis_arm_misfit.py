@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from harness.diagnosis.arm import misfit
+from harness.diagnosis.arm.motion import arm_runs
 from harness.diagnosis.close import close_loop
 from harness.diagnosis.policy import ARM_POLICY, POLICY
 from harness.effects import builtin
@@ -66,14 +67,34 @@ def weightless(arm: ArmModel, u: FloatArray, q: FloatArray) -> tuple[FloatArray,
         (lambda arm, u, q: (u, np.degrees(q)), "whether the positions are in degrees:"),
         (lambda arm, u, q: (u[:, [0, 3, 2, 1, 4, 5, 6]], q), "whether tau2 and tau4 are exchanged:"),
         (weightless, "beyond gravity's compensation:"),
+        (lambda arm, u, q: (u / 4, q), "all torques are 0.25 times what they should be, or all masses 4 times:"),
     ],
-    ids=["sign of a torque", "sign of all", "sign of a position", "N mm", "degrees", "exchanged", "compensated"],
+    ids=[
+        "sign of a torque",
+        "sign of all",
+        "sign of a position",
+        "N mm",
+        "degrees",
+        "exchanged",
+        "compensated",
+        "factor",
+    ],
 )
 def test_a_mistake_in_the_log_is_no_effect_and_is_named(mistake: Mistake, words: str) -> None:
     report = close_loop(*log(mistake), dictionary=[])
     assert report.verdict == "model_does_not_fit", report.data["summary"]
     assert report.data["adequacy"] == "does_not_fit"
     assert words in report.data["summary"]
+
+
+def test_one_joint_that_nothing_explains_is_enough() -> None:
+    """The median joint was asked: a repair could leave three of seven joints as wrong as they were."""
+    data, arm = log(lambda arm, u, q: (u, q))
+    runs = arm_runs(arm, data)["estimation"]
+    right = [(one, one.motion.u) for one in runs]
+    wrong = [(one, np.where(np.arange(7) == 4, one.motion.u[::-1], one.motion.u)) for one in runs]
+    assert misfit._explained(right, range(7))[1] < 0.1
+    assert misfit._explained(wrong, range(7))[1] > 0.25
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,15 @@
-"""Units wrong by 1000 that the model could swallow: the channel and the factor are said, and right records pass."""
+"""Columns in a wrong unit or order: the channel and what to do are said, the model does not fit, right records pass."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from harness.diagnosis.records.columns_check import check_columns, doubtful_units
+from harness.diagnosis.close import close_loop
+from harness.diagnosis.records.columns_check import check_columns, doubts, repairs
 from harness.physics import load_model
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
@@ -57,18 +59,69 @@ def scaled(record: Trajectory, kind: str, column: int, factor: float) -> Traject
 def test_a_unit_wrong_by_1000_is_said_where_the_parameters_could_swallow_it(
     cart: Trajectory, kind: str, column: int, factor: float, words: str
 ) -> None:
-    found = doubtful_units(load_model("cart-pole"), scaled(cart, kind, column, factor))
+    found = doubts(load_model("cart-pole"), scaled(cart, kind, column, factor))
     assert len(found) == 1
     assert words in found[0]
     assert "check the units" in found[0]
     assert "theta is" not in found[0]
+    assert "give the model such values" in found[0]
 
 
 def test_a_force_and_an_angle_that_cannot_be_told_apart_are_both_named(foreign_pendulum) -> None:
-    record = foreign_pendulum(5, n=600).estimation[0]
-    small = load_model("pendulum")
-    found = doubtful_units(small, scaled(record, "y", 0, 1e-3))
+    record = foreign_pendulum(5, n=600, noise=1e-5, amplitude=0.02).estimation[0]  # too small for a sine to show
+    found = doubts(load_model("pendulum"), scaled(record, "y", 0, 1e-3))
     assert ["u is 1000 times too large" in found[0], "theta is 1000 times too small" in found[0]] == [True, True]
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(180 / np.pi, "theta is in degrees, not in radians"), (np.pi / 180, "theta is in radians, and read as degrees")],
+)
+def test_degrees_and_radians_are_told_from_a_factor_of_1000(foreign_pendulum, factor: float, words: str) -> None:
+    """A thousandth of an angle in degrees left 14 % and was named; radians taken for degrees were a lack of cogging."""
+    record = scaled(foreign_pendulum(5, n=600).estimation[0], "y", 0, factor)
+    (found,) = doubts(load_model("pendulum"), record)
+    assert words in found
+    assert "1000" not in found
+
+
+def test_degrees_are_told_where_declared_values_are_placeholders(foreign_pendulum) -> None:
+    small = load_model("pendulum")
+    small = small.with_parameters({one.name: one.value / 80 for one in small.parameters})
+    (found,) = doubts(small, scaled(foreign_pendulum(5, n=600).estimation[0], "y", 0, 180 / np.pi))
+    assert "theta is in degrees, not in radians" in found
+
+
+def test_all_angles_of_a_record_may_be_in_degrees(cart: Trajectory) -> None:
+    system = load_model("cart-pole")
+    spec = PlantSpec(system.inputs, tuple(replace(one, unit="rad") for one in system.outputs), DT)
+    words = [one.words for one in repairs(replace(cart, spec=spec))]
+    assert "x and theta are in degrees, not in radians" in words
+    assert "u is in degrees, not in radians" not in words
+
+
+@pytest.mark.parametrize("change", ["swapped", "u in N mm", "degrees"])
+def test_columns_in_doubt_are_a_model_that_does_not_fit_with_a_report(
+    foreign_pendulum, change: str, tmp_path: Path
+) -> None:
+    """Exchanged columns were refused without a report, and a force in N mm was "nothing missing" beside a warning."""
+
+    def wrong(record: Trajectory) -> Trajectory:
+        if change == "swapped":
+            return replace(record, u=record.y.copy(), y=record.u.copy())
+        return scaled(record, *(("u", 0, 1e3) if change == "u in N mm" else ("y", 0, np.pi / 180)))
+
+    good = foreign_pendulum(8, n=600)
+    runs = tuple(replace(run, trajectory=wrong(run.trajectory)) for run in good)
+    report = close_loop(replace(good, runs=runs), "pendulum", out=tmp_path / "out")
+    assert report.verdict == "model_does_not_fit", report.data["summary"]
+    assert report.data["adequacy"] == "does_not_fit"
+    assert report.data["effects"] == []
+    assert "check the units and the order of the columns" in report.data["misfit"][-1]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert 'class="badge model_does_not_fit"' in page
+    assert 'class="badge explained"' not in page
+    assert 'class="badge nothing_missing"' not in page
 
 
 @pytest.mark.parametrize("factor", [0.1, 10.0])

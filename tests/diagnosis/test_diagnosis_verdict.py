@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from harness.diagnosis.algorithm import Diagnosis
-from harness.diagnosis.misfit import misfit_reasons, mistakes
+from harness.diagnosis.close import close_loop
+from harness.diagnosis.kinds import Equations
+from harness.diagnosis.misfit import _shifted, misfit_reasons, mistakes
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.horizon import choose_horizon
 from harness.diagnosis.runs.errors import figures
@@ -104,25 +106,57 @@ def test_effects_beside_which_something_can_be_predicted_are_stand_ins() -> None
 # ---- does the model fit at all ---------------------------------------------------------------------------------------
 
 
-def doubted(left: float, force: float, *, on_bound: tuple[str, ...] = (), repaired: float = 0.0) -> tuple[str, ...]:
-    """Return the reasons for a model that leaves a share of the variance and needs a force of this share."""
-    noise = SimpleNamespace(s=np.array([2 * force]), w=np.zeros(1))
+def doubted(
+    left: float,
+    force: float,
+    *,
+    on_bound: tuple[str, ...] = (),
+    repaired: float | dict[str, float] = 0.0,
+    doubts: tuple[str, ...] = (),
+    noise: float = 0.0,
+) -> tuple[str, ...]:
+    """Return the reasons for a model that leaves a share of the variance and needs a force of this share.
+
+    ``noise``: share of the readings' variance that the sensor makes; the readings are as white as noise here.
+    ``repaired``: what every repair gains, or those of some columns (their first values are negative in ``dataset``).
+    """
+    y = dataset().validation[0].y
+    noises = SimpleNamespace(s=np.array([2 * force]), w=np.zeros(1), r=np.sqrt(noise * y.var(axis=0)))
     forces = (SimpleNamespace(port="theta"),)
-    points = {"estimation": SimpleNamespace(noise=noise)}
+    points = {"estimation": SimpleNamespace(noise=noises)}
     final: Any = SimpleNamespace(
         detail=SimpleNamespace(points=points, passes=SimpleNamespace(forces=forces)),
         on_bound=on_bound,
         log_likelihood=lambda use: 100.0,
     )
-    other = SimpleNamespace(
-        first_starts=list,
-        fit=lambda effects, starts, base: SimpleNamespace(log_likelihood=lambda use: 100.0 + repaired),
-    )
+    plain = dataset().estimation[0]
+
+    def other(data: Dataset) -> SimpleNamespace:
+        run = data.estimation[0]
+        flipped = [name for name in ("u", "y") if np.array_equal(getattr(run, name), -getattr(plain, name))]
+        gain = repaired if isinstance(repaired, float) else sum(repaired[name] for name in flipped)
+        return SimpleNamespace(
+            first_starts=list,
+            fit=lambda effects, starts, base: SimpleNamespace(log_likelihood=lambda use: 100.0 + gain),
+            begin=lambda effects, starts, base: None,
+        )
+
     form: Any = SimpleNamespace(
-        dataset=dataset(), on=lambda data: other, noise_model=SimpleNamespace(force_scale=np.array([2.0])), latent=False
+        dataset=dataset(),
+        records={"estimation": dataset().estimation},
+        on=other,
+        noise_model=SimpleNamespace(force_scale=np.array([2.0])),
+        latent=False,
     )
-    runs: Any = SimpleNamespace(left=left, horizon=SimpleNamespace(seconds=None))
-    return misfit_reasons(form, final, runs, POLICY)
+    error = np.sqrt(left * y.var(axis=0)) / 0.5 * np.ones((len(y), 1))
+    runs: Any = SimpleNamespace(
+        left=left,
+        motion=y.var(axis=0),
+        horizon=SimpleNamespace(seconds=None),
+        after=SimpleNamespace(validation=(error,)),
+        output=SimpleNamespace(weights=np.array([0.5]), records={"validation": dataset().validation}),
+    )
+    return misfit_reasons(form, final, runs, POLICY, doubts)
 
 
 def dataset(n: int = 200, **more: Any) -> Dataset:
@@ -151,7 +185,60 @@ def test_a_mistake_is_named_only_if_its_repair_makes_the_model_far_likelier() ->
     assert any("check the sign of u" in text for text in doubted(0.5, 0.0, repaired=60.0))
 
 
-def test_likely_mistakes_are_signs_degrees_and_times() -> None:
+def test_repairs_that_do_as_well_are_named_together() -> None:
+    """A position of the wrong sign was "check the sign of u": for a plant that is odd both are the same."""
+    assert any(
+        "check the sign of u or the sign of theta:" in text
+        for text in doubted(0.5, 0.0, repaired={"u": 900.0, "y": 870.0})
+    )
+    assert any("check the sign of theta:" in text for text in doubted(0.5, 0.0, repaired={"u": 700.0, "y": 870.0}))
+
+
+def test_noise_of_the_sensor_is_no_misfit() -> None:
+    """Readings that are all noise were "leaves 100 % of the motion"."""
+    assert doubted(0.5, 0.0, noise=0.4) == ()
+    assert "leaves 55 % of the motion" in doubted(0.7, 0.0, noise=0.4)[0]
+    (reason,) = doubted(1.0, 0.0, noise=0.7, repaired=900.0)
+    assert "the readings of theta are mostly noise (70 % of the variance)" in reason
+
+
+def test_nothing_is_looked_for_in_readings_that_are_noise(foreign_pendulum) -> None:
+    good = foreign_pendulum(3, n=300)
+    rng = np.random.default_rng(0)
+    runs = tuple(replace(run, trajectory=replace(run.trajectory, y=rng.standard_normal((300, 1)))) for run in good)
+    report = close_loop(replace(good, runs=runs), "pendulum")
+    assert report.verdict == "model_does_not_fit"
+    assert report.data["effects"] == []
+    assert not any(one["refitted"] for one in report.data["candidates"])
+    assert "nothing can be told" in report.data["misfit"][-1]
+    assert "leaves" not in report.data["summary"]
+
+
+def test_columns_in_doubt_are_reason_enough() -> None:
+    assert doubted(0.01, 0.0, doubts=("check the units",)) == ("check the units",)
+    reasons = doubted(0.5, 0.0, doubts=("check the units",), repaired=900.0)
+    assert (len(reasons), reasons[-1]) == (2, "check the units")
+
+
+@pytest.mark.parametrize(("late", "words"), [(8, "about 8 samples late"), (-3, "about 3 samples early"), (0, "")])
+def test_an_input_that_is_late_or_early_is_named_with_the_samples(foreign_pendulum, late: int, words: str) -> None:
+    """Five samples late were tried, and nothing else."""
+    good = foreign_pendulum(3, n=400)
+
+    def moved(record: Trajectory) -> Trajectory:
+        u = np.roll(record.u, late, axis=0)
+        return replace(record, u=u)[20:-20]
+
+    runs = tuple(replace(run, trajectory=moved(run.trajectory)) for run in good)
+    found = list(_shifted(Equations().form(load_model("pendulum"), replace(good, runs=runs))))
+    assert len(found) == bool(words)
+    for text, repaired, _ in found:
+        assert words in text
+        rows = slice(10, -10)
+        np.testing.assert_array_equal(repaired.estimation[0].u[rows], good.estimation[0].u[20:-20][rows])
+
+
+def test_likely_mistakes_are_signs_and_degrees() -> None:
     data = dataset()
     made = {text: (changed, scale) for text, changed, scale in mistakes(data)}
     u, y = data.estimation[0].u, data.estimation[0].y
@@ -161,7 +248,6 @@ def test_likely_mistakes_are_signs_degrees_and_times() -> None:
     np.testing.assert_allclose(changed["whether theta is in degrees"].y, y * np.pi / 180)
     # a density over smaller numbers is larger by the factor, for every sample
     assert made["whether theta is in degrees"][1] == pytest.approx(200 * np.log(np.pi / 180))
-    np.testing.assert_array_equal(changed["whether u is recorded late or early"].u[:-5], u[5:])
     np.testing.assert_array_equal(made["the sign of u"][0].validation[0].u, -data.validation[0].u)
 
 
@@ -243,6 +329,9 @@ def test_errors_are_rms_and_over_the_spread_of_the_measurement() -> None:
     assert found["b"] == {"rms": 1.0, "nrmse": None, "unit": "V"}
     assert figures([error * np.nan], [y], [("a", "m")])["a"]["rms"] is None
     assert figures([], [], [("a", "m")]) == {}
+    constant = np.full((300, 1), 0.1)  # whose mean is off by rounding
+    assert constant.std() > 0
+    assert figures([0.1 * constant], [constant], [("a", "m")])["a"]["nrmse"] is None, "4.44e+15 % was said"
 
 
 def test_records_that_cannot_be_judged_are_refused_with_the_reason() -> None:

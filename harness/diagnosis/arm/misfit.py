@@ -138,9 +138,16 @@ def _torque_mistakes(
     torque = np.concatenate([one.motion.u for one in runs])[:, joints]
     rigid = np.concatenate([one.rigid for one in runs])[:, joints]
     factor = float(np.median(torque.std(axis=0) / np.maximum(rigid.std(axis=0), 1e-12)))
-    for unit, words in UNITS.items():
-        if unit / ARM_POLICY.unit_within < factor < unit * ARM_POLICY.unit_within:
-            yield f"whether the torques are in {words}", with_columns(same, np.full(arm.n, 1 / unit))
+    units = [unit for unit in UNITS if unit / ARM_POLICY.unit_within < factor < unit * ARM_POLICY.unit_within]
+    for unit in units:
+        yield f"whether the torques are in {UNITS[unit]}", with_columns(same, np.full(arm.n, 1 / unit))
+    if not units and not 1 / ARM_POLICY.unit_within < factor < ARM_POLICY.unit_within:
+        scale = float(np.sum(torque * rigid) / max(np.sum(rigid**2), 1e-300))
+        if scale > 0:
+            yield (
+                f"whether all torques are {scale:.2g} times what they should be, or all masses {1 / scale:.2g} times",
+                with_columns(same, np.full(arm.n, 1 / scale)),
+            )
 
 
 def _position_mistakes(dataset: Dataset, arm: ArmModel) -> Iterator[tuple[str, list[tuple[ArmRun, FloatArray]]]]:
@@ -169,7 +176,7 @@ def _explained(pairs: Sequence[tuple[ArmRun, FloatArray]], joints: Sequence[int]
     log_likelihood : float
         Of the torques over their own size, so that units do not count; errors taken as white from ten samples on.
     left : float
-        Share of the variance that is left, the median of the joints.
+        Share of the variance that is left, that of the worst joint: a repair that leaves one joint wrong is none.
     """
     total, shares = 0.0, []
     for k in joints:
@@ -184,4 +191,4 @@ def _explained(pairs: Sequence[tuple[ArmRun, FloatArray]], joints: Sequence[int]
         left = x[:, 0] - x[:, 2:] @ np.linalg.lstsq(x[:, 2:], x[:, 0], rcond=1e-10)[0]
         shares.append(float(np.mean(left**2)) / max(float(np.var(x[:, 1])), 1e-300))
         total -= 0.5 * len(x) / SLOW * float(np.log(max(shares[-1], 1e-300)))
-    return total, float(np.median(shares))
+    return total, float(np.max(shares))

@@ -1,14 +1,15 @@
-"""Columns that the model cannot mean: a unit wrong by 1000, two columns exchanged. Only a model can see these.
+"""Columns that the model cannot mean: a wrong unit, two columns exchanged. Only a model can see these.
 
-Where the rough fit explains next to nothing, it is repeated with one column scaled by 1000 or two exchanged; a repair
-that explains nearly everything is no accident, and the record is refused. Where it explains the record, but with
-parameters more than 100 times off what the model declares, and within 10 times of it once a column is scaled by 1000,
-the units are doubted in a warning: the declared values may be placeholders.
+The model and its declared parameters predict the records. Where they do not, the rough fit is repeated with one column
+repaired (scaled by 1000 or by 180/pi, exchanged with another) and the parameters near the declared ones. All are
+tried; the best one is named if it leaves far less than the records as they are do with any parameters within a factor
+of 100. Where the declared values say nothing, and the records as they are cannot be followed at all, the same is asked
+with free parameters.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -16,26 +17,28 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.policy import DATA_POLICY
-from harness.errors import HarnessError, InputError
+from harness.errors import HarnessError
 from harness.signals import Dataset, FloatArray, Trajectory
 
-__all__ = ["Repair", "check_columns", "doubtful_units", "likely_repair", "repairs"]
+__all__ = ["Repair", "check_columns", "doubts", "repairs"]
+
+DEGREE = float(np.pi / 180)
+ANGULAR = ("rad", "rad/s", "rad/s^2")
 
 SAMPLES = 1500
 
 
 @dataclass(frozen=True, eq=False)
 class Repair:
-    """One thing that may be wrong with the columns: words, the record without it, and the factor if it is a scale."""
+    """One thing that may be wrong with the columns: words, what to do about it, and the record without it."""
 
     words: str
     remedy: str
     record: Trajectory
-    factor: float | None = None
 
 
 def check_columns(system: Any, dataset: Dataset) -> list[str]:
-    """Refuse columns that fit the model only when scaled by 1000 or exchanged; say where a unit may be wrong.
+    """Say which columns of a data set are probably wrong: see :func:`doubts`, for its longest estimation record.
 
     Parameters
     ----------
@@ -46,36 +49,19 @@ def check_columns(system: Any, dataset: Dataset) -> list[str]:
     Returns
     -------
     list of str
-        See :func:`doubtful_units`.
-
-    Raises
-    ------
-    InputError
-        Naming the column and what is probably wrong with it.
+        Empty, or one sentence.
     """
-    record = max(dataset.estimation, key=len)
-    cut = _plain(record)
-    before, values = _fit(system, cut, dataset.intersample)
-    found = likely_repair(system, record, dataset.intersample) if before > DATA_POLICY.unexplained else None
-    if found is None:
-        return _doubtful(system, cut, values, before, dataset.intersample)
-    repair, before, after = found
-    raise InputError(
-        repair.words,
-        expected=f"columns that {system.name} can follow",
-        got=f"an error of {before:.2g} of the motion as declared, of {after:.2g} otherwise",
-        remedy=f"{repair.remedy}; if the columns are right, give the model's parameters start values of their size",
-    )
+    return doubts(system, max(dataset.estimation, key=len), dataset.intersample)
 
 
-def doubtful_units(system: Any, record: Trajectory, intersample: Any = "zoh") -> list[str]:
-    """Return a warning if a column scaled by 1000 would bring the parameters to what the model declares.
+def doubts(system: Any, record: Trajectory, intersample: Any = "zoh") -> list[str]:
+    """Return what is probably wrong with the columns, if a repair brings the record to what the model declares.
 
-    The declared values and the inputs predict the size of every output, and a unit wrong by 1000 leaves that by a power
-    of 1000: as a force in N mm read as N m does, which scales inertia, damping and stiffness alike, so that the model
-    fits as well as before. So the rough fit is repeated with the parameters held within a factor 100 of the declared
-    ones. Where it fails, and does not fail within a factor 10 with a column scaled, that column is named. Parameters
-    of declared value 0 are free; a declared value wrong by 100 alone says nothing.
+    The declared values and the inputs predict the size of every output, and a wrong unit leaves that far behind, even
+    where the model fits as well as before: a force in N mm read as N m scales inertia, damping and stiffness alike. So
+    every repair is fitted with the parameters held within a factor 10 of the declared ones; the best one is named if it
+    leaves a fifth at most of what the record as it is leaves with parameters within a factor 100. Repairs that do as
+    well are named beside it. Parameters of declared value 0 are free; a declared value wrong by 100 alone says nothing.
 
     Parameters
     ----------
@@ -87,86 +73,125 @@ def doubtful_units(system: Any, record: Trajectory, intersample: Any = "zoh") ->
     Returns
     -------
     list of str
-        Empty, or one sentence with the channels and the factors.
+        Empty, or one sentence with the channels and what to do.
     """
     cut = _plain(record)
     before, values = _fit(system, cut, intersample)
-    return _doubtful(system, cut, values, before, intersample)
-
-
-def likely_repair(system: Any, record: Trajectory, intersample: Any = "zoh") -> tuple[Repair, float, float] | None:
-    """Return the repair that makes the model fit, with the relative error before and after; None if none is needed."""
-    cut = _plain(record)
-    before = _error(system, cut, intersample)
-    if not before > DATA_POLICY.unexplained:
-        return None
-    after, best = np.inf, None
-    for one in repairs(cut):
-        error = _error(system, one.record, intersample)
-        if error < after:
-            after, best = error, one
-        if error < DATA_POLICY.repair_clear:
-            break
-    return None if best is None or after > DATA_POLICY.repaired * min(before, 1.0) else (best, before, after)
+    lost = not before <= DATA_POLICY.unexplained
+    off = _off(system, values, DATA_POLICY.near)
+    if not lost and not off:
+        return []
+    near = _held(system, DATA_POLICY.near)
+    good = max(1.5 * before, DATA_POLICY.repair_clear)
+    least, known = _fit(near, cut, intersample, declared=True)
+    if least < before:  # a free fit may have lost its way
+        before, values = least, known
+    elif not lost and least <= good:  # the data say nothing about what is off
+        return []
+    reference, grain = before, _grain(cut)
+    if _off(system, values, DATA_POLICY.far):
+        reference = max(before, _fit(_held(system, DATA_POLICY.far), cut, intersample, declared=True)[0])
+    elif not _clear(grain, before, grain):
+        return []  # nothing can be far better than that
+    possible = list(repairs(cut))
+    errors = [_fit(near, one.record, intersample, declared=True)[0] for one in possible]
+    clear = min(errors) <= good and _clear(min(errors), reference, grain)
+    if lost and not clear:  # declared values that are placeholders
+        values = {}
+        errors = [_fit(system, one.record, intersample)[0] for one in possible]
+        clear = _clear(min(errors), before, grain)
+    if not clear:
+        return []
+    likely = [one for one, error in zip(possible, errors, strict=True) if error <= 1.5 * min(errors)]
+    return [_sentence(system, likely, values, before, min(errors))]
 
 
 def repairs(record: Trajectory) -> Iterator[Repair]:
-    """Yield every column scaled by a thousandth and by a thousand, and every pair of columns of one kind exchanged."""
+    """Yield what may be wrong with the columns: degrees and radians, a factor of 1000, two of one kind exchanged.
+
+    Parameters
+    ----------
+    record : Trajectory
+    """
     spec = record.spec
     for kind, channels in (("u", spec.inputs), ("y", spec.outputs)):
-        values = getattr(record, kind)
+        angles = [k for k, channel in enumerate(channels) if channel.unit in ANGULAR]
+        for columns in [[k] for k in angles] + ([angles] if len(angles) > 1 else []):
+            names = " and ".join(channels[k].name for k in columns)
+            verb = "is" if len(columns) == 1 else "are"
+            yield Repair(
+                f"{names} {verb} in degrees, not in radians",
+                f"declare {names} in deg",
+                _scaled(record, kind, columns, DEGREE),
+            )
+            yield Repair(
+                f"{names} {verb} in radians, and read as degrees",
+                f"declare {names} in rad",
+                _scaled(record, kind, columns, 1 / DEGREE),
+            )
         for k, channel in enumerate(channels):
             for factor, word in ((1e-3, "large"), (1e3, "small")):
-                scaled = values.copy()
-                scaled[:, k] *= factor
                 yield Repair(
-                    f"column {channel.name} is 1000 times too {word} for {channel.unit}",
+                    f"{channel.name} is 1000 times too {word} for {channel.unit}",
                     f"correct the unit of {channel.name}, or give it scale = {factor:g}",
-                    replace(record, **{kind: scaled}),
-                    factor,
+                    _scaled(record, kind, [k], factor),
                 )
         for a, b in combinations(range(len(channels)), 2):
             order = list(range(len(channels)))
             order[a], order[b] = b, a
             names = f"{channels[a].name} and {channels[b].name}"
-            yield Repair(
-                f"columns {names} are swapped", f"exchange {names}", replace(record, **{kind: values[:, order].copy()})
-            )
+            values = getattr(record, kind)[:, order].copy()
+            yield Repair(f"{names} are swapped", f"exchange {names}", replace(record, **{kind: values}))
     if spec.nu == spec.ny == 1:
         names = f"{spec.inputs[0].name} and {spec.outputs[0].name}"
-        yield Repair(
-            f"columns {names} are swapped", f"exchange {names}", replace(record, u=record.y.copy(), y=record.u.copy())
-        )
+        yield Repair(f"{names} are swapped", f"exchange {names}", replace(record, u=record.y.copy(), y=record.u.copy()))
 
 
-def _doubtful(system: Any, cut: Trajectory, values: Mapping[str, float], free: float, intersample: Any) -> list[str]:
-    """Return the warning of :func:`doubtful_units` from the free fit of a plain record and its error."""
+def _scaled(record: Trajectory, kind: str, columns: Sequence[int], factor: float) -> Trajectory:
+    """Return the record with some columns scaled."""
+    values = getattr(record, kind).copy()
+    values[:, columns] *= factor
+    return replace(record, **{kind: values})
+
+
+def _off(system: Any, values: Mapping[str, float], factor: float) -> list[str]:
+    """Return the free parameters that are more than a factor off their declared values."""
     told = {one.name: one.value for one in system.parameters if not one.fixed and one.value}
-    off = [
-        name
-        for name, value in told.items()
-        if not 1 / DATA_POLICY.far < values.get(name, np.nan) / value < DATA_POLICY.far
-    ]
-    if not off:
-        return []
-    held = _fit(_held(system, DATA_POLICY.far), cut, intersample, declared=True)[0]
-    good = max(1.5 * free, DATA_POLICY.repair_clear)
-    if held <= good:  # the data say nothing about what is off
-        return []
-    system = _held(system, DATA_POLICY.near)
-    found = {
-        one: _fit(system, one.record, intersample, declared=True)[0] for one in repairs(cut) if one.factor is not None
-    }
-    likely = [one for one, error in found.items() if error <= min(good, DATA_POLICY.repaired * held)]
-    if not likely:
-        return []
-    words = " or ".join(one.words.removeprefix("column ") for one in likely)
-    moved = ", ".join(f"{name} {told[name]:.3g} -> {values[name]:.3g}" for name in off)
-    return [
-        f"check the units: perhaps {words}. The record as it is needs parameters more than {DATA_POLICY.far:g} times "
-        f"off the declared ones ({moved}), and would not with that column scaled; if the plant is that size, give the "
-        "model such values"
-    ]
+    return [name for name, value in told.items() if not 1 / factor < values.get(name, np.nan) / value < factor]
+
+
+def _clear(after: float, before: float, grain: float) -> bool:
+    """Return True if a repair leaves far less than there was, the noise of the readings taken off both."""
+    noise = min(grain, 0.98 * after)  # it is no more than what the best fit leaves
+    return after**2 - noise**2 <= DATA_POLICY.repaired**2 * (min(before, 1.0) ** 2 - noise**2)
+
+
+def _grain(cut: Trajectory) -> float:
+    """Return the noise of the readings over the motion within windows, as the errors of the fits are."""
+    from harness.physics.likelihood_fit import sensor_noise
+
+    moved = _motion(cut.y, _window(cut))
+    return float(np.sqrt(np.mean((sensor_noise([cut]) / np.maximum(moved, 1e-300)) ** 2)))
+
+
+def _window(cut: Trajectory) -> int:
+    """Return the samples of a window of the rough fits."""
+    return int(np.clip(len(cut) // 10, 50, len(cut)))
+
+
+def _sentence(system: Any, likely: Sequence[Repair], values: Mapping[str, float], before: float, after: float) -> str:
+    """Return what is to be checked, and why."""
+    words = " or ".join(one.words for one in likely)
+    found = f"check the units and the order of the columns: perhaps {words} ({'; or '.join(o.remedy for o in likely)})"
+    found += f". The model then errs by {100 * after:.3g} % of the motion"
+    off = _off(system, values, DATA_POLICY.near) if values else []
+    if before > DATA_POLICY.unexplained or not off:
+        return f"{found}, and by {100 * min(before, 1.0):.3g} % as the columns are"
+    moved = ", ".join(f"{name} {system.parameter(name).value:.3g} -> {values[name]:.3g}" for name in off)
+    return (
+        f"{found} with parameters within {DATA_POLICY.near:g} times of the declared ones; as the columns are, it needs "
+        f"{moved}, and errs by {100 * before:.3g} %. If the plant is that size, give the model such values"
+    )
 
 
 def _held(system: Any, factor: float) -> Any:
@@ -191,19 +216,16 @@ def _plain(record: Trajectory) -> Trajectory:
     return replace(cut, y=y, spec=replace(cut.spec, outputs=outputs))
 
 
-def _error(system: Any, record: Trajectory, intersample: Any) -> float:
-    """Return the error of a rough fit over windows, relative to the motion within them; infinite if it fails."""
-    return _fit(system, record, intersample)[0]
-
-
 def _fit(
     system: Any, record: Trajectory, intersample: Any, *, declared: bool = False
 ) -> tuple[float, dict[str, float]]:
-    """Return the same with the parameters, those declared if it fails; ``declared``: start from these."""
+    """Return the error of a rough fit over windows, relative to the motion within them, and the parameters.
+
+    The error is infinite and the parameters are those declared if the fit fails; ``declared``: start from these.
+    """
     from harness.physics.output_error import fit_output_error
 
-    dt, n = record.spec.sample_time, len(record)
-    samples = int(np.clip(n // 10, 50, n))
+    dt, samples = record.spec.sample_time, _window(record)
     plain = replace(system, outputs=tuple(replace(channel, period=None) for channel in system.outputs))
     moved = _motion(record.y, samples)
     if not (moved > 0).all():

@@ -31,6 +31,8 @@ def choose_horizon(system: Any, values: Mapping[str, float], dataset: Dataset) -
     """
     import casadi as ca
 
+    if not system.nx:
+        return Horizon(None, "the nominal model is static: whole records are simulated")
     longest = max(len(run) for run in dataset.estimation) * dataset.spec.sample_time
     shortest = 50 * dataset.spec.sample_time
     points = _operating_points(system, dataset)

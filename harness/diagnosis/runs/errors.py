@@ -36,10 +36,11 @@ def figures(parts: Sequence[FloatArray], measured: Sequence[FloatArray], channel
     for j, (name, unit) in enumerate(channels):
         rms = float(np.sqrt(np.mean(error[:, j] ** 2)))
         spread = float(np.std(truth[:, j]))
+        still = 1e-12 * float(np.abs(truth[:, j]).max(initial=0.0))  # rounding of a constant is no spread
         known = bool(np.isfinite(rms))
         result[name] = {
             "rms": rms if known else None,
-            "nrmse": rms / spread if known and spread > 0 else None,
+            "nrmse": rms / spread if known and spread > still else None,
             "unit": unit,
         }
     return result
