@@ -21,14 +21,18 @@ def known(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)
 
 
-def estimate(fit: Fit, name: str) -> dict[str, Any]:
-    """Return a parameter with its interval, its unit, and why it has no interval where there is none."""
+def estimate(fit: Fit, name: str, together: Sequence[str] = ()) -> dict[str, Any]:
+    """Return a parameter with its interval, its unit, and why it has no interval where there is none.
+
+    ``together`` are those of which the data tell ratios only: the curvature of a fit that stopped somewhere along the
+    scale says nothing of them.
+    """
     one: dict[str, Any] = {"value": known(fit.values[name]), "low": None, "high": None,
                            "unit": fit.system.parameter(name).unit, "state": "fixed"}  # fmt: skip
     if name not in fit.free:
         return one
     one["state"] = "on_bound" if name in fit.on_bound else "not_determined"
-    if fit.deviations.get(name, 0.0) > 0 and np.isfinite(fit.deviations[name]):
+    if name not in together and fit.deviations.get(name, 0.0) > 0 and np.isfinite(fit.deviations[name]):
         _limit(one, *fit.interval(name), positive=name in fit.logarithmic)
     return one
 

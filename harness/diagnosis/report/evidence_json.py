@@ -127,8 +127,8 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "explained_share": None if found.misfit else known(1.0 - found.runs.left),
         "misfit": list(found.misfit),
         "stand_in": {"flagged": bool(stand_in), "reasons": list(stand_in)},
-        "effects": [_effect(answer.fit, one) for one in accepted],
-        "searched": [_effect(found.final, one) for one in found.outcome.accepted] if found.misfit else [],
+        "effects": [_effect(answer.fit, one, together) for one in accepted],
+        "searched": [_effect(found.final, one, together) for one in found.outcome.accepted] if found.misfit else [],
         "tie_sets": [[_named(member) for member in one.tie] for one in accepted],
         "separating_experiments": [separating([p for member in one.tie for p in member]) for one in accepted],
         "separate_with": [separate_with(bench, one.tie) for one in accepted],
@@ -136,7 +136,10 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
             "before": _errors(found, found.nominal, found.runs.before),
             "after": _errors(found, answer.fit, answer.runs),
         },
-        "parameters": {"before": _parameters(found.nominal), "after": _parameters(answer.fit)},
+        "parameters": {
+            "before": _parameters(found.nominal, together),
+            "after": _parameters(answer.fit, together),
+        },
         "ratios": ratios(answer.fit, together),
         "noise": {"before": _noise(found, found.nominal), "after": _noise(found, answer.fit)},
         "candidates": _candidates(found),
@@ -181,12 +184,12 @@ def _named(member: Sequence[Placed]) -> dict[str, Any]:
     return {"name": " + ".join(one.effect.name for one in member), "at": ", ".join(one.at for one in member)}
 
 
-def _effect(fit: Fit, one: Any) -> dict[str, Any]:
+def _effect(fit: Fit, one: Any, together: Sequence[str] = ()) -> dict[str, Any]:
     """Return one accepted effect with its parameters."""
     parameters = {}
     for parameter in one.placed.effect.parameters:
         name = one.placed.name(parameter.name)
-        parameters[parameter.name] = {**estimate(fit, name), "meaning": parameter.meaning}
+        parameters[parameter.name] = {**estimate(fit, name, together), "meaning": parameter.meaning}
     return {
         "name": one.placed.effect.name,
         "at": one.placed.at,
@@ -210,9 +213,9 @@ def _meaning_of_intervals(found: Diagnosis) -> str:
     )
 
 
-def _parameters(fit: Fit) -> dict[str, Any]:
+def _parameters(fit: Fit, together: Sequence[str]) -> dict[str, Any]:
     """Return every parameter with its interval."""
-    return {one.name: estimate(fit, one.name) for one in fit.system.parameters}
+    return {one.name: estimate(fit, one.name, together) for one in fit.system.parameters}
 
 
 def _noise(found: Diagnosis, fit: Fit) -> dict[str, Any]:

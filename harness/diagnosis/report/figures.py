@@ -163,9 +163,10 @@ def _overlay(overlays: Sequence[Overlay]) -> str:
         axes = figure.subplots(len(shown), 2, squeeze=False, width_ratios=(1.6, 1.0))
         for (left, right), one in zip(axes, shown, strict=True):
             pick = _thin(one.t.size, 2500)
+            name = "nominal model" if one.after is None else "before"
             left.plot(one.t[pick], one.measured[pick], color=INK, lw=2.6, alpha=0.28, label="measured")
-            left.plot(one.t[pick], one.before[pick], color=BEFORE, lw=1.1, label="before")
-            right.plot(one.t[pick], (one.measured - one.before)[pick], color=BEFORE, lw=0.9, label="before")
+            left.plot(one.t[pick], one.before[pick], color=BEFORE, lw=1.1, label=name)
+            right.plot(one.t[pick], (one.measured - one.before)[pick], color=BEFORE, lw=0.9, label=name)
             if one.after is not None:
                 left.plot(one.t[pick], one.after[pick], color=AFTER, lw=1.1, ls=(0, (5, 2)), label="after")
                 right.plot(one.t[pick], (one.measured - one.after)[pick], color=AFTER, lw=0.9, label="after")
@@ -216,8 +217,9 @@ def _caption(views: Sequence[ResidualView]) -> str:
 
 def _one_view(axis: Axes, view: ResidualView) -> None:
     """Draw one residual panel."""
+    name = "nominal model" if view.after is None else "before"
     if view.bands is not None:
-        _smoothed(axis, view, view.before, view.bands[0], BEFORE, "before")
+        _smoothed(axis, view, view.before, view.bands[0], BEFORE, name)
         if view.after is not None and view.bands[1] is not None:
             _smoothed(axis, view, view.after, view.bands[1], AFTER, "after")
     else:
@@ -227,7 +229,7 @@ def _one_view(axis: Axes, view: ResidualView) -> None:
             view.x[pick], view.before[pick], s=2.5 if dense else 9, color=DATA, alpha=0.25 if dense else 0.6, lw=0,
             rasterized=True,
         )  # fmt: skip
-        _binned(axis, view.x, view.before, BEFORE, "before (mean, 10-90 %)")
+        _binned(axis, view.x, view.before, BEFORE, f"{name} (mean, 10-90 %)")
         if view.after is not None:
             _binned(axis, view.x, view.after, AFTER, "after")
     if view.fitted is not None:
@@ -309,7 +311,8 @@ def _fitted(axis: Axes, x: FloatArray, force: FloatArray) -> None:
 
 def _tests(pictures: Pictures) -> str:
     """Draw autocorrelation, input cross-correlation and CUSUM of squares, before and after, with 99 % bands."""
-    series = [(pictures.before, BEFORE, "before"), (pictures.after, AFTER, "after")]
+    first = "nominal model" if pictures.after is None else "before"
+    series = [(pictures.before, BEFORE, first), (pictures.after, AFTER, "after")]
     words = (
         f"Autocorrelation of the residual of {pictures.output_name}"
         + (f", its cross-correlation with {pictures.input_name}" if pictures.u is not None else "")

@@ -21,7 +21,14 @@ def environment() -> Any:
         undefined=jinja2.StrictUndefined,
     )
     made.filters.update(
-        number=_number, percent=_percent, words=_words, p=_probability, change=change_text, shown=shown, arrows=_arrows
+        number=_number,
+        percent=_percent,
+        words=_words,
+        p=_probability,
+        change=change_text,
+        shown=shown,
+        arrows=_arrows,
+        sentence=_sentence,
     )
     return made
 
@@ -70,6 +77,11 @@ def _error_row(
         "factor": factor,
         "changed": factor is None or not 1 / SAME < factor < SAME,
     }
+
+
+def _sentence(text: str) -> str:
+    """Return a text as a sentence."""
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '?', '!')) else '.'}"
 
 
 def _arrows(text: str) -> str:

@@ -65,7 +65,7 @@ def shown(one: Mapping[str, Any]) -> dict[str, str]:
     if half <= 0:
         return {"value": f"{value:.4g}", "interval": f"{low:.4g} … {high:.4g}"}
     size = max(map(abs, ends))
-    power = math.floor(math.log10(size)) if not 1e-3 <= size < 1e6 else 0
+    power = math.floor(math.log10(size)) if not 1e-4 <= size < 1e6 else 0
     decimals = power + 1 - math.floor(math.log10(half) + 1e-9)
     texts = [_fixed(number, power, decimals) for number in ends]
     return {"value": texts[0], "interval": f"{texts[1]} … {texts[2]}"}
