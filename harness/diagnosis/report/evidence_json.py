@@ -153,7 +153,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
             for one in found.not_visible
         ],
         "closed_loop": _closed_loop(found, answer.fit),
-        "closed_loop_bias": {"text": "not tested: free runs diverge", "p": None, "statistic": None}
+        "closed_loop_bias": {**blank()["closed_loop_bias"], "text": "not tested: free runs diverge"}
         if bias is None
         else bias.to_dict({one.name: one.unit for one in answer.fit.system.parameters}),
         "horizon": {"seconds": found.runs.horizon.seconds, "reason": found.runs.horizon.reason},

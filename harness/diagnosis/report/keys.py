@@ -40,7 +40,7 @@ def blank() -> dict[str, Any]:
         "isolability": {"effects": [], "cosine": []},
         "not_visible": [],
         "closed_loop": {},
-        "closed_loop_bias": {"text": "not tested", "p": None, "statistic": None},
+        "closed_loop_bias": {"test": "Durbin-Wu-Hausman", "text": "not tested", "p": None, "statistic": None},
         "horizon": {"seconds": None, "reason": ""},
         "form": "",
         "converged": {"nominal": None, "final": None},
