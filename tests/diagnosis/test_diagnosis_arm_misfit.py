@@ -122,7 +122,7 @@ def test_the_right_log_fits_and_says_how_much_is_explained() -> None:
     assert report.verdict == "nothing_missing", report.data["summary"]
     assert report.data["misfit"] == []
     assert "% of the variance of every joint's torque is explained" in report.data["summary"]
-    assert report.data["policy"]["arm"]["order"]["reason"]
+    assert report.data["policy"]["policy"]["order"]["reason"]
     assert set(report.data) == set(blank())
     assert {key: type(one) for key, one in report.data.items() if one is not None} == {
         key: type(one if key != "explained_share" else 1.0)

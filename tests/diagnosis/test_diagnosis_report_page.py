@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from harness.diagnosis import close_loop
-from harness.diagnosis.arm.page import render_arm
+from harness.diagnosis.arm.page import _cards, render_arm
+from harness.diagnosis.arm.report import _summary
 from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.report.estimates import estimate, ratios, scaled_together
 from harness.diagnosis.report.evidence_page import _driven, render_evidence
@@ -265,3 +266,28 @@ def test_an_arm_that_does_not_fit_says_why_before_everything_else() -> None:
     assert words.index("Why the model does not fit") < words.index("What to check") < words.index("RESIDUAL")
     assert 'class="tile"' not in page
     assert "input compression" not in page
+
+
+def test_cards_of_an_arm_are_the_joints_that_got_an_effect_unless_the_whole_arm_did() -> None:
+    data = arm_report("effects_found", effects=[{**EFFECT, "at": "q1"}])
+    data["joints"][0]["effects"] = ["coulomb_friction@q1"]
+    assert [one["joint"] for one in _cards(data, "validation")] == ["q1"]
+    data["effects"][0]["at"] = "flange"
+    assert [one["joint"] for one in _cards(data, "validation")] == ["q2", "q1"]
+
+
+@pytest.mark.parametrize(
+    ("after", "flagged", "words"),
+    [
+        (0.3, False, "arm iiwa lacks input compression at u; torque residual of a joint up to 10 times smaller"),
+        (6.0, False, "the torque residual grows (of a joint 2 times larger, validation), although"),
+        (0.3, True, "input compression at u stands in for what arm iiwa lacks"),
+    ],
+)
+def test_the_summary_of_an_arm_says_what_its_residual_did(after: float, flagged: bool, words: str) -> None:
+    data = arm_report("effects_found", effects=[EFFECT])
+    data["joints"][1]["after"]["validation"] = after
+    data["stand_in"] = {"flagged": flagged, "reasons": ["two laws of friction"] if flagged else []}
+    assert words in _summary(data, [])
+    nothing = _summary(arm_report("nothing_missing"), [])
+    assert nothing.endswith("and the rest cannot be predicted")

@@ -67,6 +67,9 @@ def _cards(data: dict[str, Any], use: str) -> list[dict[str, Any]]:
     judged = [one for one in data["joints"] if one["judged"]]
     if data["misfit"]:
         return []
+    places = {one["joint"] for one in judged}
+    if all(one["at"] in places for one in data["effects"]):  # a payload or a tilt moves all of them
+        judged = [one for one in judged if one["effects"]] or judged
     cards = [{**one, "factor": _factor(one, use)} for one in judged]
     if not data["effects"]:
         return sorted(cards, key=lambda one: -(one["before"][use] or 0.0) / (one["torque_rms"] or 1.0))[:2]

@@ -324,6 +324,12 @@ def _summary(data: dict[str, Any], incomplete: Sequence[str]) -> str:
             by_name.setdefault(one["name"], []).append(one["at"])
         names = "; ".join(f"{name.replace('_', ' ')} at {', '.join(places)}" for name, places in by_name.items())
         lacks = f"arm {data['model']} lacks {names}"
+        if data["stand_in"]["flagged"]:
+            reason = data["stand_in"]["reasons"][0]
+            stand = "stands" if len(data["effects"]) == 1 else "stand"
+            lacks = (
+                f"{names} {stand} in for what arm {data['model']} lacks, which the dictionary does not have ({reason})"
+            )
         if ratio and max(ratio) < SAME and min(ratio) < 1 / SAME:
             grown = f"the torque residual grows (of a joint {change_text(min(ratio))}, {use})"
             return f"{grown}, although the likelihood rises: {lacks}; {_explained(data)}"

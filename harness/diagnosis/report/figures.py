@@ -139,10 +139,10 @@ def drawing(name: str, width: float, height: float, words: str) -> Iterator[tupl
     svg.append(f'<svg role="img" aria-label="{escape(words, quote=True)}"{whole[begun:]}')
 
 
-def legend(figure: Figure) -> None:
+def legend(figure: Figure, markers: float = 2.0) -> None:
     """Put one legend of all that is drawn above the panels, where it covers nothing."""
     lines = {name: line for axis in figure.axes for line, name in zip(*axis.get_legend_handles_labels(), strict=True)}
-    figure.legend(lines.values(), lines.keys(), loc="outside upper left", ncols=min(len(lines), 6), markerscale=2)
+    figure.legend(lines.values(), lines.keys(), loc="outside upper left", ncols=min(len(lines), 6), markerscale=markers)
 
 
 def _rms(values: FloatArray | None, unit: str) -> str:
@@ -181,12 +181,13 @@ def _residual(views: Sequence[ResidualView]) -> str:
     each = max(Counter(view.port for view in views).values())  # one row for each port, if it has several axes
     columns = min(4, each if each > 1 else max(2, len(views)))
     rows = -(-len(views) // columns)
+    name = "before" if any(view.after is not None for view in views) else "nominal model"
     with drawing("residual", 10.5, 2.9 * rows, _residual_words(views)) as (figure, svg):
         axes = figure.subplots(rows, columns, squeeze=False)
         for axis in axes.flat[len(views) :]:
             axis.remove()
         for axis, view in zip(axes.flat, views, strict=False):
-            _one_view(axis, view)
+            _one_view(axis, view, name)
         legend(figure)
     return svg[0]
 
@@ -215,9 +216,8 @@ def _caption(views: Sequence[ResidualView]) -> str:
     return f"{text}."
 
 
-def _one_view(axis: Axes, view: ResidualView) -> None:
+def _one_view(axis: Axes, view: ResidualView, name: str) -> None:
     """Draw one residual panel."""
-    name = "nominal model" if view.after is None else "before"
     if view.bands is not None:
         _smoothed(axis, view, view.before, view.bands[0], BEFORE, name)
         if view.after is not None and view.bands[1] is not None:
@@ -383,7 +383,7 @@ def _coverage(panels: Sequence[tuple[str, str, FloatArray, FloatArray, FloatArra
             axis.scatter(q[a], v[a], s=2, color=DATA, lw=0, alpha=0.5, rasterized=True, label="estimation")
             axis.scatter(qv[b], vv[b], s=2, color=AFTER, lw=0, alpha=0.4, rasterized=True, label="validation")
             axis.set(title=f"coverage of {name}", xlabel=_axis(name, unit), ylabel=_axis(f"{name}'", f"{unit}/s"))
-        legend(figure)
+        legend(figure, markers=6.0)
     return svg[0]
 
 

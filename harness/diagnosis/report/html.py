@@ -85,8 +85,9 @@ def _sentence(text: str) -> str:
 
 
 def _arrows(text: str) -> str:
-    """Return a text with arrows that no line breaks at."""
-    return text.replace(" -> ", "\N{NO-BREAK SPACE}\N{RIGHTWARDS ARROW}\N{NO-BREAK SPACE}")
+    """Return a text with arrows that no line breaks at, nor before a per cent sign."""
+    arrow = "\N{NO-BREAK SPACE}\N{RIGHTWARDS ARROW}\N{NO-BREAK SPACE}"
+    return text.replace(" -> ", arrow).replace(" %", "\N{NO-BREAK SPACE}%")
 
 
 def _number(value: float | None) -> str:
