@@ -98,6 +98,13 @@ def test_an_interval_has_the_digits_that_it_leaves(value: float, low: float, hig
     assert (found["value"], found["interval"]) == words
 
 
+def test_a_logarithm_on_its_bound_is_0() -> None:
+    assert shown({"value": 1e-12, "low": None, "high": None, "state": "on_bound"}) == {
+        "value": "0",
+        "interval": "on bound",
+    }
+
+
 def a_fit(deviation: float, **more: Any) -> Any:
     """Return a fit of one positive parameter."""
     ends = {"J": (0.018 * np.exp(-min(1.96 * deviation, 50)), 0.018 * np.exp(min(1.96 * deviation, 50)))}
@@ -138,6 +145,10 @@ def test_a_free_swing_tells_ratios_only_and_their_covariance_their_intervals() -
     together = scaled_together(system, fit, swing)
     assert together == ["J", "b", "mgl"]
     assert scaled_together(system, fit, pushed) == []  # a constant torque is no free swing
+    named: Any = SimpleNamespace(
+        coordinates=system.coordinates, parameters=[SimpleNamespace(name="x", unit="furlong?")]
+    )
+    assert scaled_together(named, SimpleNamespace(system=named, free=("x",)), swing) == []  # a unit of somebody's own
     fit.free = ("b", "mgl")
     assert scaled_together(system, fit, swing) == []  # a known inertia fixes the others
     found = ratios(fit, together)

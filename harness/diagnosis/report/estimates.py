@@ -49,11 +49,9 @@ def scaled_together(system: Any, fit: Fit, dataset: Dataset) -> list[str]:
 
     One of them that is known, or an input that is not 0 all the time, fixes the scale of them all.
     """
-    from harness.units import base_units
-
     if not system.coordinates or any(np.any(run.u) for run in dataset.estimation):
         return []
-    heavy = [one for one in fit.system.parameters if one.unit and base_units(one.unit)[0].get("kg") == 1]
+    heavy = [one for one in fit.system.parameters if _base(one.unit)[0].get("kg") == 1]
     own = [one.name for one in system.parameters]
     if any(one.name in own and one.name not in fit.free for one in heavy):
         return []
@@ -84,21 +82,32 @@ def ratios(fit: Fit, names: Sequence[str]) -> dict[str, Any]:
 
 
 def ratio_unit(above: str, below: str) -> str:
-    """Return the unit of a ratio in base units, radians left out.
+    """Return the unit of a ratio in base units, radians left out; as it stands where units have factors.
 
     Examples
     --------
-    >>> ratio_unit("N m s/rad", "kg m^2"), ratio_unit("N m", "kg m^2"), ratio_unit("kg", "g")
-    ('1/s', '1/s^2', '1')
+    >>> ratio_unit("N m s/rad", "kg m^2"), ratio_unit("N m", "kg m^2"), ratio_unit("kg", "mg")
+    ('1/s', '1/s^2', '(kg)/(mg)')
     """
-    from harness.units import base_units
-
-    first, second = base_units(above)[0], base_units(below)[0]
+    (first, one), (second, two) = _base(above), _base(below)
+    if one != 1.0 or two != 1.0:
+        return f"({above})/({below})"
     powers = {name: first.get(name, 0) - second.get(name, 0) for name in {**first, **second} if name != "rad"}
 
     def joined(sign: int) -> list[str]:
         return [name if sign * power == 1 else f"{name}^{sign * power:g}" for name, power in sorted(powers.items())
                 if sign * power > 0]  # fmt: skip
 
-    over, under = " ".join(joined(1)) or "1", joined(-1)
-    return f"{over}/{' / '.join(under)}".replace(" / ", "/") if under else over
+    return "/".join([" ".join(joined(1)) or "1", *joined(-1)])
+
+
+def _base(unit: str) -> tuple[dict[str, float], float]:
+    """Return a unit as powers of base units, and the factor to them; nothing where it cannot be read."""
+    from harness.errors import InputError
+    from harness.units import base_units
+
+    try:
+        powers, factor, _ = base_units(unit or "1")
+    except InputError:
+        return {}, 0.0
+    return powers, factor

@@ -10,6 +10,8 @@ __all__ = ["SAME", "change_text", "digits", "shown"]
 
 SAME = 1.05
 """A factor between two errors below which nothing has changed."""
+NOTHING = 1e-11
+"""A value on a bound below this is 0: what is fitted through its logarithm cannot be."""
 
 
 def change_text(factor: float | None) -> str:
@@ -58,6 +60,8 @@ def shown(one: Mapping[str, Any]) -> dict[str, str]:
     if value is None:
         return {"value": "\N{EN DASH}", "interval": "\N{EN DASH}"}
     if low is None or high is None:
+        if one.get("state") == "on_bound" and abs(value) < NOTHING:
+            value = 0.0  # a logarithm never comes to 0
         known = "{:.4g}" if one.get("state") != "not_determined" else "{:.2g}"
         return {"value": known.format(value), "interval": one.get("state", "not_determined").replace("_", " ")}
     ends = (value, low, high)
