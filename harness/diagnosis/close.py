@@ -134,7 +134,8 @@ def close_loop(
         write_atomic(folder / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
     if progress is not None:
         progress(1.0, data["summary"])
-    return Report(data, folder, found.final.system.with_parameters(found.final.values))
+    last = found.nominal if found.misfit else found.final
+    return Report(data, folder, last.system.with_parameters(last.values))
 
 
 def close_loop_file(
@@ -193,13 +194,14 @@ def _repaired(found: Diagnosis, name: str, options: Mapping[str, Any], sample_ti
     """Return the repaired model as a grey box that ``sysid export`` reads, at the sample time of the records given."""
     from harness.specs import spec_to_dict
 
+    last = found.nominal if found.misfit else found.final
     return {
         "kind": "grey-box",
         "spec": spec_to_dict(replace(found.dataset.spec, sample_time=sample_time)),  # records may have been thinned
         "model": name,
         "options": dict(options),
-        "parameters": {key: float(value) for key, value in found.final.system.values(found.final.values).items()},
-        "effects": [[placed.effect.name, placed.at] for placed in found.final.system.effects],
+        "parameters": {key: float(value) for key, value in last.system.values(last.values).items()},
+        "effects": [[placed.effect.name, placed.at] for placed in last.system.effects],
         "intersample": found.dataset.intersample,
         "notes": {"verdict": found.verdict},
     }
@@ -223,14 +225,15 @@ def _repaired_fmu(found: Diagnosis, folder: Path) -> dict[str, Any]:
     """Return the repaired model as ``sysid export`` reads it, a copy of the FMU beside it."""
     from harness.specs import spec_to_dict
 
-    final = found.final.system
+    last = found.nominal if found.misfit else found.final
+    final = last.system
     (folder / NOMINAL).write_bytes(final.path.read_bytes())
     return {
         "kind": "fmu",
         "spec": spec_to_dict(found.dataset.spec),
         "model": NOMINAL,
         "sha256": final.digest,
-        "parameters": {key: float(value) for key, value in final.values(found.final.values).items()},
+        "parameters": {key: float(value) for key, value in final.values(last.values).items()},
         "effects": [[placed.effect.name, placed.at] for placed in final.effects],
         "intersample": found.dataset.intersample,
         "notes": {"verdict": found.verdict},

@@ -106,6 +106,7 @@ class LikelihoodFit:
     logarithmic : array of bool
     converged : bool
     on_bound : tuple of str
+        Parameters on a bound, and noise on its upper one.
     iterations : int
     message : str
     beyond : bool
@@ -580,7 +581,7 @@ class Likelihood:
             covariance,
             log[entries],
             converged,
-            tuple(names[k] for k in entries[bound & free]),
+            tuple(names[k] for k in entries[bound & (free | (z[entries] > low[entries] + margin))]),
             count,
             message,
             list(found),

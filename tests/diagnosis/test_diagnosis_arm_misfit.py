@@ -14,6 +14,7 @@ from harness.diagnosis.arm import misfit
 from harness.diagnosis.arm.motion import arm_runs
 from harness.diagnosis.close import close_loop
 from harness.diagnosis.policy import ARM_POLICY, POLICY
+from harness.diagnosis.report.keys import blank
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.physics.arm import ArmModel, load_arm
@@ -142,7 +143,13 @@ def test_the_right_log_fits_and_says_how_much_is_explained() -> None:
     assert report.verdict == "nothing_missing", report.data["summary"]
     assert report.data["misfit"] == []
     assert "% of the variance of every joint's torque is explained" in report.data["summary"]
-    assert report.data["policy"]["order"]["reason"]
+    assert report.data["policy"]["policy"]["order"]["reason"]
+    assert set(report.data) == set(blank())
+    assert {key: type(one) for key, one in report.data.items() if one is not None} == {
+        key: type(one if key != "explained_share" else 1.0)
+        for key, one in blank().items()
+        if key != "inertial_parameters"
+    }
 
 
 def test_friction_is_found_beside_inertia_that_is_calibrated_on_few_rows() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from harness.diagnosis import close_loop
+from harness.diagnosis.report.keys import blank
 from harness.effects import builtin
 from harness.errors import InputError
 from harness.physics.models import pendulum
@@ -59,7 +60,8 @@ def test_report_json_is_complete_and_has_no_nan(dry_report) -> None:
     assert stored["noise"]["after"]["sensors"]["theta"]["r"] == pytest.approx(1e-3, rel=0.1)
     forces = [stored["noise"][key]["forces"]["theta"]["s"] for key in ("before", "after")]
     assert forces[1] < 0.1 * forces[0]  # the friction was the latent force
-    assert stored["policy"]["evidence"]["reason"]
+    assert stored["policy"]["policy"]["evidence"]["reason"]
+    assert set(stored) == set(blank())
     assert any("validation used for selection" in text for text in stored["warnings"])
     rejected = [row for row in stored["candidates"] if not row["accepted"]]
     assert rejected

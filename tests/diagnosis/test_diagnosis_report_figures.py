@@ -26,6 +26,8 @@ def a_fit(**more: Any) -> Any:
         "interval": lambda name: (0.4, 0.6),
         "system": SimpleNamespace(parameter=lambda name: SimpleNamespace(unit="N m s^2/rad^2")),
         "converged": True,
+        "on_bound": (),
+        "logarithmic": frozenset(),
     }
     return SimpleNamespace(**{**fields, **more})
 

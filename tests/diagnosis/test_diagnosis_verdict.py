@@ -216,8 +216,7 @@ def test_nothing_is_looked_for_in_readings_that_are_noise(foreign_pendulum) -> N
 
 def test_columns_in_doubt_are_reason_enough() -> None:
     assert doubted(0.01, 0.0, doubts=("check the units",)) == ("check the units",)
-    reasons = doubted(0.5, 0.0, doubts=("check the units",), repaired=900.0)
-    assert (len(reasons), reasons[-1]) == (2, "check the units")
+    assert doubted(0.5, 0.0, doubts=("check the units",), repaired=900.0) == ("check the units",)
 
 
 @pytest.mark.parametrize(("late", "words"), [(8, "about 8 samples late"), (-3, "about 3 samples early"), (0, "")])

@@ -9,9 +9,10 @@ import numpy as np
 
 from harness.diagnosis.arm.found import ArmDiagnosis
 from harness.diagnosis.arm.motion import moving_rows
-from harness.diagnosis.report.figures import AFTER, BEFORE, GREY, INK, Pictures, ResidualView, drawing
+from harness.diagnosis.report.figures import AFTER, BEFORE, GREY, INK, Pictures, ResidualView, drawing, legend
 from harness.diagnosis.report.figures import draw as draw_pictures
 from harness.diagnosis.report.html import environment
+from harness.diagnosis.report.words import SAME
 from harness.diagnosis.runs.equation import decimated
 from harness.diagnosis.store import write_atomic
 
@@ -37,7 +38,43 @@ def render_arm(data: dict[str, Any], figures: dict[str, str]) -> str:
     source = made.loader.get_source(made, "evidence.html.j2")[0]
     style = source[source.index("<style>") : source.index("</style>") + len("</style>")]
     use = "test" if "test" in data["joints"][0]["before"] else "validation"
-    return str(made.get_template("arm.html.j2").render(data=data, figures=figures, style=style, use=use))
+    return str(
+        made.get_template("arm.html.j2").render(
+            data=data, figures=figures, style=style, use=use, cards=_cards(data, use), moved=_moved(data, use)
+        )
+    )
+
+
+def _factor(joint: dict[str, Any], use: str) -> float | None:
+    """Return how many times the residual of a joint is smaller than it was."""
+    before, after = joint["before"][use], joint["after"][use]
+    return before / after if before is not None and after else None
+
+
+def _changed(joint: dict[str, Any], use: str) -> bool:
+    """Return True where what was found changed the residual of a joint."""
+    factor = _factor(joint, use)
+    return factor is not None and not 1 / SAME < factor < SAME
+
+
+def _moved(data: dict[str, Any], use: str) -> list[bool]:
+    """Return for each joint whether its residual changed."""
+    return [_changed(joint, use) for joint in data["joints"]]
+
+
+def _cards(data: dict[str, Any], use: str) -> list[dict[str, Any]]:
+    """Return the joints of the first cards: whose residual fell most, or grew where none fell; else is largest."""
+    judged = [one for one in data["joints"] if one["judged"]]
+    if data["misfit"]:
+        return []
+    places = {one["joint"] for one in judged}
+    if all(one["at"] in places for one in data["effects"]):  # a payload or a tilt moves all of them
+        judged = [one for one in judged if one["effects"]] or judged
+    cards = [{**one, "factor": _factor(one, use)} for one in judged]
+    if not data["effects"]:
+        return sorted(cards, key=lambda one: -(one["before"][use] or 0.0) / (one["torque_rms"] or 1.0))[:2]
+    fell = any((one["factor"] or 0.0) >= SAME for one in cards)
+    return sorted(cards, key=lambda one: -(one["factor"] or 0.0) if fell else one["factor"] or np.inf)[:3]
 
 
 def _figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
@@ -50,25 +87,32 @@ def _figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
         closed = max(found.closed_runs["validation"], key=lambda one: one.motion.q.shape[0])
         after = run.slim(run.motion.u - found.wide.torque(closed))[keep, k]
         # friction is a function of speed; what hangs on the arm, of position
-        speed = not found.wide.accepted
+        speed = not found.wide.accepted or bool(found.misfit)
         rate = run.slim(run.motion.v if speed else run.motion.q)[keep, k]
-        fitted = before - after if found.wide.accepted else None
+        fitted = before - after if found.wide.accepted and not found.misfit else None
         joint = next((one for one in found.joints if one.joint == k), None)
-        if joint is not None and joint.outcome.accepted:
+        own_effects = joint is not None and bool(joint.outcome.accepted) and not found.misfit
+        alone = found.bodies is None and not found.wide.accepted
+        if joint is not None and (own_effects or alone):
+            # the joint by itself, the delay of its torque taken out; residuals are needed minus measured
             balance, final = joint.balance, joint.final
             longest = int(np.argmax([one.q.shape[0] for one in balance.motions["validation"]]))
             motion = balance.motions["validation"][longest]
             inside = balance.counts["validation"][longest][:, 0] > 0
-            effects = [one.placed for one in joint.outcome.accepted]
-            # the torque that overcomes a force has the other sign; residuals are needed minus measured
-            own = -balance.force(final.values, effects, "validation")[longest][:, 0]
             speed, rate = True, decimated(motion.v, motion)[inside, 0]
-            before = -joint.nominal.detail.residual["validation"][longest][inside, 0]
+            before = after = -joint.nominal.detail.residual["validation"][longest][inside, 0]
+            fitted = None
+        if joint is not None and own_effects:
+            effects = [one.placed for one in joint.outcome.accepted]
+            # the torque that overcomes a force has the other sign
+            own = -balance.force(final.values, effects, "validation")[longest][:, 0]
             after = -joint.residual("validation")[longest][inside, 0]
             fitted = own[inside]
-        changed = (
+        changed = not found.misfit and (
             found.bodies is not None or bool(found.wide.accepted) or any(one.outcome.accepted for one in found.joints)
         )
+        if alone and not own_effects:
+            changed = False  # nothing was added here
         views.append(
             ResidualView(
                 axis=f"{channel.name}'" if speed else channel.name,
@@ -89,11 +133,20 @@ def _levels(data: dict[str, Any]) -> str:
     place = np.arange(len(names))
     rows = [
         ("torque (rms)", [one["torque_rms"] for one in data["joints"]], GREY),
-        ("residual before", [one["before"][use] for one in data["joints"]], BEFORE),
+        (
+            "residual before" if any(_moved(data, use)) else "residual",
+            [one["before"][use] for one in data["joints"]],
+            BEFORE,
+        ),
     ]
-    if data["effects"] or data["inertial_parameters"] is not None:
+    if any(_moved(data, use)):
         rows.append(("residual after", [one["after"][use] for one in data["joints"]], AFTER))
-    with drawing("levels", 10.5, 2.7) as (figure, svg):
+    words = "; ".join(
+        f"{name}: {', '.join(f'{label} {values[k]:.2g}' for label, values, _ in rows if values[k] is not None)}"
+        for k, name in enumerate(names)
+    )
+    words = f"Torque and its residual of every joint in {data['joints'][0]['unit']}. {words}."
+    with drawing("levels", 10.5, 2.7, words) as (figure, svg):
         axis = figure.subplots()
         width = 0.8 / len(rows)
         for number, (label, values, colour) in enumerate(rows):
@@ -109,5 +162,5 @@ def _levels(data: dict[str, Any]) -> str:
         axis.set_xticks(place, names)
         axis.set(yscale="log", ylabel=f"torque [{data['joints'][0]['unit']}]")
         axis.margins(y=0.3)
-        axis.legend(loc="upper right", ncols=len(rows))
+        legend(figure)
     return svg[0]

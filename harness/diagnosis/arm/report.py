@@ -1,4 +1,6 @@
-"""``report.json`` of an arm: keys of :mod:`harness.diagnosis.report.evidence_json` as far as they apply, and joints.
+"""``report.json`` of an arm: the keys of :mod:`harness.diagnosis.report.evidence_json`, and what is an arm's own.
+
+What does not apply is empty: an arm is not simulated, so there are no simulation errors, noise or horizon.
 
 ``joints``
     By joint: ``joint`` (name of its position), ``link_joint`` (name in the URDF), ``judged``, ``standstill`` (share of
@@ -29,8 +31,10 @@ import numpy as np
 
 from harness.diagnosis.arm.bodies import ArmBodies
 from harness.diagnosis.arm.found import ArmDiagnosis
-from harness.diagnosis.policy import ARM_POLICY, described
+from harness.diagnosis.report.estimates import estimate, known
 from harness.diagnosis.report.experiments import separating
+from harness.diagnosis.report.keys import blank, numbers
+from harness.diagnosis.report.words import SAME, change_text
 from harness.diagnosis.runs.closed_loop_bias import BiasTest
 from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.fit import Fit
@@ -38,7 +42,6 @@ from harness.diagnosis.search.rounds import Accepted, Outcome
 
 __all__ = ["arm_report"]
 
-FORMAT = "sysid-harness/close-loop/2"
 NO_PATH = (
     "an arm is always held by its controller, and the planned path, from outside that loop, is not used; what shakes "
     "the arm and is answered by the controller may bias friction and gains"
@@ -49,35 +52,53 @@ NO_PATH = (
 def arm_report(found: ArmDiagnosis) -> dict[str, Any]:
     """Return the content of ``report.json``."""
     before = {use: found.before(use) for use in ("estimation", "validation", "test")}
-    after = {use: found.after(use) for use in before}
-    effects, ties, apart = _effects(found)
+    # what a search adds to a model that does not fit is no finding
+    after = before if found.misfit else {use: found.after(use) for use in before}
+    added, ties, apart = _effects(found)
+    effects = [] if found.misfit else added
+    stand_in = _stand_in(found)
     data: dict[str, Any] = {
-        "format": FORMAT,
+        **blank(),
         "dataset": found.dataset.name,
         "model": found.arm.name,
         "inertia": found.arm.inertia,
-        "inertial_parameters": None if found.bodies is None else _bodies(found.bodies),
+        "inertial_parameters": None if found.bodies is None or found.misfit else _bodies(found.bodies),
         "verdict": found.verdict,
         "adequacy": found.grade,
-        "explained_share": known(found.explained_share),
+        "explained_share": None if found.misfit else known(found.explained_share),
         "misfit": list(found.misfit),
-        "summary": "",
+        "stand_in": {"flagged": bool(stand_in), "reasons": stand_in},
         "effects": effects,
-        "tie_sets": ties,
-        "separating_experiments": apart,
-        "errors": {
-            "before": {"equation_error": _errors(found, before)},
-            "after": {"equation_error": _errors(found, after)},
+        "searched": added if found.misfit else [],
+        "tie_sets": ties if effects else [],
+        "separating_experiments": apart if effects else [],
+        "separate_with": [[] for _ in effects],
+        "parameters": {
+            "before": {},
+            "after": {
+                f"{one['name']}@{one['at']}.{name}": {key: value for key, value in own.items() if key != "meaning"}
+                for one in effects
+                for name, own in one["parameters"].items()
+            },
         },
+        "left_over": _left_over(found),
+        "converged": {
+            "nominal": all(one.nominal.converged for one in found.joints),
+            "final": all(one.final.converged for one in found.joints),
+        },
+        "intervals": _intervals(found),
+        "horizon": {"seconds": None, "reason": "inverse dynamics: the arm is not simulated"},
         "joints": [_joint(found, k, before, after) for k in range(found.arm.n)],
         "candidates": _candidates(found),
         "not_visible": _not_visible(found),
         "form": "inverse dynamics, maximum likelihood",
-        "policy": {**described(found.policy), **{f"arm_{k}": v for k, v in described(ARM_POLICY).items()}},
+        "policy": numbers(found.policy),
         "closed_loop_bias": BiasTest((), NO_PATH).to_dict({}),
         "warnings": list(dict.fromkeys(found.warnings)),
         "seconds": round(found.seconds, 2),
     }
+    for when, values in (("before", before), ("after", after)):
+        data["errors"][when]["equation_error"] = _errors(found, values)
     data["summary"] = _summary(data, [found.arm.positions[one.joint].name for one in found.incomplete])
     return data
 
@@ -87,9 +108,35 @@ def _bodies(bodies: ArmBodies) -> dict[str, Any]:
     return {**bodies.estimate.to_dict(), "impossible": not bodies.possible, "lost": known(bodies.lost)}
 
 
-def known(value: float) -> float | None:
-    """Return a finite number, or None."""
-    return float(value) if np.isfinite(value) else None
+def _stand_in(found: ArmDiagnosis) -> list[str]:
+    """Return why effects of a joint imitate something that is not in the dictionary."""
+    from harness.diagnosis.algorithm import stand_in_reasons
+
+    if found.misfit:
+        return []
+    reasons: list[str] = []
+    for joint in found.joints:
+        left = None if joint.predictable is None else joint.predictable.name
+        reasons += stand_in_reasons([one.placed for one in joint.outcome.accepted], left)
+    return reasons
+
+
+def _left_over(found: ArmDiagnosis) -> list[dict[str, Any]]:
+    """Return what free torques would still gain, joint by joint, most first."""
+    rows = [
+        {**one.to_dict(), "at": found.arm.positions[joint.joint].name}
+        for joint in found.joints
+        for one in joint.leftover.axes
+    ]
+    return sorted(rows, key=lambda row: -(row["evidence"] + row["validation"]))
+
+
+def _intervals(found: ArmDiagnosis) -> dict[str, Any]:
+    """Return whether intervals can be relied on, and what they count."""
+    if found.grade in ("explained", "mostly_explained"):
+        return {"hold": True, "meaning": "95 %, from the curvature of the likelihood; a coloured error is counted"}
+    lacking = "they count a coloured error, and not that the model lacks something: true values may lie far outside"
+    return {"hold": False, "meaning": lacking}
 
 
 def _errors(found: ArmDiagnosis, values: dict[str, Any]) -> dict[str, Any]:
@@ -144,14 +191,7 @@ def _effect(fit: Fit, accepted: Accepted) -> dict[str, Any]:
     parameters = {}
     for one in placed.effect.parameters:
         name = placed.name(one.name)
-        low, high = fit.interval(name) if name in fit.free else (np.nan, np.nan)
-        parameters[one.name] = {
-            "value": known(fit.values[name]),
-            "low": known(low),
-            "high": known(high),
-            "unit": fit.system.parameter(name).unit,
-            "meaning": one.meaning,
-        }
+        parameters[one.name] = {**estimate(fit, name), "meaning": one.meaning}
     return {
         "name": placed.effect.name,
         "at": placed.at,
@@ -185,7 +225,7 @@ def _joint(found: ArmDiagnosis, k: int, before: dict[str, Any], after: dict[str,
     }
     if judged is not None:
         error = judged.final.detail.errors[0]
-        entry["effects"] = [str(one.placed) for one in judged.outcome.accepted]
+        entry["effects"] = [] if found.misfit else [str(one.placed) for one in judged.outcome.accepted]
         entry["clock_s"] = known(judged.final.values["clock"])
         entry["left"] = {
             "share": known(judged.share),
@@ -203,6 +243,9 @@ def _candidates(found: ArmDiagnosis) -> list[dict[str, Any]]:
     rows = _rows(found.wide.outcome)
     for joint in found.joints:
         rows += _rows(joint.outcome)
+    for row in rows if found.misfit else ():
+        if row["accepted"]:
+            row.update(accepted=False, reason="the model does not fit these data: nothing is accepted")
     return rows
 
 
@@ -280,12 +323,21 @@ def _summary(data: dict[str, Any], incomplete: Sequence[str]) -> str:
         for one in data["effects"]:
             by_name.setdefault(one["name"], []).append(one["at"])
         names = "; ".join(f"{name.replace('_', ' ')} at {', '.join(places)}" for name, places in by_name.items())
-        gained = f"torque residual of a joint up to {max(ratio):.3g} times smaller ({use})"
-        return f"arm {data['model']} lacks {names}; {gained}; {_explained(data)}"
+        lacks = f"arm {data['model']} lacks {names}"
+        if data["stand_in"]["flagged"]:
+            reason = data["stand_in"]["reasons"][0]
+            stand = "stands" if len(data["effects"]) == 1 else "stand"
+            lacks = (
+                f"{names} {stand} in for what arm {data['model']} lacks, which the dictionary does not have ({reason})"
+            )
+        if ratio and max(ratio) < SAME and min(ratio) < 1 / SAME:
+            grown = f"the torque residual grows (of a joint {change_text(min(ratio))}, {use})"
+            return f"{grown}, although the likelihood rises: {lacks}; {_explained(data)}"
+        most = max(ratio, default=1.0)
+        gained = f"torque residual of a joint {'up to ' if most >= SAME else ''}{change_text(most)} ({use})"
+        return f"{lacks}; {gained}; {_explained(data)}"
     if data["verdict"] == "nothing_missing":
-        return (
-            f"nothing is missing in arm {data['model']}: {_explained(data)}, and nothing of the rest can be predicted"
-        )
+        return f"nothing is missing in arm {data['model']}: {_explained(data)}, and the rest cannot be predicted"
     return (
         f"something is missing in arm {data['model']} at {', '.join(incomplete)}, and no effect of the dictionary "
         f"explains it; {_explained(data)}"

@@ -1,6 +1,6 @@
 """``report.json`` of the likelihood's diagnosis: stable and documented; unknown figures are null, never 0.
 
-Keys of ``sysid-harness/close-loop/2``:
+Keys of ``sysid-harness/close-loop/2``, the same for every kind of model; what does not apply is empty:
 
 ``verdict``
     ``model_does_not_fit`` (``misfit`` says why, and what to check); ``effects_found``; ``nothing_missing``;
@@ -12,17 +12,23 @@ Keys of ``sysid-harness/close-loop/2``:
     ``flagged``: the accepted effects imitate something that is not in the dictionary; ``reasons``.
 ``effects``, ``tie_sets``, ``separate_with``
     Accepted effects (``name``, ``at``, ``evidence``, ``validation_gain`` in units of log-likelihood, ``delta_bic``,
-    ``parameters`` with ``value``, ``low``, ``high``, ``unit``); all that these data cannot tell from each, itself
-    first; the experiments that would.
+    ``parameters`` with ``value``, ``low``, ``high``, ``unit``, ``state``); all that these data cannot tell from each,
+    itself first; the experiments that would. Empty where the model does not fit.
+``searched``
+    Where the model does not fit: what the search added all the same, entries like those of ``effects``. No finding, and
+    everything "after" is then the nominal model.
 ``errors``
     ``before`` and ``after``: ``equation_error``, ``simulation_error`` (free runs over the horizon, by use and output),
     ``log_likelihood`` by use.
 ``parameters``
-    ``before`` and ``after``: every parameter with its 95 % interval from the curvature of the likelihood (null limits:
-    fixed, or on a bound).
+    ``before`` and ``after``: every parameter with its 95 % interval from the curvature of the likelihood; ``state`` is
+    ``determined``, or where there are no limits ``fixed``, ``on_bound`` or ``not_determined``.
+``ratios``
+    Where nothing drives the model and no parameter fixes its scale (a free swing): what the data do tell of those that
+    grow together, each over the first of them, with intervals.
 ``noise``
     ``before`` and ``after``: ``sensors`` (r by output) and ``forces`` (by port: s and tau of the latent force, its
-    white part w).
+    white part w; ``at_least`` where s lies on the upper bound of its search).
 ``candidates``
     Every refit with the reason it was rejected; then what the score test alone set aside.
 ``withdrawn``
@@ -31,7 +37,8 @@ Keys of ``sysid-harness/close-loop/2``:
 ``left_over``
     What free forces over position, speed, input and time would gain beside the final model, axis by axis.
 ``policy``
-    Every deciding number with its reason, source and what it was tuned on.
+    Every deciding number with its reason, source and what it was tuned on, by group: ``policy``, ``effort``, ``data``,
+    ``run``, ``plan``, ``arm``.
 ``tests``, ``isolability``, ``not_visible``, ``closed_loop``, ``closed_loop_bias``, ``horizon``
     The rest of the evidence.
 """
@@ -40,13 +47,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from harness.diagnosis.policy import DATA_POLICY, EFFORT, RUN_POLICY, described
 from harness.diagnosis.records.motion import measured_coordinates
+from harness.diagnosis.report.estimates import estimate, known, ratios, scaled_together
 from harness.diagnosis.report.experiments import Bench, separate_with, separating
+from harness.diagnosis.report.keys import blank, numbers
+from harness.diagnosis.report.words import SAME, change_text
 from harness.diagnosis.runs import residual_tests
 from harness.diagnosis.runs.closed_loop_bias import closed_loop_bias
 from harness.diagnosis.runs.equation_form import EquationForm
@@ -54,93 +64,108 @@ from harness.diagnosis.runs.errors import equation_error, figures, simulation_er
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.rounds import Accepted
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
     from harness.diagnosis.algorithm import Diagnosis
 
-__all__ = ["FORMAT", "evidence_data", "innovations"]
+__all__ = ["Answer", "answer_of", "evidence_data", "innovations"]
 
-FORMAT = "sysid-harness/close-loop/2"
 SELECTED = "validation used for selection: there is no test run, so the figures after are not independent of the choice"
 AROUND = (
     "an FMU shows no equations: only effects on its inputs and outputs and forces at its force inputs were tried, none "
     "that needs an acceleration (a payload) or the base (a tilt)"
 )
 FREE = "a free swing tells ratios of inertia, damping and stiffness only: one of them must be known for the others"
+NO_FINDING = "the model does not fit these data: nothing is accepted"
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a diagnosis stands for: where the model does not fit, the nominal one and nothing beside it."""
+
+    accepted: tuple[Accepted, ...]
+    fit: Fit
+    runs: Fitted | None
+
+
+def answer_of(found: Diagnosis) -> Answer:
+    """Return what a diagnosis stands for."""
+    if found.misfit:
+        return Answer((), found.nominal, found.runs.before)
+    return Answer(tuple(found.outcome.accepted), found.final, found.runs.after)
 
 
 def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray]] = ()) -> dict[str, Any]:
     """Return the content of ``report.json``; ``references`` as :func:`harness.diagnosis.close_loop` takes them."""
+    answer = answer_of(found)
+    accepted = answer.accepted
     warnings = list(found.warnings)
     if not found.dataset.test:
         warnings.append(SELECTED)
-    if found.system.coordinates and not any(np.ptp(run.u, axis=0).any() for run in found.dataset.estimation):
+    together = scaled_together(found.system, answer.fit, found.dataset)
+    if together:
         warnings.append(FREE)
     if found.system.h is None:
         warnings.append(AROUND)
-    if not found.final.converged:
+    if not answer.fit.converged:
         warnings.append("the final fit did not converge: its figures are not those of a maximum")
-    accepted = found.outcome.accepted
     names, cosines = found.test.cosines([str(one.placed) for one in accepted])
-    bench = Bench(found.system, found.final.system, found.final.values, found.dataset)
+    bench = Bench(found.system, answer.fit.system, answer.fit.values, found.dataset)
     bias = closed_loop_bias(
-        found.runs.output, found.runs.after, list(found.dataset.estimation), _used(found, references)
-    ) if found.runs.after is not None else None  # fmt: skip
+        found.runs.output, answer.runs, list(found.dataset.estimation), _used(found, references)
+    ) if answer.runs is not None else None  # fmt: skip
+    stand_in = () if found.misfit else found.stand_in
     data: dict[str, Any] = {
-        "format": FORMAT,
+        **blank(),
         "dataset": found.dataset.name,
         "model": found.system.name,
         "verdict": found.verdict,
         "adequacy": found.grade,
-        "explained_share": known(1.0 - found.runs.left),
+        "explained_share": None if found.misfit else known(1.0 - found.runs.left),
         "misfit": list(found.misfit),
-        "stand_in": {"flagged": bool(found.stand_in), "reasons": list(found.stand_in)},
-        "summary": "",
-        "effects": [_effect(found.final, one) for one in accepted],
+        "stand_in": {"flagged": bool(stand_in), "reasons": list(stand_in)},
+        "effects": [_effect(answer.fit, one, together) for one in accepted],
+        "searched": [_effect(found.final, one, together) for one in found.outcome.accepted] if found.misfit else [],
         "tie_sets": [[_named(member) for member in one.tie] for one in accepted],
         "separating_experiments": [separating([p for member in one.tie for p in member]) for one in accepted],
         "separate_with": [separate_with(bench, one.tie) for one in accepted],
         "errors": {
             "before": _errors(found, found.nominal, found.runs.before),
-            "after": _errors(found, found.final, found.runs.after),
+            "after": _errors(found, answer.fit, answer.runs),
         },
-        "parameters": {"before": _parameters(found.nominal), "after": _parameters(found.final)},
-        "noise": {"before": _noise(found, found.nominal), "after": _noise(found, found.final)},
+        "parameters": {
+            "before": _parameters(found.nominal, together),
+            "after": _parameters(answer.fit, together),
+        },
+        "ratios": ratios(answer.fit, together),
+        "noise": {"before": _noise(found, found.nominal), "after": _noise(found, answer.fit)},
         "candidates": _candidates(found),
         "withdrawn": [_named([one.placed]) for one in found.outcome.withdrawn],
         "left_over": [one.to_dict() for one in found.leftover.axes],
-        "tests": {"before": _tests(found, found.nominal), "after": _tests(found, found.final)},
+        "tests": {"before": _tests(found, found.nominal), "after": _tests(found, answer.fit)},
         "isolability": {"effects": list(names), "cosine": np.round(cosines, 4).tolist()},
         "not_visible": [
             {"name": one.placed.effect.name, "at": one.placed.at,
              "reason": "the nominal parameters and initial states can do the same"}
             for one in found.not_visible
         ],
-        "closed_loop": _closed_loop(found),
-        "closed_loop_bias": {"text": "not tested: free runs diverge", "p": None, "statistic": None}
+        "closed_loop": _closed_loop(found, answer.fit),
+        "closed_loop_bias": {**blank()["closed_loop_bias"], "text": "not tested: free runs diverge"}
         if bias is None
-        else bias.to_dict({one.name: one.unit for one in found.final.system.parameters}),
+        else bias.to_dict({one.name: one.unit for one in answer.fit.system.parameters}),
         "horizon": {"seconds": found.runs.horizon.seconds, "reason": found.runs.horizon.reason},
         "form": "maximum likelihood" if found.form.latent else "maximum likelihood of free runs",
-        "converged": {"nominal": found.nominal.converged, "final": found.final.converged},
+        "converged": {"nominal": found.nominal.converged, "final": answer.fit.converged},
         "intervals": {"hold": found.structure_fits, "meaning": _meaning_of_intervals(found)},
-        "policy": {
-            name: number
-            for group in (found.policy, EFFORT, DATA_POLICY, RUN_POLICY)
-            for name, number in described(group).items()
-        },
+        "policy": numbers(found.policy),
         "warnings": list(dict.fromkeys(warnings)),
         "seconds": round(found.seconds, 2),
     }  # fmt: skip
     data["summary"] = _summary(data)
     return data
-
-
-def known(value: float | None) -> float | None:
-    """Return a finite number, or None."""
-    return None if value is None or not np.isfinite(value) else float(value)
 
 
 def innovations(found: Diagnosis, fit: Fit, use: str) -> list[FloatArray]:
@@ -159,12 +184,12 @@ def _named(member: Sequence[Placed]) -> dict[str, Any]:
     return {"name": " + ".join(one.effect.name for one in member), "at": ", ".join(one.at for one in member)}
 
 
-def _effect(fit: Fit, one: Any) -> dict[str, Any]:
+def _effect(fit: Fit, one: Any, together: Sequence[str] = ()) -> dict[str, Any]:
     """Return one accepted effect with its parameters."""
     parameters = {}
     for parameter in one.placed.effect.parameters:
         name = one.placed.name(parameter.name)
-        parameters[parameter.name] = {**_value(fit, name), "meaning": parameter.meaning}
+        parameters[parameter.name] = {**estimate(fit, name, together), "meaning": parameter.meaning}
     return {
         "name": one.placed.effect.name,
         "at": one.placed.at,
@@ -175,16 +200,6 @@ def _effect(fit: Fit, one: Any) -> dict[str, Any]:
         "formula": one.placed.effect.formula,
         "summary": one.placed.effect.summary,
     }
-
-
-def _value(fit: Fit, name: str) -> dict[str, Any]:
-    """Return a parameter with its interval and unit."""
-    unit = fit.system.parameter(name).unit
-    low: float | None = None
-    high: float | None = None
-    if name in fit.free and fit.deviations.get(name, 0.0) > 0:
-        low, high = fit.interval(name)
-    return {"value": known(fit.values[name]), "low": known(low), "high": known(high), "unit": unit}
 
 
 def _meaning_of_intervals(found: Diagnosis) -> str:
@@ -198,9 +213,9 @@ def _meaning_of_intervals(found: Diagnosis) -> str:
     )
 
 
-def _parameters(fit: Fit) -> dict[str, Any]:
+def _parameters(fit: Fit, together: Sequence[str]) -> dict[str, Any]:
     """Return every parameter with its interval."""
-    return {one.name: _value(fit, one.name) for one in fit.system.parameters}
+    return {one.name: estimate(fit, one.name, together) for one in fit.system.parameters}
 
 
 def _noise(found: Diagnosis, fit: Fit) -> dict[str, Any]:
@@ -212,8 +227,16 @@ def _noise(found: Diagnosis, fit: Fit) -> dict[str, Any]:
             for channel, r in zip(found.dataset.spec.outputs, noise.r, strict=True)
         },
         "forces": {
-            one.port: {"s": known(float(s)), "tau_s": known(float(tau)), "w": known(float(w)), "unit": one.unit}
-            for one, s, tau, w in zip(fit.detail.passes.forces, noise.s, noise.tau, noise.w, strict=True)
+            one.port: {
+                "s": known(float(s)),
+                "tau_s": known(float(tau)),
+                "w": known(float(w)),
+                "unit": one.unit,
+                "at_least": f"s@{one.port}" in fit.on_bound and bool(s > scale),
+            }
+            for one, s, tau, w, scale in zip(
+                fit.detail.passes.forces, noise.s, noise.tau, noise.w, found.form.noise_model.force_scale, strict=True
+            )
         },
     }
 
@@ -232,9 +255,10 @@ def _errors(found: Diagnosis, fit: Fit, fitted: Fitted | None) -> dict[str, Any]
         }
         meaning = {"meaning": "unknown: the simulation diverges"}
         return {"equation_error": {**nothing, **meaning}, "simulation_error": {**nothing, **bare},
-                "log_likelihood": likelihood}  # fmt: skip
+                "one_step": {}, "log_likelihood": likelihood}  # fmt: skip
     strong = None
-    final = fitted if found.runs.after is None else found.runs.after  # before and after are the same quantity
+    after = answer_of(found).runs
+    final = fitted if after is None else after  # before and after are the same quantity
     if measured_coordinates(found.system) is not None and not (output.nominal.ny and _sensors(final)):
         strong = EquationForm(found.system, found.dataset, sizes=found.form.sizes)
     usable = strong is not None and all(map(strong.judges, (*fitted.effects, *final.effects)))
@@ -273,12 +297,12 @@ def _other_horizons(found: Diagnosis) -> list[float]:
 
 def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
     """Return one row for each refit of each round, then what the score test set aside."""
-    accepted = {str(one.placed) for one in found.outcome.accepted}
-    tied = {str(p) for one in found.outcome.accepted for member in one.tie for p in member} - accepted
+    accepted = {str(one.placed) for one in answer_of(found).accepted}
+    tied = {str(p) for one in answer_of(found).accepted for member in one.tie for p in member} - accepted
     rows = []
     for number, here in enumerate(found.outcome.rounds, start=1):
         ranked = sorted(here.candidates, key=lambda one: -np.inf if one.comparison is None else -one.comparison.total)
-        rows += [_row(one, number, accepted, tied) for one in ranked]
+        rows += [_row(one, number, accepted, tied, fits=not found.misfit) for one in ranked]
         refitted = {one.name for one in here.candidates}
         for lead in [*here.test.leads, *here.test.hidden]:
             if str(lead.placed) in refitted:
@@ -301,10 +325,12 @@ def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
     return rows
 
 
-def _row(one: Judged, number: int, accepted: set[str], tied: set[str]) -> dict[str, Any]:
+def _row(one: Judged, number: int, accepted: set[str], tied: set[str], *, fits: bool = True) -> dict[str, Any]:
     """Return the row of one refitted candidate."""
     reason = "; ".join(one.reasons)
-    if one.passed and one.name not in accepted:
+    if one.passed and not fits:
+        reason = NO_FINDING
+    elif one.passed and one.name not in accepted:
         reason = "tied with the answer" if one.name in tied else "another candidate explains more"
     found = one.comparison
     return {
@@ -348,11 +374,11 @@ def _tests(found: Diagnosis, fit: Fit) -> dict[str, Any]:
     return result
 
 
-def _closed_loop(found: Diagnosis) -> dict[str, Any]:
+def _closed_loop(found: Diagnosis, fit: Fit) -> dict[str, Any]:
     """Test whether the innovations act back on the input, as under feedback (Ljung 1999, sec. 13.4)."""
     result: dict[str, Any] = {}
     run = found.form.records["estimation"][0]
-    r = innovations(found, found.final, "estimation")[0][:, 0]
+    r = innovations(found, fit, "estimation")[0][:, 0]
     for k, channel in enumerate(found.dataset.spec.inputs):
         u = run.u[: len(r), k]
         if len(u) < 100 or np.ptp(u) == 0:
@@ -394,11 +420,15 @@ def _summary(data: dict[str, Any]) -> str:
         more = " (tied with others, see below)" if any(len(one) > 1 for one in data["tie_sets"]) else ""
         if data["stand_in"]["flagged"]:
             stand = "stands" if len(data["effects"]) == 1 else "stand"
-            return (
+            text = (
                 f"{names}{more} {stand} in for what {data['model']} lacks, which the dictionary does not have "
-                f"({data['stand_in']['reasons'][0]}); validation simulation error {change}; {words}"
+                f"({data['stand_in']['reasons'][0]})"
             )
-        return f"{data['model']} lacks {names}{more}; validation simulation error {change}; {words}"
+        else:
+            text = f"{data['model']} lacks {names}{more}"
+        if worse := _grown(before, after):
+            return f"the validation simulation error grows ({worse}), although the likelihood rises: {text}; {words}"
+        return f"{text}; validation simulation error {change}; {words}"
     plain = change.split(" -> ")[0] if ", " not in change else ", ".join(p.split(" -> ")[0] for p in change.split(", "))
     units = ", ".join(dict.fromkeys(one["unit"] for one in before.values()))
     if data["verdict"] == "nothing_missing":
@@ -420,3 +450,15 @@ def _summary(data: dict[str, Any]) -> str:
 def _short(value: float | None) -> str:
     """Return a number in few digits."""
     return "unknown" if value is None else f"{value:.3g}"
+
+
+def _grown(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """Return in words by how much errors grew, if none of them fell; else nothing."""
+    both = {name: (before[name]["rms"], after[name]["rms"]) for name in before if name in after}
+    factors = {name: a / b for name, (a, b) in both.items() if a is not None and b}
+    if not factors or max(factors.values()) >= SAME or min(factors.values()) > 1 / SAME:
+        return ""
+    return ", ".join(
+        f"{name} {_short(both[name][0])} -> {_short(both[name][1])} {before[name]['unit']}, {change_text(factor)}"
+        for name, factor in factors.items()
+    )

@@ -7,17 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from harness.diagnosis.report.evidence_json import innovations
+from harness.diagnosis.report.evidence_json import FREE, answer_of, innovations
 from harness.diagnosis.report.figures import Overlay, Pictures, ResidualView, draw
 from harness.diagnosis.report.html import environment, error_rows
+from harness.diagnosis.report.words import SAME
 from harness.diagnosis.store import write_atomic
-from harness.signals import FloatArray
+from harness.signals import FloatArray, Trajectory
 
 if TYPE_CHECKING:
     from harness.diagnosis.algorithm import Diagnosis
     from harness.diagnosis.search.fit import Fit
 
-__all__ = ["pictures", "write_evidence"]
+__all__ = ["pictures", "render_evidence", "write_evidence"]
 
 MOST_PORTS = 3
 """Latent forces that the page shows."""
@@ -25,42 +26,59 @@ MOST_PORTS = 3
 
 def write_evidence(found: Diagnosis, data: dict[str, Any], path: Path) -> None:
     """Write the page of a diagnosis."""
+    write_atomic(path, render_evidence(data, draw(pictures(found))))
+
+
+def render_evidence(data: dict[str, Any], figures: dict[str, str]) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    data : dict
+        Content of ``report.json``.
+    figures : dict
+        SVG texts, see :func:`harness.diagnosis.report.figures.draw`.
+    """
     rows = error_rows(data)
-    text = (
+    return str(
         environment()
         .get_template("evidence.html.j2")
         .render(
             data=data,
-            figures=draw(pictures(found)),
+            figures=figures,
             rows=rows,
-            cards=_cards(rows, bool(data["effects"])),
+            cards=[] if data["misfit"] else _cards(rows, bool(data["effects"])),
             refits=[row for row in data["candidates"] if row["refitted"]],
             aside=[row for row in data["candidates"] if not row["refitted"] and row["round"] == 1],
             parameter_names=list(data["parameters"]["after"]),
+            free_swing=FREE if data["ratios"] else "",
         )
     )
-    write_atomic(path, text)
 
 
 def _cards(rows: list[dict[str, Any]], changed: bool) -> list[dict[str, Any]]:
-    """Return the figures of the first cards: those that fell most first."""
+    """Return the figures of the first cards: those that fell most first; if none fell, those that grew most."""
     first = [row for row in rows if row["use"] == "validation" and row["kind"] == "simulation error"]
     horizon = first[0]["horizon"] if first else ""
     chosen = [row for row in first if row["horizon"] == horizon]
     chosen += [row for row in rows if row["use"] == "validation" and row["kind"] == "equation error"]
-    return sorted(chosen, key=lambda row: -(row["factor"] or 0.0)) if changed else chosen
+    if not changed:
+        return chosen
+    fell = any((row["factor"] or 0.0) >= SAME for row in chosen)
+    return sorted(chosen, key=lambda row: -(row["factor"] or 0.0) if fell else row["factor"] or np.inf)
 
 
 def pictures(found: Diagnosis) -> Pictures:
     """Return the arrays behind the figures."""
-    accepted = [str(one.placed) for one in found.outcome.accepted]
+    answer = answer_of(found)
+    accepted = [str(one.placed) for one in answer.accepted]
     names, cosines = found.test.cosines(accepted)
     made = Pictures(isolability=(names, cosines))
     record = max(found.form.records["validation"], key=len)
     made.sample_time = found.dataset.spec.sample_time
     made.output_name = found.dataset.spec.outputs[0].name
     made.before = max(innovations(found, found.nominal, "validation"), key=len)[:, 0]
-    made.after = max(innovations(found, found.final, "validation"), key=len)[:, 0] if accepted else None
+    made.after = max(innovations(found, answer.fit, "validation"), key=len)[:, 0] if accepted else None
     if found.dataset.spec.inputs and np.ptp(record.u[:, 0]) > 0:
         made.u, made.input_name = record.u[:, 0], found.dataset.spec.inputs[0].name
     made.overlays = _overlays(found, bool(accepted))
@@ -71,14 +89,14 @@ def pictures(found: Diagnosis) -> Pictures:
 
 def _overlays(found: Diagnosis, changed: bool) -> list[Overlay]:
     """Return measured and simulated outputs of the longest validation record."""
-    runs = found.runs
-    if runs.before is None or runs.after is None:
+    runs, last = found.runs, answer_of(found).runs
+    if runs.before is None or last is None:
         return []
     number = int(np.argmax([len(run) for run in found.dataset.validation]))
     record = found.dataset.validation[number]
     errors = {
         name: runs.output.simulated(one, "validation", runs.horizon.seconds)[0][number]
-        for name, one in (("before", runs.before), ("after", runs.after))
+        for name, one in (("before", runs.before), ("after", last))
     }
     return [
         Overlay(
@@ -109,6 +127,7 @@ def _force_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
     """Return the smoothed latent forces."""
     record = found.form.records["estimation"][0]
     views = []
+    final = answer_of(found).fit
     ports = list(found.nominal.detail.passes.forces)
     sizes = [float(np.std(_force(found, found.nominal, k)[1])) / s for k, s in
              enumerate(found.form.noise_model.force_scale)]  # fmt: skip
@@ -116,32 +135,48 @@ def _force_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
     for port in shown:
         one = ports[port]
         _, before, band = _force(found, found.nominal, port)
-        x, after, later = _force(found, found.final, port)
+        x, after, later = _force(found, final, port)
         coordinate = next(c for c in found.system.coordinates if c.name == one.port)
         axes = [
             (coordinate.name, coordinate.unit, x[:, coordinate.q]),
             (f"{coordinate.name}'", f"{coordinate.unit}/s", x[:, coordinate.v]),
         ]
-        axes += [(c.name, c.unit, record.u[:, k]) for k, c in enumerate(found.dataset.spec.inputs[:1])]
+        axes += _driven(found, record)
         axes.append(("time", "s", record.t))
-        for name, unit, values in axes:
-            sd = float(np.median(later if changed else band))
-            title = f"latent force at {one.port}"
-            shown_after = after if changed else None
-            views.append(ResidualView(name, unit, values, before, shown_after, None, one.unit, title, deviation=sd))
+        views += [
+            ResidualView(
+                name,
+                unit,
+                values,
+                before,
+                after if changed else None,
+                None,
+                one.unit,
+                f"latent force at {one.port}",
+                bands=(band, later if changed else None),
+            )
+            for name, unit, values in axes
+        ]
     return views
+
+
+def _driven(found: Diagnosis, record: Trajectory) -> list[tuple[str, str, FloatArray]]:
+    """Return name, unit and values of the first input, if it moves."""
+    return [(c.name, c.unit, record.u[:, k]) for k, c in enumerate(found.dataset.spec.inputs[:1])
+            if np.ptp(record.u[:, k]) > 0]  # fmt: skip
 
 
 def _output_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
     """Return the output errors of the free runs."""
     record = found.form.records["estimation"][0]
-    before, after = (found.form.paths(fit, "estimation")[0][0].e for fit in (found.nominal, found.final))
+    final = answer_of(found).fit
+    before, after = (found.form.paths(fit, "estimation")[0][0].e for fit in (found.nominal, final))
     views = []
     for j, channel in enumerate(found.dataset.spec.outputs[:MOST_PORTS]):
         axes = [(channel.name, channel.unit, record.y[:, j])]
-        axes += [(c.name, c.unit, record.u[:, k]) for k, c in enumerate(found.dataset.spec.inputs[:1])]
+        axes += _driven(found, record)
         axes.append(("time", "s", record.t))
-        sd = float(found.final.detail.points["estimation"].noise.r[j])
+        sd = float(final.detail.points["estimation"].noise.r[j])
         for name, unit, values in axes:
             views.append(
                 ResidualView(name, unit, values, before[:, j], after[:, j] if changed else None, None, channel.unit,
@@ -152,7 +187,7 @@ def _output_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
 
 def _coverage(found: Diagnosis) -> list[tuple[str, str, FloatArray, FloatArray, FloatArray, FloatArray]]:
     """Return where estimation and validation have been, coordinate by coordinate."""
-    both = [np.concatenate([one.x for one in found.form.paths(found.final, use)[1]]) for use in
+    both = [np.concatenate([one.x for one in found.form.paths(answer_of(found).fit, use)[1]]) for use in
             ("estimation", "validation")]  # fmt: skip
     return [
         (one.name, one.unit, both[0][:, one.q], both[0][:, one.v], both[1][:, one.q], both[1][:, one.v])

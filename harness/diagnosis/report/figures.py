@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Overlay", "Pictures", "ResidualView", "draw", "drawing"]
+__all__ = ["Overlay", "Pictures", "ResidualView", "draw", "drawing", "legend"]
 
 INK, GREY, GRID = "#1d2733", "#8a94a0", "#e3e7ec"
 BEFORE, AFTER, DATA = "#d9622b", "#1769aa", "#9aa5b1"
@@ -49,6 +51,8 @@ class ResidualView:
     port: str
     deviation: float = 0.0
     """Standard deviation of one value, where it is known: drawn as a band about 0."""
+    bands: tuple[FloatArray, FloatArray | None] | None = None
+    """Standard deviations of the values before and after, where a smoother gives them: drawn around these values."""
 
 
 @dataclass
@@ -64,13 +68,11 @@ class Pictures:
     sample_time: float = 1.0
     output_name: str = ""
     isolability: tuple[tuple[str, ...], FloatArray] | None = None
-    null: FloatArray | None = None
-    observed: Mapping[str, float] = field(default_factory=dict)
     coverage: list[tuple[str, str, FloatArray, FloatArray, FloatArray, FloatArray]] = field(default_factory=list)
 
 
 def draw(pictures: Pictures) -> dict[str, str]:
-    """Return the figures by name: overlay, residual (and its caption), tests, isolability, surrogates, coverage."""
+    """Return the figures by name: overlay, residual (and its caption), tests, isolability, coverage."""
     made: dict[str, str] = {}
     if pictures.overlays:
         made["overlay"] = _overlay(pictures.overlays)
@@ -81,16 +83,17 @@ def draw(pictures: Pictures) -> dict[str, str]:
         made["tests"] = _tests(pictures)
     if pictures.isolability is not None and len(pictures.isolability[0]) > 1:
         made["isolability"] = _isolability(*pictures.isolability)
-    if pictures.null is not None and pictures.null.size:
-        made["surrogates"] = _surrogates(pictures.null, pictures.observed)
     if pictures.coverage:
         made["coverage"] = _coverage(pictures.coverage)
     return made
 
 
 @contextmanager
-def drawing(name: str, width: float, height: float) -> Iterator[tuple[Figure, list[str]]]:
-    """Make a figure without any global state; its SVG text is appended to the list when the block ends."""
+def drawing(name: str, width: float, height: float, words: str) -> Iterator[tuple[Figure, list[str]]]:
+    """Make a figure without any global state; its SVG text is appended to the list when the block ends.
+
+    ``words`` say what it shows to those who cannot see it.
+    """
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure as MakeFigure
@@ -132,44 +135,75 @@ def drawing(name: str, width: float, height: float) -> Iterator[tuple[Figure, li
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None}, dpi=110, transparent=True)
     whole = text.getvalue()
-    svg.append(whole[whole.index("<svg") :])
+    begun = whole.index("<svg") + len("<svg")
+    svg.append(f'<svg role="img" aria-label="{escape(words, quote=True)}"{whole[begun:]}')
+
+
+def legend(figure: Figure, markers: float = 2.0) -> None:
+    """Put one legend of all that is drawn above the panels, where it covers nothing."""
+    lines = {name: line for axis in figure.axes for line, name in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.legend(lines.values(), lines.keys(), loc="outside upper left", ncols=min(len(lines), 6), markerscale=markers)
+
+
+def _rms(values: FloatArray | None, unit: str) -> str:
+    """Return the size of something in words."""
+    return "unknown" if values is None else f"{float(np.sqrt(np.nanmean(values**2))):.2g} {unit}"
 
 
 def _overlay(overlays: Sequence[Overlay]) -> str:
     """Draw measured, before and after, with the error below."""
     shown = overlays[:4]
-    with drawing("overlay", 10.5, 2.9 * len(shown)) as (figure, svg):
+    words = "; ".join(
+        f"{one.label}: rms error {_rms(one.measured - one.before, one.unit)} before"
+        + ("" if one.after is None else f", {_rms(one.measured - one.after, one.unit)} after")
+        for one in shown
+    )
+    words = f"Measured and simulated outputs over time, and their difference, on a validation record. {words}."
+    with drawing("overlay", 10.5, 2.9 * len(shown), words) as (figure, svg):
         axes = figure.subplots(len(shown), 2, squeeze=False, width_ratios=(1.6, 1.0))
         for (left, right), one in zip(axes, shown, strict=True):
             pick = _thin(one.t.size, 2500)
+            name = "nominal model" if one.after is None else "before"
             left.plot(one.t[pick], one.measured[pick], color=INK, lw=2.6, alpha=0.28, label="measured")
-            left.plot(one.t[pick], one.before[pick], color=BEFORE, lw=1.1, label="before")
-            right.plot(one.t[pick], (one.measured - one.before)[pick], color=BEFORE, lw=0.9, label="before")
+            left.plot(one.t[pick], one.before[pick], color=BEFORE, lw=1.1, label=name)
+            right.plot(one.t[pick], (one.measured - one.before)[pick], color=BEFORE, lw=0.9, label=name)
             if one.after is not None:
                 left.plot(one.t[pick], one.after[pick], color=AFTER, lw=1.1, ls=(0, (5, 2)), label="after")
                 right.plot(one.t[pick], (one.measured - one.after)[pick], color=AFTER, lw=0.9, label="after")
             left.set(title=f"{one.label}: measured and simulated", xlabel="time [s]", ylabel=_axis(one.label, one.unit))
             right.set(title="measured minus simulated", xlabel="time [s]", ylabel=f"error [{one.unit}]")
-            left.legend(loc="upper right", ncols=3)
-            right.legend(loc="upper right", ncols=2)
+        legend(figure)
     return svg[0]
 
 
 def _residual(views: Sequence[ResidualView]) -> str:
     """Draw the residual against each axis: samples, binned mean with its band, fitted effect on top."""
-    columns = min(4, max(2, len({view.axis for view in views})))
+    each = max(Counter(view.port for view in views).values())  # one row for each port, if it has several axes
+    columns = min(4, each if each > 1 else max(2, len(views)))
     rows = -(-len(views) // columns)
-    with drawing("residual", 10.5, 2.9 * rows) as (figure, svg):
+    name = "before" if any(view.after is not None for view in views) else "nominal model"
+    with drawing("residual", 10.5, 2.9 * rows, _residual_words(views)) as (figure, svg):
         axes = figure.subplots(rows, columns, squeeze=False)
         for axis in axes.flat[len(views) :]:
             axis.remove()
         for axis, view in zip(axes.flat, views, strict=False):
-            _one_view(axis, view)
-        lines = {
-            name: line for axis in figure.axes for line, name in zip(*axis.get_legend_handles_labels(), strict=True)
-        }
-        axes.flat[0].legend(lines.values(), lines.keys(), loc="best", fontsize=7.5)
+            _one_view(axis, view, name)
+        legend(figure)
     return svg[0]
+
+
+def _residual_words(views: Sequence[ResidualView]) -> str:
+    """Say what the panels of the residual show."""
+    ports: dict[str, list[ResidualView]] = {}
+    for view in views:
+        ports.setdefault(view.port, []).append(view)
+    parts = []
+    for port, here in ports.items():
+        first = here[0]
+        after = "" if first.after is None else f", {_rms(first.after, first.residual_unit)} after"
+        axes = ", ".join(view.axis for view in here)
+        parts.append(f"{port} against {axes}: rms {_rms(first.before, first.residual_unit)} before{after}")
+    return f"What the model leaves. {'; '.join(parts)}."
 
 
 def _caption(views: Sequence[ResidualView]) -> str:
@@ -182,21 +216,29 @@ def _caption(views: Sequence[ResidualView]) -> str:
     return f"{text}."
 
 
-def _one_view(axis: Axes, view: ResidualView) -> None:
+def _one_view(axis: Axes, view: ResidualView, name: str) -> None:
     """Draw one residual panel."""
-    pick = _thin(view.x.size, 4000)
-    dense = pick.size > 500
-    axis.scatter(
-        view.x[pick], view.before[pick], s=2.5 if dense else 9, color=DATA, alpha=0.25 if dense else 0.6, lw=0,
-        rasterized=True,
-    )  # fmt: skip
-    _binned(axis, view.x, view.before, BEFORE, "before (mean, 10-90 %)")
-    if view.after is not None:
-        _binned(axis, view.x, view.after, AFTER, "after")
+    if view.bands is not None:
+        _smoothed(axis, view, view.before, view.bands[0], BEFORE, name)
+        if view.after is not None and view.bands[1] is not None:
+            _smoothed(axis, view, view.after, view.bands[1], AFTER, "after")
+    else:
+        pick = _thin(view.x.size, 4000)
+        dense = pick.size > 500
+        axis.scatter(
+            view.x[pick], view.before[pick], s=2.5 if dense else 9, color=DATA, alpha=0.25 if dense else 0.6, lw=0,
+            rasterized=True,
+        )  # fmt: skip
+        _binned(axis, view.x, view.before, BEFORE, f"{name} (mean, 10-90 %)")
+        if view.after is not None:
+            _binned(axis, view.x, view.after, AFTER, "after")
     if view.fitted is not None:
         _fitted(axis, view.x, view.fitted)
     shown = view.before if view.after is None else np.concatenate([view.before, view.after])
     low, high = np.quantile(shown, [0.005, 0.995])
+    if view.bands is not None:
+        wide = 2 * max(float(np.median(one)) for one in view.bands if one is not None)
+        low, high = low - wide, high + wide
     if view.deviation > 0:
         axis.axhspan(-2 * view.deviation, 2 * view.deviation, color=GREY, alpha=0.18, lw=0, label="±2 sd of one value")
         low, high = min(low, -2 * view.deviation), max(high, 2 * view.deviation)
@@ -206,9 +248,33 @@ def _one_view(axis: Axes, view: ResidualView) -> None:
         title=f"against {view.axis}",
         xlabel=_axis(view.axis, view.unit),
         ylabel=f"{view.port} [{view.residual_unit}]"
-        if view.deviation > 0
+        if view.deviation > 0 or view.bands is not None
         else f"residual of {view.port} [{view.residual_unit}]",
     )
+
+
+def _smoothed(
+    axis: Axes, view: ResidualView, values: FloatArray, deviation: FloatArray, colour: str, label: str
+) -> None:
+    """Draw a smoothed quantity with two of its standard deviations around it; over time the curve, else by bins.
+
+    Over an axis that is passed many times, a bin holds its median, the smoother's band around that, and in pale how
+    the values themselves scatter.
+    """
+    if view.axis == "time":
+        pick = _thin(view.x.size, 2000)
+        x, middle, sd = view.x[pick], values[pick], deviation[pick]
+    else:
+        edges = np.unique(np.quantile(view.x, np.linspace(0, 1, 1 + min(24, max(4, view.x.size // 8)))))
+        if edges.size < 3:
+            return
+        which = np.clip(np.digitize(view.x, edges) - 1, 0, edges.size - 2)
+        bins = [inside for k in range(edges.size - 1) if (inside := which == k).sum() >= 5]
+        x, middle, sd = (np.array([np.median(one[inside]) for inside in bins]) for one in (view.x, values, deviation))
+        ends = np.array([np.quantile(values[inside], [0.1, 0.9]) for inside in bins]).reshape(-1, 2)
+        axis.fill_between(x, ends[:, 0], ends[:, 1], color=colour, alpha=0.12, lw=0, label=f"{label}: 10-90 %")
+    axis.fill_between(x, middle - 2 * sd, middle + 2 * sd, color=colour, alpha=0.35, lw=0, label=f"{label}: ±2 sd")
+    axis.plot(x, middle, color=colour, lw=1.0 if view.axis == "time" else 1.6, label=label)
 
 
 def _binned(axis: Axes, x: FloatArray, y: FloatArray, colour: str, label: str) -> None:
@@ -245,8 +311,14 @@ def _fitted(axis: Axes, x: FloatArray, force: FloatArray) -> None:
 
 def _tests(pictures: Pictures) -> str:
     """Draw autocorrelation, input cross-correlation and CUSUM of squares, before and after, with 99 % bands."""
-    series = [(pictures.before, BEFORE, "before"), (pictures.after, AFTER, "after")]
-    with drawing("tests", 10.5, 2.9) as (figure, svg):
+    first = "nominal model" if pictures.after is None else "before"
+    series = [(pictures.before, BEFORE, first), (pictures.after, AFTER, "after")]
+    words = (
+        f"Autocorrelation of the residual of {pictures.output_name}"
+        + (f", its cross-correlation with {pictures.input_name}" if pictures.u is not None else "")
+        + " and its cumulative sum of squares, with 99 % bands: what lies outside is structure that is left."
+    )
+    with drawing("tests", 10.5, 3.1, words) as (figure, svg):
         panels = figure.subplots(1, 3 if pictures.u is not None else 2)
         for r, colour, label in series:
             if r is None:
@@ -268,7 +340,7 @@ def _tests(pictures: Pictures) -> str:
         panels[-1].set(title="CUSUM of squares", xlabel="time [s]")
         if pictures.u is not None:
             panels[1].set(title=f"cross-correlation with {pictures.input_name}", xlabel="lag [samples]")
-        panels[0].legend(loc="best")
+        legend(figure)
     return svg[0]
 
 
@@ -276,7 +348,12 @@ def _isolability(names: Sequence[str], cosines: FloatArray) -> str:
     """Draw the matrix of cosines."""
     n = len(names)
     size = min(10.5, 2.6 + 0.3 * n)
-    with drawing("isolability", size, size * 0.86) as (figure, svg):
+    alike = [f"{names[i]} and {names[j]}" for i in range(n) for j in range(i) if abs(cosines[i, j]) >= 0.9]
+    words = f"How alike {n} effects look in these data. " + (
+        f"Nearly the same: {', '.join(alike[:12])}{' and more' if len(alike) > 12 else ''}." if alike
+        else "No two are nearly the same."
+    )  # fmt: skip
+    with drawing("isolability", size, size * 0.86, words) as (figure, svg):
         axis = figure.subplots()
         image = axis.imshow(np.abs(cosines), vmin=0, vmax=1, cmap="Blues", interpolation="nearest")
         axis.set_xticks(range(n), names, rotation=60, ha="right", rotation_mode="anchor", fontsize=7.5)
@@ -291,36 +368,13 @@ def _isolability(names: Sequence[str], cosines: FloatArray) -> str:
     return svg[0]
 
 
-def _surrogates(null: FloatArray, observed: Mapping[str, float]) -> str:
-    """Draw the null distribution and where the leading effects stand."""
-    leaders = sorted(observed.items(), key=lambda item: -item[1])[:5]
-    with drawing("surrogates", 5.4, 3.0) as (figure, svg):
-        axis = figure.subplots()
-        floor = max(float(null[null > 0].min(initial=1e-6)), 1e-9)
-        top = max([float(null.max()), *(value for _, value in leaders)])
-        edges = np.geomspace(floor, max(top, floor * 1.01) * 1.3, 50)
-        axis.hist(np.maximum(null, floor), bins=edges.tolist(), color=DATA, label=f"{null.size} surrogates")
-        axis.axvline(float(np.quantile(null, 0.99)), color=INK, lw=1, ls=":", label="99 % of surrogates")
-        for rank, (name, value) in enumerate(leaders):
-            axis.axvline(max(value, floor), color=BEFORE if rank == 0 else GREY, lw=1.6 if rank == 0 else 0.8)
-            axis.annotate(
-                name,
-                (max(value, floor), 0.97 - 0.1 * rank),
-                xycoords=("data", "axes fraction"),
-                ha="right",
-                va="top",
-                fontsize=7.5,
-                color=BEFORE if rank == 0 else INK,
-            )
-        axis.set(xscale="log", xlabel="(R²/k)/(1 - R²), largest of the dictionary", ylabel="surrogates")
-        axis.legend(loc="center right", fontsize=7.5)
-    return svg[0]
-
-
 def _coverage(panels: Sequence[tuple[str, str, FloatArray, FloatArray, FloatArray, FloatArray]]) -> str:
     """Draw where in (q, v) the estimation and the validation records went."""
     shown = panels[:3]
-    with drawing("coverage", 10.5, 3.2) as (figure, svg):
+    words = (
+        f"Where position and speed of {', '.join(one[0] for one in shown)} went, in estimation and validation records."
+    )
+    with drawing("coverage", 10.5, 3.3, words) as (figure, svg):
         axes: Any = figure.subplots(1, max(len(shown), 2), squeeze=False)
         for spare in axes[0][len(shown) :]:
             spare.remove()
@@ -329,7 +383,7 @@ def _coverage(panels: Sequence[tuple[str, str, FloatArray, FloatArray, FloatArra
             axis.scatter(q[a], v[a], s=2, color=DATA, lw=0, alpha=0.5, rasterized=True, label="estimation")
             axis.scatter(qv[b], vv[b], s=2, color=AFTER, lw=0, alpha=0.4, rasterized=True, label="validation")
             axis.set(title=f"coverage of {name}", xlabel=_axis(name, unit), ylabel=_axis(f"{name}'", f"{unit}/s"))
-            axis.legend(loc="upper right", markerscale=4, fontsize=7.5)
+        legend(figure, markers=6.0)
     return svg[0]
 
 

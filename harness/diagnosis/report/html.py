@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from harness.diagnosis.report.words import SAME, change_text, digits, shown
+
 __all__ = ["environment", "error_rows"]
 
 
@@ -18,7 +20,16 @@ def environment() -> Any:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    made.filters.update(number=_number, percent=_percent, words=_words, p=_probability, change=_change)
+    made.filters.update(
+        number=_number,
+        percent=_percent,
+        words=_words,
+        p=_probability,
+        change=change_text,
+        shown=shown,
+        arrows=_arrows,
+        sentence=_sentence,
+    )
     return made
 
 
@@ -52,6 +63,7 @@ def _error_row(
 ) -> dict[str, Any]:
     """Return one row of the table, with the factor gained."""
     a, b = before["rms"], None if after is None else after["rms"]
+    factor = a / b if a is not None and b else None
     return {
         "use": use,
         "kind": label,
@@ -62,27 +74,32 @@ def _error_row(
         "after": b,
         "nrmse_before": before["nrmse"],
         "nrmse_after": None if after is None else after["nrmse"],
-        "factor": a / b if a is not None and b else None,
+        "factor": factor,
+        "changed": factor is None or not 1 / SAME < factor < SAME,
     }
 
 
-def _change(factor: float | None) -> str:
-    """Return in words what an error did whose value before is this many times the value after."""
-    if factor is None or 1 / 1.05 < factor < 1.05:
-        return "hardly changed"
-    return f"{factor:.3g} times smaller" if factor > 1 else f"{1 / factor:.3g} times larger"
+def _sentence(text: str) -> str:
+    """Return a text as a sentence."""
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '?', '!')) else '.'}"
+
+
+def _arrows(text: str) -> str:
+    """Return a text with arrows that no line breaks at, nor before a per cent sign."""
+    arrow = "\N{NO-BREAK SPACE}\N{RIGHTWARDS ARROW}\N{NO-BREAK SPACE}"
+    return text.replace(" -> ", arrow).replace(" %", "\N{NO-BREAK SPACE}%")
 
 
 def _number(value: float | None) -> str:
     """Return a number in four digits, a dash where it is unknown."""
     if value is None:
         return "–"  # noqa: RUF001
-    return f"{value:.4g}"
+    return digits(value)
 
 
 def _percent(value: float | None) -> str:
     """Return a share in percent."""
-    return "–" if value is None else f"{100 * value:.3g} %"  # noqa: RUF001
+    return "–" if value is None else f"{digits(100 * value, 3)} %"  # noqa: RUF001
 
 
 def _words(value: str) -> str:

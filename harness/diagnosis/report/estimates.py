@@ -1,0 +1,113 @@
+"""Values with their intervals, as far as the data determine them; where they tell ratios only, the ratios."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from harness.diagnosis.search.fit import Fit
+from harness.signals import Dataset
+
+__all__ = ["estimate", "known", "ratio_unit", "ratios", "scaled_together"]
+
+WIDEST = 1e4
+"""An interval of something positive whose ends differ by more than this factor determines nothing."""
+
+
+def known(value: float | None) -> float | None:
+    """Return a finite number, or None."""
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+def estimate(fit: Fit, name: str, together: Sequence[str] = ()) -> dict[str, Any]:
+    """Return a parameter with its interval, its unit, and why it has no interval where there is none.
+
+    ``together`` are those of which the data tell ratios only: the curvature of a fit that stopped somewhere along the
+    scale says nothing of them.
+    """
+    one: dict[str, Any] = {"value": known(fit.values[name]), "low": None, "high": None,
+                           "unit": fit.system.parameter(name).unit, "state": "fixed"}  # fmt: skip
+    if name not in fit.free:
+        return one
+    one["state"] = "on_bound" if name in fit.on_bound else "not_determined"
+    if name not in together and fit.deviations.get(name, 0.0) > 0 and np.isfinite(fit.deviations[name]):
+        _limit(one, *fit.interval(name), positive=name in fit.logarithmic)
+    return one
+
+
+def _limit(one: dict[str, Any], low: float, high: float, *, positive: bool) -> None:
+    """Give an estimate its interval, if that determines anything."""
+    if not np.isfinite([low, high]).all() or (positive and abs(high) > WIDEST * abs(low)):
+        return
+    one.update(low=low, high=high, state="determined")
+
+
+def scaled_together(system: Any, fit: Fit, dataset: Dataset) -> list[str]:
+    """Return parameters of which the data tell ratios only: those that carry a mass, if nothing drives the model.
+
+    One of them that is known, or an input that is not 0 all the time, fixes the scale of them all.
+    """
+    if not system.coordinates or any(np.any(run.u) for run in dataset.estimation):
+        return []
+    heavy = [one for one in fit.system.parameters if _base(one.unit)[0].get("kg") == 1]
+    own = [one.name for one in system.parameters]
+    if any(one.name in own and one.name not in fit.free for one in heavy):
+        return []
+    together = [one.name for one in heavy if one.name in fit.free]
+    return together if len(together) > 1 else []
+
+
+def ratios(fit: Fit, names: Sequence[str]) -> dict[str, Any]:
+    """Return what each parameter is of the first one, with the interval that their covariance gives."""
+    best = fit.detail.best
+    made: dict[str, Any] = {}
+    for name in names[1:]:
+        below, above = fit.values[names[0]], fit.values[name]
+        one = {"value": known(above / below) if below else None, "low": None, "high": None,
+               "unit": ratio_unit(fit.system.parameter(name).unit, fit.system.parameter(names[0]).unit),
+               "state": "not_determined"}  # fmt: skip
+        rows = [best.names.index(each) for each in (name, names[0])]
+        # derivatives of the logarithm of the ratio by what was estimated, a parameter or its logarithm
+        slopes = np.array([sign / (1.0 if best.logarithmic[k] else best.parameters[each] or np.nan)
+                           for sign, k, each in zip((1.0, -1.0), rows, (name, names[0]), strict=True)])  # fmt: skip
+        variance = float(slopes @ best.covariance[np.ix_(rows, rows)] @ slopes)
+        if one["value"] is not None and 0 < variance < np.inf:
+            half = 1.96 * float(np.sqrt(variance))
+            ends = sorted(one["value"] * (np.exp([-half, half]) if half < 50 else np.array([0.0, np.inf])))
+            _limit(one, float(ends[0]), float(ends[1]), positive=True)
+        made[f"{name}/{names[0]}"] = one
+    return made
+
+
+def ratio_unit(above: str, below: str) -> str:
+    """Return the unit of a ratio in base units, radians left out; as it stands where units have factors.
+
+    Examples
+    --------
+    >>> ratio_unit("N m s/rad", "kg m^2"), ratio_unit("N m", "kg m^2"), ratio_unit("kg", "mg")
+    ('1/s', '1/s^2', '(kg)/(mg)')
+    """
+    (first, one), (second, two) = _base(above), _base(below)
+    if one != 1.0 or two != 1.0:
+        return f"({above})/({below})"
+    powers = {name: first.get(name, 0) - second.get(name, 0) for name in {**first, **second} if name != "rad"}
+
+    def joined(sign: int) -> list[str]:
+        return [name if sign * power == 1 else f"{name}^{sign * power:g}" for name, power in sorted(powers.items())
+                if sign * power > 0]  # fmt: skip
+
+    return "/".join([" ".join(joined(1)) or "1", *joined(-1)])
+
+
+def _base(unit: str) -> tuple[dict[str, float], float]:
+    """Return a unit as powers of base units, and the factor to them; nothing where it cannot be read."""
+    from harness.errors import InputError
+    from harness.units import base_units
+
+    try:
+        powers, factor, _ = base_units(unit or "1")
+    except InputError:
+        return {}, 0.0
+    return powers, factor

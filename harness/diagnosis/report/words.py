@@ -1,0 +1,81 @@
+"""How figures are said: what an error did, and an estimate with its interval in digits that mean something."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+__all__ = ["SAME", "change_text", "digits", "shown"]
+
+SAME = 1.05
+"""A factor between two errors below which nothing has changed."""
+NOTHING = 1e-11
+"""A value on a bound below this is 0: what is fitted through its logarithm cannot be."""
+
+
+def change_text(factor: float | None) -> str:
+    """Return in words what an error did whose value before is this many times the value after.
+
+    Examples
+    --------
+    >>> change_text(1357.2), change_text(0.5), change_text(1.0)
+    ('1360 times smaller', '2 times larger', 'hardly changed')
+    """
+    if factor is None or 1 / SAME < factor < SAME:
+        return "hardly changed"
+    times = factor if factor > 1 else 1 / factor
+    return f"{digits(times, 3)} times {'smaller' if factor > 1 else 'larger'}"
+
+
+def digits(value: float, count: int = 4) -> str:
+    """Return a number in that many digits that count, without a power of ten below ten millions.
+
+    Examples
+    --------
+    >>> digits(1357.2, 3), digits(12345.6), digits(0.00102), digits(3e9)
+    ('1360', '12350', '0.00102', '3e+09')
+    """
+    return f"{float(f'{value:.{count}g}'):.0f}" if 10.0**count <= abs(value) < 1e7 else f"{value:.{count}g}"
+
+
+def shown(one: Mapping[str, Any]) -> dict[str, str]:
+    """Return value, interval, and the two together of an estimate of ``report.json``, as a reader needs them.
+
+    Two digits of the half width count: the value and both ends have their decimals. Where there is no interval the
+    words say why.
+
+    Examples
+    --------
+    >>> shown({"value": 50.0012, "low": 49.9971, "high": 50.0053, "state": "determined"})["interval"]
+    '49.9971 … 50.0053'
+    >>> shown({"value": 1623.4, "low": 1370.0, "high": 1877.0, "state": "determined"})["value"]
+    '1620'
+    >>> shown({"value": 7.5e-07, "low": 7.1e-07, "high": 7.9e-07, "state": "determined"})["interval"]
+    '7.10e-07 … 7.90e-07'
+    >>> shown({"value": 0.018, "low": None, "high": None, "state": "not_determined"})["interval"]
+    'not determined'
+    """
+    value, low, high = one["value"], one["low"], one["high"]
+    if value is None:
+        return {"value": "\N{EN DASH}", "interval": "\N{EN DASH}"}
+    if low is None or high is None:
+        if one.get("state") == "on_bound" and abs(value) < NOTHING:
+            value = 0.0  # a logarithm never comes to 0
+        known = "{:.4g}" if one.get("state") != "not_determined" else "{:.2g}"
+        return {"value": known.format(value), "interval": one.get("state", "not_determined").replace("_", " ")}
+    ends = (value, low, high)
+    half = min(high - value, value - low) if low < value < high else (high - low) / 2
+    if half <= 0:
+        return {"value": f"{value:.4g}", "interval": f"{low:.4g} … {high:.4g}"}
+    size = max(map(abs, ends))
+    power = math.floor(math.log10(size)) if not 1e-4 <= size < 1e6 else 0
+    decimals = power + 1 - math.floor(math.log10(half) + 1e-9)
+    texts = [_fixed(number, power, decimals) for number in ends]
+    return {"value": texts[0], "interval": f"{texts[1]} … {texts[2]}"}
+
+
+def _fixed(number: float, power: int, decimals: int) -> str:
+    """Return a number with some decimals, in units of a power of ten."""
+    scaled = round(number / 10.0**power, decimals) + 0.0  # no minus before 0
+    return f"{scaled:.{max(decimals, 0)}f}" + (f"e{power:+03d}" if power else "")
