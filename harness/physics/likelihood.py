@@ -297,7 +297,8 @@ class Likelihood:
             found = self.filtered(point)
         if found is None:
             return point
-        rms = np.sqrt(np.nanmean(np.concatenate([one.e for one in found]) ** 2, axis=0))
+        with np.errstate(over="ignore"):  # far off its data
+            rms = np.sqrt(np.nanmean(np.concatenate([one.e for one in found]) ** 2, axis=0))
         if not np.isfinite(rms).all():
             return point
         r = np.clip(rms, 1e-7 * self.noise_model.output_scale, 10.0 * self.noise_model.output_scale)

@@ -136,7 +136,7 @@ def records(hidden, scenario: str, options: dict, noise: float, seed: int, dt: f
     ("hidden", "rival", "first", "noise", "scenario", "dt"),
     [
         (STRIBECK, "coulomb_friction", {"amplitude": 1.6, "band": (0.2, 1.2)}, 1e-3, "triangle", 0.02),
-        (LAG, "input_delay", {"amplitude": 0.5, "band": (0.1, 0.7)}, 3e-3, "chirp", 0.01),
+        (LAG, "input_delay", {"amplitude": 0.4, "band": (0.1, 0.5)}, 3e-3, "chirp", 0.01),
     ],
 )
 def test_the_experiment_of_the_report_breaks_the_tie(hidden, rival, first, noise, scenario, dt) -> None:

@@ -41,6 +41,8 @@ NOISE = ("s@", "tau@", "w@", "r@")
 USES = ("estimation", "validation")
 _FAR = 2.0
 """Factor between typical forces, as declared and as fitted, beyond which a fit is made anew."""
+_LONG = 60
+"""Iterations of a fit that is to come to its end."""
 _TOGETHER = 64
 """Columns of the score test that are answered together."""
 OWN = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
@@ -205,7 +207,7 @@ class LikelihoodForm:
         points = [
             Point(p, self._placed(self._starts(system, passes, p, "estimation", base), passes, start), noise)
             for p, start in zip(map(system.vector, vectors), starts, strict=True)
-            for noise in self._noises(base)
+            for noise in self._noises(base, effects)
         ]
         gone = self._without(effects, base)
         if gone is not None:
@@ -556,11 +558,14 @@ class LikelihoodForm:
                 one.e[judged], one.s[judged] = other.e[judged], other.s[judged]
         return passed
 
-    def _noises(self, base: Fit | None) -> list[Noise]:
-        """Return the noise to start from: that of the base, else several."""
-        if base is not None:
-            return [self._woken(base.detail.points["estimation"].noise, base.detail.best)]
-        return first_noises(self.noise_model, self._first_noise, self.dt)
+    def _noises(self, base: Fit | None, effects: Sequence[Placed] = ()) -> list[Noise]:
+        """Return the noise to start from: that of the base, which other effects may change, else several."""
+        if base is None:
+            return first_noises(self.noise_model, self._first_noise, self.dt)
+        noise = base.detail.points["estimation"].noise
+        if effects and {*map(str, effects)} == {*map(str, base.effects)}:
+            return [noise]
+        return [self._woken(noise, base.detail.best)]
 
     def _woken(self, noise: Noise, seen: LikelihoodFit) -> Noise:
         """Return noise of which no part is lost, neither a latent force nor a sensor's: it may be needed elsewhere.
@@ -663,11 +668,7 @@ class LikelihoodForm:
         own = [placed.name(name) for placed in fit.effects for name in OWN.get(placed.effect.name, ())]
         spread = spread_of(fit.detail.best, fit.free, own)
         point: Point = fit.detail.points["estimation"]
-        states = {
-            _state(number, name): float(value)
-            for number, x0 in enumerate(point.x0)
-            for name, value in zip(fit.detail.passes.state_names, x0, strict=True)
-        }
+        states = _states(fit.detail.passes, point)
         return Linearised(residual, nuisance, tuple(fit.free), spread, fit.detail.predictive.moved, states)
 
     def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
@@ -742,13 +743,29 @@ class LikelihoodForm:
         return found
 
     def _from_uncut(self, placed: Placed, column: int, ceiling: float, start: dict[str, float]) -> Fit | None:
-        """Return the fit with a sensor's ceiling that starts from the nominal fit to what lies below it."""
+        """Return the fit with a sensor's ceiling that starts from the nominal fit to what lies below it.
+
+        Parameters stay there until the initial states and the noise of the whole records have been found.
+        """
         below = uncut(self.dataset, column, ceiling)
-        plain = None
-        if below is not None:
-            plain = self.on(below).fit((), self.first_starts(), None)
-        starts = self.first_starts() if plain is None else [plain.values]
-        return self.fit([placed], [one | start for one in starts], plain)
+        plain = None if below is None else self.on(below).fit((), self.first_starts(), None)
+        if plain is None:
+            return self.fit([placed], [one | start for one in self.first_starts()], None)
+        try:
+            system = self.composed([placed])
+            passes = self.passes(system, self.substeps(system, {**system.values(), **plain.values, **start}))
+            likelihood = self._likelihood(system, "estimation", passes)
+            p = system.vector(_within(system, {**system.values(), **plain.values, **start}))
+            x0 = self._starts(system, passes, p, "estimation", None)
+            free = [name for name in likelihood.names if name not in self.nominal.parameter_names]
+            tried = self._stepped(likelihood, [Point(p, x0, noise) for noise in self._noises(None)], _LONG, free)
+        except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
+            return None
+        if not tried:
+            return None
+        held = tried[0]
+        detail = system, passes, likelihood, [replace(held, converged=False)]
+        return self.finish(Begun((placed,), -held.nll, held.parameters, detail, held.pace), plain)
 
     def _lost_signs(self, base: Fit, candidates: Sequence[Placed]) -> list[Suspect]:
         """Return sensors that may have lost a sign, with the fit of the nominal model to the unfolded output."""
@@ -847,6 +864,15 @@ def _portions(found: Sequence[Direction]) -> list[list[Direction]]:
 def _state(number: int, name: str) -> str:
     """Return the name of an initial state of a record, as :class:`Likelihood` has it."""
     return f"x0[{number}].{name}"
+
+
+def _states(passes: Pass, point: Point) -> dict[str, float]:
+    """Return the initial states of all records by name."""
+    return {
+        _state(number, name): float(value)
+        for number, x0 in enumerate(point.x0)
+        for name, value in zip(passes.state_names, x0, strict=True)
+    }
 
 
 def _known(system: Any, values: Mapping[str, float]) -> dict[str, float]:
