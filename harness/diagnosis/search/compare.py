@@ -146,7 +146,7 @@ def impossible(placed: Placed, fit: Fit) -> list[str]:
         value = fit.values[name]
         bounds = [bound for bound in (one.minimum, one.maximum) if np.isfinite(bound) and bound != 0.0]
         near = [bound for bound in bounds if abs(value - bound) <= _NEAR_BOUND * abs(bound)]
-        if name in fit.on_bound and not near and value not in (0.0, one.neutral):  # one that the data's sizes set
+        if one.ceiling and name in fit.on_bound and not near and value != one.neutral:  # the data's sizes set it
             near = [value]
         if near and near[0] != one.neutral:
             reasons.append(f"{one.name} lies on its bound {near[0]:.3g}")
