@@ -94,7 +94,7 @@ def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: 
     assert words in text
     assert "100 %" not in text
     if verdict != "model_does_not_fit":
-        assert "99.99 % of the validation variance" in text
+        assert "99.99 % of the validation motion" in text
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ Keys of ``sysid-harness/close-loop/2``, the same for every kind of model; what d
     ``unexplained`` (no effect accepted, though a free force still predicts the validation records).
 ``adequacy``
     ``explained``, ``mostly_explained``, ``proxy_or_incomplete``, ``does_not_fit``; ``explained_share`` is the share of
-    the validation outputs' variance that the final model explains over the horizon, the worst output.
+    the motion of the validation outputs about a straight line through each window that the final model explains.
 ``stand_in``
     ``flagged``: the accepted effects imitate something that is not in the dictionary; ``reasons``.
 ``effects``, ``tie_sets``, ``separate_with``
@@ -411,7 +411,7 @@ def _summary(data: dict[str, Any]) -> str:
     share = data["explained_share"]
     # four digits, rounded down: 100 % would be said of what leaves noise
     words = (
-        f"{math.floor(1e4 * share) / 100:g} % of the validation variance is explained"
+        f"{math.floor(1e4 * share) / 100:g} % of the validation motion is explained"
         if share is not None
         else "no free run"
     )
