@@ -102,9 +102,13 @@ def carried_away(form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Polic
 
 
 def mostly_noise(form: LikelihoodForm, nominal: Fit, policy: Policy) -> list[str]:
-    """Return why nothing can be told from records that are noise in every output; empty if one of them is not."""
+    """Return why nothing can be told from records that are noise in every output; empty if one of them is not.
+
+    They are where the motion is less than the share of what is read that a model which fits may leave.
+    """
     shares = _noise(form, nominal) / form.noise_model.output_scale**2
-    return [_noisy(form, shares)] if shares.size and (shares >= policy.noise).all() else []
+    noisy = shares.size > 0 and bool((1.0 - shares <= policy.misfit_nrmse**2).all())
+    return [_noisy(form, shares)] if noisy else []
 
 
 def _noise(form: LikelihoodForm, fit: Fit) -> FloatArray:

@@ -157,9 +157,6 @@ class Policy:
         "probability that a reading lies within 1 % of a step of a grid point though there is no grid",
         "2 % of a step lie so",
     )
-    noise: float = _number(
-        0.8, "share of sensor noise in the readings from which nothing can be told", "a fifth is left"
-    )
 
 
 POLICY = Policy()
