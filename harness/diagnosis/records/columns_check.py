@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.policy import DATA_POLICY
+from harness.diagnosis.records.stretches import about_lines
 from harness.errors import HarnessError
-from harness.signals import Dataset, FloatArray, Trajectory
+from harness.signals import Dataset, Trajectory
 
 __all__ = ["Repair", "check_columns", "doubts", "repairs"]
 
@@ -170,7 +171,7 @@ def _grain(cut: Trajectory) -> float:
     """Return the noise of the readings over the motion within windows, as the errors of the fits are."""
     from harness.physics.likelihood_fit import sensor_noise
 
-    moved = _motion(cut.y, _window(cut))
+    moved = np.sqrt(about_lines([cut.y], _window(cut)))
     return float(np.sqrt(np.mean((sensor_noise([cut]) / np.maximum(moved, 1e-300)) ** 2)))
 
 
@@ -227,7 +228,7 @@ def _fit(
 
     dt, samples = record.spec.sample_time, _window(record)
     plain = replace(system, outputs=tuple(replace(channel, period=None) for channel in system.outputs))
-    moved = _motion(record.y, samples)
+    moved = np.sqrt(about_lines([record.y], samples))
     if not (moved > 0).all():
         return float("inf"), system.values()
     noise = {channel.name: float(size) for channel, size in zip(system.outputs, moved, strict=True)}
@@ -241,15 +242,3 @@ def _fit(
         return float("inf"), system.values()
     error = float(np.sqrt(np.mean((found.rms / moved) ** 2)))
     return (error if np.isfinite(error) else float("inf")), dict(found.parameters)
-
-
-def _motion(y: FloatArray, samples: int) -> FloatArray:
-    """Return the rms motion of each output about a straight line through each window (ny,)."""
-    total, count = np.zeros(y.shape[1]), 0
-    for first in range(0, len(y) - samples + 1, samples):
-        part = y[first : first + samples]
-        x = np.column_stack([np.ones(samples), np.arange(samples)])
-        rest = part - x @ np.linalg.lstsq(x, part, rcond=None)[0]
-        total += (rest**2).sum(axis=0)
-        count += samples
-    return np.asarray(np.sqrt(total / max(count, 1)))

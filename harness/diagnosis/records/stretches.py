@@ -14,7 +14,7 @@ import numpy as np
 from harness.diagnosis.policy import DATA_POLICY
 from harness.signals import Dataset, FloatArray, Run
 
-__all__ = ["cut_alike", "stretched", "uncut", "windowed"]
+__all__ = ["about_lines", "cut_alike", "stretched", "uncut", "windowed"]
 
 
 def stretched(
@@ -191,3 +191,32 @@ def uncut(dataset: Dataset, column: int, ceiling: float, *, count: int = DATA_PO
             return None
         found += [one for one in pieces if one in longest]
     return replace(dataset, runs=tuple(found))
+
+
+def about_lines(records: Sequence[FloatArray], samples: int | None = None) -> FloatArray:
+    """Return the mean square of signals about a straight line through each window (n,).
+
+    Over a short window a line follows most of a slow motion: what no model is needed for explains nothing.
+
+    Parameters
+    ----------
+    records : sequence of array (N, n)
+    samples : int, optional
+        Of a window; whole records without.
+
+    Examples
+    --------
+    >>> t = np.arange(100.0)[:, None]
+    >>> bool(about_lines([3.0 * t])[0] < 1e-20), about_lines([3.0 * t + (-1.0) ** t], 50).round(2).tolist()
+    (True, [1.0])
+    """
+    total, count = np.zeros(records[0].shape[1]), 0
+    for y in records:
+        length = len(y) if samples is None else min(len(y), samples)
+        line = np.column_stack([np.ones(length), np.arange(length)])
+        for first in range(0, len(y) - length + 1, length):
+            part = y[first : first + length]
+            left = part - line @ np.linalg.lstsq(line, part, rcond=None)[0]
+            total += (left**2).sum(axis=0)
+            count += length
+    return np.asarray(total / max(count, 1))

@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.diagnosis.policy import Policy
 from harness.diagnosis.records.horizon import Horizon
+from harness.diagnosis.records.stretches import about_lines
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.runs.states import on_validation, settled_states
@@ -78,25 +79,19 @@ def free_runs(output: FreeRunForm, horizon: Horizon, nominal: Fit, final: Fit) -
 def _motion(records: Sequence[Trajectory], horizon: Horizon) -> FloatArray:
     """Return the mean square of every output about a straight line through each window (ny,).
 
-    Over a short window a line follows most of a slow motion: what no model is needed for explains nothing. An angle
-    that goes round is known to half a turn by nothing at all.
+    Nothing at all knows an angle that goes round to half a turn.
     """
     spec = records[0].spec
-    total, count = np.zeros(spec.ny), 0
-    for record in records:
-        y = record.y.copy()
-        for k, channel in enumerate(spec.outputs):
-            if channel.period is not None:
-                y[:, k] = np.unwrap(y[:, k], period=channel.period)
-        n = len(y)
-        length = n if horizon.seconds is None else min(n, max(3, round(horizon.seconds / spec.sample_time)))
-        for first in range(0, n - length + 1, length):
-            part = y[first : first + length]
-            line = np.column_stack([np.ones(length), np.arange(length)])
-            total += ((part - line @ np.linalg.lstsq(line, part, rcond=None)[0]) ** 2).sum(axis=0)
-            count += length
-    most = [np.inf if channel.period is None else channel.period**2 / 12 for channel in spec.outputs]
-    return np.minimum(total / max(count, 1), most)
+    periods = [channel.period for channel in spec.outputs]
+    unwrapped = [
+        np.column_stack(
+            [one if period is None else np.unwrap(one, period=period) for one, period in zip(y.T, periods, strict=True)]
+        )
+        for y in (record.y for record in records)
+    ]
+    samples = None if horizon.seconds is None else max(3, round(horizon.seconds / spec.sample_time))
+    most = [np.inf if period is None else period**2 / 12 for period in periods]
+    return np.minimum(about_lines(unwrapped, samples), most)
 
 
 def seen(output: FreeRunForm, fit: Fit) -> Fitted | None:
