@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.diagnosis.algorithm import Diagnosis, diagnose
+from harness.diagnosis.kinds import Equations
+from harness.diagnosis.misfit import carried_away
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.horizon import Horizon
 from harness.diagnosis.records.stretches import uncut
 from harness.diagnosis.runs.compare import _motion
+from harness.diagnosis.search.compare import impossible
 from harness.effects import builtin
+from harness.effects.compose import compose
+from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.physics.likelihood import _damped
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
@@ -172,3 +179,66 @@ def test_a_step_within_bounds_is_the_best_of_all_that_keep_what_went_beyond(n: i
     inside = live & (step > low) & (step < high)
     if n <= 3 or not (live & ~inside).any():  # what is free between the bounds is at its minimum given the others
         assert np.abs((matrix @ step + gradient)[inside]).max(initial=0.0) < 1e-5 * (1 + np.abs(matrix).max())
+
+
+# ---- runs that an unknown force carries away, and forces that remember ----------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("wrong_from", "force", "away"), [(40, 0.01, True), (5, 0.01, False), (40, 0.5, False), (200, 0.01, True)]
+)
+def test_a_free_run_is_no_evidence_from_where_a_small_force_explains_any_error(
+    wrong_from: int, force: float, away: bool
+) -> None:
+    """The state grows by a half with every sample, and the force adds 1e-3 to it: lost within some 15 samples."""
+    n = 200
+    error = np.where(np.arange(n) < wrong_from, 0.01, 5.0)[:, None]
+    added = np.full((n, 1, 1), 1e-6)
+    path = SimpleNamespace(
+        row=np.ones((n, 1, 1)), transition=np.full((n, 1, 1), 1.5), p_after=np.zeros((n, 1, 1)), p_before=added
+    )
+    noise = SimpleNamespace(s=np.array([force]), w=np.zeros(1))
+    final: Any = SimpleNamespace(
+        detail=SimpleNamespace(points={"estimation": SimpleNamespace(noise=noise)}, passes=SimpleNamespace(dt=DT))
+    )
+    form: Any = SimpleNamespace(
+        latent=True,
+        noise_model=SimpleNamespace(force_scale=np.ones(1)),
+        paths=lambda fit, use: ([SimpleNamespace(path=path)], None),
+    )
+    runs: Any = SimpleNamespace(
+        after=SimpleNamespace(finite=True, validation=(error,)),
+        motion=np.ones(1),
+        horizon=Horizon(None, ""),
+        output=SimpleNamespace(weights=np.ones(1)),
+    )
+    assert carried_away(form, final, runs, POLICY) is away
+
+
+def test_a_force_that_remembers_is_also_asked_without_its_memory() -> None:
+    model: Any = load_model("pendulum")
+    dataset = Dataset("x", (Run(swing(seed=1), "estimation"), Run(swing(seed=2), "validation")))
+    form = Equations().form(model, dataset)
+    fit = form.fit((), form.first_starts(), None)
+    assert fit is not None
+    assert form.forgetful(fit) is None, "there is no force that remembers"
+    for point in fit.detail.points.values():
+        scale = form.noise_model.force_scale
+        point.noise = replace(point.noise, s=0.02 * scale, tau=np.array([3.0]))
+    quick = form.forgetful(fit)
+    assert quick is not None
+    before, after = (one.detail.points["estimation"].noise for one in (fit, quick))
+    assert after.tau[0] < 0.01 * 15.0
+    assert after.s[0] ** 2 / after.tau[0] == pytest.approx(before.s[0] ** 2 / before.tau[0])
+
+
+def test_a_drive_that_would_pull_back_at_its_peak_is_no_compression() -> None:
+    placed = Placed(builtin()["input_compression"], "u")
+    system = compose(load_model("pendulum"), [placed], sizes={"u": {"u": 2.0}})
+    most = system.parameter(placed.main()).maximum  # type: ignore[arg-type]
+    assert 1.0 - 2.0 * most * 3.0 * 2.0 == pytest.approx(0.1)
+    values = {**system.values(), placed.main(): most}
+    fit: Any = SimpleNamespace(values=values, free=(placed.main(),), on_bound=(placed.main(),), effects=(placed,))
+    assert any("lies on its bound" in text for text in impossible(placed, fit))
+    fit.on_bound = ()
+    assert impossible(placed, fit) == []

@@ -123,3 +123,50 @@ def test_the_tilted_pendulum_hangs_where_the_dictionary_says():
 def test_an_unknown_parameter_is_refused():
     with pytest.raises(InputError, match="parameter typo"):
         simulate({"typo": 1.0}, np.zeros(3), start=np.zeros(2))
+
+
+# ---- what intervals are compared with -------------------------------------------------------------------------------
+
+
+def test_a_heavy_rod_is_a_lighter_point_mass_farther_out(command):
+    """The same motion: the model holds it, with other values than those that were drawn."""
+    from harness.study.plan import Task
+    from harness.study.records import _of_the_model
+
+    drawn = {"mc": 1.0, "mp": 0.2, "l": 0.5, "bx": 0.4, "btheta": 0.004}
+    task = Task("none", "cart-pole", "laws", (), "", "drawn", 0.0, 0, 0, structure="heavy-rod")
+    known = _of_the_model(task, drawn)
+    start = np.array([0.0, 0.5, 0.0, 0.0])
+    rod = simulate(CART | {"rod": 0.03}, command, start=start).q
+    point = simulate(CART | {name: known[name] for name in ("mc", "mp", "l")}, command, start=start).q
+    assert np.abs(rod - point).max() < 1e-9
+    assert np.abs(rod - simulate(CART, command, start=start).q).max() > 1e-3
+    assert _of_the_model(Task("none", "cart-pole", "laws", (), "", "drawn", 0.0, 0, 0), drawn) == drawn
+
+
+@pytest.mark.parametrize(
+    ("engine", "effects", "structure", "accepted", "holds"),
+    [
+        ("laws", (), "", (), "yes"),
+        ("laws", ("quadratic_drag@theta",), "", ("quadratic_drag@theta",), "yes"),
+        ("laws", ("quadratic_drag@theta",), "", (), "no"),
+        ("laws", ("coulomb_friction@theta",), "", ("stribeck_friction@theta",), "yes"),
+        ("hardware", ("coulomb_friction@theta",), "", ("coulomb_friction@theta",), "no"),
+        ("laws", (), "bent-scale", ("sensor_nonlinearity@theta",), "yes"),
+        ("laws", (), "bent-scale", (), "no"),
+        ("laws", (), "warming-damper", (), "no"),
+        ("laws", (), "uneven-damping", ("position_dependent_damping@theta",), "no"),
+    ],
+)
+def test_parameters_have_true_values_where_the_model_has_the_truth_in_it(engine, effects, structure, accepted, holds):
+    from harness.effects import builtin
+    from harness.effects.effect import Placed
+    from harness.study.plan import Task
+    from harness.study.records import make_records
+    from harness.study.row import _holds
+
+    level = "nominal" if effects else ""
+    task = Task("confusion" if effects else "none", "pendulum", engine, effects, level, "high", 0.0, 0, 0,
+                structure=structure)  # fmt: skip
+    placed = [Placed(builtin()[name], at) for name, at in (one.split("@") for one in accepted)]
+    assert _holds(task, placed, make_records(task, samples=500)) is (holds == "yes")
