@@ -45,8 +45,8 @@ class Apart:
         (True, False)
         """
         sums = np.concatenate(
-            [np.add.reduceat(one, np.linspace(0, len(one), policy.blocks, endpoint=False).astype(int))
-             for one in self.terms]
+            [np.add.reduceat(terms, np.linspace(0, len(terms), policy.blocks, endpoint=False).astype(int))
+             for terms in self.terms]
         )  # fmt: skip
         error = float(np.sqrt(len(sums)) * sums.std(ddof=1))
         return self.gain > max(policy.misfit_gain, policy.validation_z * error)

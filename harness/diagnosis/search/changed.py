@@ -76,5 +76,5 @@ def _apart(samples: int) -> int:
 
 def _ratio(part: Sequence[FloatArray], whole: Sequence[FloatArray]) -> float:
     """Return the largest rms of a column over that of the whole; 0 where nothing moves."""
-    sizes = [np.sqrt(np.nanmean(np.concatenate(list(one)) ** 2, axis=0)) for one in (part, whole)]
+    sizes = [np.sqrt(np.nanmean(np.concatenate(list(records)) ** 2, axis=0)) for records in (part, whole)]
     return float(np.max(np.divide(sizes[0], sizes[1], out=np.zeros_like(sizes[0]), where=sizes[1] > 0), initial=0.0))

@@ -33,15 +33,15 @@ def in_parts(whole: Direction, parts: int) -> list[Direction]:
     parts : int
         Of every record.
     """
-    found = []
+    pieces = []
     for use, records in whole.forces.items():
         for number, force in enumerate(records):
             edges = np.linspace(0, len(force), parts + 1).astype(int)
             for first, last in itertools.pairwise(edges):
-                forces = {name: [np.zeros_like(one) for one in every] for name, every in whole.forces.items()}
+                forces = {name: [np.zeros_like(record) for record in every] for name, every in whole.forces.items()}
                 forces[use][number][first:last] = force[first:last]
-                found.append(replace(whole, forces=forces))
-    return found
+                pieces.append(replace(whole, forces=forces))
+    return pieces
 
 
 def wandering(linear: Linearised, columns: Sequence[Column]) -> float:
@@ -58,7 +58,7 @@ def wandering(linear: Linearised, columns: Sequence[Column]) -> float:
     """
     total = 0.0
     for use, own in (("estimation", linear.nuisance["estimation"]), ("validation", _free_outside(linear, columns))):
-        made = np.concatenate([getattr(one, use) for one in columns], axis=1)
+        made = np.concatenate([getattr(column, use) for column in columns], axis=1)
         made = made[:, np.linalg.norm(made, axis=0) > 0]
         basis = _orthonormal(own)
         unit = made / np.linalg.norm(made, axis=0)
@@ -71,7 +71,7 @@ def wandering(linear: Linearised, columns: Sequence[Column]) -> float:
 def _free_outside(linear: Linearised, columns: Sequence[Column]) -> FloatArray:
     """Return what is free on the validation records: initial states, parameters within their spread, and the line."""
     nuisance = linear.nuisance["validation"]
-    line: FloatArray = np.sum([one.validation for one in columns], axis=0)
+    line: FloatArray = np.sum([column.validation for column in columns], axis=0)
     return np.concatenate([nuisance[:, linear.shared :], nuisance[:, : linear.shared] @ linear.spread, line], axis=1)
 
 

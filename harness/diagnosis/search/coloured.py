@@ -75,20 +75,20 @@ class Coloured:
         >>> Coloured(np.array([0.5, 0.0]), 1.0).coefficients.tolist()
         [0.5, 0.0]
         """
-        found = np.zeros(0)
-        for one in self.partial:
-            found = np.append(found - one * found[::-1], one)
-        return found
+        phi = np.zeros(0)
+        for partial in self.partial:
+            phi = np.append(phi - partial * phi[::-1], partial)
+        return phi
 
     def correlation(self, most: int) -> FloatArray:
         """Return the autocorrelation up to a lag (most + 1,)."""
         order, phi = len(self.partial), self.coefficients
         rho = np.zeros(max(most, order) + 1)
         rho[0], short = 1.0, np.zeros(0)
-        for k, one in enumerate(self.partial):  # Durbin-Levinson, read backwards
+        for k, partial in enumerate(self.partial):  # Durbin-Levinson, read backwards
             variance = float(np.prod(1.0 - self.partial[:k] ** 2))
-            rho[k + 1] = one * variance + short @ rho[k:0:-1]
-            short = np.append(short - one * short[::-1], one)
+            rho[k + 1] = partial * variance + short @ rho[k:0:-1]
+            short = np.append(short - partial * short[::-1], partial)
         for k in range(order + 1, len(rho)):
             rho[k] = phi @ rho[k - order : k][::-1]
         return rho[: most + 1]
@@ -103,9 +103,9 @@ class Coloured:
         matrix = np.where(both, rho[np.minimum(apart, len(rho) - 1)], np.eye(lags.shape[1]))
         matrix = matrix + 1e-10 * np.eye(lags.shape[1])
         vector = np.where(there, rho[lags], 0.0)
-        found = np.linalg.solve(matrix, vector[..., None])[..., 0]
-        left = np.maximum(1.0 - np.sum(found * vector, axis=1), 1e-9)
-        return found, self.deviation * np.sqrt(left)
+        weights = np.linalg.solve(matrix, vector[..., None])[..., 0]
+        left = np.maximum(1.0 - np.sum(weights * vector, axis=1), 1e-9)
+        return weights, self.deviation * np.sqrt(left)
 
     def whitened(self, values: FloatArray, before: Before) -> FloatArray:
         """Return values (N, ...) less what the rows before say of them, over the deviation that is left (n, ...).
@@ -164,19 +164,19 @@ def fitted_error(
     >>> for k in range(1, 4000):
     ...     e[k] = 0.7 * e[k - 1] + rng.standard_normal()
     >>> keep = rng.random(4000) > 0.2
-    >>> found = fitted_error([e], [Before.of(keep.astype(float), 2)], 2, 1e-9)
-    >>> bool(abs(found.partial[0] - 0.7) < 0.05 and abs(found.deviation - 1.4) < 0.1)
+    >>> error = fitted_error([e], [Before.of(keep.astype(float), 2)], 2, 1e-9)
+    >>> bool(abs(error.partial[0] - 0.7) < 0.05 and abs(error.deviation - 1.4) < 0.1)
     True
     """
     from scipy.optimize import minimize
 
-    count = sum(len(one.rows) for one in before)
+    count = sum(len(record.rows) for record in before)
 
     def of(z: FloatArray) -> tuple[float, float]:
         trial = Coloured(STEEPEST * np.tanh(z), 1.0)
         power, logs = 0.0, 0.0
-        for one, rows in zip(values, before, strict=True):
-            white, left = trial._both(one, rows)
+        for error, rows in zip(values, before, strict=True):
+            white, left = trial._both(error, rows)
             power += float(white @ white)
             logs += float(np.sum(np.log(left)))
         deviation = max(float(np.sqrt(power / max(count, 1))), floor)
@@ -185,11 +185,11 @@ def fitted_error(
     partial = burg(values, before, order) if start is None else start.partial
     z0 = np.arctanh(np.clip(partial / STEEPEST, -0.9999, 0.9999))
     descend: Any = minimize
-    found = descend(
+    end = descend(
         lambda z: of(z)[0], z0, method="L-BFGS-B", bounds=[(-4.95, 4.95)] * order,
         options={"maxiter": 40, "ftol": 1e-7},
     )  # fmt: skip
-    z = found.x if of(found.x)[0] <= of(z0)[0] else z0  # near a drift without end a descent may overshoot
+    z = end.x if of(end.x)[0] <= of(z0)[0] else z0  # near a drift without end a descent may overshoot
     return Coloured(STEEPEST * np.tanh(z), of(z)[1])
 
 
@@ -202,12 +202,12 @@ def burg(values: list[FloatArray], before: list[Before], order: int) -> FloatArr
     >>> burg([e], [Before.of(np.ones(500), 2)], 2).round(2).tolist()
     [0.99, -1.0]
     """
-    forward = [one[rows.rows] for one, rows in zip(values, before, strict=True)]
-    backward, found = [one.copy() for one in forward], np.zeros(order)
+    forward = [error[rows.rows] for error, rows in zip(values, before, strict=True)]
+    backward, partial = [error.copy() for error in forward], np.zeros(order)
     for k in range(order):
         pairs = [(f[1:], b[:-1]) for f, b in zip(forward, backward, strict=True)]
         power = sum(float(f @ f + b @ b) for f, b in pairs)
-        found[k] = 2 * sum(float(f @ b) for f, b in pairs) / power if power > 0 else 0.0
-        forward = [f - found[k] * b for f, b in pairs]
-        backward = [b - found[k] * f for f, b in pairs]
-    return found
+        partial[k] = 2 * sum(float(f @ b) for f, b in pairs) / power if power > 0 else 0.0
+        forward = [f - partial[k] * b for f, b in pairs]
+        backward = [b - partial[k] * f for f, b in pairs]
+    return partial

@@ -78,7 +78,7 @@ class Judged:
     @property
     def name(self) -> str:
         """The added effects."""
-        return " + ".join(sorted(str(one) for one in self.added))
+        return " + ".join(sorted(str(placed) for placed in self.added))
 
 
 def compared(fit: Fit, base: Fit, policy: Policy = POLICY) -> Comparison:
@@ -103,21 +103,25 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
     """Apply the acceptance rule."""
     if fit is None:
         return Judged(tuple(added), None, None, ("it cannot be simulated here",))
-    found = compared(fit, base, policy)
+    comparison = compared(fit, base, policy)
     reasons = []
     if fit.beyond:
         reasons.append(BEYOND)
     elif not fit.converged:
         reasons.append("its fit did not converge")
-    if found.evidence < policy.evidence:
-        reasons.append(f"evidence {found.evidence:.1f} on the estimation records, {policy.evidence:g} asked")
-    if found.validation < policy.validation_z * found.error:
-        asked = policy.validation_z * found.error
-        reasons.append(f"validation gains {found.validation:.1f}, {asked:.1f} asked ({policy.validation_z:g} errors)")
+    if comparison.evidence < policy.evidence:
+        reasons.append(f"evidence {comparison.evidence:.1f} on the estimation records, {policy.evidence:g} asked")
+    if comparison.validation < policy.validation_z * comparison.error:
+        asked = policy.validation_z * comparison.error
+        reasons.append(
+            f"validation gains {comparison.validation:.1f}, {asked:.1f} asked ({policy.validation_z:g} errors)"
+        )
     if base is not nominal:
         whole = compared(fit, nominal, policy).total
-        if found.total < policy.second_share * whole:
-            reasons.append(f"it brings {100 * found.total / whole:.1f} % of what all effects bring: it changes nothing")
+        if comparison.total < policy.second_share * whole:
+            reasons.append(
+                f"it brings {100 * comparison.total / whole:.1f} % of what all effects bring: it changes nothing"
+            )
     for placed in added:
         reasons += impossible(placed, fit)
         wandering = fit.wandering.get(str(placed), 0.0)
@@ -125,7 +129,7 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
             reasons.append(
                 f"amplitude and phase change along the records (evidence {wandering:.1f}): it does not repeat"
             )
-    names = {str(one) for one in added}
+    names = {str(placed) for placed in added}
     for placed in fit.effects:  # what was found before must stay what it is
         if str(placed) not in names:
             reasons += [f"beside it {placed} is no such law: {text}" for text in wrong_signs(placed, fit.values)]
@@ -133,36 +137,41 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
         share = fit.change(placed)
         if share < policy.least:
             reasons.append(f"it changes {100 * share:.2g} % of rates or readings, {100 * policy.least:g} % asked")
-    return Judged(tuple(added), fit, found, tuple(reasons))
+    return Judged(tuple(added), fit, comparison, tuple(reasons))
 
 
 def impossible(placed: Placed, fit: Fit) -> list[str]:
     """Return what physics forbids in the values of an effect, as its parameters declare."""
     reasons = wrong_signs(placed, fit.values)
-    for one in placed.effect.parameters:
-        name = placed.name(one.name)
-        if name not in fit.free or one.nuisance:
+    for parameter in placed.effect.parameters:
+        name = placed.name(parameter.name)
+        if name not in fit.free or parameter.nuisance:
             continue
         value = fit.values[name]
-        bounds = [bound for bound in (one.minimum, one.maximum) if np.isfinite(bound) and bound != 0.0]
+        bounds = [bound for bound in (parameter.minimum, parameter.maximum) if np.isfinite(bound) and bound != 0.0]
         near = [bound for bound in bounds if abs(value - bound) <= _NEAR_BOUND * abs(bound)]
-        if one.ceiling and name in fit.on_bound and not near and value != one.neutral:  # the data's sizes set it
+        # the data's sizes set a ceiling
+        if parameter.ceiling and name in fit.on_bound and not near and value != parameter.neutral:
             near = [value]
-        if near and near[0] != one.neutral:
-            reasons.append(f"{one.name} lies on its bound {near[0]:.3g}")
+        if near and near[0] != parameter.neutral:
+            reasons.append(f"{parameter.name} lies on its bound {near[0]:.3g}")
     return reasons + violations(placed, fit)
 
 
 def wrong_signs(placed: Placed, values: Mapping[str, float]) -> list[str]:
     """Return which values of an effect have a sign that its law does not have."""
-    found = []
-    for one in placed.effect.parameters:
-        value = values.get(placed.name(one.name), 0.0)
-        if not (one.fixed or one.nuisance) and ((one.sign == "+" and value < 0) or (one.sign == "-" and value > 0)):
-            found.append(f"{one.name} = {value:.3g} has an unphysical sign")
-    return found
+    reasons = []
+    for parameter in placed.effect.parameters:
+        value = values.get(placed.name(parameter.name), 0.0)
+        if not (parameter.fixed or parameter.nuisance) and (
+            (parameter.sign == "+" and value < 0) or (parameter.sign == "-" and value > 0)
+        ):
+            reasons.append(f"{parameter.name} = {value:.3g} has an unphysical sign")
+    return reasons
 
 
 def violations(placed: Placed, fit: Fit) -> list[str]:
     """Return which relations between the values of an effect, as its law asks for them, do not hold."""
-    return placed.effect.violations({one.name: fit.values[placed.name(one.name)] for one in placed.effect.parameters})
+    return placed.effect.violations(
+        {parameter.name: fit.values[placed.name(parameter.name)] for parameter in placed.effect.parameters}
+    )

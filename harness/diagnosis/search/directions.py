@@ -106,21 +106,23 @@ def directions(
     sizes: Mapping[str, Mapping[str, float]],
 ) -> list[Direction]:
     """Return the directions of candidates, several for one whose parameters are not all linear."""
-    signals = {use: [signals_of(one, nominal) for one in parts if nominal.coordinates] for use, parts in traces.items()}
+    signals = {
+        use: [signals_of(trace, nominal) for trace in parts if nominal.coordinates] for use, parts in traces.items()
+    }
     known = {name: values[name] for name in nominal.parameter_names}
-    found: list[Direction] = []
+    possible: list[Direction] = []
     for placed in candidates:
         kind = port_of(nominal, placed).kind
         try:
             if kind == "output":
-                found += reading_directions(traces, nominal, placed, sizes, ports=_ports(traces))
+                possible += reading_directions(traces, nominal, placed, sizes, ports=_ports(traces))
             elif nominal.coordinates:
-                found += _forces(traces, signals, nominal, known, placed, sizes)
+                possible += _forces(traces, signals, nominal, known, placed, sizes)
             else:
-                found += _rates(traces, nominal, known, placed, sizes)
+                possible += _rates(traces, nominal, known, placed, sizes)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             continue
-    return [one for one in found if _finite(one)]
+    return [direction for direction in possible if _finite(direction)]
 
 
 def line_directions(
@@ -131,13 +133,15 @@ def line_directions(
     sizes: Mapping[str, Mapping[str, float]],
 ) -> list[Direction]:
     """Return the sine and the cosine of an effect with a phase whose other values are given."""
-    signals = {use: [signals_of(one, nominal) for one in parts if nominal.coordinates] for use, parts in traces.items()}
+    signals = {
+        use: [signals_of(trace, nominal) for trace in parts if nominal.coordinates] for use, parts in traces.items()
+    }
     known = {name: values[name] for name in nominal.parameter_names}
     return _blocks(traces, signals, nominal, known, line, sizes, "phi")
 
 
-def _finite(one: Direction) -> bool:
-    parts = [part for side in (one.forces, one.readings) for use in side.values() for part in use]
+def _finite(direction: Direction) -> bool:
+    parts = [part for side in (direction.forces, direction.readings) for use in side.values() for part in use]
     return all(np.isfinite(part).all() for part in parts)
 
 
@@ -162,7 +166,7 @@ def _ports(traces: Mapping[str, Sequence[Trace]]) -> int:
 
 def _nothing(traces: Mapping[str, Sequence[Along]], width: int, k: int) -> dict[str, list[FloatArray]]:
     """Return zeros (K, width, k) by use and record."""
-    return {use: [np.zeros((len(one.record), width, k)) for one in parts] for use, parts in traces.items()}
+    return {use: [np.zeros((len(trace.record), width, k)) for trace in parts] for use, parts in traces.items()}
 
 
 def _forces(
@@ -175,13 +179,17 @@ def _forces(
 ) -> list[Direction]:
     """Return the directions of an effect whose force follows from the motion."""
     if "periodic" in placed.effect.name:
-        placed_list = [placed.with_values({"omega": omega}) for omega in _frequencies(traces["estimation"])]
-        return [one for p in placed_list for one in _blocks(traces, signals, nominal, known, p, sizes, "phi")]
+        lines = [placed.with_values({"omega": omega}) for omega in _frequencies(traces["estimation"])]
+        return [
+            direction for line in lines for direction in _blocks(traces, signals, nominal, known, line, sizes, "phi")
+        ]
     if placed.effect.name == "cogging":
-        row = next(k for k, one in enumerate(nominal.coordinates) if one.name == placed.at)
-        angle = np.concatenate([one.q[:, row] for one in signals["estimation"]])
-        placed_list = [placed.with_values({"k": k}) for k in _waves(angle, placed)]
-        return [one for p in placed_list for one in _blocks(traces, signals, nominal, known, p, sizes, "phi")]
+        row = next(k for k, coordinate in enumerate(nominal.coordinates) if coordinate.name == placed.at)
+        angle = np.concatenate([motion.q[:, row] for motion in signals["estimation"]])
+        waves = [placed.with_values({"k": k}) for k in _waves(angle, placed)]
+        return [
+            direction for wave in waves for direction in _blocks(traces, signals, nominal, known, wave, sizes, "phi")
+        ]
     return _blocks(traces, signals, nominal, known, placed, sizes, "")
 
 
@@ -200,11 +208,11 @@ def _blocks(
     for choice in choices:
         made.append(
             {
-                use: [column_blocks(nominal, choice, one, parameters=known, sizes=sizes) for one in parts]
+                use: [column_blocks(nominal, choice, motion, parameters=known, sizes=sizes) for motion in parts]
                 for use, parts in signals.items()
             }
         )
-    found = []
+    directions = []
     for number, block in enumerate(made[0]["estimation"][0] if made[0]["estimation"] else []):
         forces = {
             use: [
@@ -219,16 +227,16 @@ def _blocks(
             names = ("in phase", "quarter turn")
         k = len(names)
         if forces["estimation"][0].shape[2] == k:
-            found.append(Direction(placed, given, names, forces, _nothing(traces, nominal.ny, k)))
-    return found
+            directions.append(Direction(placed, given, names, forces, _nothing(traces, nominal.ny, k)))
+    return directions
 
 
 def _frequencies(traces: Sequence[Trace]) -> list[float]:
     """Return the angular frequencies of the strongest lines of the latent forces [rad/s]."""
-    trace = max(traces, key=lambda one: len(one.record))
+    trace = max(traces, key=lambda trace: len(trace.record))
     n, dt = len(trace.record), trace.record.spec.sample_time
     window = np.hanning(n)
-    found: list[float] = []
+    frequencies: list[float] = []
     for row in range(trace.passes.nl):
         force = trace.x[:, trace.passes.start_size + row]
         power = np.abs(np.fft.rfft((force - force.mean()) * window, 4 * n)) ** 2
@@ -236,9 +244,9 @@ def _frequencies(traces: Sequence[Trace]) -> list[float]:
         power[omega * n * dt < 2 * 2 * np.pi] = 0.0
         for _ in range(3):
             peak = int(np.argmax(power))
-            found.append(float(omega[peak]))
+            frequencies.append(float(omega[peak]))
             power[max(peak - 12, 0) : peak + 13] = 0.0
-    return [one for one in found if one > 0]
+    return [frequency for frequency in frequencies if frequency > 0]
 
 
 def _waves(values: FloatArray, placed: Placed) -> list[float]:
@@ -247,17 +255,20 @@ def _waves(values: FloatArray, placed: Placed) -> list[float]:
     step = np.pi / max(float(high - low), 1e-9)
     parameter = placed.effect.parameter("k")
     return [
-        float(one) for one in np.arange(parameter.minimum, min(parameter.maximum, parameter.minimum + 24 * step), step)
+        float(number)
+        for number in np.arange(parameter.minimum, min(parameter.maximum, parameter.minimum + 24 * step), step)
     ]
 
 
 def choices(placed: Placed, at: Mapping[str, float]) -> list[tuple[dict[str, float], tuple[str, ...]]]:
     """Return choices of the nonlinear parameters, with the names of the linear ones."""
-    linear = tuple(one.name for one in placed.effect.parameters if one.linear and not one.fixed)
-    nonlinear = [one for one in placed.effect.parameters if one.name not in linear and not one.fixed]
-    grids = [one.starts(at) for one in nonlinear]
+    linear = tuple(parameter.name for parameter in placed.effect.parameters if parameter.linear and not parameter.fixed)
+    nonlinear = [
+        parameter for parameter in placed.effect.parameters if parameter.name not in linear and not parameter.fixed
+    ]
+    grids = [parameter.starts(at) for parameter in nonlinear]
     return [
-        (dict(zip((one.name for one in nonlinear), choice, strict=True)), linear)
+        (dict(zip((parameter.name for parameter in nonlinear), choice, strict=True)), linear)
         for choice in itertools.islice(itertools.product(*grids), EFFORT.choices)
     ]
 
@@ -277,7 +288,7 @@ def reading_directions(
     at = sizes.get(placed.at, {})
     if "phi" in placed.effect.parameter_names:
         return _waves_of_readings(traces, nominal, placed, row, ports)
-    found = []
+    directions = []
     for given, linear in choices(placed, at):
         names = linear or ("effect",)
         readings: dict[str, list[FloatArray]] = {}
@@ -297,8 +308,8 @@ def reading_directions(
                 else:
                     column[:, row, 0] = _sensor(placed, y, complete) - y
                 readings[use].append(column)
-        found.append(Direction(placed, given, names, _nothing(traces, ports, len(names)), readings))
-    return found
+        directions.append(Direction(placed, given, names, _nothing(traces, ports, len(names)), readings))
+    return directions
 
 
 def _waves_of_readings(
@@ -308,7 +319,7 @@ def _waves_of_readings(
     angle = np.concatenate([trace.expected[:, row] for trace in traces["estimation"]])
     main = placed.effect.main
     assert main is not None
-    found = []
+    directions = []
     for k in _waves(angle, placed):
         readings: dict[str, list[FloatArray]] = {}
         for use, parts in traces.items():
@@ -320,8 +331,8 @@ def _waves_of_readings(
                     column[:, row, number] = _sensor(placed, y, {"k": k, "phi": phase, main.name: 1.0}) - y
                 readings[use].append(column)
         names = ("in phase", "quarter turn")
-        found.append(Direction(placed, {"k": k}, names, _nothing(traces, ports, 2), readings))
-    return found
+        directions.append(Direction(placed, {"k": k}, names, _nothing(traces, ports, 2), readings))
+    return directions
 
 
 def _sensor(placed: Placed, y: FloatArray, values: Mapping[str, float]) -> FloatArray:
@@ -342,7 +353,7 @@ def _rates(
     kind = port_of(nominal, placed).kind
     base = ca.Function("f", [nominal.x, nominal.u, nominal.p, nominal.t], [nominal.f])
     p0 = nominal.vector(known)
-    found = []
+    directions = []
     for given, linear in choices(placed, at):
         names = linear or ("effect",)
         complete = placed.effect.complete(given, at)
@@ -356,22 +367,22 @@ def _rates(
             for trace in parts:
                 n, x = len(trace.record), trace.x[:, : nominal.nx]
                 plain = base.map(n)(x.T, trace.record.u.T, np.tile(p0[:, None], n), trace.record.t).full().T
-                each = []
+                rates = []
                 for case in cases:
                     if kind == "input":
                         u = input_behind(placed, trace, nominal, case)
-                        each.append(base.map(n)(x.T, u.T, np.tile(p0[:, None], n), trace.record.t).full().T - plain)
+                        rates.append(base.map(n)(x.T, u.T, np.tile(p0[:, None], n), trace.record.t).full().T - plain)
                         continue
                     whole = compose(nominal, [placed.with_values(case)], sizes={"": at})
                     made = ca.Function("g", [whole.x, whole.u, whole.p, whole.t], [whole.f[: nominal.nx]])
                     p = whole.vector({**known, **{placed.name(k): v for k, v in case.items()}})
                     wide = np.hstack([x, np.zeros((n, whole.nx - nominal.nx))])
                     rate = made.map(n)(wide.T, trace.record.u.T, np.tile(p[:, None], n), trace.record.t).full().T
-                    each.append(rate - plain)
-                columns = [one - each[0] for one in each[1:]] if linear else each
+                    rates.append(rate - plain)
+                columns = [rate - rates[0] for rate in rates[1:]] if linear else rates
                 forces[use].append(np.stack(columns, axis=2))
-        found.append(Direction(placed, given, names, forces, _nothing(traces, nominal.ny, len(names))))
-    return found
+        directions.append(Direction(placed, given, names, forces, _nothing(traces, nominal.ny, len(names))))
+    return directions
 
 
 def input_behind(placed: Placed, trace: Along, nominal: Any, values: Mapping[str, float]) -> FloatArray:
@@ -404,16 +415,19 @@ def test_functions(traces: Mapping[str, Sequence[Trace]], nominal: Any) -> list[
     names = [channel.name for channel in nominal.states]
     inputs = [channel.name for channel in nominal.inputs]
     values = {
-        name: {use: [one.x[:, row] for one in parts] for use, parts in traces.items()} for row, name in enumerate(names)
+        name: {use: [trace.x[:, row] for trace in parts] for use, parts in traces.items()}
+        for row, name in enumerate(names)
     }
     values |= {
-        name: {use: [one.record.u[:, row] for one in parts] for use, parts in traces.items()}
+        name: {use: [trace.record.u[:, row] for trace in parts] for use, parts in traces.items()}
         for row, name in enumerate(inputs)
     }
-    pairs = [(names[one.q], other) for one in nominal.coordinates for other in (names[one.v], *inputs)]
-    pairs += [(names[one.v], other) for one in nominal.coordinates for other in inputs]
-    readings = {use: [one.record.y for one in parts] for use, parts in traces.items()}
-    times = {use: [one.record.t for one in parts] for use, parts in traces.items()}
+    pairs = [
+        (names[coordinate.q], other) for coordinate in nominal.coordinates for other in (names[coordinate.v], *inputs)
+    ]
+    pairs += [(names[coordinate.v], other) for coordinate in nominal.coordinates for other in inputs]
+    readings = {use: [trace.record.y for trace in parts] for use, parts in traces.items()}
+    times = {use: [trace.record.t for trace in parts] for use, parts in traces.items()}
     ports = traces["estimation"][0].ports
     return spline_directions(values, pairs, ports, readings) + drift_directions(values, times, ports, readings)
 
@@ -437,14 +451,14 @@ def spline_directions(
     readings : mapping of str to sequence of array (K, ny)
         Only their shapes count.
     """
-    found: list[Direction] = []
+    directions: list[Direction] = []
     for group in [*((name,) for name in values), *pairs]:
         counts = (EFFORT.knots,) if len(group) == 1 else EFFORT.joint_knots
         knots = []
         for name, count in zip(group, counts, strict=True):
             every = np.concatenate(list(values[name]["estimation"]))
             knots.append(np.unique(np.quantile(every, np.linspace(0.01, 0.99, count))))
-        if any(len(one) < 3 for one in knots):
+        if any(len(at) < 3 for at in knots):
             continue
         basis: dict[str, list[FloatArray]] = {}
         for use, parts in readings.items():
@@ -453,8 +467,8 @@ def spline_directions(
                 hats = [hat_basis(values[name][use][number], at) for name, at in zip(group, knots, strict=True)]
                 basis[use].append(hats[0] if len(hats) == 1 else joint_basis(hats[0], hats[1]))
         labels = [", ".join(f"{n} {v:.3g}" for n, v in zip(group, at, strict=True)) for at in itertools.product(*knots)]
-        found += _at_every_port(basis, ports, readings, " and ".join(group), labels)
-    return found
+        directions += _at_every_port(basis, ports, readings, " and ".join(group), labels)
+    return directions
 
 
 def drift_directions(
@@ -477,19 +491,19 @@ def drift_directions(
     readings : mapping of str to sequence of array (K, ny)
         Only their shapes count.
     """
-    longest = max(float(one[-1] - one[0]) for one in times["estimation"])
+    longest = max(float(time[-1] - time[0]) for time in times["estimation"])
     knots = np.linspace(0.0, longest, EFFORT.joint_knots[0])
-    hats = {use: [hat_basis(one - one[0], knots) for one in parts] for use, parts in times.items()}
+    hats = {use: [hat_basis(time - time[0], knots) for time in parts] for use, parts in times.items()}
     hats = {use: [part - part.mean(axis=0) for part in parts] for use, parts in hats.items()}  # no lasting part
-    found: list[Direction] = []
+    directions: list[Direction] = []
     for name, axis in values.items():
         basis = {
             use: [value[:, None] * hat for value, hat in zip(axis[use], parts, strict=True)]
             for use, parts in hats.items()
         }
         labels = [f"{at:.3g} s" for at in knots]
-        found += _at_every_port(basis, ports, readings, f"{name}{DRIFT}", labels)
-    return found
+        directions += _at_every_port(basis, ports, readings, f"{name}{DRIFT}", labels)
+    return directions
 
 
 def _at_every_port(
@@ -501,11 +515,11 @@ def _at_every_port(
 ) -> list[Direction]:
     """Return the forces of a basis (K, k) by use and record at each port."""
     nothing = {use: [np.zeros((*part.shape, len(labels))) for part in parts] for use, parts in readings.items()}
-    found = []
+    directions = []
     for row, port in enumerate(ports):
         forces = {
             use: [np.stack([part * float(k == row) for k in range(len(ports))], axis=1) for part in made]
             for use, made in basis.items()
         }
-        found.append(Direction(None, {}, (f"{port} over {axis}", *labels[1:]), forces, nothing))
-    return found
+        directions.append(Direction(None, {}, (f"{port} over {axis}", *labels[1:]), forces, nothing))
+    return directions

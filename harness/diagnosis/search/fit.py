@@ -78,11 +78,11 @@ class Fit:
     @property
     def samples(self) -> int:
         """Samples of the estimation records."""
-        return sum(len(one) for one in self.terms["estimation"])
+        return sum(len(terms) for terms in self.terms["estimation"])
 
     def log_likelihood(self, use: str) -> float:
         """Return the log-likelihood of the records of a use."""
-        return float(sum(one.sum() for one in self.terms[use]))
+        return float(sum(terms.sum() for terms in self.terms[use]))
 
     @property
     def penalised(self) -> float:

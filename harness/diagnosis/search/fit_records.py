@@ -17,15 +17,15 @@ def point_record(point: Point) -> dict[str, Any]:
     noise = point.noise
     return {
         "p": point.p.tolist(),
-        "x0": [one.tolist() for one in point.x0],
-        "noise": [one.tolist() for one in (noise.r, noise.s, noise.tau, noise.w)],
+        "x0": [state.tolist() for state in point.x0],
+        "noise": [values.tolist() for values in (noise.r, noise.s, noise.tau, noise.w)],
     }
 
 
 def point_from_record(record: dict[str, Any]) -> Point:
     """Return the point of a record."""
-    noise = Noise(*(np.array(one, dtype=float) for one in record["noise"]))
-    return Point(np.array(record["p"], dtype=float), [np.array(one, dtype=float) for one in record["x0"]], noise)
+    noise = Noise(*(np.array(values, dtype=float) for values in record["noise"]))
+    return Point(np.array(record["p"], dtype=float), [np.array(state, dtype=float) for state in record["x0"]], noise)
 
 
 def fit_record(fit: LikelihoodFit) -> dict[str, Any]:
@@ -47,15 +47,15 @@ def fit_record(fit: LikelihoodFit) -> dict[str, Any]:
 def fit_from_record(record: dict[str, Any], likelihood: Likelihood) -> LikelihoodFit | None:
     """Return the fit of a record, filtered once more; None if that diverges."""
     point = point_from_record(record["point"])
-    found: list[Filtered] | None = likelihood.filtered(point)
-    if found is None:
+    filtered: list[Filtered] | None = likelihood.filtered(point)
+    if filtered is None:
         return None
     names = tuple(record["names"])
     return LikelihoodFit(
         likelihood.system,
         point,
-        float(sum(one.nll for one in found)),
-        [one.terms for one in found],
+        float(sum(passed.nll for passed in filtered)),
+        [passed.terms for passed in filtered],
         names,
         np.array(record["covariance"], dtype=float).reshape(len(names), len(names)),
         np.array(record["logarithmic"], dtype=bool),
@@ -63,7 +63,7 @@ def fit_from_record(record: dict[str, Any], likelihood: Likelihood) -> Likelihoo
         tuple(record["on_bound"]),
         int(record["iterations"]),
         str(record["message"]),
-        found,
+        filtered,
         bool(record["beyond"]),
         undetermined=tuple(record["undetermined"]),
     )

@@ -15,7 +15,7 @@ from harness.signals import FloatArray
 
 __all__ = ["Axis", "Leftover", "largest_evidence", "left_over"]
 
-PRIORS = tuple(float(one) for one in np.geomspace(1e-2, 1e6, 17))
+PRIORS = tuple(float(prior) for prior in np.geomspace(1e-2, 1e6, 17))
 """Variances of the coefficients that are tried, in units of what the innovations can tell."""
 
 
@@ -56,7 +56,7 @@ class Axis:
             "validation": self.validation,
             "standard_error": self.error,
             "knots": list(self.knots),
-            "values": [float(one) for one in self.values],
+            "values": [float(value) for value in self.values],
         }
 
 
@@ -71,12 +71,12 @@ class Leftover:
     def best(self) -> Axis | None:
         """The axis that predicts most of what is left, if one does so beyond chance."""
         policy = self.policy
-        for one in self.axes:
-            size, z = one.total, policy.spline_z
-            if one.name.endswith(DRIFT):  # by chance an unknown force may follow the motion in one record for a while
-                size, z = min(one.evidence, one.validation), policy.validation_z
-            if size > policy.spline and one.validation > z * one.error:
-                return one
+        for axis in self.axes:
+            size, z = axis.total, policy.spline_z
+            if axis.name.endswith(DRIFT):  # by chance an unknown force may follow the motion in one record for a while
+                size, z = min(axis.evidence, axis.validation), policy.validation_z
+            if size > policy.spline and axis.validation > z * axis.error:
+                return axis
         return None
 
 
@@ -91,8 +91,8 @@ def left_over(form: Form, fit: Fit, policy: Policy = POLICY) -> Leftover:
     """
     linear = form.linearised(fit)
     basis, residual = projected(form, fit)
-    axes = [_axis(one, basis, residual, linear, policy) for one in form.test_functions(fit)]
-    return Leftover(tuple(sorted(axes, key=lambda one: -one.total)), policy)
+    axes = [_axis(column, basis, residual, linear, policy) for column in form.test_functions(fit)]
+    return Leftover(tuple(sorted(axes, key=lambda axis: -axis.total)), policy)
 
 
 def _axis(column: Column, basis: FloatArray, residual: FloatArray, linear: Linearised, policy: Policy) -> Axis:
@@ -117,10 +117,10 @@ def _axis(column: Column, basis: FloatArray, residual: FloatArray, linear: Linea
         q, _ = np.linalg.qr(starts)
         other, change, along = (part - q @ (q.T @ part) for part in (other, change, along))
     before, after = (_expected(part, along, linear.moved) for part in (other, other + change))
-    each = before - after
-    sums = np.array([part.sum() for part in np.array_split(each, policy.blocks)])
+    gain = before - after
+    sums = np.array([part.sum() for part in np.array_split(gain, policy.blocks)])
     error = float(np.sqrt(len(sums)) * sums.std(ddof=1))
-    return Axis(column.names[0], evidence, float(each.sum()), error, tuple(column.names[1:]), values)
+    return Axis(column.names[0], evidence, float(gain.sum()), error, tuple(column.names[1:]), values)
 
 
 def _expected(left: FloatArray, along: FloatArray, moved: FloatArray) -> FloatArray:

@@ -45,7 +45,7 @@ def lightened(
     dict
         New values of ``free``.
     """
-    place = [one.name for one in nominal.coordinates].index(at)
+    place = [coordinate.name for coordinate in nominal.coordinates].index(at)
     columns = [nominal.parameter_names.index(name) for name in free]
     a = ca.SX.sym("a", len(nominal.coordinates))
     left = nominal.upright(ca.mtimes(nominal.mass_matrix, a) - nominal.generalized_forces)
@@ -58,11 +58,11 @@ def lightened(
         every = slice(None, None, max(1, len(trace.record) // _LOOKED_AT))
         moved = signals_of(trace, nominal).a[every]
         n = len(moved)
-        found = function.map(n)(
+        derivative = function.map(n)(
             trace.x[every, : nominal.nx].T, trace.record.u[every].T, np.tile(p[:, None], n), trace.record.t[every],
             moved.T,
         ).full()  # fmt: skip
-        rows.append(found.reshape(len(a.nz), n, len(free)).transpose(1, 0, 2) * now)
+        rows.append(derivative.reshape(len(a.nz), n, len(free)).transpose(1, 0, 2) * now)
         force = np.zeros_like(moved)
         force[:, place] = -inertia * moved[:, place]
         wanted.append(force)

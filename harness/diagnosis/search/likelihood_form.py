@@ -140,11 +140,11 @@ class LikelihoodForm:
     def first_starts(self) -> list[dict[str, float]]:
         """Return parameters to start the nominal fit from: as declared, and where equation errors are least."""
         system = self.nominal
-        free = np.array([not one.fixed for one in system.parameters], dtype=bool)
+        free = np.array([not parameter.fixed for parameter in system.parameters], dtype=bool)
         vectors = first_values(
             system, self.records["estimation"], system.values(), free, set(), self.dataset.intersample
         )
-        return [dict(zip(system.parameter_names, map(float, one), strict=True)) for one in vectors]
+        return [dict(zip(system.parameter_names, map(float, vector), strict=True)) for vector in vectors]
 
     def resize(self, nominal: Fit) -> bool:
         """Take the sizes of forces and of unmeasured levels from the nominal fit: effects start from them.
@@ -152,9 +152,9 @@ class LikelihoodForm:
         The noise is bounded by them as well. True where declared parameters were so far off that a fit must be made
         anew within the new bounds.
         """
-        sizes = {port: dict(one) for port, one in sizes_of(self.nominal, nominal.values, self.dataset).items()}
+        sizes = {port: dict(size) for port, size in sizes_of(self.nominal, nominal.values, self.dataset).items()}
         _, smooth = self.paths(nominal, "estimation")
-        x = np.concatenate([one.x for one in smooth])
+        x = np.concatenate([motion.x for motion in smooth])
         names = [channel.name for channel in self.nominal.states]
         for port in self.nominal.ports:
             if port.kind == "process":
@@ -181,7 +181,7 @@ class LikelihoodForm:
         try:
             system = self.composed(effects)
             vectors = [_within(system, {**system.values(), **_known(system, start)}) for start in starts]
-            substeps = int(np.median([self.substeps(system, one) for one in vectors]))
+            substeps = int(np.median([self.substeps(system, values) for values in vectors]))
             for finer in range(EFFORT.finer):  # what diverges may do so by its steps alone
                 passes = self.passes(system, substeps * 2**finer)
                 likelihood, points = self._to_start(system, passes, vectors, starts, effects, base)
@@ -226,8 +226,8 @@ class LikelihoodForm:
         """Return initial states with those that a start names."""
         names = passes.state_names
         return [
-            np.array([start.get(_state(number, name), value) for name, value in zip(names, one, strict=True)])
-            for number, one in enumerate(x0)
+            np.array([start.get(_state(number, name), value) for name, value in zip(names, state, strict=True)])
+            for number, state in enumerate(x0)
         ]
 
     @staticmethod
@@ -235,15 +235,15 @@ class LikelihoodForm:
         """Return the values at which what a base lacks vanishes; None where there is no such place."""
         if base is None:
             return None
-        present = {str(one) for one in base.effects}
-        fresh = [one for one in effects if str(one) not in present]
-        if not fresh or len(fresh) + len(present) > len(effects) or not all(one.effect.vanishes for one in fresh):
+        present = {str(placed) for placed in base.effects}
+        fresh = [placed for placed in effects if str(placed) not in present]
+        if not fresh or len(fresh) + len(present) > len(effects) or not all(placed.effect.vanishes for placed in fresh):
             return None
         return {
-            one.name(each.name): each.neutral
-            for one in fresh
-            for each in one.effect.parameters
-            if each.neutral is not None
+            placed.name(parameter.name): parameter.neutral
+            for placed in fresh
+            for parameter in placed.effect.parameters
+            if parameter.neutral is not None
         }
 
     def _back(
@@ -283,10 +283,10 @@ class LikelihoodForm:
         """
         halved = spare and (len(points) > 1 or hope > -np.inf)
         tried = self._stepped(likelihood, points, EFFORT.looks if halved else EFFORT.first_steps, free)
-        near = [one for one in tried if halved and one.nll < tried[0].nll + EFFORT.close]
-        if any(not one.converged and -one.nll + EFFORT.first_steps * one.pace >= hope for one in near):
-            more = self._stepped(likelihood, [one.point for one in near], EFFORT.first_steps - EFFORT.looks, free)
-            tried = sorted([*more, *tried[len(near) :]], key=lambda one: one.nll)
+        near = [fit for fit in tried if halved and fit.nll < tried[0].nll + EFFORT.close]
+        if any(not fit.converged and -fit.nll + EFFORT.first_steps * fit.pace >= hope for fit in near):
+            more = self._stepped(likelihood, [fit.point for fit in near], EFFORT.first_steps - EFFORT.looks, free)
+            tried = sorted([*more, *tried[len(near) :]], key=lambda fit: fit.nll)
         return tried
 
     @staticmethod
@@ -294,22 +294,22 @@ class LikelihoodForm:
         likelihood: Likelihood, points: Sequence[Point], most: int, free: Sequence[str] | None = None
     ) -> list[LikelihoodFit]:
         """Return where a few steps lead from each point, likeliest first; without those that cannot be simulated."""
-        found: list[LikelihoodFit] = []
+        fits: list[LikelihoodFit] = []
         for point in points:
             try:
-                found.append(likelihood.maximise(point, most=most, free=free, exact=False))
+                fits.append(likelihood.maximise(point, most=most, free=free, exact=False))
             except (FitError, ArithmeticError, np.linalg.LinAlgError):
                 continue
-        return sorted(found, key=lambda one: one.nll)
+        return sorted(fits, key=lambda fit: fit.nll)
 
     def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         system, passes, likelihood, tried = begun.detail
         reach = np.inf if rival is None else EFFORT.margin - rival.log_likelihood("estimation")
         try:
-            near = [one for one in tried if one.nll < tried[0].nll + EFFORT.close]
-            ends = [likelihood.maximise(one.point, reach=reach, near=one.converged) for one in near[:2]]
-            best = min(ends, key=lambda one: one.nll)
+            near = [fit for fit in tried if fit.nll < tried[0].nll + EFFORT.close]
+            ends = [likelihood.maximise(fit.point, reach=reach, near=fit.converged) for fit in near[:2]]
+            best = min(ends, key=lambda fit: fit.nll)
             best = best if best.converged or best.beyond else likelihood.maximise(best.point, reach=reach)
             for _ in range(EFFORT.finer):  # coarse steps keep a fit from where its law is fast
                 needed = self.substeps(system, {**system.values(), **_known(system, best.parameters)})
@@ -380,14 +380,17 @@ class LikelihoodForm:
         """
         names = set(system.parameter_names)
         counted = [name for name in best.names if not name.startswith("x0[")]
-        each = expected.price / sum(len(one) for one in self.records["validation"])
+        each = expected.price / sum(len(record) for record in self.records["validation"])
         fit = Fit(
             tuple(effects),
             system,
             best.parameters,
             tuple(name for name in best.names if name in names),
             len(counted),
-            {"estimation": [-one for one in best.terms], "validation": [-one.terms - each for one in outside]},
+            {
+                "estimation": [-terms for terms in best.terms],
+                "validation": [-passed.terms - each for passed in outside],
+            },
             {name: best.deviation(name) for name in best.names if name in names},
             frozenset(name for name, log in zip(best.names, best.logarithmic, strict=True) if log and name in names),
             best.converged,
@@ -404,15 +407,15 @@ class LikelihoodForm:
 
     def change(self, fit: Fit, placed: Placed) -> float:
         """Return how much an effect changes of rates or readings along the estimation records, as a share of them."""
-        less = self.composed([one for one in fit.effects if str(one) != str(placed)])
-        moving = [one.v for one in self.nominal.coordinates] or range(self.nominal.nx)
-        return changed_share(self._traces(fit, USES[:1])["estimation"], fit.system, less, list(moving))
+        less = self.composed([other for other in fit.effects if str(other) != str(placed)])
+        rates = [coordinate.v for coordinate in self.nominal.coordinates] or range(self.nominal.nx)
+        return changed_share(self._traces(fit, USES[:1])["estimation"], fit.system, less, list(rates))
 
     def _wandering(self, fit: Fit, placed: Placed) -> float:
         """Return the evidence that the amplitude and the phase of a line change along the records."""
         line = placed.with_values({"omega": fit.values[placed.name("omega")]})
-        found = line_directions(self._traces(fit, USES), self.nominal, fit.values, line, self.sizes)
-        pieces = [piece for one in found for piece in in_parts(one, POLICY.line_parts)]
+        waves = line_directions(self._traces(fit, USES), self.nominal, fit.values, line, self.sizes)
+        pieces = [piece for wave in waves for piece in in_parts(wave, POLICY.line_parts)]
         return wandering(self.linearised(fit), self._answered(fit, pieces)) if pieces else 0.0
 
     def apart(self, fit: Fit) -> Apart | None:
@@ -431,7 +434,7 @@ class LikelihoodForm:
             return None
         if before is None:
             return None
-        gains = [one.terms - own for one, own in zip(before, after.terms, strict=True)]
+        gains = [passed.terms - own for passed, own in zip(before, after.terms, strict=True)]
         moved = {}
         for name in fit.free:
             spread = float(np.hypot(fit.deviations[name], after.deviation(name) if name in after.names else 0.0))
@@ -441,32 +444,32 @@ class LikelihoodForm:
             if 0 < spread < np.inf:
                 moved[name] = abs(change) / spread
         farthest = max(moved, key=lambda name: moved[name], default="")
-        return Apart(float(sum(one.sum() for one in gains)), gains, farthest, after.parameters.get(farthest, np.nan))
+        return Apart(float(sum(gain.sum() for gain in gains)), gains, farthest, after.parameters.get(farthest, np.nan))
 
     def with_deviations(self, fit: Fit) -> Fit:
         """Return a fit with deviations for a coloured error of its free runs; one with latent forces as it is."""
         if self.latent:
             return fit
-        passed, _ = self.paths(fit, "estimation")
+        paths, _ = self.paths(fit, "estimation")
         count = len(fit.free)
-        own = passed[0].j.shape[2] - count if passed[0].j is not None else 0
+        own = paths[0].j.shape[2] - count if paths[0].j is not None else 0
         wide = []
-        for number, one in enumerate(passed):
-            j = np.zeros((*one.e.shape, count + own * len(passed)))
-            assert one.j is not None
-            j[..., :count] = one.j[..., :count]
-            j[..., count + number * own : count + (number + 1) * own] = one.j[..., count:]
+        for number, passed in enumerate(paths):
+            j = np.zeros((*passed.e.shape, count + own * len(paths)))
+            assert passed.j is not None
+            j[..., :count] = passed.j[..., :count]
+            j[..., count + number * own : count + (number + 1) * own] = passed.j[..., count:]
             wide.append(j)
         keep = [k for k in range(wide[0].shape[2]) if k >= count or fit.deviations[fit.free[k]] > 0]
-        parts = [one[..., keep] for one in wide]
-        covariance = robust_covariance([one.e for one in passed], parts, POLICY.order, self._floor)
-        found = dict(fit.deviations)
+        parts = [part[..., keep] for part in wide]
+        covariance = robust_covariance([passed.e for passed in paths], parts, POLICY.order, self._floor)
+        deviations = dict(fit.deviations)
         for k, column in enumerate(keep):
             if column < count and np.isfinite(fit.deviations[fit.free[column]]):
                 name = fit.free[column]
                 size = abs(fit.values[name]) if name in fit.logarithmic else 1.0
-                found[name] = float(np.sqrt(max(covariance[k, k], 0.0)) / max(size, 1e-300))
-        return replace(fit, deviations=found)
+                deviations[name] = float(np.sqrt(max(covariance[k, k], 0.0)) / max(size, 1e-300))
+        return replace(fit, deviations=deviations)
 
     def _likelihood(
         self, system: Any, use: str, passes: Pass, records: Sequence[Trajectory] | None = None
@@ -529,7 +532,7 @@ class LikelihoodForm:
         A phase that is fitted where it is judged would let any line of a spectrum pass for something periodic, but what
         repeats keeps its phase: each half is judged with that of the other.
         """
-        found = []
+        told = []
         for record, x0 in zip(self.records["validation"], whole.x0, strict=True):
             sides: list[FloatArray] = []
             for half, start in ((record[: len(record) // 2], x0), (record[len(record) // 2 :], None)):
@@ -539,24 +542,24 @@ class LikelihoodForm:
                     start[: self.nominal.nx] = self.first_state(system, half, whole.p)[: self.nominal.nx]
                 free = [*phases, *(name for name in part.names if name.startswith("x0["))]
                 sides.append(part.maximise(replace(whole, x0=[start]), free=free, most=25, exact=False).point.p)
-            found.append((sides[0], sides[1]))
-        return found
+            told.append((sides[0], sides[1]))
+        return told
 
     def _outside(
         self, system: Any, passes: Pass, point: Point, told: Sequence[tuple[FloatArray, FloatArray]]
     ) -> list[Filtered] | None:
         """Return the passes over the validation records, each half with the phases that the other half tells."""
-        passed = self._likelihood(system, "validation", passes).filtered(point)
-        if passed is None or not told:
-            return passed
-        for one, record, x0, (first, second) in zip(passed, self.records["validation"], point.x0, told, strict=True):
+        paths = self._likelihood(system, "validation", passes).filtered(point)
+        if paths is None or not told:
+            return paths
+        for passed, record, x0, (first, second) in zip(paths, self.records["validation"], point.x0, told, strict=True):
             middle = len(record) // 2
             for p, judged in ((second, slice(None, middle)), (first, slice(middle, None))):
                 other = passes(record, p, x0, point.noise)
                 if other is None:
                     return None
-                one.e[judged], one.s[judged] = other.e[judged], other.s[judged]
-        return passed
+                passed.e[judged], passed.s[judged] = other.e[judged], other.s[judged]
+        return paths
 
     def _noises(self, base: Fit | None, effects: Sequence[Placed] = ()) -> list[Noise]:
         """Return the noise to start from: that of the base, which other effects may change, else several."""
@@ -575,13 +578,13 @@ class LikelihoodForm:
         lost where they are not needed, and where a law has taken up the force the next steps find them.
         """
         floor = 1e-3 * self.noise_model.force_scale
-        spread = np.sqrt(np.median(np.concatenate([one.s for one in seen.filtered]), axis=0))
+        spread = np.sqrt(np.median(np.concatenate([passed.s for passed in seen.filtered]), axis=0))
         r = np.maximum(noise.r, 0.3 * spread)
         return replace(noise, s=np.maximum(noise.s, floor), w=np.maximum(noise.w, 0.1 * floor), r=r)
 
     def _starts(self, system: Any, passes: Pass, p: FloatArray, use: str, base: Fit | None) -> list[FloatArray]:
         """Return initial states to start from: those of the base, new hidden states where their effects say."""
-        found = []
+        starts = []
         names = [channel.name for channel in system.states]
         simulator = passes.simulator
         if base is not None and list(map(len, base.terms[use])) != list(map(len, self.records[use])):
@@ -605,8 +608,8 @@ class LikelihoodForm:
                     first = system.nx - system.hidden_count
                     for k in fresh:
                         x[k] = hidden[k - first]
-            found.append(x)
-        return found
+            starts.append(x)
+        return starts
 
     # ---- what the score test needs -----------------------------------------------------------------------------------
 
@@ -622,14 +625,14 @@ class LikelihoodForm:
                 + list(range(detail.passes.parameter_count, detail.passes.parameter_count + detail.passes.start_size)),
                 dtype=np.intp,
             )
-            found = [
+            paths = [
                 detail.passes(record, point.p, x0, point.noise, columns=columns, keep=True)
                 for record, x0 in zip(self.records[use], point.x0, strict=True)
             ]
-            if any(one is None for one in found):
+            if any(passed is None for passed in paths):
                 raise FitError("filter", expected="a finite state", got="divergence", remedy="refit the model")
-            detail.paths[use] = [one for one in found if one is not None]
-            detail.smooth[use] = [self.smooth(one) for one in detail.paths[use]]
+            detail.paths[use] = [passed for passed in paths if passed is not None]
+            detail.smooth[use] = [self.smooth(passed) for passed in detail.paths[use]]
         return detail.paths[use], detail.smooth[use]
 
     def forgetful(self, fit: Fit) -> Fit | None:
@@ -653,13 +656,13 @@ class LikelihoodForm:
         residual, nuisance = {}, {}
         count = len(fit.free)
         for use in USES:
-            passed, _ = self.paths(fit, use)
-            residual[use] = np.concatenate([whitened(one.e, one.s) for one in passed])
+            paths, _ = self.paths(fit, use)
+            residual[use] = np.concatenate([whitened(passed.e, passed.s) for passed in paths])
             parts = []
-            for number, one in enumerate(passed):
-                assert one.j is not None
-                j = whitened(one.j, one.s[..., None])
-                wide = np.zeros((len(j), count + len(passed) * (j.shape[1] - count)))
+            for number, passed in enumerate(paths):
+                assert passed.j is not None
+                j = whitened(passed.j, passed.s[..., None])
+                wide = np.zeros((len(j), count + len(paths) * (j.shape[1] - count)))
                 states = j.shape[1] - count
                 wide[:, :count] = j[:, :count]
                 wide[:, count + number * states : count + (number + 1) * states] = j[:, count:]
@@ -685,19 +688,21 @@ class LikelihoodForm:
         point: Point = base.detail.points["estimation"] if rival is None else rival.detail[3][0].point
         noise = point.noise
         left = np.sqrt(noise.s**2 + noise.w**2) / self.noise_model.force_scale
-        found = []
+        suspects = []
         lighter: dict[tuple[str, float], dict[str, float]] = {}
         for placed in candidates if left.max(initial=0.0) > EFFORT.negligible else ():
             if placed.effect.linearises or port_of(self.nominal, placed).kind != "coordinate":
                 continue
             at = self.sizes.get(placed.at, {})
-            free = [one for one in placed.effect.parameters if not one.fixed]
-            grids = itertools.product(*(one.starts(at) for one in free))
-            starts = [{placed.name(one.name): v for one, v in zip(free, choice, strict=True)} for choice in grids]
-            found.append(
-                Suspect(placed, tuple({**self._lightened(base, placed, one, lighter), **one} for one in starts))
+            free = [parameter for parameter in placed.effect.parameters if not parameter.fixed]
+            grids = itertools.product(*(parameter.starts(at) for parameter in free))
+            starts = [
+                {placed.name(parameter.name): v for parameter, v in zip(free, choice, strict=True)} for choice in grids
+            ]
+            suspects.append(
+                Suspect(placed, tuple({**self._lightened(base, placed, start, lighter), **start} for start in starts))
             )
-        return found + self._piled_up(base, candidates) + self._lost_signs(base, candidates)
+        return suspects + self._piled_up(base, candidates) + self._lost_signs(base, candidates)
 
     def _lightened(
         self, base: Fit, placed: Placed, start: Mapping[str, float], known: dict[tuple[str, float], dict[str, float]]
@@ -706,7 +711,9 @@ class LikelihoodForm:
 
         The nominal fit holds both. Left as it is, the plant is too heavy by the motor, and a fit makes that small.
         """
-        inertias = [start[placed.name(one.name)] for one in placed.effect.parameters if one.unit == "F/a"]
+        inertias = [
+            start[placed.name(parameter.name)] for parameter in placed.effect.parameters if parameter.unit == "F/a"
+        ]
         if not inertias:
             return {}
         key = placed.at, sum(inertias)
@@ -724,7 +731,7 @@ class LikelihoodForm:
         names = [channel.name for channel in self.nominal.outputs]
         # a model that does not fit at all may blame a force for everything, and nothing on the sensor
         noise = np.maximum(base.detail.points["estimation"].noise.r, self._first_noise)
-        found = []
+        suspects = []
         for placed in candidates:
             main = placed.effect.main
             limits = main is not None and main.unit == "y" and main.neutral is None and main.minimum >= 0
@@ -739,8 +746,8 @@ class LikelihoodForm:
                 continue
             start = {placed.name(main.name): float(np.median(piled))}
             anew = None if base.effects else self._from_uncut(placed, column, ceiling, start)
-            found.append(Suspect(placed, (start if anew is None else anew.values,), anew))
-        return found
+            suspects.append(Suspect(placed, (start if anew is None else anew.values,), anew))
+        return suspects
 
     def _from_uncut(self, placed: Placed, column: int, ceiling: float, start: dict[str, float]) -> Fit | None:
         """Return the fit with a sensor's ceiling that starts from the nominal fit to what lies below it.
@@ -750,7 +757,7 @@ class LikelihoodForm:
         below = uncut(self.dataset, column, ceiling)
         plain = None if below is None else self.on(below).fit((), self.first_starts(), None)
         if plain is None:
-            return self.fit([placed], [one | start for one in self.first_starts()], None)
+            return self.fit([placed], [first | start for first in self.first_starts()], None)
         try:
             system = self.composed([placed])
             passes = self.passes(system, self.substeps(system, {**system.values(), **plain.values, **start}))
@@ -770,7 +777,7 @@ class LikelihoodForm:
     def _lost_signs(self, base: Fit, candidates: Sequence[Placed]) -> list[Suspect]:
         """Return sensors that may have lost a sign, with the fit of the nominal model to the unfolded output."""
         names = [channel.name for channel in self.nominal.outputs]
-        found: list[Suspect] = []
+        suspects: list[Suspect] = []
         for placed in candidates if not base.effects else ():
             if placed.effect.name not in HIDING or placed.at not in names:
                 continue
@@ -778,15 +785,15 @@ class LikelihoodForm:
             runs = [*self.records["estimation"], *self.records["validation"]]
             best: Fit | None = None
             for signs in unfoldings(runs, column, most=2):
-                if any(len(one) != len(run) for one, run in zip(signs.signs, runs, strict=True)):
+                if any(len(sign) != len(run) for sign, run in zip(signs.signs, runs, strict=True)):
                     continue
                 form = self.on(self._unfolded(signs.signs, column))
                 plain = form.fit((), form.first_starts(), None)
                 if plain is not None and (best is None or plain.penalised > best.penalised):
                     best = plain
             if best is not None:
-                found.append(Suspect(placed, ({},), best))
-        return found
+                suspects.append(Suspect(placed, ({},), best))
+        return suspects
 
     def _unfolded(self, signs: Sequence[FloatArray], column: int) -> Dataset:
         """Return the data with the signs of one output."""
@@ -803,17 +810,17 @@ class LikelihoodForm:
         """Return the smoothed motion of every record of some uses."""
         detail: Detail = fit.detail
         if self.latent:
-            ports = tuple(one.port for one in detail.passes.forces)
+            ports = tuple(force.port for force in detail.passes.forces)
         else:
-            ports = tuple(one.name for one in self.nominal.states)
-        found: dict[str, list[Trace]] = {}
+            ports = tuple(state.name for state in self.nominal.states)
+        traces: dict[str, list[Trace]] = {}
         for use in uses:
             _, smooth = self.paths(fit, use)
-            found[use] = [
-                Trace(record, one.x, detail.passes, detail.points[use].p, ports)
-                for record, one in zip(self.records[use], smooth, strict=True)
+            traces[use] = [
+                Trace(record, motion.x, detail.passes, detail.points[use].p, ports)
+                for record, motion in zip(self.records[use], smooth, strict=True)
             ]
-        return found
+        return traces
 
     def _held(self, placed: Placed | None) -> bool:
         """Return True for a law without memory at an input that is held between samples: its force is held too."""
@@ -821,43 +828,43 @@ class LikelihoodForm:
             return False
         return not (placed.effect.states or placed.effect.sampled)
 
-    def _answered(self, fit: Fit, found: Any) -> list[Column]:
+    def _answered(self, fit: Fit, asked: Any) -> list[Column]:
         """Return the columns of directions (lists of forces and readings by use and record)."""
-        if not found:
+        if not asked:
             return []
-        paths = {use: self.paths(fit, use)[0] for use in found[0].forces}
-        return [column for some in _portions(found) for column in self._together(paths, some)]
+        paths = {use: self.paths(fit, use)[0] for use in asked[0].forces}
+        return [column for group in _portions(asked) for column in self._together(paths, group)]
 
-    def _together(self, paths: Mapping[str, Sequence[Filtered]], found: Sequence[Direction]) -> list[Column]:
+    def _together(self, paths: Mapping[str, Sequence[Filtered]], group: Sequence[Direction]) -> list[Column]:
         """Return the columns of a few directions."""
-        edges = np.cumsum([0, *(len(one.names) for one in found)])
-        held = np.repeat([self._held(one.placed) for one in found], np.diff(edges))
+        edges = np.cumsum([0, *(len(direction.names) for direction in group)])
+        held = np.repeat([self._held(direction.placed) for direction in group], np.diff(edges))
         over = None if self.latent else self.dt
         made = dict.fromkeys(USES, np.zeros((0, edges[-1])))
-        for use, passed in paths.items():
+        for use, filtered in paths.items():
             parts = []
-            for number, one in enumerate(passed):
-                forces = np.concatenate([d.forces[use][number] for d in found], axis=2)
-                readings = np.concatenate([d.readings[use][number] for d in found], axis=2)
-                response = innovation_response(one, forces, readings, rates_over=over, held=held)
-                parts.append(whitened(response, one.s[..., None]))
+            for number, passed in enumerate(filtered):
+                forces = np.concatenate([direction.forces[use][number] for direction in group], axis=2)
+                readings = np.concatenate([direction.readings[use][number] for direction in group], axis=2)
+                response = innovation_response(passed, forces, readings, rates_over=over, held=held)
+                parts.append(whitened(response, passed.s[..., None]))
             made[use] = np.concatenate(parts)
         return [
-            Column(one.placed, one.given, one.names, *(made[use][:, first:last] for use in USES))
-            for one, first, last in zip(found, edges[:-1], edges[1:], strict=True)
+            Column(direction.placed, direction.given, direction.names, *(made[use][:, first:last] for use in USES))
+            for direction, first, last in zip(group, edges[:-1], edges[1:], strict=True)
         ]
 
 
-def _portions(found: Sequence[Direction]) -> list[list[Direction]]:
+def _portions(asked: Sequence[Direction]) -> list[list[Direction]]:
     """Return directions in groups of few enough columns to stay in the cache."""
     groups: list[list[Direction]] = []
     size = _TOGETHER
-    for one in found:
-        size += len(one.names)
+    for direction in asked:
+        size += len(direction.names)
         if size > _TOGETHER:
             groups.append([])
-            size = len(one.names)
-        groups[-1].append(one)
+            size = len(direction.names)
+        groups[-1].append(direction)
     return groups
 
 
@@ -883,4 +890,7 @@ def _known(system: Any, values: Mapping[str, float]) -> dict[str, float]:
 
 def _within(system: Any, values: dict[str, float]) -> dict[str, float]:
     """Return values within the bounds."""
-    return {one.name: float(np.clip(values[one.name], one.minimum, one.maximum)) for one in system.parameters}
+    return {
+        parameter.name: float(np.clip(values[parameter.name], parameter.minimum, parameter.maximum))
+        for parameter in system.parameters
+    }

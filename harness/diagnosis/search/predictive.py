@@ -110,10 +110,10 @@ def predictive(
     point, price = start, 0.0
     value = likelihood.nll(point)
     for number in range(_MOST + 1):
-        passed = likelihood.filtered(point, columns=columns)
-        if passed is None:
+        paths = likelihood.filtered(point, columns=columns)
+        if paths is None:
             break
-        parts = [_outside_starts(one, len(places), spread) for one in passed]
+        parts = [_outside_starts(passed, len(places), spread) for passed in paths]
         matrix = np.eye(len(moved)) + sum(part.along.T @ part.along for part in parts)
         price = 0.5 * float(moved @ moved + np.linalg.slogdet(matrix)[1])
         gradient = moved + sum(part.along.T @ part.left for part in parts)

@@ -56,9 +56,9 @@ class Remembered:
         known = self.store.get(key)
         if known is not None:
             return self.form.restored(begun.effects, known) if known else None
-        found = self.form.finish(begun, base, rival)
-        self.store.put(key, {} if found is None else self.form.record(found))
-        return found
+        fit = self.form.finish(begun, base, rival)
+        self.store.put(key, {} if fit is None else self.form.record(fit))
+        return fit
 
     def fit(
         self,

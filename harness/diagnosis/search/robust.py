@@ -50,9 +50,9 @@ def robust_covariance(
 
     size = jacobians[0].shape[2]
     bread, meat = np.zeros((size, size)), np.zeros((size, size))
-    before = [Before.of(np.ones(len(one)), order) for one in errors]
+    before = [Before.of(np.ones(len(record)), order) for record in errors]
     for k, least in enumerate(floor):
-        error = fitted_error([one[:, k] for one in errors], before, order, float(least))
+        error = fitted_error([record[:, k] for record in errors], before, order, float(least))
         for j in jacobians:
             column = j[:, k] / error.deviation
             most = min(len(j) - 1, LONGEST)

@@ -42,13 +42,14 @@ def add_rounding(
         step = tests["estimation"].step
         model = outcome.model
         noise = float(model.detail.points["estimation"].noise.r[column])
-        if not all(one.quantised for one in tests.values()) or step**2 / 12 < policy.rounding * noise**2:
+        if not all(test.quantised for test in tests.values()) or step**2 / 12 < policy.rounding * noise**2:
             continue
-        found = form.fit([*model.effects, placed], [{**model.values, placed.name("step"): step}], model)
-        if found is None:
+        fit = form.fit([*model.effects, placed], [{**model.values, placed.name("step"): step}], model)
+        if fit is None:
             continue
         gain = [
-            -one.on_grid * sum(map(len, model.terms[use])) * float(np.log(POLICY.chance)) for use, one in tests.items()
+            -test.on_grid * sum(map(len, model.terms[use])) * float(np.log(POLICY.chance))
+            for use, test in tests.items()
         ]
-        outcome.model = found
+        outcome.model = fit
         outcome.accepted.append(Accepted(placed, ((placed,),), gain[0], gain[1]))

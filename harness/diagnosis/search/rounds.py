@@ -67,16 +67,18 @@ class Outcome:
         answer in it, as a special case of a law or beside others, is no rival of it.
         """
         best: tuple[float, Judged] | None = None
-        answer = {str(one) for one in self.model.effects}
-        for one in (candidate for here in self.rounds for candidate in here.candidates):
-            if one.fit is None or answer <= _contained(one.fit.effects):
+        answer = {str(placed) for placed in self.model.effects}
+        for rival in (row for past in self.rounds for row in past.candidates):
+            if rival.fit is None or answer <= _contained(rival.fit.effects):
                 continue
-            if not any(wrong_signs(it, one.fit.values) or violations(it, one.fit) for it in one.added):
+            if not any(
+                wrong_signs(placed, rival.fit.values) or violations(placed, rival.fit) for placed in rival.added
+            ):
                 continue
-            gap = compared(one.fit, self.model, policy).total
-            _, error = difference(one.fit, self.model, ("estimation", "validation"), policy)
+            gap = compared(rival.fit, self.model, policy).total
+            _, error = difference(rival.fit, self.model, ("estimation", "validation"), policy)
             if gap > max(policy.tie, policy.tie_z * error) and (best is None or gap > best[0]):
-                best = gap, one
+                best = gap, rival
         return None if best is None else best[1]
 
     def promised(self, policy: Policy = POLICY) -> Judged | None:
@@ -85,8 +87,8 @@ class Outcome:
         The data prefer it by all that is asked of an effect: it is no answer, and without it something is missing.
         """
         asked = (*WANTS, "amplitude and phase", "beside it")
-        rows = [one for one in self.rounds[-1].candidates if one.fit is not None and one.reasons]
-        held = [one for one in rows if not any(text.startswith(asked) for text in one.reasons)]
+        rows = [row for row in self.rounds[-1].candidates if row.fit is not None and row.reasons]
+        held = [row for row in rows if not any(text.startswith(asked) for text in row.reasons)]
         best = max(held, key=_total, default=None)
         if best is None or best.fit is None or best.fit.change(best.added[0]) < policy.least:
             return None
@@ -94,12 +96,13 @@ class Outcome:
 
     def withdraw(self, reason: str) -> None:
         """Take all effects back; the reason stands beside them in the rounds that accepted them."""
-        names = {str(one.placed) for one in self.accepted}
+        names = {str(accepted.placed) for accepted in self.accepted}
         self.rounds = [
-            replace(here, candidates=tuple(
-                replace(one, reasons=(*one.reasons, reason)) if one.passed and one.name in names else one
-                for one in here.candidates
-            )) for here in self.rounds
+            replace(past, candidates=tuple(
+                replace(row, reasons=(*row.reasons, reason))
+                if row.passed and row.name in names else row
+                for row in past.candidates
+            )) for past in self.rounds
         ]  # fmt: skip
         self.withdrawn, self.accepted, self.model = self.accepted, [], self.nominal
 
@@ -128,56 +131,58 @@ def search(
     -------
     Outcome
     """
-    found = Outcome(nominal, nominal)
-    while len(found.accepted) < policy.most:
-        base = found.model
-        present = {str(one) for one in base.effects}
-        open_ones = [one for one in candidates if str(one) not in present]
-        test = score_test(form, base, open_ones, policy)
-        fits = _refitted(form, base, test, open_ones, policy, say)
-        better = _polished(form, base, [one for one in fits.values() if one is not None])
+    outcome = Outcome(nominal, nominal)
+    while len(outcome.accepted) < policy.most:
+        base = outcome.model
+        present = {str(placed) for placed in base.effects}
+        untried = [placed for placed in candidates if str(placed) not in present]
+        test = score_test(form, base, untried, policy)
+        fits = _refitted(form, base, test, untried, policy, say)
+        better = _polished(form, base, [fit for fit in fits.values() if fit is not None])
         if better is not base:  # nothing is compared with a model that is not at its maximum
             nominal = better if base is nominal else nominal
-            base = found.model = better
+            base = outcome.model = better
         rows = [judged([placed], fit, base, nominal, policy) for placed, fit in fits.items()]
-        found.rounds.append(Round(base, test.with_shown(_shown(rows, policy)), tuple(rows)))
-        passed = [one for one in rows if one.passed]
+        outcome.rounds.append(Round(base, test.with_shown(_shown(rows, policy)), tuple(rows)))
+        passed = [row for row in rows if row.passed]
         if passed:
             best = _answer(passed, policy)
-            _accept(found, best, _ties(best, rows, policy))
-        if len(found.accepted) > 1 and passed:
-            _exchange(form, found, nominal, policy)
-            _pruned(form, found, policy)
-        alone = len(found.rounds) == 1 and not passed
-        if alone or (len(found.rounds) == 2 and found.accepted):
-            _pairs(form, found, nominal, candidates, policy, say)
+            _accept(outcome, best, _ties(best, rows, policy))
+        if len(outcome.accepted) > 1 and passed:
+            _exchange(form, outcome, nominal, policy)
+            _pruned(form, outcome, policy)
+        alone = len(outcome.rounds) == 1 and not passed
+        if alone or (len(outcome.rounds) == 2 and outcome.accepted):
+            _pairs(form, outcome, nominal, candidates, policy, say)
         if not passed:
             break
-    found.nominal = nominal
-    return found
+    outcome.nominal = nominal
+    return outcome
 
 
 def _shown(rows: Sequence[Judged], policy: Policy) -> set[str]:
     """Return what a refit has shown, whatever the score test said of it."""
-    clear = [one for one in rows if one.comparison is not None and one.comparison.evidence >= policy.evidence]
-    return {str(one.added[0]) for one in clear}
+    clear = [row for row in rows if row.comparison is not None and row.comparison.evidence >= policy.evidence]
+    return {str(row.added[0]) for row in clear}
 
 
 def _contained(effects: Sequence[Placed]) -> set[str]:
     """Return the effects with their special cases."""
-    return {f"{name}@{one.at}" for one in effects for name in (one.effect.name, *map(str, nested(one.effect)))}
+    return {
+        f"{name}@{placed.at}" for placed in effects for name in (placed.effect.name, *map(str, nested(placed.effect)))
+    }
 
 
-def _accept(found: Outcome, best: Judged, tie: tuple[tuple[Placed, ...], ...]) -> None:
+def _accept(outcome: Outcome, best: Judged, tie: tuple[tuple[Placed, ...], ...]) -> None:
     """Take a candidate into the model."""
     assert best.fit is not None
     assert best.comparison is not None
-    found.model = best.fit
-    found.accepted.append(Accepted(best.added[-1], tie, best.comparison.evidence, best.comparison.validation))
+    outcome.model = best.fit
+    outcome.accepted.append(Accepted(best.added[-1], tie, best.comparison.evidence, best.comparison.validation))
 
 
 def _refitted(
-    form: Form, base: Fit, test: ScoreTest, open_ones: Sequence[Placed], policy: Policy, say: Say
+    form: Form, base: Fit, test: ScoreTest, untried: Sequence[Placed], policy: Policy, say: Say
 ) -> dict[Placed, Fit | None]:
     """Begin the refits of all that promises something; finish those whose first steps keep up with the best."""
     origins: dict[Placed, Fit] = {}
@@ -185,43 +190,43 @@ def _refitted(
     before = base.log_likelihood("estimation")
 
     def enough() -> float:  # what is not refitted in the end need not be begun in full
-        gains = [one.log_likelihood - before for one in begun.values() if one is not None]
+        gains = [refit.log_likelihood - before for refit in begun.values() if refit is not None]
         return max(policy.lead, policy.reach * max(gains, default=0.0))
 
-    for lead in [*chosen(test, policy), *_remembered(form, base, test, open_ones, policy)]:
+    for lead in [*chosen(test, policy), *_remembered(form, base, test, untried, policy)]:
         say(str(lead.placed))
         origins[lead.placed] = base
         promising = lead.starts if lead.penalised > 0.0 else lead.starts[:1]
-        starts = [{**base.values, **one} for one in promising]
+        starts = [{**base.values, **start} for start in promising]
         begun[lead.placed] = form.begin([*base.effects, lead.placed], starts, base, before + enough())
-    best = max((one for one in begun.values() if one), key=lambda one: one.log_likelihood, default=None)
-    for one in form.suspects(base, best, open_ones):
-        say(str(one.placed))
-        origin = base if one.base is None else one.base
-        starts = [{**origin.values, **start} for start in one.starts]
-        origins[one.placed] = origin
-        begun[one.placed] = form.begin([*base.effects, one.placed], starts, origin, before + enough())
-    gains = {placed: one.log_likelihood - before for placed, one in begun.items() if one is not None}
+    best = max((refit for refit in begun.values() if refit), key=lambda refit: refit.log_likelihood, default=None)
+    for suspect in form.suspects(base, best, untried):
+        say(str(suspect.placed))
+        origin = base if suspect.base is None else suspect.base
+        starts = [{**origin.values, **start} for start in suspect.starts]
+        origins[suspect.placed] = origin
+        begun[suspect.placed] = form.begin([*base.effects, suspect.placed], starts, origin, before + enough())
+    gains = {placed: refit.log_likelihood - before for placed, refit in begun.items() if refit is not None}
     least = enough()
     penalty = 0.5 * float(np.log(base.samples))
 
-    def needed(one: Placed) -> float:  # nothing is accepted that does not pay for its parameters
-        free = sum(not parameter.fixed for parameter in one.effect.parameters)
+    def needed(placed: Placed) -> float:  # nothing is accepted that does not pay for its parameters
+        free = sum(not parameter.fixed for parameter in placed.effect.parameters)
         return max(least, policy.reach * (policy.evidence + penalty * free))
 
-    def place(one: Placed) -> tuple[bool, float]:  # what no law allows must not take the place of what one does
-        first = begun[one]
+    def place(placed: Placed) -> tuple[bool, float]:  # what no law allows must not take the place of what one does
+        first = begun[placed]
         assert first is not None
-        return bool(wrong_signs(one, first.values)), -gains[one]
+        return bool(wrong_signs(placed, first.values)), -gains[placed]
 
-    faint = {str(one.placed) for one in (*test.leads, *test.hidden) if one.share < policy.clear}
+    faint = {str(lead.placed) for lead in (*test.leads, *test.hidden) if lead.share < policy.clear}
 
-    def hoped(one: Placed) -> float:  # along a narrow valley the first steps are short
-        first = begun[one]
-        return gains[one] + (EFFORT.first_steps * first.pace if first and str(one) in faint else 0.0)
+    def hoped(placed: Placed) -> float:  # along a narrow valley the first steps are short
+        first = begun[placed]
+        return gains[placed] + (EFFORT.first_steps * first.pace if first and str(placed) in faint else 0.0)
 
     order = sorted((placed for placed in gains if hoped(placed) >= needed(placed)), key=place)
-    lawful = sum(not place(one)[0] for one in order)
+    lawful = sum(not place(placed)[0] for placed in order)
     order = order[: min(lawful + 1, EFFORT.refits)]  # one law that is not allowed says that none which is explains it
     # what is exactly the same must not lose by its first steps
     same = {name for placed in order[:1] for name in family(placed.effect).exact}
@@ -233,24 +238,25 @@ def _refitted(
         say(f"{placed} to its maximum")
         fits[placed] = form.finish(first, origins[placed], _best(fits, placed))
     for placed in [
-        one
-        for one in begun
-        if one not in fits
+        simple
+        for simple in begun
+        if simple not in fits
         and any(
-            fit is not None and one.at == rich.at and one.effect.name in rich.effect.nests for rich, fit in fits.items()
+            fit is not None and simple.at == rich.at and simple.effect.name in rich.effect.nests
+            for rich, fit in fits.items()
         )
     ]:  # a law is no answer before its special cases were tried from where it ended
         fits[placed] = None
     _share_starts(form, fits, base)
-    _lawful(form, fits, base, {one.placed: one.starts[0] for one in test.leads})
+    _lawful(form, fits, base, {lead.placed: lead.starts[0] for lead in test.leads})
     return fits
 
 
 def _best(fits: Mapping[Placed, Fit | None], beside: Placed) -> Fit | None:
     """Return the likeliest of the other refits that reached a lawful maximum."""
-    done = [one for placed, one in fits.items() if one is not None and one.converged and placed != beside]
-    lawful = [one for one in done if not any(impossible(placed, one) for placed in one.effects)]
-    return max(lawful, key=lambda one: one.log_likelihood("estimation"), default=None)
+    done = [fit for placed, fit in fits.items() if fit is not None and fit.converged and placed != beside]
+    lawful = [fit for fit in done if not any(impossible(placed, fit) for placed in fit.effects)]
+    return max(lawful, key=lambda fit: fit.log_likelihood("estimation"), default=None)
 
 
 def chosen(test: ScoreTest, policy: Policy = POLICY) -> list[Lead]:
@@ -259,29 +265,29 @@ def chosen(test: ScoreTest, policy: Policy = POLICY) -> list[Lead]:
     A promise along a column that the nominal parameters take up nearly whole is uncertain, as columns are: some such
     are tried as well. With little noise a thousandth of a column is seen.
     """
-    promising = [one for one in (*test.leads, *test.hidden) if one.gain >= policy.lead]
-    clear = [one for one in promising if one.share >= policy.clear]
-    most = max((one.gain for one in clear), default=0.0)
-    clear = [one for one in clear if one.gain >= EFFORT.faintest * most]
-    faint = sorted((one for one in promising if one.share < policy.clear), key=lambda one: -one.penalised)
-    if not any(one.penalised > 0.0 for one in promising):
+    promising = [lead for lead in (*test.leads, *test.hidden) if lead.gain >= policy.lead]
+    clear = [lead for lead in promising if lead.share >= policy.clear]
+    most = max((lead.gain for lead in clear), default=0.0)
+    clear = [lead for lead in clear if lead.gain >= EFFORT.faintest * most]
+    faint = sorted((lead for lead in promising if lead.share < policy.clear), key=lambda lead: -lead.penalised)
+    if not any(lead.penalised > 0.0 for lead in promising):
         return []
     near: list[Lead] = []
     for leader in clear[:2]:
         names = {leader.placed.effect.name, *family(leader.placed.effect).near}
-        near += [one for one in clear if one.placed.effect.name in names and one.placed.at == leader.placed.at]
+        near += [lead for lead in clear if lead.placed.effect.name in names and lead.placed.at == leader.placed.at]
     ordered = dict.fromkeys([*clear[: EFFORT.refits], *near, *clear])
     return [*list(ordered)[: EFFORT.begun], *faint[: EFFORT.faint]]
 
 
-def _remembered(form: Form, base: Fit, test: ScoreTest, open_ones: Sequence[Placed], policy: Policy) -> list[Lead]:
+def _remembered(form: Form, base: Fit, test: ScoreTest, untried: Sequence[Placed], policy: Policy) -> list[Lead]:
     """Return leads that promise something only where the latent force does not remember what it took up."""
     forgetful = form.forgetful(base)
     if forgetful is None:
         return []
-    known = {str(one.placed) for one in (*test.leads, *test.hidden) if one.gain >= policy.lead}
-    leads = score_test(form, forgetful, [one for one in open_ones if str(one) not in known], policy).leads
-    return [one for one in leads if one.penalised > 0.0 and one.share >= policy.clear][: EFFORT.faint]
+    known = {str(lead.placed) for lead in (*test.leads, *test.hidden) if lead.gain >= policy.lead}
+    leads = score_test(form, forgetful, [placed for placed in untried if str(placed) not in known], policy).leads
+    return [lead for lead in leads if lead.penalised > 0.0 and lead.share >= policy.clear][: EFFORT.faint]
 
 
 def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None:
@@ -292,11 +298,11 @@ def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None
             if other is None or (fit is not None and _value(fit) > _value(other) - 1.0):
                 continue
             start = dict(other.values)
-            for one in mine.effect.parameters:
-                if one.name in theirs.effect.parameter_names:
-                    start[mine.name(one.name)] = other.values[theirs.name(one.name)]
+            for parameter in mine.effect.parameters:
+                if parameter.name in theirs.effect.parameter_names:
+                    start[mine.name(parameter.name)] = other.values[theirs.name(parameter.name)]
                 elif fit is not None:
-                    start[mine.name(one.name)] = fit.values[mine.name(one.name)]
+                    start[mine.name(parameter.name)] = fit.values[mine.name(parameter.name)]
             again = form.fit([*base.effects, mine], [start], other, _best(fits, mine))
             if again is not None and (fit is None or _value(again) > _value(fit)):
                 fits[mine] = again
@@ -308,7 +314,7 @@ def _lawful(form: Form, fits: dict[Placed, Fit | None], base: Fit, starts: Mappi
         fit, other = fits[rich], fits[simple]
         if fit is None or other is None or rich not in starts or not violations(rich, fit):
             continue
-        shared = {one.name for one in simple.effect.parameters if one.nuisance}
+        shared = {parameter.name for parameter in simple.effect.parameters if parameter.nuisance}
         own = {name: value for name, value in starts[rich].items() if name.startswith(f"{rich}.")}
         start = {**other.values, **own}
         start |= {rich.name(name): other.values[simple.name(name)] for name in shared}
@@ -319,7 +325,7 @@ def _lawful(form: Form, fits: dict[Placed, Fit | None], base: Fit, starts: Mappi
 
 def _polished(form: Form, base: Fit, fits: Sequence[Fit]) -> Fit:
     """Return the base fitted again from where its best rival ended, if that is better."""
-    best = max(fits, key=lambda one: one.penalised, default=None)
+    best = max(fits, key=lambda fit: fit.penalised, default=None)
     if best is None or best.penalised < base.penalised:
         return base
     begun = form.begin(base.effects, [best.values], best)
@@ -327,7 +333,7 @@ def _polished(form: Form, base: Fit, fits: Sequence[Fit]) -> Fit:
         return base
     again = form.finish(begun, best)
     better = again is not None and again.penalised > base.penalised + 0.5
-    if again is not None and any(impossible(one, again) and not impossible(one, base) for one in base.effects):
+    if again is not None and any(impossible(placed, again) and not impossible(placed, base) for placed in base.effects):
         return base  # it was accepted as a law
     return again if again is not None and better and (again.converged or not base.converged) else base
 
@@ -335,15 +341,15 @@ def _polished(form: Form, base: Fit, fits: Sequence[Fit]) -> Fit:
 def _answer(passed: Sequence[Judged], policy: Policy) -> Judged:
     """Return the best candidate, or a simpler one that ties with it and is a special case of it."""
     best = max(passed, key=_total)
-    for one in sorted(passed, key=lambda c: c.fit.count if c.fit else 0):
-        special = one.added[0].effect.name in best.added[0].effect.nests and one.added[0].at == best.added[0].at
-        if special and _tied(best, one, policy):
-            return one
+    for row in sorted(passed, key=lambda row: row.fit.count if row.fit else 0):
+        special = row.added[0].effect.name in best.added[0].effect.nests and row.added[0].at == best.added[0].at
+        if special and _tied(best, row, policy):
+            return row
     return best
 
 
-def _total(one: Judged) -> float:
-    return -np.inf if one.comparison is None else one.comparison.total
+def _total(row: Judged) -> float:
+    return -np.inf if row.comparison is None else row.comparison.total
 
 
 def _tied(best: Judged, other: Judged, policy: Policy) -> bool:
@@ -363,35 +369,35 @@ def _ties(best: Judged, rows: Sequence[Judged], policy: Policy) -> tuple[tuple[P
     the answer itself or something beside it.
     """
     tied = [best.added]
-    for one in sorted(rows, key=lambda c: -_total(c)):
-        if one is best or one.comparison is None or one.comparison.evidence < 0 or one.comparison.total < 0:
+    for row in sorted(rows, key=lambda row: -_total(row)):
+        if row is best or row.comparison is None or row.comparison.evidence < 0 or row.comparison.total < 0:
             continue
-        general = best.added[-1].effect.name in one.added[0].effect.nests and one.added[0].at == best.added[-1].at
-        lawless = general and all(text.startswith(("not so", *WANTS)) for text in one.reasons)
-        if (_physical(one) or lawless) and _tied(best, one, policy):
-            tied.append(one.added)
+        general = best.added[-1].effect.name in row.added[0].effect.nests and row.added[0].at == best.added[-1].at
+        lawless = general and all(text.startswith(("not so", *WANTS)) for text in row.reasons)
+        if (_physical(row) or lawless) and _tied(best, row, policy):
+            tied.append(row.added)
     return tuple(tied)
 
 
-def _pairs(form: Form, found: Outcome, nominal: Fit, candidates: Sequence[Placed], policy: Policy, say: Say) -> None:
+def _pairs(form: Form, outcome: Outcome, nominal: Fit, candidates: Sequence[Placed], policy: Policy, say: Say) -> None:
     """Try the best rivals of the first answer to their end and with a second effect: one law may stand in for two.
 
     What was tried beside the answer and is impossible there is not tried beside what is like it.
     """
-    so_far = compared(found.model, nominal, policy).total
-    ruled_out = {str(one.added[0]) for here in found.rounds[1:] for one in here.candidates if not _physical(one)}
-    present = {str(one) for one in found.model.effects}
+    so_far = compared(outcome.model, nominal, policy).total
+    ruled_out = {str(row.added[0]) for past in outcome.rounds[1:] for row in past.candidates if not _physical(row)}
+    present = {str(placed) for placed in outcome.model.effects}
     rivals = [
-        one
-        for one in found.rounds[0].candidates
-        if one.comparison is not None
-        and one.comparison.evidence >= policy.evidence
-        and str(one.added[0]) not in present
-        and (_physical(one) or one.reasons == (BEYOND,))
-        and (not found.accepted or _total(one) >= policy.reach * so_far)
+        row
+        for row in outcome.rounds[0].candidates
+        if row.comparison is not None
+        and row.comparison.evidence >= policy.evidence
+        and str(row.added[0]) not in present
+        and (_physical(row) or row.reasons == (BEYOND,))
+        and (not outcome.accepted or _total(row) >= policy.reach * so_far)
     ]
     best: Judged | None = None
-    for rival in sorted(rivals, key=lambda one: -_total(one))[: EFFORT.pairs]:
+    for rival in sorted(rivals, key=lambda row: -_total(row))[: EFFORT.pairs]:
         fit = rival.fit
         if fit is not None and fit.beyond:  # alone it had no hope: beside another it may
             fit = form.fit(fit.effects, [fit.values], fit)
@@ -400,13 +406,13 @@ def _pairs(form: Form, found: Outcome, nominal: Fit, candidates: Sequence[Placed
                 best = alone
         if fit is None:
             continue
-        others = [one for one in candidates if str(one) not in {str(rival.added[0]), *ruled_out}]
-        leads = [one for one in score_test(form, fit, others, policy).leads if one.share >= policy.clear]
+        others = [placed for placed in candidates if str(placed) not in {str(rival.added[0]), *ruled_out}]
+        leads = [lead for lead in score_test(form, fit, others, policy).leads if lead.share >= policy.clear]
         for lead in leads[:2]:
-            if found.accepted and _total(rival) + 2 * lead.penalised < so_far + policy.tie:  # both uses gain alike
+            if outcome.accepted and _total(rival) + 2 * lead.penalised < so_far + policy.tie:  # both uses gain alike
                 continue
             say(f"{rival.added[0]} + {lead.placed}")
-            pair = form.fit([*fit.effects, lead.placed], [{**fit.values, **one} for one in lead.starts], fit)
+            pair = form.fit([*fit.effects, lead.placed], [{**fit.values, **start} for start in lead.starts], fit)
             whole = judged([rival.added[0], lead.placed], pair, nominal, nominal, policy)
             second = judged([lead.placed], pair, fit, nominal, policy)
             if whole.passed and second.passed and (best is None or _total(whole) > _total(best)):
@@ -416,67 +422,67 @@ def _pairs(form: Form, found: Outcome, nominal: Fit, candidates: Sequence[Placed
     assert best.fit is not None
     assert best.comparison is not None
     each = best.comparison.evidence / len(best.added), best.comparison.validation / len(best.added)
-    found.model = best.fit
-    found.accepted = [Accepted(one, ((one,),), *each) for one in best.added]
+    outcome.model = best.fit
+    outcome.accepted = [Accepted(placed, ((placed,),), *each) for placed in best.added]
 
 
-def _physical(one: Judged) -> bool:
+def _physical(row: Judged) -> bool:
     """Return True if nothing but a want of evidence speaks against a candidate."""
-    return all(text.startswith(WANTS) for text in one.reasons)
+    return all(text.startswith(WANTS) for text in row.reasons)
 
 
-def _exchange(form: Form, found: Outcome, nominal: Fit, policy: Policy) -> None:
+def _exchange(form: Form, outcome: Outcome, nominal: Fit, policy: Policy) -> None:
     """Try the rivals of earlier effects again beside the last one: the first answer may have stood in for two."""
-    for number, earlier in enumerate(found.accepted[:-1]):
-        if number >= len(found.rounds):
+    for number, earlier in enumerate(outcome.accepted[:-1]):
+        if number >= len(outcome.rounds):
             continue
-        others = [one.placed for k, one in enumerate(found.accepted) if k != number]
+        others = [accepted.placed for k, accepted in enumerate(outcome.accepted) if k != number]
         rivals = [
             row
-            for row in found.rounds[number].candidates
+            for row in outcome.rounds[number].candidates
             if row.fit is not None and row.comparison is not None and row.comparison.evidence > policy.evidence
         ]
-        best, placed = found.model, earlier.placed
+        best, placed = outcome.model, earlier.placed
         for row in sorted(rivals, key=lambda row: -_total(row))[: EFFORT.pairs + 1]:
             new = row.added[0]
-            if str(new) in {str(one) for one in found.model.effects}:
+            if str(new) in {str(placed) for placed in outcome.model.effects}:
                 continue
             assert row.fit is not None
-            start = {**found.model.values, **{k: v for k, v in row.fit.values.items() if k.startswith(f"{new}.")}}
-            begun = form.begin([*others, new], [start], found.model)
+            start = {**outcome.model.values, **{k: v for k, v in row.fit.values.items() if k.startswith(f"{new}.")}}
+            begun = form.begin([*others, new], [start], outcome.model)
             if begun is None or begun.log_likelihood < best.log_likelihood("estimation") - EFFORT.margin:
                 continue
-            fit = form.finish(begun, found.model)
+            fit = form.finish(begun, outcome.model)
             trial = judged([new], fit, nominal, nominal, policy)
             if fit is not None and trial.passed and _value(fit) > _value(best) + policy.tie:
                 best, placed = fit, new
-        if best is not found.model:
-            found.model = best
-            found.accepted[number] = Accepted(placed, ((placed,),), earlier.evidence, earlier.validation)
+        if best is not outcome.model:
+            outcome.model = best
+            outcome.accepted[number] = Accepted(placed, ((placed,),), earlier.evidence, earlier.validation)
 
 
-def _pruned(form: Form, found: Outcome, policy: Policy) -> None:
+def _pruned(form: Form, outcome: Outcome, policy: Policy) -> None:
     """Drop earlier effects that a later one has made needless."""
-    for earlier in found.accepted[:-1]:
-        left = [one.placed for one in found.accepted if one is not earlier]
-        starts = [found.model.values, *in_its_place(found.model.values, earlier.placed, left)]
-        without = form.fit(left, starts, found.model)
-        if without is None or not without.converged or any(impossible(one, without) for one in left):
+    for earlier in outcome.accepted[:-1]:
+        left = [accepted.placed for accepted in outcome.accepted if accepted is not earlier]
+        starts = [outcome.model.values, *in_its_place(outcome.model.values, earlier.placed, left)]
+        without = form.fit(left, starts, outcome.model)
+        if without is None or not without.converged or any(impossible(placed, without) for placed in left):
             continue
-        if _value(without) > _value(found.model) - policy.tie:
-            found.model = without
-            found.accepted = [one for one in found.accepted if one is not earlier]
+        if _value(without) > _value(outcome.model) - policy.tie:
+            outcome.model = without
+            outcome.accepted = [accepted for accepted in outcome.accepted if accepted is not earlier]
 
 
 def in_its_place(values: Mapping[str, float], gone: Placed, left: Sequence[Placed]) -> list[dict[str, float]]:
     """Return values with which another effect at the same place carries the level of one that goes as well."""
-    found = []
+    starts = []
     for other in left:
         pairs = [(a, b) for a in gone.effect.parameters for b in other.effect.parameters if a.main and b.main]
         for a, b in pairs:
             if other.at == gone.at and a.unit == b.unit:
-                found.append({**values, other.name(b.name): values[other.name(b.name)] + values[gone.name(a.name)]})
-    return found
+                starts.append({**values, other.name(b.name): values[other.name(b.name)] + values[gone.name(a.name)]})
+    return starts
 
 
 def _value(fit: Fit) -> float:

@@ -60,8 +60,8 @@ class ScoreTest:
 
     def with_shown(self, shown: Collection[str]) -> ScoreTest:
         """Return the same with what was shown among the leads, however little of its column nothing takes up."""
-        seen = [one for one in self.hidden if str(one.placed) in shown]
-        return ScoreTest([*self.leads, *seen], [one for one in self.hidden if one not in seen])
+        seen = [lead for lead in self.hidden if str(lead.placed) in shown]
+        return ScoreTest([*self.leads, *seen], [lead for lead in self.hidden if lead not in seen])
 
     def cosines(self, first: Sequence[str] = (), most: int = 26) -> tuple[tuple[str, ...], FloatArray]:
         """Return how well each visible effect is mimicked by every other.
@@ -79,13 +79,13 @@ class ScoreTest:
             Entry (i, j): cosine between what effect i would explain and all that effect j could; 1: they cannot be
             told apart in these data.
         """
-        shown = sorted(self.leads, key=lambda one: (str(one.placed) not in first, str(one.placed)))[:most]
-        found = np.eye(len(shown))
+        shown = sorted(self.leads, key=lambda lead: (str(lead.placed) not in first, str(lead.placed)))[:most]
+        cosines = np.eye(len(shown))
         for i, a in enumerate(shown):
             for j, b in enumerate(shown):
                 if i != j:
-                    found[i, j] = min(float(np.linalg.norm(b.span.T @ a.direction)), 1.0)
-        return tuple(str(one.placed) for one in shown), found
+                    cosines[i, j] = min(float(np.linalg.norm(b.span.T @ a.direction)), 1.0)
+        return tuple(str(lead.placed) for lead in shown), cosines
 
 
 def score_test(form: Form, fit: Fit, candidates: Sequence[Placed], policy: Policy = POLICY) -> ScoreTest:
@@ -99,23 +99,23 @@ def score_test(form: Form, fit: Fit, candidates: Sequence[Placed], policy: Polic
     policy : Policy
     """
     basis, residual = projected(form, fit)
-    found: dict[str, list[Lead]] = {}
+    by_effect: dict[str, list[Lead]] = {}
     penalty = 0.5 * float(np.log(fit.samples))
     moved = _mover(form, fit)
     for column in form.columns(fit, candidates):
         lead = moved(_lead(column, basis, residual, penalty))
-        found.setdefault(str(lead.placed), []).append(lead)
-    best = [_joined(several, policy) for several in found.values()]
-    ranked = sorted(best, key=lambda one: -one.penalised)
+        by_effect.setdefault(str(lead.placed), []).append(lead)
+    best = [_joined(several, policy) for several in by_effect.values()]
+    ranked = sorted(best, key=lambda lead: -lead.penalised)
     return ScoreTest(
-        [one for one in ranked if one.share >= policy.seen], [one for one in ranked if one.share < policy.seen]
+        [lead for lead in ranked if lead.share >= policy.seen], [lead for lead in ranked if lead.share < policy.seen]
     )
 
 
 def _joined(several: list[Lead], policy: Policy) -> Lead:
     """Return the best choice of an effect's parameters, with the starts of the next best ones."""
-    ordered = sorted(several, key=lambda one: (-one.gain, -one.share))
-    starts = tuple(one.starts[0] for one in ordered[: EFFORT.starts])
+    ordered = sorted(several, key=lambda lead: (-lead.gain, -lead.share))
+    starts = tuple(lead.starts[0] for lead in ordered[: EFFORT.starts])
     return replace(ordered[0], starts=starts)
 
 
@@ -163,23 +163,23 @@ def _mover(form: Form, fit: Fit) -> Callable[[Lead], Lead]:
     nuisance = linear.nuisance["estimation"]
     size = np.linalg.norm(nuisance, axis=0)
     size[size == 0] = 1.0
-    here = {**{name: fit.values[name] for name in linear.names}, **linear.states}
-    back = (np.linalg.pinv(nuisance / size, rcond=1e-12) / size[:, None])[: len(here)]
+    free = {**{name: fit.values[name] for name in linear.names}, **linear.states}
+    back = (np.linalg.pinv(nuisance / size, rcond=1e-12) / size[:, None])[: len(free)]
 
     def moved(lead: Lead) -> Lead:
         steps = -(back @ lead.taken)
-        values = {name: value + float(step) for (name, value), step in zip(here.items(), steps, strict=True)}
+        values = {name: value + float(step) for (name, value), step in zip(free.items(), steps, strict=True)}
         ratios = [values[name] / (fit.values[name] or 1.0) for name in linear.names]
         if not lead.placed.effect.vanishes and any(not 0.5 < ratio < 2.0 for ratio in ratios):
             return lead  # the first order does not reach so far, and there is no going back
-        return replace(lead, starts=tuple({**values, **one} for one in lead.starts))
+        return replace(lead, starts=tuple({**values, **start} for start in lead.starts))
 
     return moved
 
 
 def _free(placed: Placed) -> int:
     """Return how many parameters an effect adds."""
-    return sum(not one.fixed for one in placed.effect.parameters)
+    return sum(not parameter.fixed for parameter in placed.effect.parameters)
 
 
 def _start(column: Column, coefficients: FloatArray) -> dict[str, float]:
@@ -205,6 +205,6 @@ def _start(column: Column, coefficients: FloatArray) -> dict[str, float]:
     bounded = {}
     for name, value in values.items():
         if name in placed.effect.parameter_names:
-            one = placed.effect.parameter(name)
-            bounded[placed.name(name)] = float(np.clip(value, one.minimum, one.maximum))
+            parameter = placed.effect.parameter(name)
+            bounded[placed.name(name)] = float(np.clip(value, parameter.minimum, parameter.maximum))
     return bounded
