@@ -78,10 +78,14 @@ class Diagnosis:
     def not_visible(self) -> list[Lead]:
         """Effects that the nominal parameters and initial states can do as well: these data do not show them."""
         first = self.outcome.rounds[0].candidates
-        shown = {one.name for one in first if one.comparison and one.comparison.evidence >= self.policy.evidence}
-        shown |= {str(one.placed) for one in self.outcome.accepted}
-        faint = [one for one in self.test.leads if one.share < PLAN_POLICY.visible and str(one.placed) not in shown]
-        return sorted([*self.test.hidden, *faint], key=lambda one: str(one.placed))
+        shown = {
+            candidate.name
+            for candidate in first
+            if candidate.comparison and candidate.comparison.evidence >= self.policy.evidence
+        }
+        shown |= {str(accepted.placed) for accepted in self.outcome.accepted}
+        faint = [lead for lead in self.test.leads if lead.share < PLAN_POLICY.visible and str(lead.placed) not in shown]
+        return sorted([*self.test.hidden, *faint], key=lambda lead: str(lead.placed))
 
     @property
     def verdict(self) -> str:
@@ -131,7 +135,9 @@ class Diagnosis:
     def stand_in(self) -> tuple[str, ...]:
         """Why accepted effects imitate something that is not in the dictionary; empty if nothing says so."""
         best = self.leftover.best
-        reasons = stand_in_reasons([one.placed for one in self.outcome.accepted], None if best is None else best.name)
+        reasons = stand_in_reasons(
+            [accepted.placed for accepted in self.outcome.accepted], None if best is None else best.name
+        )
         unlawful = self.outcome.unlawful(self.policy) if self.outcome.accepted else None
         if unlawful is None:
             return reasons
@@ -141,8 +147,8 @@ class Diagnosis:
 def stand_in_reasons(accepted: Sequence[Placed], left: str | None) -> tuple[str, ...]:
     """Return why accepted effects imitate something else; ``left`` names the axis of a force that still predicts."""
     reasons = []
-    for place in dict.fromkeys(one.at for one in accepted):
-        dry = [one.effect.name.replace("_", " ") for one in accepted if one.at == place and one.effect.name in DRY]
+    for place in dict.fromkeys(law.at for law in accepted):
+        dry = [law.effect.name.replace("_", " ") for law in accepted if law.at == place and law.effect.name in DRY]
         if len(dry) > 1:
             reasons.append(
                 f"the friction at {place} is none of the dictionary's laws: {' and '.join(dry)} together imitate it"
@@ -219,9 +225,11 @@ def diagnose(
             nominal = remembered.fit((), [nominal.values], nominal) or nominal
         doubts = [*doubts, *mostly_noise(form, nominal, policy)]
         candidates, faults = placed(
-            system, dictionary, composed=lambda one: form.composed(one) if all(map(form.judges, one)) else None
+            system,
+            dictionary,
+            composed=lambda effects: form.composed(effects) if all(map(form.judges, effects)) else None,
         )
-        candidates = [] if doubts else [one for one in candidates if form.judges(one)]
+        candidates = [] if doubts else [candidate for candidate in candidates if form.judges(candidate)]
         outcome = search(remembered, nominal, candidates, policy=policy, say=say)
         add_rounding(remembered, outcome, dataset, candidates, policy)
         horizon = kind.horizon(system, outcome.nominal.values, dataset)
@@ -244,9 +252,9 @@ def diagnose(
         misfit = misfit_reasons(form, outcome.model, runs, policy, doubts)
         apart = form.apart(outcome.model)
     if outcome.withdrawn:
-        names = ", ".join(str(one.placed) for one in outcome.withdrawn)
+        names = ", ".join(str(accepted.placed) for accepted in outcome.withdrawn)
         warnings = [*warnings, f"{names}: likely by the likelihood and taken back: {WORSE}"]
-    found = Diagnosis(
+    diagnosis = Diagnosis(
         dataset,
         system,
         form,
@@ -259,6 +267,6 @@ def diagnose(
         time.monotonic() - began,
         apart,
     )
-    if apart is not None and found.disagree:
-        found.warnings.append(apart.words(outcome.model.values))
-    return found
+    if apart is not None and diagnosis.disagree:
+        diagnosis.warnings.append(apart.words(outcome.model.values))
+    return diagnosis

@@ -120,21 +120,21 @@ def close_loop(
     system = _system(model, parameters, dataset)
     box = is_fmu(system)
     kind: Kind = BlackBox() if box else Equations()
-    found = diagnose(dataset, system, kind=kind, progress=progress, folder=folder, dictionary=dictionary)
+    diagnosis = diagnose(dataset, system, kind=kind, progress=progress, folder=folder, dictionary=dictionary)
     if progress is not None:
         progress(0.9, "report")
-    data = evidence_data(found, cut_alike(references, dataset, found.dataset))
+    data = evidence_data(diagnosis, cut_alike(references, dataset, diagnosis.dataset))
     if folder is not None:
-        write_evidence(found, data, folder / HTML)
+        write_evidence(diagnosis, data, folder / HTML)
         if box:
-            repaired = _repaired_fmu(found, folder)
+            repaired = _repaired_fmu(diagnosis, folder)
         else:
-            repaired = _repaired(found, name or system.name, options or {}, dataset.spec.sample_time)
+            repaired = _repaired(diagnosis, name or system.name, options or {}, dataset.spec.sample_time)
         write_atomic(folder / MODEL, json.dumps(repaired, indent=1, allow_nan=False) + "\n")
         write_atomic(folder / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
     if progress is not None:
         progress(1.0, data["summary"])
-    last = found.nominal if found.misfit else found.final
+    last = diagnosis.nominal if diagnosis.misfit else diagnosis.final
     return Report(data, folder, last.system.with_parameters(last.values))
 
 
@@ -190,20 +190,20 @@ def _options(loaded: Any) -> dict[str, Any]:
     return model_options(loaded.nominal.model, loaded.nominal.options, *ports)
 
 
-def _repaired(found: Diagnosis, name: str, options: Mapping[str, Any], sample_time: float) -> dict[str, Any]:
+def _repaired(diagnosis: Diagnosis, name: str, options: Mapping[str, Any], sample_time: float) -> dict[str, Any]:
     """Return the repaired model as a grey box that ``sysid export`` reads, at the sample time of the records given."""
     from harness.specs import spec_to_dict
 
-    last = found.nominal if found.misfit else found.final
+    last = diagnosis.nominal if diagnosis.misfit else diagnosis.final
     return {
         "kind": "grey-box",
-        "spec": spec_to_dict(replace(found.dataset.spec, sample_time=sample_time)),  # records may have been thinned
+        "spec": spec_to_dict(replace(diagnosis.dataset.spec, sample_time=sample_time)),  # records may have been thinned
         "model": name,
         "options": dict(options),
         "parameters": {key: float(value) for key, value in last.system.values(last.values).items()},
         "effects": [[placed.effect.name, placed.at] for placed in last.system.effects],
-        "intersample": found.dataset.intersample,
-        "notes": {"verdict": found.verdict},
+        "intersample": diagnosis.dataset.intersample,
+        "notes": {"verdict": diagnosis.verdict},
     }
 
 
@@ -221,22 +221,22 @@ def is_fmu(system: Any) -> bool:
     return isinstance(system, FmuSystem)
 
 
-def _repaired_fmu(found: Diagnosis, folder: Path) -> dict[str, Any]:
+def _repaired_fmu(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
     """Return the repaired model as ``sysid export`` reads it, a copy of the FMU beside it."""
     from harness.specs import spec_to_dict
 
-    last = found.nominal if found.misfit else found.final
+    last = diagnosis.nominal if diagnosis.misfit else diagnosis.final
     final = last.system
     (folder / NOMINAL).write_bytes(final.path.read_bytes())
     return {
         "kind": "fmu",
-        "spec": spec_to_dict(found.dataset.spec),
+        "spec": spec_to_dict(diagnosis.dataset.spec),
         "model": NOMINAL,
         "sha256": final.digest,
         "parameters": {key: float(value) for key, value in final.values(last.values).items()},
         "effects": [[placed.effect.name, placed.at] for placed in final.effects],
-        "intersample": found.dataset.intersample,
-        "notes": {"verdict": found.verdict},
+        "intersample": diagnosis.dataset.intersample,
+        "notes": {"verdict": diagnosis.verdict},
     }
 
 
@@ -254,9 +254,9 @@ def _recorded_fmu(loaded: Any) -> Any:
                 file=loaded.path,
             )
     given = {
-        name: {"value": one.start if one.value is None else one.value, "minimum": one.minimum,
-               "maximum": one.maximum, "fixed": one.fixed}
-        for name, one in loaded.nominal.parameters.items()
+        name: {"value": parameter.start if parameter.value is None else parameter.value, "minimum": parameter.minimum,
+               "maximum": parameter.maximum, "fixed": parameter.fixed}
+        for name, parameter in loaded.nominal.parameters.items()
     }  # fmt: skip
     return nominal_fmu(loaded.nominal.model, loaded.dataset, given)
 

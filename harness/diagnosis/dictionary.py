@@ -40,15 +40,15 @@ def placed(
     Examples
     --------
     >>> from harness.physics.models import pendulum
-    >>> found, faults = placed(pendulum().system())
-    >>> [str(one) for one in found if one.at == "base"], faults
+    >>> effects, faults = placed(pendulum().system())
+    >>> [str(effect) for effect in effects if effect.at == "base"], faults
     (['gravity_tilt@base'], [])
     """
     build = composed or functools.partial(compose, system)
     if dictionary is not None:
         return place_all(system, dictionary), []
     known = builtin()
-    found = place_all(system, known.values())
+    candidates = place_all(system, known.values())
     faults: list[str] = []
     names = {name: "the harness" for name in known}
     for entry in _outside(known, faults):
@@ -58,20 +58,20 @@ def placed(
             if made.name in names:
                 raise TypeError(f"{names[made.name]} already has an effect named {made.name!r}")
             places = place_all(system, [made])
-            for one in places:
-                build([one])
+            for candidate in places:
+                build([candidate])
         except Exception as error:  # a stranger's code may raise anything, and must not stop the diagnosis
             faults.append(f"{where} is broken and was not tried: {_words(error)}")
             continue
         names[made.name] = entry.distribution
-        found += places
-    return found, faults
+        candidates += places
+    return candidates, faults
 
 
 def _outside(known: dict[str, Effect], faults: list[str]) -> list[registry.Entry]:
     """Return the entry points of plug-ins."""
     try:
-        return [one for one in registry.entries("effects") if one.id not in known]
+        return [entry for entry in registry.entries("effects") if entry.id not in known]
     except HarnessError as error:
         faults.append(f"effects of plug-ins could not be looked up: {error}")
         return []

@@ -30,21 +30,21 @@ def unseen(test: ScoreTest, form: Form, fit: Fit) -> list[dict[str, Any]]:
         where that is an initial state); ``left``, the share of the effect that nothing free can take up.
     """
     linear = form.linearised(fit)
-    hidden = sorted(test.hidden, key=lambda one: str(one.placed))
+    hidden = sorted(test.hidden, key=lambda lead: str(lead.placed))
     columns: dict[str, list[Column]] = {}
-    for column in form.columns(fit, [one.placed for one in hidden]) if hidden else ():
+    for column in form.columns(fit, [lead.placed for lead in hidden]) if hidden else ():
         columns.setdefault(str(column.placed), []).append(column)
     rows = []
-    for one in hidden:
-        by = _absorbing(columns.get(str(one.placed), []), linear, fit)
+    for lead in hidden:
+        by = _absorbing(columns.get(str(lead.placed), []), linear, fit)
         what = f"the nominal parameter {by}" if by else "nominal parameters or initial states"
         rows.append(
             {
-                "name": one.placed.effect.name,
-                "at": one.placed.at,
+                "name": lead.placed.effect.name,
+                "at": lead.placed.at,
                 "reason": f"{what} can do the same",
                 "parameter": by,
-                "left": round(one.share, 5),
+                "left": round(lead.share, 5),
             }
         )
     return rows

@@ -79,12 +79,12 @@ def carried_away(form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Polic
     small = np.sqrt(noise.s**2 + noise.w**2) <= policy.large * form.noise_model.force_scale
     if not form.latent or not small.all() or runs.after is None or not runs.after.finite:
         return False
-    passed, _ = form.paths(final, "validation")
+    paths, _ = form.paths(final, "validation")
     size = np.sqrt(runs.motion)
     steps = None if runs.horizon.seconds is None else max(round(runs.horizon.seconds / final.detail.passes.dt), 1)
     squares: list[FloatArray] = []
-    for one, error in zip(passed, runs.after.validation, strict=True):
-        path = one.path
+    for passed, error in zip(paths, runs.after.validation, strict=True):
+        path = passed.path
         assert path is not None
         p, sure = np.zeros_like(path.p_after[0]), True
         for k in range(len(error)):
@@ -113,16 +113,16 @@ def mostly_noise(form: LikelihoodForm, nominal: Fit, policy: Policy) -> list[str
 
 def _noise(form: LikelihoodForm, fit: Fit) -> FloatArray:
     """Return the variance of the sensor noise (ny,): what a model leaves is noise only as far as neighbours differ."""
-    found = np.asarray(fit.detail.points["estimation"].noise.r, dtype=float)
-    return np.asarray(np.minimum(found, sensor_noise(form.records["estimation"])) ** 2)
+    deviation = np.asarray(fit.detail.points["estimation"].noise.r, dtype=float)
+    return np.asarray(np.minimum(deviation, sensor_noise(form.records["estimation"])) ** 2)
 
 
 def _noisy(form: LikelihoodForm, shares: FloatArray) -> str:
     """Return that readings are noise."""
     pairs = zip(form.dataset.spec.outputs, np.minimum(shares, 1.0), strict=True)
-    these = {channel.name: float(share) for channel, share in pairs if share > MOSTLY}
-    names = " and ".join(these)
-    share = f"{100 * min(these.values()):.0f} % of the variance"
+    outputs = {channel.name: float(share) for channel, share in pairs if share > MOSTLY}
+    names = " and ".join(outputs)
+    share = f"{100 * min(outputs.values()):.0f} % of the variance"
     return f"the readings of {names} are mostly noise ({share}), or far too coarse in time: nothing can be told"
 
 
@@ -141,10 +141,10 @@ def _left(form: LikelihoodForm, final: Fit, runs: FreeRuns) -> tuple[float, str]
     noise = _noise(form, final)
     error = np.concatenate(list(runs.after.validation)) * runs.output.weights
     moved = np.maximum(runs.motion, 1e-300)
-    rest = np.maximum(np.mean(error**2, axis=0) - noise, 0.0) / moved
-    worst = int(np.argmax(rest))
+    left = np.maximum(np.mean(error**2, axis=0) - noise, 0.0) / moved
+    worst = int(np.argmax(left))
     shares = noise / moved
-    return float(rest[worst]), _noisy(form, shares) if shares[worst] > MOSTLY else ""
+    return float(left[worst]), _noisy(form, shares) if shares[worst] > MOSTLY else ""
 
 
 def _length(runs: FreeRuns) -> str:
@@ -154,14 +154,14 @@ def _length(runs: FreeRuns) -> str:
 def _likely(form: LikelihoodForm, final: Fit, policy: Policy) -> list[str]:
     """Return the mistakes whose repair makes the nominal model much likelier, all that do so about as well."""
     least = final.log_likelihood("estimation") + policy.misfit_gain
-    found = []
+    likelier = []
     for text, dataset, scale in [*mistakes(form.dataset), *_shifted(form)]:
         other = form.on(dataset)
         fit = other.fit((), other.first_starts(), None)
         if fit is not None and (value := fit.log_likelihood("estimation") + scale) > least:
-            found.append((value, text))
-    best = max((value for value, _ in found), default=0.0)
-    words = " or ".join(text for value, text in found if value > best - policy.misfit_gain)
+            likelier.append((value, text))
+    best = max((value for value, _ in likelier), default=0.0)
+    words = " or ".join(text for value, text in likelier if value > best - policy.misfit_gain)
     return [f"check {words}: with that repaired the model fits far better"] if words else []
 
 
@@ -191,18 +191,18 @@ def _shifted(form: LikelihoodForm) -> Iterator[tuple[str, Dataset, float]]:
         while trial:
             for shift in trial:
                 values[shift] = _first_steps(form, _moved_part(longest, k, shift, most))
-            best = max(values, key=lambda one: values[one])
-            below = max((one for one in values if one < best), default=best)
-            above = min((one for one in values if one > best), default=best)
-            trial = [one for one in {(below + best) // 2, (best + above + 1) // 2} if one not in values]
+            best = max(values, key=lambda shift: values[shift])
+            below = max((shift for shift in values if shift < best), default=best)
+            above = min((shift for shift in values if shift > best), default=best)
+            trial = [shift for shift in {(below + best) // 2, (best + above + 1) // 2} if shift not in values]
         if not best or not np.isfinite(values[best]):
             continue
         moved = replace(
             dataset, runs=tuple(replace(run, trajectory=_moved(run.trajectory, k, best)) for run in dataset.runs)
         )
-        here, there = ("late", "early") if best > 0 else ("early", "late")
+        side, opposite = ("late", "early") if best > 0 else ("early", "late")
         many = f"{abs(best)} sample{'s' if abs(best) > 1 else ''}"
-        yield f"whether {channel.name} is recorded about {many} {here}, or the outputs {there}", moved, 0.0
+        yield f"whether {channel.name} is recorded about {many} {side}, or the outputs {opposite}", moved, 0.0
 
 
 def _first_steps(form: LikelihoodForm, record: Trajectory) -> float:

@@ -61,7 +61,7 @@ class Planned:
         return {
             "effects": list(self.effects),
             "cosine": np.round(self.cosines, 4).tolist(),
-            "alike": [list(one) for one in self.alike],
+            "alike": [list(pair) for pair in self.alike],
             "not_visible": list(self.hidden),
             "visible_from": self.smallest,
             "not_tested": list(self.untested),
@@ -139,7 +139,7 @@ def isolability_of(
             remedy="raise the amplitude, or give x0",
         )
     records, noise = _noisy(records, scenario, seed)
-    dataset = Dataset("planned", tuple(Run(one, use) for one, use in zip(records, USES, strict=True)))
+    dataset = Dataset("planned", tuple(Run(record, use) for record, use in zip(records, USES, strict=True)))
     system = system.with_parameters(values)
     with one_thread():
         form = LikelihoodForm(system, dataset, sizes_of(system, values, dataset))
@@ -162,15 +162,15 @@ def isolability_of(
             for j in range(i + 1, len(names))
             if both[i, j] > plan.alike
         ]
-        pairs.sort(key=lambda one: -one[2])
-        tested = {str(one.placed) for one in (*test.leads, *test.hidden)}
+        pairs.sort(key=lambda pair: -pair[2])
+        tested = {str(lead.placed) for lead in (*test.leads, *test.hidden)}
         return Planned(
             names,
             cosines,
             tuple(pairs),
             tuple(unseen(test, form, fit)),
-            _smallest(form, fit, [one.placed for one in test.leads], policy),
-            tuple(str(one) for one in candidates if str(one) not in tested),
+            _smallest(form, fit, [lead.placed for lead in test.leads], policy),
+            tuple(str(candidate) for candidate in candidates if str(candidate) not in tested),
             noise,
         )
 
@@ -187,7 +187,7 @@ def _noisy(records: Sequence[Trajectory], scenario: Any, seed: int) -> tuple[lis
     for number, record in enumerate(records):
         draw = stream("planned-noise", number, seed).standard_normal(record.y.shape)
         made.append(replace(record, y=record.y + deviations * draw))
-    each = ", ".join(f"{one.name} {d:.3g} {one.unit}" for one, d in zip(outputs, deviations, strict=True))
+    each = ", ".join(f"{channel.name} {d:.3g} {channel.unit}" for channel, d in zip(outputs, deviations, strict=True))
     return made, f"sensor noise of 1 % of each output, as the scenario has none: {each}"
 
 
@@ -199,7 +199,7 @@ def _smallest(form: Form, fit: Fit, visible: Sequence[Placed], policy: Policy) -
     """
     basis, _ = projected(form, fit)
     asked = policy.evidence + 0.5 * float(np.log(fit.samples))
-    found: dict[str, dict[str, Any]] = {}
+    smallest: dict[str, dict[str, Any]] = {}
     for column in form.columns(fit, visible) if visible else ():
         placed = column.placed
         main = None if placed is None else placed.effect.main
@@ -208,7 +208,7 @@ def _smallest(form: Form, fit: Fit, visible: Sequence[Placed], policy: Policy) -
         own = column.estimation[:, column.names.index(main.name)]
         left = float(np.linalg.norm(own - basis @ (basis.T @ own)))
         value = float(np.sqrt(2.0 * asked)) / left if left > 0 else np.inf
-        if np.isfinite(value) and value < found.get(str(placed), {"value": np.inf})["value"]:
+        if np.isfinite(value) and value < smallest.get(str(placed), {"value": np.inf})["value"]:
             unit = compose(form.nominal, [placed]).parameter(placed.name(main.name)).unit
-            found[str(placed)] = {"parameter": main.name, "value": value, "unit": unit}
-    return found
+            smallest[str(placed)] = {"parameter": main.name, "value": value, "unit": unit}
+    return smallest
