@@ -67,10 +67,10 @@ class ArmBodies:
         return {
             use: tuple(
                 replace(
-                    one,
-                    rigid=one.rigid + arm.torques(one.motion.q, one.motion.v, one.motion.a, parameters=change),
+                    run,
+                    rigid=run.rigid + arm.torques(run.motion.q, run.motion.v, run.motion.a, parameters=change),
                 )
-                for one in parts
+                for run in parts
             )
             for use, parts in runs.items()
         }
@@ -104,11 +104,11 @@ def bodies_of_arm(
     p = np.zeros(len(equation.system.parameters))
     parts = equation.residual(p, "estimation")
     errors = wide.fit.detail.errors
-    rest = form.whitened([r for r, _ in parts], "estimation", errors)
+    residual = form.whitened([r for r, _ in parts], "estimation", errors)
     rows = form.whitened([j for _, j in parts], "estimation", errors)
     own = [k for k, name in enumerate(equation.system.parameter_names) if name in balance.own]
     others = [k for k in range(rows.shape[1]) if k not in own]
-    return _estimated(arm, chosen, [(rows[:, own], rows[:, others], -rest)])
+    return _estimated(arm, chosen, [(rows[:, own], rows[:, others], -residual)])
 
 
 def bodies_of_joints(
@@ -132,8 +132,8 @@ def bodies_of_joints(
         errors = fit.detail.errors
         rows = form.whitened([j for _, j in parts], "estimation", errors)
         free = [k for k, name in enumerate(names) if name in form.balance.own]
-        rest = form.whitened([r for r, _ in parts], "estimation", errors)
-        blocks.append((rows[:, free], rows[:, [names.index(CLOCK)]], -rest))
+        residual = form.whitened([r for r, _ in parts], "estimation", errors)
+        blocks.append((rows[:, free], rows[:, [names.index(CLOCK)]], -residual))
     return _estimated(arm, chosen, blocks)
 
 
@@ -210,5 +210,5 @@ def _cost_of_reality(rows: FloatArray, known: FloatArray, x: FloatArray, rank: i
     size = np.linalg.norm(rows, axis=0)
     scaled = rows / np.where(size > 0, size, 1.0)
     free = known - scaled @ np.linalg.lstsq(scaled, known, rcond=1e-9)[0]
-    rest = known - rows @ x
-    return 0.5 * float(rest @ rest - free @ free), 0.5 * float(chi2.ppf(1.0 - LIKELY, max(rank, 1)))
+    residual = known - rows @ x
+    return 0.5 * float(residual @ residual - free @ free), 0.5 * float(chi2.ppf(1.0 - LIKELY, max(rank, 1)))

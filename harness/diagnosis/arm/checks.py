@@ -32,7 +32,7 @@ def check_torques(runs: Sequence[Run]) -> list[str]:
         record = run.trajectory
         dt, n = record.spec.sample_time, record.spec.nu
         moving = [record.y[:, k] for k in range(min(n, record.spec.ny)) if np.ptp(record.y[:, k]) > 0]
-        band = max((motion_band(one, dt)[0] for one in moving), default=0.0)
+        band = max((motion_band(y, dt)[0] for y in moving), default=0.0)
         for k in range(n):
             notes += [f"run {number} ({run.use}): {text}" for text in _torque(record, k, band)]
     return notes

@@ -39,14 +39,14 @@ def close_arm(
     from harness.diagnosis.arm.report import arm_report
     from harness.diagnosis.store import write_atomic
 
-    found = diagnose_arm(dataset, arm, progress=progress, dictionary=dictionary)
+    diagnosis = diagnose_arm(dataset, arm, progress=progress, dictionary=dictionary)
     if progress is not None:
         progress(0.9, "report")
-    data = arm_report(found)
+    data = arm_report(diagnosis)
     if folder is not None:
-        write_arm_html(found, data, folder / "report.html")
-        if arm.path is not None and not found.misfit:
-            write_atomic(folder / URDF, repaired_urdf(found, data))
+        write_arm_html(diagnosis, data, folder / "report.html")
+        if arm.path is not None and not diagnosis.misfit:
+            write_atomic(folder / URDF, repaired_urdf(diagnosis, data))
         write_atomic(folder / "report.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
     if progress is not None:
         progress(1.0, data["summary"])
@@ -91,10 +91,10 @@ def repaired_urdf(found: ArmDiagnosis, data: dict[str, Any]) -> str:
     else:
         root = ElementTree.fromstring(urdf_with(found.arm, found.bodies.parameters))
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
-    places = {one.name: k for k, one in enumerate(found.arm.positions)}
+    places = {channel.name: k for k, channel in enumerate(found.arm.positions)}
     left: list[str] = []
     for effect in data["effects"]:
-        values = {name: one["value"] for name, one in effect["parameters"].items()}
+        values = {name: entry["value"] for name, entry in effect["parameters"].items()}
         key = {"viscous_friction": ("damping", "b"), "coulomb_friction": ("friction", "Fc")}.get(effect["name"])
         if key is not None:
             k = places[effect["at"]]

@@ -111,12 +111,12 @@ def diagnose_arm(
             wide, joints, bodies = _with_bodies(arm, runs, moving, wide, whole, every)
         else:
             joints, bodies = every(runs, wide, False), None
-        found = ArmDiagnosis(
+        diagnosis = ArmDiagnosis(
             dataset, arm, runs, wide, joints, still, bodies=bodies, policy=policy, warnings=warnings + wide.notes
         )
-        found.misfit = misfit_reasons(dataset, arm, runs, found.joints, policy, arm_policy)
-    found.seconds = time.monotonic() - began
-    return found
+        diagnosis.misfit = misfit_reasons(dataset, arm, runs, diagnosis.joints, policy, arm_policy)
+    diagnosis.seconds = time.monotonic() - began
+    return diagnosis
 
 
 def _with_bodies(
@@ -141,14 +141,14 @@ def _with_bodies(
     for _ in range(ROUNDS):
         joints = every(bodies.runs(arm, runs), wide, bodies.possible)
         free = bodies.possible
-        bodies = bodies_of_joints(arm, runs, {one.joint: one.final for one in joints}, wide)
-        now = [str(one.placed) for joint in joints for one in joint.outcome.accepted]
+        bodies = bodies_of_joints(arm, runs, {joint.joint: joint.final for joint in joints}, wide)
+        now = [str(accepted.placed) for joint in joints for accepted in joint.outcome.accepted]
         if free or now == names:
             break
         names = now
     own = bodies.runs(arm, runs)
     for joint in joints:
-        known = {use: [wide.torque(one)[:, joint.joint] for one in parts] for use, parts in own.items()}
+        known = {use: [wide.torque(run)[:, joint.joint] for run in parts] for use, parts in own.items()}
         balance = JointBalance(arm, joint.joint, own, known)
         fit = RegressionForm(balance, joint.policy).fit(joint.final.effects, [joint.final.values], joint.final)
         joint.closed = None if fit is None else (balance, fit)
@@ -162,7 +162,9 @@ def _moving(arm: ArmModel, dataset: Dataset, still: FloatArray, policy: ArmPolic
         raise InputError(
             f"no joint of {dataset.name!r} moves",
             expected="a joint in motion for two thirds of the time",
-            got=", ".join(f"{one.name} {100 * (1 - s):.0f} %" for one, s in zip(arm.positions, still, strict=True)),
+            got=", ".join(
+                f"{channel.name} {100 * (1 - s):.0f} %" for channel, s in zip(arm.positions, still, strict=True)
+            ),
             remedy="record the arm on a path that keeps its joints moving",
         )
     return moving
@@ -180,7 +182,7 @@ def _joint(
     arm_policy: ArmPolicy,
 ) -> JointDiagnosis:
     """Search one joint."""
-    known = {use: [wide.torque(one)[:, k] for one in parts] for use, parts in runs.items()}
+    known = {use: [wide.torque(run)[:, k] for run in parts] for use, parts in runs.items()}
     free = _free_columns(calibrated, k) if calibrated else None
     balance = JointBalance(arm, k, runs, known, free)
     form = RegressionForm(balance, arm_policy)
@@ -192,14 +194,12 @@ def _joint(
             got="others",
             remedy="check units and spikes of the positions",
         )
-    candidates, drowned = joint_dictionary(arm, k, balance, runs["estimation"][0], dictionary)
+    candidates, noisy = joint_dictionary(arm, k, balance, runs["estimation"][0], dictionary)
     outcome = search(form, nominal, candidates, policy=policy)
     factor = runs["validation"][0].motion.factor
     passed = 0.8 / factor if factor > 1 else 1.0  # of the power of white noise, by the decimation
     noise = max(white_noise(run.u[:, k]) for run in dataset.validation) * float(np.sqrt(passed))
-    return JointDiagnosis(
-        k, balance, outcome, left_over(form, outcome.model, policy), tuple(drowned), noise, arm_policy
-    )
+    return JointDiagnosis(k, balance, outcome, left_over(form, outcome.model, policy), tuple(noisy), noise, arm_policy)
 
 
 def _inertial_directions(arm: ArmModel, runs: Sequence[ArmRun]) -> list[FloatArray]:
@@ -216,13 +216,13 @@ def _calibrated_torques(
     """Return by use the torques (N, n, d) of all joints for every direction of the inertial parameters."""
     turn = np.stack(directions, axis=1)
     every = range(len(arm.arm.joints))
-    return {use: [one @ turn for one in parts] for use, parts in unit_torques(arm, runs, every).items()}
+    return {use: [part @ turn for part in parts] for use, parts in unit_torques(arm, runs, every).items()}
 
 
 def _free_columns(torques: Mapping[str, Sequence[FloatArray]], k: int) -> dict[str, list[FloatArray]]:
     """Return by use the torques (N, c) of one joint that calibrated inertial parameters can make, without doubles."""
-    joined = np.concatenate([one[:, k] for one in torques["estimation"]])
+    joined = np.concatenate([part[:, k] for part in torques["estimation"]])
     _, singular, right = np.linalg.svd(joined, full_matrices=False)
     kept = singular > SEEN * singular[0]
     turn: Any = right[kept].T * (np.sqrt(joined.shape[0]) / singular[kept])
-    return {use: [one[:, k] @ turn for one in parts] for use, parts in torques.items()}
+    return {use: [part[:, k] @ turn for part in parts] for use, parts in torques.items()}

@@ -77,13 +77,13 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
         Typical size of each joint's torque.
     policy : ArmPolicy
     """
-    found: list[Wide] = []
+    wide: list[Wide] = []
     tip = arm.links[-1]
     frame = arm.arm.joints[tip].name
     whole = sum(joint.mass for joint in arm.arm.joints)
 
     def add(effect: Effect, at: str, columns: Callable[[ArmRun], FloatArray]) -> None:
-        found.append(Wide(Placed(effect, at), columns))
+        wide.append(Wide(Placed(effect, at), columns))
 
     def body(row: int, offset: int) -> Callable[[ArmRun], FloatArray]:
         unit = np.zeros(10 * len(arm.arm.joints))
@@ -105,14 +105,14 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
         _effect("payload_off_centre", [mass, *moments], (beside, f"{formula} + (m c) ID_unit moment", heavier),
                 ("payload",)),
         "flange",
-        lambda run: np.concatenate([one(run) for one in load], axis=2),
+        lambda run: np.concatenate([column(run) for column in load], axis=2),
     )  # fmt: skip
     turning = "turn the base, or mount it on a level plate: a tilt moves with the base, an encoder's zero does not"
 
     def tilted(run: ArmRun) -> FloatArray:
         still = np.zeros_like(run.calm.q)
         return np.stack(
-            [arm.torques(run.calm.q, still, still, one) for one in ((9.81, 0.0, 0.0), (0.0, 9.81, 0.0))], axis=2
+            [arm.torques(run.calm.q, still, still, gravity) for gravity in ((9.81, 0.0, 0.0), (0.0, 9.81, 0.0))], axis=2
         )
 
     tilts = [
@@ -148,11 +148,11 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
         factor = _par("gain", "1", "relative error of the torque", policy.gain - 1, least=1 / policy.gain - 1)
         words = "The torque of one joint is wrong by a factor.", "left to the search on the joint", heavier
         add(_effect(GAIN, [factor], words), channel.name, _gain(k))
-    return found
+    return wide
 
 
 def _zero(arm: ArmModel, k: int) -> Callable[[ArmRun], FloatArray]:
-    """Return the column of a wrong joint zero: minus the slope of the torques over that joint's position."""
+    """Return the column of a wrong joint zero: minus the gradient of the torques over that joint's position."""
 
     def columns(run: ArmRun) -> FloatArray:
         m, step = run.calm, np.zeros(arm.n)

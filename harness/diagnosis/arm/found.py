@@ -101,7 +101,7 @@ class JointDiagnosis:
     @functools.cached_property
     def share(self) -> float:
         """Part of the torque that stays unexplained and is no noise of its samples, on the validation records."""
-        count = sum(float(one.sum()) for one in self.balance.counts["validation"])
+        count = sum(float(rows.sum()) for rows in self.balance.counts["validation"])
         noise = self.noise**2 * (
             1.0 + ARM_POLICY.sure * np.sqrt(2.0 / max(count, 1.0))
         )  # as large as chance may make it
@@ -109,11 +109,11 @@ class JointDiagnosis:
 
     @functools.cached_property
     def predictable(self) -> Axis | None:
-        """What of the rest can be predicted, if it is more than the error of a torque sensor."""
+        """What of the residual can be predicted, if it is more than the error of a torque sensor."""
         best = self.leftover.best
         if best is None:
             return None
-        change = next(one for one in self.balance.free_torques() if one.names[0] == best.name)
+        change = next(change for change in self.balance.free_torques() if change.names[0] == best.name)
         force = np.concatenate(change.torque["validation"])[:, 0] @ best.values
         moving = np.concatenate(self.balance.counts["validation"])[:, 0] > 0
         return best if float(np.std(force[moving])) > self.policy.sensor * self.torque else None
@@ -161,14 +161,14 @@ class ArmDiagnosis:
         """See diagnosis: model_does_not_fit, effects_found, nothing_missing, unexplained."""
         if self.misfit:
             return "model_does_not_fit"
-        if self.wide.accepted or any(one.outcome.accepted for one in self.joints):
+        if self.wide.accepted or any(joint.outcome.accepted for joint in self.joints):
             return "effects_found"
         return "unexplained" if self.incomplete else "nothing_missing"
 
     @property
     def incomplete(self) -> list[JointDiagnosis]:
-        """The joints at which a part of the rest can be predicted, or the rest is no small disturbance."""
-        return [one for one in self.joints if one.predictable is not None or one.share > self.policy.large]
+        """The joints at which a part of the residual can be predicted, or it is no small disturbance."""
+        return [joint for joint in self.joints if joint.predictable is not None or joint.share > self.policy.large]
 
     @property
     def grade(self) -> str:
@@ -177,13 +177,13 @@ class ArmDiagnosis:
             return "does_not_fit"
         if self.incomplete:
             return "proxy_or_incomplete"
-        left = max(one.share**2 for one in self.joints)
+        left = max(joint.share**2 for joint in self.joints)
         return "explained" if left <= self.policy.explained else "mostly_explained"
 
     @property
     def explained_share(self) -> float:
         """Share of the variance of the torque that is explained, at the joint where it is least (validation)."""
-        return min(1.0 - (one.left("validation") / max(one.torque, 1e-300)) ** 2 for one in self.joints)
+        return min(1.0 - (joint.left("validation") / max(joint.torque, 1e-300)) ** 2 for joint in self.joints)
 
     def before(self, use: str) -> FloatArray:
         """Return the rms of the torque residual of every joint before anything was added (n,)."""
@@ -192,8 +192,8 @@ class ArmDiagnosis:
     def after(self, use: str) -> FloatArray:
         """Return the rms of the torque residual of every joint with all that was found (n,)."""
         result = self._rms(use, lambda run: run.motion.u - self.wide.torque(run), self.closed_runs)
-        for one in self.joints:
-            result[one.joint] = one.left(use)
+        for joint in self.joints:
+            result[joint.joint] = joint.left(use)
         return result
 
     @functools.cached_property

@@ -109,13 +109,13 @@ class JointBalance:
                 own = np.concatenate(columns, axis=1)
                 made.append(_thinned(replace(m, q=m.q[:, pick], v=m.v[:, pick], a=m.a[:, pick], u=own)))
             self.motions[use] = tuple(made)
-        self.counts = {use: [moving_rows(one) for one in parts] for use, parts in self.motions.items()}
+        self.counts = {use: [moving_rows(motion) for motion in parts] for use, parts in self.motions.items()}
         self.sizes = _sizes(self.nominal, self.motions["estimation"][0])
         self._equations: dict[tuple[str, ...], JointEquation] = {}
 
     def equation(self, effects: Sequence[Placed]) -> JointEquation:
         """Return the balance with effects, made once; inputs beyond the torque are known columns."""
-        key = tuple(str(one) for one in effects)
+        key = tuple(str(placed) for placed in effects)
         if key not in self._equations:
             system = compose(self.nominal, list(effects), sizes=self.sizes) if effects else self.nominal
             self._equations[key] = JointEquation(_joint_equations(system, self.nominal.np), self.motions)
@@ -123,10 +123,12 @@ class JointBalance:
 
     def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[Change]:
         """Return what each candidate would change, at several choices of the parameters in which it is not linear."""
-        found = []
+        changes = []
         for placed in candidates:
             equation = self.equation((placed,))
-            linear = tuple(one.name for one in placed.effect.parameters if one.linear and not one.fixed)
+            linear = tuple(
+                parameter.name for parameter in placed.effect.parameters if parameter.linear and not parameter.fixed
+            )
             for given in self._choices(placed, linear):
                 turns = [given]
                 if placed.effect.name == "cogging":  # sin(a + phi) = cos(phi) sin(a) + sin(phi) cos(a)
@@ -138,30 +140,32 @@ class JointBalance:
                 }
                 names = (linear or ("effect",)) if len(turns) == 1 else ("in phase", "quarter turn")
                 known = {name: value for name, value in given.items() if len(turns) == 1 or name != "phi"}
-                if all(np.isfinite(one).all() for use in torque.values() for one in use):
-                    found.append(Change(placed, known, names, torque))
-        return found
+                if all(np.isfinite(part).all() for use in torque.values() for part in use):
+                    changes.append(Change(placed, known, names, torque))
+        return changes
 
     def _choices(self, placed: Placed, linear: Sequence[str]) -> list[dict[str, float]]:
         """Return choices of the parameters in which an effect is not linear."""
         at = self.sizes.get(placed.at, {})
-        free = [one for one in placed.effect.parameters if one.name not in linear and not one.fixed]
+        free = [
+            parameter for parameter in placed.effect.parameters if parameter.name not in linear and not parameter.fixed
+        ]
         grids: list[Sequence[float]] = []
-        for one in free:
+        for parameter in free:
             if placed.effect.name == "cogging":
-                grids.append(self._waves(one.minimum, one.maximum) if one.name == "k" else (0.0,))
+                grids.append(self._waves(parameter.minimum, parameter.maximum) if parameter.name == "k" else (0.0,))
             else:
-                grids.append(one.starts(at))
+                grids.append(parameter.starts(at))
         most = WAVES if placed.effect.name == "cogging" else EFFORT.choices
-        names = [one.name for one in free]
+        names = [parameter.name for parameter in free]
         return [dict(zip(names, choice, strict=True)) for choice in itertools.islice(itertools.product(*grids), most)]
 
     def _waves(self, minimum: float, maximum: float) -> tuple[float, ...]:
         """Return wave numbers of a torque that repeats along the joint, close enough that none is missed."""
-        q = np.concatenate([one.q[:, 0] for one in self.motions["estimation"]])
+        q = np.concatenate([motion.q[:, 0] for motion in self.motions["estimation"]])
         low, high = np.quantile(q, [0.02, 0.98])
         step, least = np.pi / max(float(high - low), 1e-9), max(minimum, SLOWEST)
-        return tuple(float(one) for one in np.arange(least, min(maximum, least + WAVES * step), step))
+        return tuple(float(wave) for wave in np.arange(least, min(maximum, least + WAVES * step), step))
 
     def _columns(
         self, equation: JointEquation, values: Mapping[str, float], placed: Placed, linear: Sequence[str],
@@ -176,7 +180,7 @@ class JointBalance:
         uses = ("estimation", "validation")
         if not linear:  # the whole effect counts this many times
             force = {use: self.force(dict(zip(system.parameter_names, p, strict=True)), (placed,), use) for use in uses}
-            return {use: [-one[:, :, None] for one in parts] for use, parts in force.items()}
+            return {use: [-part[:, :, None] for part in parts] for use, parts in force.items()}
         index = [system.parameter_names.index(placed.name(name)) for name in linear]
         return {use: [j[:, :, index] for _, j in equation.residual(p, use)] for use in uses}
 
@@ -184,19 +188,21 @@ class JointBalance:
         """Return piecewise linear torques over position, speed and torque, and over position with each other."""
         name = self.nominal.coordinates[0].name
         axes = {
-            name: {use: [one.q[:, 0] for one in parts] for use, parts in self.motions.items()},
-            f"{name}_rate": {use: [one.v[:, 0] for one in parts] for use, parts in self.motions.items()},
-            self.nominal.inputs[0].name: {use: [one.u[:, 0] for one in parts] for use, parts in self.motions.items()},
+            name: {use: [motion.q[:, 0] for motion in parts] for use, parts in self.motions.items()},
+            f"{name}_rate": {use: [motion.v[:, 0] for motion in parts] for use, parts in self.motions.items()},
+            self.nominal.inputs[0].name: {
+                use: [motion.u[:, 0] for motion in parts] for use, parts in self.motions.items()
+            },
         }
         first, *others = axes
-        found = []
-        for group in [*((one,) for one in axes), *((first, other) for other in others)]:
+        changes = []
+        for group in [*((axis,) for axis in axes), *((first, other) for other in others)]:
             counts = (EFFORT.knots,) if len(group) == 1 else EFFORT.joint_knots
             knots = [
                 np.unique(np.quantile(np.concatenate(axes[axis]["estimation"]), np.linspace(0.01, 0.99, count)))
                 for axis, count in zip(group, counts, strict=True)
             ]
-            if any(len(one) < 3 for one in knots):
+            if any(len(at) < 3 for at in knots):
                 continue
             torque: dict[str, list[FloatArray]] = {}
             for use, motions in self.motions.items():
@@ -210,12 +216,12 @@ class JointBalance:
                     torque[use].append(-decimated(hats[0] if len(hats) == 1 else both, motion)[:, None, :])
             grid = itertools.product(*knots)
             labels = [", ".join(f"{n} {v:.3g}" for n, v in zip(group, at, strict=True)) for at in grid]
-            found.append(Change(None, {}, (f"{name} over {' and '.join(group)}", *labels), torque))
-        return found
+            changes.append(Change(None, {}, (f"{name} over {' and '.join(group)}", *labels), torque))
+        return changes
 
     def torque(self, use: str) -> list[FloatArray]:
         """Return the calm torque (rows,) of every record, decimated as the residual is."""
-        return [decimated(one.u[:, :1], one)[:, 0] for one in self.motions[use]]
+        return [decimated(motion.u[:, :1], motion)[:, 0] for motion in self.motions[use]]
 
     def force(self, values: Mapping[str, float], effects: Sequence[Placed], use: str) -> list[FloatArray]:
         """Return the torque (rows, 1) that effects exert, decimated as the residual is, for every record."""
@@ -278,7 +284,7 @@ def joint_system(arm: ArmModel, joint: int, free: int = 0) -> Any:
 def joint_dictionary(
     arm: ArmModel, joint: int, balance: JointBalance, run: ArmRun, dictionary: Sequence[Effect] | None = None
 ) -> tuple[list[Placed], list[str]]:
-    """Return the effects at a joint that can be judged, and the names of those that drown in the noise of the torque.
+    """Return the effects at a joint that can be judged, and the names of those that the torque's noise hides.
 
     Where the URDF states a damping, viscous friction may also be too large in the model: then its sign is free.
     An effect that acts on the torque itself (its gain, friction in proportion to it) needs a torque 20 times above its
@@ -288,16 +294,20 @@ def joint_dictionary(
 
     effects = [builtin()[name] for name in JOINT_EFFECTS] if dictionary is None else list(dictionary)
     if arm.damping[joint] > 0:
-        effects = [_either_sign(one) if one.name == "viscous_friction" else one for one in effects]
+        effects = [_either_sign(effect) if effect.name == "viscous_friction" else effect for effect in effects]
     torque = run.calm.u[:, joint]
     dt = run.motion.sample_time
     corner = ARM_POLICY.calm * motion_band(run.motion.q[:, joint], dt)[0]
     noise = white_noise(run.motion.u[:, joint]) * float(np.sqrt(min(4 * corner * dt, 1.0)))
     # inertia is known on an absolute scale here, so a factor on the torque shows
-    placed = [one for one in place_all(balance.nominal, effects) if expressible(one) or one.effect.name == "input_gain"]
+    placed = [
+        candidate
+        for candidate in place_all(balance.nominal, effects)
+        if expressible(candidate) or candidate.effect.name == "input_gain"
+    ]
     loud = noise > ARM_POLICY.noisy * float(np.std(torque))
-    drowned = [one for one in placed if one.effect.name in ON_TORQUE and loud]
-    return [one for one in placed if one not in drowned], [str(one) for one in drowned]
+    noisy = [candidate for candidate in placed if candidate.effect.name in ON_TORQUE and loud]
+    return [candidate for candidate in placed if candidate not in noisy], [str(candidate) for candidate in noisy]
 
 
 def white_noise(signal: FloatArray) -> float:
@@ -315,7 +325,7 @@ def white_noise(signal: FloatArray) -> float:
 
 def _either_sign(effect: Effect) -> Effect:
     """Return an effect whose main parameter may have both signs."""
-    return replace(effect, parameters=tuple(replace(one, sign="any") for one in effect.parameters))
+    return replace(effect, parameters=tuple(replace(parameter, sign="any") for parameter in effect.parameters))
 
 
 def _joint_equations(system: Any, free: int) -> Equations:
@@ -327,8 +337,8 @@ def _joint_equations(system: Any, free: int) -> Equations:
     swap_from = ca.vertcat(system.x, system.u, system.gravity, system.t)
     swap_to = ca.vertcat(q, v, u[0], ca.DM([0.0, -1.0]), t)
     matrix, force, drive = (
-        ca.substitute(ca.SX(one), swap_from, swap_to)
-        for one in (system.mass_matrix, system.generalized_forces, system.input_forces)
+        ca.substitute(ca.SX(term), swap_from, swap_to)
+        for term in (system.mass_matrix, system.generalized_forces, system.input_forces)
     )
     left_over = matrix @ a - force + u[1] + ca.dot(p[:free], u[2:])
     jacobian = ca.jacobian(left_over, p)

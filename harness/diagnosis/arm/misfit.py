@@ -59,18 +59,18 @@ def misfit_reasons(
     arm_policy : ArmPolicy
     """
     reasons = []
-    bad = sorted((one for one in joints if not one.share <= policy.misfit_nrmse), key=lambda one: -one.share)
-    for one in bad[:SHOWN]:
+    bad = sorted((joint for joint in joints if not joint.share <= policy.misfit_nrmse), key=lambda joint: -joint.share)
+    for joint in bad[:SHOWN]:
         reasons.append(
-            f"at {arm.positions[one.joint].name} what the model leaves is {100 * one.share:.0f} % as large as all that "
-            "the torque does"
+            f"at {arm.positions[joint.joint].name} what the model leaves is {100 * joint.share:.0f} % as large as all "
+            "that the torque does"
         )
     if len(bad) > SHOWN:
         reasons.append(f"so it is at {len(bad) - SHOWN} more joints")
     gains = {
-        accepted.placed.at: one.final.values[accepted.placed.name("gain")]
-        for one in joints
-        for accepted in one.outcome.accepted
+        accepted.placed.at: joint.final.values[accepted.placed.name("gain")]
+        for joint in joints
+        for accepted in joint.outcome.accepted
         if accepted.placed.effect.name == GAIN
     }
     wild = {name: gain for name, gain in gains.items() if not 1 / arm_policy.gain < gain < arm_policy.gain}
@@ -82,7 +82,7 @@ def misfit_reasons(
         )
         reasons.append(f"the torque {name} {text}")
     if reasons:  # the last one is what to do, where it is known
-        reasons += _likely(dataset, arm, runs, [one.joint for one in joints], policy)
+        reasons += _likely(dataset, arm, runs, [joint.joint for joint in joints], policy)
     return tuple(reasons)
 
 
@@ -91,7 +91,7 @@ def _likely(
 ) -> list[str]:
     """Return the mistake whose repair makes the log much likelier, if there is one."""
     estimation = runs["estimation"]
-    base, _ = _explained([(one, one.motion.u) for one in estimation], joints)
+    base, _ = _explained([(run, run.motion.u) for run in estimation], joints)
     best, words = base + policy.misfit_gain, ""
     for text, pairs in _mistakes(dataset, arm, estimation, joints):
         value, left = _explained(pairs, joints)
@@ -107,13 +107,13 @@ def _mistakes(
     yield from _torque_mistakes(arm, runs, joints)
     yield from _position_mistakes(dataset, arm)
     for text, gravity in GRAVITIES.items():
-        needed = [arm.torques(one.motion.q, one.motion.v, one.motion.a, gravity) for one in runs]
-        plain = [arm.torques(one.motion.q, one.motion.v, one.motion.a) for one in runs]
+        needed = [arm.torques(run.motion.q, run.motion.v, run.motion.a, gravity) for run in runs]
+        plain = [arm.torques(run.motion.q, run.motion.v, run.motion.a) for run in runs]
         yield (
             text,
             [
-                (replace(one, rigid=one.rigid - without + with_), one.motion.u)
-                for one, without, with_ in zip(runs, plain, needed, strict=True)
+                (replace(run, rigid=run.rigid - without + with_), run.motion.u)
+                for run, without, with_ in zip(runs, plain, needed, strict=True)
             ],
         )
 
@@ -125,7 +125,7 @@ def _torque_mistakes(
     names = [channel.name for channel in arm.inputs]
 
     def with_columns(order: Sequence[int], signs: FloatArray) -> list[tuple[ArmRun, FloatArray]]:
-        return [(one, one.motion.u[:, order] * signs) for one in runs]
+        return [(run, run.motion.u[:, order] * signs) for run in runs]
 
     same = list(range(arm.n))
     yield "the sign of all torques", with_columns(same, -np.ones(arm.n))
@@ -135,8 +135,8 @@ def _torque_mistakes(
         order = list(same)
         order[a], order[b] = b, a
         yield f"whether {names[a]} and {names[b]} are exchanged", with_columns(order, np.ones(arm.n))
-    torque = np.concatenate([one.motion.u for one in runs])[:, joints]
-    rigid = np.concatenate([one.rigid for one in runs])[:, joints]
+    torque = np.concatenate([run.motion.u for run in runs])[:, joints]
+    rigid = np.concatenate([run.rigid for run in runs])[:, joints]
     factor = float(np.median(torque.std(axis=0) / np.maximum(rigid.std(axis=0), 1e-12)))
     units = [unit for unit in UNITS if unit / ARM_POLICY.unit_within < factor < unit * ARM_POLICY.unit_within]
     for unit in units:
@@ -165,7 +165,7 @@ def _position_mistakes(dataset: Dataset, arm: ArmModel) -> Iterator[tuple[str, l
             replace(run, trajectory=replace(run.trajectory, y=run.trajectory.y * scale)) for run in dataset.runs
         )
         made = arm_runs(arm, replace(dataset, runs=changed))["estimation"]
-        yield text, [(one, one.motion.u) for one in made]
+        yield text, [(run, run.motion.u) for run in made]
 
 
 def _explained(pairs: Sequence[tuple[ArmRun, FloatArray]], joints: Sequence[int]) -> tuple[float, float]:

@@ -53,10 +53,10 @@ def arm_runs(arm: ArmModel, dataset: Dataset) -> dict[str, tuple[ArmRun, ...]]:
 
     Torques are means over a sample where the input is held, see :func:`harness.diagnosis.records.motion.smooth_motion`.
     """
-    runs = {use: [_run(arm, one, dataset.intersample) for one in dataset.using(use)] for use in USES}  # type: ignore[arg-type]
-    factor = min(one.motion.factor for parts in runs.values() for one in parts)
+    runs = {use: [_run(arm, record, dataset.intersample) for record in dataset.using(use)] for use in USES}  # type: ignore[arg-type]
+    factor = min(run.motion.factor for parts in runs.values() for run in parts)
     return {
-        use: tuple(replace(one, motion=replace(one.motion, factor=factor)) for one in parts)
+        use: tuple(replace(run, motion=replace(run.motion, factor=factor)) for run in parts)
         for use, parts in runs.items()
     }
 
@@ -85,7 +85,7 @@ def standstill(runs: dict[str, tuple[ArmRun, ...]]) -> FloatArray:
 
     A sine spends 5 % of its time there, a sum of many sines 8 %; a joint that sticks far more.
     """
-    v = np.concatenate([one.calm.v[one.motion.inside] for one in runs["estimation"]])
+    v = np.concatenate([run.calm.v[run.motion.inside] for run in runs["estimation"]])
     size = np.sqrt(np.mean(v**2, axis=0))
     return np.asarray(np.mean(np.abs(v) <= ARM_POLICY.still * size, axis=0))
 
@@ -94,9 +94,9 @@ def _run(arm: ArmModel, record: Trajectory, intersample: str) -> ArmRun:
     """Return one record as a motion."""
     names = [channel.name for channel in record.spec.outputs]
     columns: dict[str, tuple[int | None, int | None]] = {}
-    for k, one in enumerate(arm.positions):
-        rate = f"{one.name}_rate"
-        columns[one.name] = (k, names.index(rate) if rate in names else None)
+    for k, position in enumerate(arm.positions):
+        rate = f"{position.name}_rate"
+        columns[position.name] = (k, names.index(rate) if rate in names else None)
     motion = smooth_motion(record, columns, intersample)
     rigid = arm.torques(motion.q, motion.v, motion.a) + arm.damped(motion.v)
     band = max(motion_band(record.y[:, k], motion.sample_time)[0] for k in range(arm.n))
@@ -113,5 +113,5 @@ def _calmed(motion: Motion, corner: float) -> Motion:
     dt, rows = motion.sample_time, motion.q.shape[0]
     sos = signal.butter(ORDER, min(2 * corner * dt, 0.9), output="sos")
     pad = min(int(4 / (corner * dt)), rows - 1)
-    q, v, u = (np.asarray(signal.sosfiltfilt(sos, one, axis=0, padlen=pad)) for one in (motion.q, motion.v, motion.u))
+    q, v, u = (np.asarray(signal.sosfiltfilt(sos, part, axis=0, padlen=pad)) for part in (motion.q, motion.v, motion.u))
     return replace(motion, q=q, v=v, a=np.gradient(v, dt, axis=0), u=u)

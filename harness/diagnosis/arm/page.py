@@ -64,52 +64,54 @@ def _moved(data: dict[str, Any], use: str) -> list[bool]:
 
 def _cards(data: dict[str, Any], use: str) -> list[dict[str, Any]]:
     """Return the joints of the first cards: whose residual fell most, or grew where none fell; else is largest."""
-    judged = [one for one in data["joints"] if one["judged"]]
+    judged = [joint for joint in data["joints"] if joint["judged"]]
     if data["misfit"]:
         return []
-    places = {one["joint"] for one in judged}
-    if all(one["at"] in places for one in data["effects"]):  # a payload or a tilt moves all of them
-        judged = [one for one in judged if one["effects"]] or judged
-    cards = [{**one, "factor": _factor(one, use)} for one in judged]
+    places = {joint["joint"] for joint in judged}
+    if all(effect["at"] in places for effect in data["effects"]):  # a payload or a tilt moves all of them
+        judged = [joint for joint in judged if joint["effects"]] or judged
+    cards = [{**joint, "factor": _factor(joint, use)} for joint in judged]
     if not data["effects"]:
-        return sorted(cards, key=lambda one: -(one["before"][use] or 0.0) / (one["torque_rms"] or 1.0))[:2]
-    fell = any((one["factor"] or 0.0) >= SAME for one in cards)
-    return sorted(cards, key=lambda one: -(one["factor"] or 0.0) if fell else one["factor"] or np.inf)[:3]
+        return sorted(cards, key=lambda card: -(card["before"][use] or 0.0) / (card["torque_rms"] or 1.0))[:2]
+    fell = any((card["factor"] or 0.0) >= SAME for card in cards)
+    return sorted(cards, key=lambda card: -(card["factor"] or 0.0) if fell else card["factor"] or np.inf)[:3]
 
 
 def _figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
     """Return the figures by name."""
     views = []
     for k, channel in enumerate(found.arm.positions):
-        run = max(found.runs["validation"], key=lambda one: one.motion.q.shape[0])
+        run = max(found.runs["validation"], key=lambda run: run.motion.q.shape[0])
         keep = moving_rows(run.motion)[:, k] > 0
         before = run.slim(run.motion.u - run.rigid)[keep, k]
-        closed = max(found.closed_runs["validation"], key=lambda one: one.motion.q.shape[0])
+        closed = max(found.closed_runs["validation"], key=lambda run: run.motion.q.shape[0])
         after = run.slim(run.motion.u - found.wide.torque(closed))[keep, k]
         # friction is a function of speed; what hangs on the arm, of position
         speed = not found.wide.accepted or bool(found.misfit)
         rate = run.slim(run.motion.v if speed else run.motion.q)[keep, k]
         fitted = before - after if found.wide.accepted and not found.misfit else None
-        joint = next((one for one in found.joints if one.joint == k), None)
+        joint = next((joint for joint in found.joints if joint.joint == k), None)
         own_effects = joint is not None and bool(joint.outcome.accepted) and not found.misfit
         alone = found.bodies is None and not found.wide.accepted
         if joint is not None and (own_effects or alone):
             # the joint by itself, the delay of its torque taken out; residuals are needed minus measured
             balance, final = joint.balance, joint.final
-            longest = int(np.argmax([one.q.shape[0] for one in balance.motions["validation"]]))
+            longest = int(np.argmax([motion.q.shape[0] for motion in balance.motions["validation"]]))
             motion = balance.motions["validation"][longest]
             inside = balance.counts["validation"][longest][:, 0] > 0
             speed, rate = True, decimated(motion.v, motion)[inside, 0]
             before = after = -joint.nominal.detail.residual["validation"][longest][inside, 0]
             fitted = None
         if joint is not None and own_effects:
-            effects = [one.placed for one in joint.outcome.accepted]
+            effects = [accepted.placed for accepted in joint.outcome.accepted]
             # the torque that overcomes a force has the other sign
             own = -balance.force(final.values, effects, "validation")[longest][:, 0]
             after = -joint.residual("validation")[longest][inside, 0]
             fitted = own[inside]
         changed = not found.misfit and (
-            found.bodies is not None or bool(found.wide.accepted) or any(one.outcome.accepted for one in found.joints)
+            found.bodies is not None
+            or bool(found.wide.accepted)
+            or any(joint.outcome.accepted for joint in found.joints)
         )
         if alone and not own_effects:
             changed = False  # nothing was added here
@@ -129,18 +131,18 @@ def _figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
 def _levels(data: dict[str, Any]) -> str:
     """Draw torque, residual before and residual after of every joint."""
     use = "test" if "test" in data["joints"][0]["before"] else "validation"
-    names = [one["joint"] for one in data["joints"]]
+    names = [joint["joint"] for joint in data["joints"]]
     place = np.arange(len(names))
     rows = [
-        ("torque (rms)", [one["torque_rms"] for one in data["joints"]], GREY),
+        ("torque (rms)", [joint["torque_rms"] for joint in data["joints"]], GREY),
         (
             "residual before" if any(_moved(data, use)) else "residual",
-            [one["before"][use] for one in data["joints"]],
+            [joint["before"][use] for joint in data["joints"]],
             BEFORE,
         ),
     ]
     if any(_moved(data, use)):
-        rows.append(("residual after", [one["after"][use] for one in data["joints"]], AFTER))
+        rows.append(("residual after", [joint["after"][use] for joint in data["joints"]], AFTER))
     words = "; ".join(
         f"{name}: {', '.join(f'{label} {values[k]:.2g}' for label, values, _ in rows if values[k] is not None)}"
         for k, name in enumerate(names)

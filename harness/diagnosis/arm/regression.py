@@ -119,7 +119,7 @@ class RegressionForm:
         first = equation.residual(equation.system.vector(), "estimation")
         spread = np.sqrt(np.mean(np.concatenate([r for r, _ in first]) ** 2, axis=0))
         self._floor = EXACT * np.maximum(spread, 1e-12)
-        self._rough = tuple(Coloured(np.zeros(POLICY.order), float(max(one, 1e-12))) for one in spread)
+        self._rough = tuple(Coloured(np.zeros(POLICY.order), float(max(size, 1e-12))) for size in spread)
 
     # ---- fits --------------------------------------------------------------------------------------------------------
 
@@ -178,20 +178,20 @@ class RegressionForm:
         self, equation: Equation, p: FloatArray, errors: Sequence[Coloured]
     ) -> tuple[float, FloatArray, tuple[Coloured, ...], bool] | None:
         """Fit the parameters with these errors, then the errors; None where the residual is not finite."""
-        found = self._parameters(equation, p, errors)
-        if found is None:
+        moved = self._parameters(equation, p, errors)
+        if moved is None:
             return None
-        p, converged = found
+        p, converged = moved
         residual = [r for r, _ in equation.residual(p, "estimation")]
         made = tuple(
             fitted_error(
                 [r[:, k] for r in residual],
-                [one[k] for one in self._before["estimation"]],
+                [before[k] for before in self._before["estimation"]],
                 POLICY.order, float(self._floor[k]), error,
             )
             for k, error in enumerate(errors)
         )  # fmt: skip
-        value = sum(float(one.sum()) for one in self._terms(residual, "estimation", made))
+        value = sum(float(terms.sum()) for terms in self._terms(residual, "estimation", made))
         return (value, p, made, converged) if np.isfinite(value) else None
 
     def _parameters(
@@ -201,7 +201,7 @@ class RegressionForm:
         from scipy.optimize import least_squares
 
         parameters = equation.system.parameters
-        free = [k for k, one in enumerate(parameters) if not one.fixed]
+        free = [k for k, parameter in enumerate(parameters) if not parameter.fixed]
         if not free:
             return p0, True
         logs = np.array([parameters[k].minimum > 0 for k in free], dtype=bool)
@@ -223,8 +223,8 @@ class RegressionForm:
                 memory.clear()
                 p = inflated(z)
                 rows = equation.residual(p, "estimation")
-                r = self.whitened([one for one, _ in rows], "estimation", errors)
-                j = self.whitened([one[:, :, free] for _, one in rows], "estimation", errors)
+                r = self.whitened([part for part, _ in rows], "estimation", errors)
+                j = self.whitened([j[:, :, free] for _, j in rows], "estimation", errors)
                 memory[key] = r, j * np.where(logs, p[free], 1.0)
             return memory[key]
 
@@ -237,12 +237,12 @@ class RegressionForm:
         inside = np.clip(z0, low + NEAR * np.isfinite(low), high - NEAR * np.isfinite(high))
         try:
             with np.errstate(all="ignore"):
-                found = least_squares(
+                solution = least_squares(
                     residual, inside, jac=jacobian, bounds=(low, high), x_scale="jac", max_nfev=STEPS
                 )  # fmt: skip
         except (ValueError, np.linalg.LinAlgError):  # a residual that is not finite
             return None
-        return inflated(found.x), bool(found.success)
+        return inflated(solution.x), bool(solution.success)
 
     def _fitted(
         self, effects: Sequence[Placed], equation: Equation, p: FloatArray, errors: tuple[Coloured, ...],
@@ -251,11 +251,11 @@ class RegressionForm:
         """Return the fit as the search wants it."""
         system = equation.system
         names = system.parameter_names
-        free = [k for k, one in enumerate(system.parameters) if not one.fixed]
+        free = [k for k, parameter in enumerate(system.parameters) if not parameter.fixed]
         rows = {use: equation.residual(p, use) for use in USES}
         residual = {use: [r for r, _ in parts] for use, parts in rows.items()}
         jacobian = {use: [j[:, :, free] for _, j in parts] for use, parts in rows.items()}
-        if not all(np.isfinite(one).all() for parts in residual.values() for one in parts):
+        if not all(np.isfinite(part).all() for parts in residual.values() for part in parts):
             return None
         own = self._own(tuple(names[k] for k in free))
         residual["validation"], refitted = self._refitted(residual["validation"], jacobian["validation"], own, errors)
@@ -291,7 +291,7 @@ class RegressionForm:
         """Return validation residuals with their own parameters fitted there, and by how much these change."""
         if not own:
             return list(residual), np.zeros(0)
-        columns = [one[:, :, own] for one in jacobian]
+        columns = [part[:, :, own] for part in jacobian]
         white = self.whitened(columns, "validation", errors)
         change = np.asarray(
             np.linalg.lstsq(white, -self.whitened(residual, "validation", errors), rcond=1e-10)[0], float
@@ -310,13 +310,13 @@ class RegressionForm:
 
     def _terms(self, residual: Sequence[FloatArray], use: str, errors: Sequence[Coloured]) -> list[FloatArray]:
         """Return the log-density of every row, all joints together, 0 where none counts."""
-        found = []
+        densities = []
         for part, before in zip(residual, self._before[use], strict=True):
             terms = np.zeros(len(part))
             for k, error in enumerate(errors):
                 terms[before[k].rows] += error.log_density(part[:, k], before[k])
-            found.append(terms)
-        return found
+            densities.append(terms)
+        return densities
 
     # ---- what the score test needs -----------------------------------------------------------------------------------
 
@@ -333,7 +333,7 @@ class RegressionForm:
 
     def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
         """See :class:`harness.diagnosis.search.fit.Form`."""
-        return [self._answered(fit, one) for one in self.balance.changes(fit.values, candidates)]
+        return [self._answered(fit, change) for change in self.balance.changes(fit.values, candidates)]
 
     def forgetful(self, fit: Fit) -> Fit | None:
         """No force of a joint remembers."""
@@ -346,7 +346,7 @@ class RegressionForm:
 
     def test_functions(self, fit: Fit) -> list[Column]:
         """See :class:`harness.diagnosis.search.fit.Form`."""
-        return [self._answered(fit, one) for one in self.balance.free_torques()]
+        return [self._answered(fit, change) for change in self.balance.free_torques()]
 
     def _answered(self, fit: Fit, change: Change) -> Column:
         """Return what a change does to the whitened residual."""
@@ -361,6 +361,6 @@ def _deviations(jacobian: FloatArray) -> FloatArray:
     scale = np.where(size > 0, size, 1.0)
     _, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
     alive = singular > 1e-7 * singular.max(initial=1e-300)
-    found = np.sqrt(np.sum((right[alive] / singular[alive, None]) ** 2, axis=0)) / scale
+    error = np.sqrt(np.sum((right[alive] / singular[alive, None]) ** 2, axis=0)) / scale
     lost = np.sum(right[~alive] ** 2, axis=0) > 1e-6
-    return np.asarray(np.where(lost | (size == 0), np.inf, found))
+    return np.asarray(np.where(lost | (size == 0), np.inf, error))

@@ -16,7 +16,7 @@ What does not apply is empty: an arm is not simulated, so there are no simulatio
 ``inertia``
     ``fixed`` (the URDF is believed) or ``calibrated``.
 ``inertial_parameters``
-    Of calibrated bodies, else null: the record of the estimate (``names``, ``units``, ``values`` and the rest of
+    Of calibrated bodies, else null: the record of the estimate (``names``, ``units``, ``values`` and what else
     :meth:`harness.estimate.Estimate.to_dict`), every body one that mass can make; ``impossible``: whether directions
     free of that limit fit the log better than chance, so that something else is missing; ``lost``: by how much
     log-likelihood.
@@ -76,15 +76,17 @@ def arm_report(found: ArmDiagnosis) -> dict[str, Any]:
         "parameters": {
             "before": {},
             "after": {
-                f"{one['name']}@{one['at']}.{name}": {key: value for key, value in own.items() if key != "meaning"}
-                for one in effects
-                for name, own in one["parameters"].items()
+                f"{effect['name']}@{effect['at']}.{name}": {
+                    key: value for key, value in own.items() if key != "meaning"
+                }
+                for effect in effects
+                for name, own in effect["parameters"].items()
             },
         },
         "left_over": _left_over(found),
         "converged": {
-            "nominal": all(one.nominal.converged for one in found.joints),
-            "final": all(one.final.converged for one in found.joints),
+            "nominal": all(joint.nominal.converged for joint in found.joints),
+            "final": all(joint.final.converged for joint in found.joints),
         },
         "intervals": _intervals(found),
         "horizon": {"seconds": None, "reason": "inverse dynamics: the arm is not simulated"},
@@ -99,7 +101,7 @@ def arm_report(found: ArmDiagnosis) -> dict[str, Any]:
     }
     for when, values in (("before", before), ("after", after)):
         data["errors"][when]["equation_error"] = _errors(found, values)
-    data["summary"] = _summary(data, [found.arm.positions[one.joint].name for one in found.incomplete])
+    data["summary"] = _summary(data, [found.arm.positions[joint.joint].name for joint in found.incomplete])
     return data
 
 
@@ -117,16 +119,16 @@ def _stand_in(found: ArmDiagnosis) -> list[str]:
     reasons: list[str] = []
     for joint in found.joints:
         left = None if joint.predictable is None else joint.predictable.name
-        reasons += stand_in_reasons([one.placed for one in joint.outcome.accepted], left)
+        reasons += stand_in_reasons([accepted.placed for accepted in joint.outcome.accepted], left)
     return reasons
 
 
 def _left_over(found: ArmDiagnosis) -> list[dict[str, Any]]:
     """Return what free torques would still gain, joint by joint, most first."""
     rows = [
-        {**one.to_dict(), "at": found.arm.positions[joint.joint].name}
+        {**axis.to_dict(), "at": found.arm.positions[joint.joint].name}
         for joint in found.joints
-        for one in joint.leftover.axes
+        for axis in joint.leftover.axes
     ]
     return sorted(rows, key=lambda row: -(row["evidence"] + row["validation"]))
 
@@ -145,8 +147,8 @@ def _errors(found: ArmDiagnosis, values: dict[str, Any]) -> dict[str, Any]:
     for use, row in values.items():
         if found.runs[use]:
             result[use] = {
-                one.name: {"rms": known(value), "unit": drive.unit}
-                for one, drive, value in zip(found.arm.positions, found.arm.inputs, row, strict=True)
+                position.name: {"rms": known(value), "unit": drive.unit}
+                for position, drive, value in zip(found.arm.positions, found.arm.inputs, row, strict=True)
             }
     return result
 
@@ -156,24 +158,24 @@ def _effects(found: ArmDiagnosis) -> tuple[list[dict[str, Any]], list[list[dict[
     effects: list[dict[str, Any]] = []
     ties: list[list[dict[str, str]]] = []
     apart: list[list[str]] = []
-    for one in found.wide.accepted:
-        effects.append(_effect(found.wide.fit, one))
-        members = _members(one)
-        if one.placed.effect.name.startswith(("payload", "link_mass")):
+    for accepted in found.wide.accepted:
+        effects.append(_effect(found.wide.fit, accepted))
+        members = _members(accepted)
+        if accepted.placed.effect.name.startswith(("payload", "link_mass")):
             members.append({"name": "parameter", "at": "inertial parameters that the URDF gives the same link"})
         ties.append(members)
-        apart.append(separating([placed for group in one.tie for placed in group]))
+        apart.append(separating([placed for group in accepted.tie for placed in group]))
     for joint in found.joints:
-        for one in joint.outcome.accepted:
-            effects.append(_effect(joint.final, one))
-            members = _members(one)
-            if one.placed.effect.name == "input_gain":
-                others = found.wide.gains.get(one.placed.at, ())
+        for accepted in joint.outcome.accepted:
+            effects.append(_effect(joint.final, accepted))
+            members = _members(accepted)
+            if accepted.placed.effect.name == "input_gain":
+                others = found.wide.gains.get(accepted.placed.at, ())
                 members += [{"name": other.effect.name, "at": other.at} for other in others]
                 if joint.joint == found.arm.n - 1:
                     members.append({"name": "parameter", "at": "mass and inertia of the last link"})
             ties.append(members)
-            apart.append(separating([placed for group in one.tie for placed in group]))
+            apart.append(separating([placed for group in accepted.tie for placed in group]))
     return effects, ties, apart
 
 
@@ -189,9 +191,9 @@ def _effect(fit: Fit, accepted: Accepted) -> dict[str, Any]:
     """Return one accepted effect with its parameters."""
     placed = accepted.placed
     parameters = {}
-    for one in placed.effect.parameters:
-        name = placed.name(one.name)
-        parameters[one.name] = {**estimate(fit, name), "meaning": one.meaning}
+    for parameter in placed.effect.parameters:
+        name = placed.name(parameter.name)
+        parameters[parameter.name] = {**estimate(fit, name), "meaning": parameter.meaning}
     return {
         "name": placed.effect.name,
         "at": placed.at,
@@ -206,8 +208,8 @@ def _effect(fit: Fit, accepted: Accepted) -> dict[str, Any]:
 
 def _joint(found: ArmDiagnosis, k: int, before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
     """Return the entry of one joint."""
-    judged = next((one for one in found.joints if one.joint == k), None)
-    torque = np.concatenate([one.motion.u[:, k] for one in found.runs["estimation"]])
+    judged = next((joint for joint in found.joints if joint.joint == k), None)
+    torque = np.concatenate([run.motion.u[:, k] for run in found.runs["estimation"]])
     uses = [use for use in before if found.runs[use]]
     entry: dict[str, Any] = {
         "joint": found.arm.positions[k].name,
@@ -225,7 +227,7 @@ def _joint(found: ArmDiagnosis, k: int, before: dict[str, Any], after: dict[str,
     }
     if judged is not None:
         error = judged.final.detail.errors[0]
-        entry["effects"] = [] if found.misfit else [str(one.placed) for one in judged.outcome.accepted]
+        entry["effects"] = [] if found.misfit else [str(accepted.placed) for accepted in judged.outcome.accepted]
         entry["clock_s"] = known(judged.final.values["clock"])
         entry["left"] = {
             "share": known(judged.share),
@@ -251,11 +253,13 @@ def _candidates(found: ArmDiagnosis) -> list[dict[str, Any]]:
 
 def _rows(outcome: Outcome) -> list[dict[str, Any]]:
     """Return the rows of one search: every refit, and what the score test alone set aside."""
-    accepted = {str(one.placed) for one in outcome.accepted}
+    accepted = {str(effect.placed) for effect in outcome.accepted}
     rows = []
-    for number, here in enumerate(outcome.rounds, start=1):
-        rows += [_row(one, number, accepted) for one in sorted(here.candidates, key=lambda one: -_total(one))]
-        refitted = {one.name for one in here.candidates}
+    for number, step in enumerate(outcome.rounds, start=1):
+        rows += [
+            _row(judged, number, accepted) for judged in sorted(step.candidates, key=lambda judged: -_total(judged))
+        ]
+        refitted = {judged.name for judged in step.candidates}
         rows += [
             {
                 "name": lead.placed.effect.name,
@@ -269,7 +273,7 @@ def _rows(outcome: Outcome) -> list[dict[str, Any]]:
                 "validation_gain": None,
                 "standard_error": None,
             }
-            for lead in here.test.leads
+            for lead in step.test.leads
             if str(lead.placed) not in refitted
         ]
     return rows
@@ -300,8 +304,8 @@ def _row(one: Judged, number: int, accepted: set[str]) -> dict[str, Any]:
 def _not_visible(found: ArmDiagnosis) -> list[dict[str, str]]:
     """Return what this experiment cannot show, with what would."""
     rows = [
-        {"name": one.placed.effect.name, "at": one.placed.at, "reason": one.placed.effect.experiment}
-        for one in sorted(found.wide.outcome.rounds[0].test.hidden, key=lambda one: str(one.placed))
+        {"name": hidden.placed.effect.name, "at": hidden.placed.at, "reason": hidden.placed.effect.experiment}
+        for hidden in sorted(found.wide.outcome.rounds[0].test.hidden, key=lambda hidden: str(hidden.placed))
     ]
     for joint in found.joints:
         for name in joint.drowned:
@@ -313,15 +317,15 @@ def _not_visible(found: ArmDiagnosis) -> list[dict[str, str]]:
 def _summary(data: dict[str, Any], incomplete: Sequence[str]) -> str:
     """Return the verdict in one line."""
     use = "test" if "test" in data["joints"][0]["before"] else "validation"
-    judged = [one for one in data["joints"] if one["judged"]]
+    judged = [joint for joint in data["joints"] if joint["judged"]]
     if data["verdict"] == "model_does_not_fit":
         first, last = data["misfit"][0], data["misfit"][-1]
         return f"arm {data['model']} does not fit these data: {'; '.join(dict.fromkeys((first, last)))}"
     if data["verdict"] == "effects_found":
-        ratio = [one["before"][use] / one["after"][use] for one in judged if one["after"][use]]
+        ratio = [joint["before"][use] / joint["after"][use] for joint in judged if joint["after"][use]]
         by_name: dict[str, list[str]] = {}
-        for one in data["effects"]:
-            by_name.setdefault(one["name"], []).append(one["at"])
+        for effect in data["effects"]:
+            by_name.setdefault(effect["name"], []).append(effect["at"])
         names = "; ".join(f"{name.replace('_', ' ')} at {', '.join(places)}" for name, places in by_name.items())
         lacks = f"arm {data['model']} lacks {names}"
         if data["stand_in"]["flagged"]:
@@ -346,6 +350,6 @@ def _summary(data: dict[str, Any], incomplete: Sequence[str]) -> str:
 
 def _explained(data: dict[str, Any]) -> str:
     """Say how much of the torques is explained, rounded down; at a joint of noise the noise is what is left."""
-    left = max(one["left"]["share"] ** 2 for one in data["joints"] if one["judged"])
+    left = max(joint["left"]["share"] ** 2 for joint in data["joints"] if joint["judged"])
     share = np.floor(1000.0 * max(1.0 - left, 0.0)) / 10.0
     return f"{share:g} % of the variance of every joint's torque is explained, its noise set aside"

@@ -42,7 +42,7 @@ class Linear:
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Their names, in order."""
-        return tuple(one.name for one in self.parameters)
+        return tuple(parameter.name for parameter in self.parameters)
 
     def parameter(self, name: str) -> Parameter:
         """Return one by name."""
@@ -50,11 +50,11 @@ class Linear:
 
     def values(self) -> dict[str, float]:
         """Return where a fit starts."""
-        return {one.name: one.value for one in self.parameters}
+        return {parameter.name: parameter.value for parameter in self.parameters}
 
     def vector(self) -> FloatArray:
         """Return the same as an array."""
-        return np.array([one.value for one in self.parameters])
+        return np.array([parameter.value for parameter in self.parameters])
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,10 +94,10 @@ class WideBalance:
         policy: ArmPolicy = ARM_POLICY,
     ) -> None:
         self.runs, self.joints = runs, list(joints)
-        self.counts = {use: [moving_rows(one.motion)[:, self.joints] for one in runs[use]] for use in USES}
+        self.counts = {use: [moving_rows(run.motion)[:, self.joints] for run in runs[use]] for use in USES}
         speeds = np.sqrt(np.mean(runs["estimation"][0].motion.v ** 2, axis=0))
         level = np.maximum(LEVEL * speeds, 1e-6)
-        self._target = {use: [self._slim(one, one.motion.u - one.rigid) for one in runs[use]] for use in USES}
+        self._target = {use: [self._slim(run, run.motion.u - run.rigid) for run in runs[use]] for use in USES}
         self._base: dict[str, list[FloatArray]] = {}
         for use in USES:
             self._base[use] = []
@@ -112,8 +112,8 @@ class WideBalance:
         self.own = frozenset(f"inertia{k + 1}" for k in range(len(calibrated)))
         names += [f"inertia{k + 1}" for k in range(len(calibrated))]
         self.nominal = Linear(tuple(Parameter(name, "1", 0.0) for name in names))
-        torques = np.sqrt(np.mean(np.concatenate([one.calm.u for one in runs["estimation"]]) ** 2, axis=0))
-        self.effects = {str(one): one for one in wide_effects(arm, torques, policy)}
+        torques = np.sqrt(np.mean(np.concatenate([run.calm.u for run in runs["estimation"]]) ** 2, axis=0))
+        self.effects = {str(effect): effect for effect in wide_effects(arm, torques, policy)}
         self._columns: dict[str, dict[str, list[FloatArray]]] = {}
 
     def _slim(self, run: ArmRun, columns: FloatArray) -> FloatArray:
@@ -124,8 +124,8 @@ class WideBalance:
         """Return the columns (rows, n, k) of an effect by use, made once; 0 where it cannot show."""
         key = str(effect)
         if key not in self._columns:
-            made = {use: [self._slim(one, effect.columns(one)) for one in self.runs[use]] for use in USES}
-            most = [one.maximum for one in effect.placed.effect.parameters]
+            made = {use: [self._slim(run, effect.columns(run)) for run in self.runs[use]] for use in USES}
+            most = [parameter.maximum for parameter in effect.placed.effect.parameters]
             size = np.sqrt(np.mean(np.concatenate(made["estimation"]) ** 2, axis=0)) * most
             left = np.sqrt(np.mean(np.concatenate(self._target["estimation"]) ** 2, axis=0))
             shows = (size >= ARM_POLICY.silent * left[:, None]).any(axis=0)
@@ -138,8 +138,8 @@ class WideBalance:
         columns = {use: [[part] for part in parts] for use, parts in self._base.items()}
         for placed in effects:
             parameters += [
-                Parameter(placed.name(one.name), one.unit, 0.0, one.minimum, one.maximum)
-                for one in placed.effect.parameters
+                Parameter(placed.name(parameter.name), parameter.unit, 0.0, parameter.minimum, parameter.maximum)
+                for parameter in placed.effect.parameters
             ]
             for use, parts in self.columns(self.effects[str(placed)]).items():
                 for whole, part in zip(columns[use], parts, strict=True):
@@ -161,7 +161,7 @@ class WideBalance:
 
     def beside_friction(self, placed: Placed, fit: Fit) -> float:
         """Return the torque of an effect over that of the dry friction at the joint where it weighs most."""
-        own = np.array([fit.values[placed.name(one.name)] for one in placed.effect.parameters])
+        own = np.array([fit.values[placed.name(parameter.name)] for parameter in placed.effect.parameters])
         torque = np.concatenate(self.columns(self.effects[str(placed)])["estimation"]) @ own
         size = np.sqrt(np.mean(torque**2, axis=0))
         joint = int(np.argmax(size))
@@ -201,18 +201,20 @@ class WideResult:
         """Return the torque (N, n) that the arm needs with all that was accepted."""
         result = run.rigid.copy()
         sharp = replace(run, calm=replace(run.motion, u=run.calm.u))  # the true motion, not the calm one
-        for one in self.accepted:
-            values = np.array([self.fit.values[one.placed.name(p.name)] for p in one.placed.effect.parameters])
-            result += self.effects[str(one.placed)].columns(sharp) @ values
+        for accepted in self.accepted:
+            values = np.array(
+                [self.fit.values[accepted.placed.name(p.name)] for p in accepted.placed.effect.parameters]
+            )
+            result += self.effects[str(accepted.placed)].columns(sharp) @ values
         return result
 
 
 def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
     """Return what every joint could do by itself (N, n, 5 n).
 
-    Sign of the speed, speed, 1, size of the torque times the sign, slope of the torque.
+    Sign of the speed, speed, 1, size of the torque times the sign, rate of the torque.
 
-    The slope stands for a torque that is recorded a fraction of a sample too late (tau - s tau'), and for the half
+    The rate stands for a torque that is recorded a fraction of a sample too late (tau - s tau'), and for the half
     step by which an integrator is late.
 
     Parameters
@@ -273,26 +275,28 @@ def wide_search(
             got="others",
             remedy="check units and spikes of the positions",
         )
-    candidates = [one.placed for one in balance.effects.values()]
-    found = search(form, nominal, candidates, policy=replace(policy, most=arm_policy.wide), say=say)
+    candidates = [effect.placed for effect in balance.effects.values()]
+    outcome = search(form, nominal, candidates, policy=replace(policy, most=arm_policy.wide), say=say)
     small = [
-        one for one in found.accepted
-        if one.placed.effect.name != GAIN and balance.beside_friction(one.placed, found.model) < arm_policy.detail
-    ]  # fmt: skip
+        accepted
+        for accepted in outcome.accepted
+        if accepted.placed.effect.name != GAIN
+        and balance.beside_friction(accepted.placed, outcome.model) < arm_policy.detail
+    ]
     notes = []
     if small:
-        found.accepted = [one for one in found.accepted if one not in small]
-        again = form.fit([one.placed for one in found.accepted], [found.model.values], found.model)
-        found.model = found.nominal if again is None else again
-        names = ", ".join(str(one.placed) for one in small)
+        outcome.accepted = [accepted for accepted in outcome.accepted if accepted not in small]
+        again = form.fit([accepted.placed for accepted in outcome.accepted], [outcome.model.values], outcome.model)
+        outcome.model = outcome.nominal if again is None else again
+        names = ", ".join(str(accepted.placed) for accepted in small)
         notes.append(
             f"{names} left out: less than {100 * arm_policy.detail:g} % of the friction beside it, whose law is not "
             "known so well"
         )
     gains = {
-        one.placed.at: tuple(other for group in one.tie[1:] for other in group)
-        for one in found.accepted
-        if one.placed.effect.name == GAIN
+        accepted.placed.at: tuple(other for group in accepted.tie[1:] for other in group)
+        for accepted in outcome.accepted
+        if accepted.placed.effect.name == GAIN
     }
-    kept = tuple(one for one in found.accepted if one.placed.effect.name != GAIN)
-    return WideResult(found.model, kept, found, gains, balance.effects, notes)
+    kept = tuple(accepted for accepted in outcome.accepted if accepted.placed.effect.name != GAIN)
+    return WideResult(outcome.model, kept, outcome, gains, balance.effects, notes)

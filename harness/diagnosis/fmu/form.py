@@ -76,7 +76,7 @@ class FmuForm(LikelihoodForm):
 
     def resize(self, nominal: Fit) -> bool:
         """Take the sizes of positions and rates from the nominal fit; False: it stands."""
-        self.sizes = sizes_of(self.nominal, [one for use in USES for one in self._moved(nominal, USES)[use]])
+        self.sizes = sizes_of(self.nominal, [motion for use in USES for motion in self._moved(nominal, USES)[use]])
         return False
 
     # ---- what the score test needs -----------------------------------------------------------------------------------
@@ -96,26 +96,26 @@ class FmuForm(LikelihoodForm):
     def _moved(self, fit: Fit, uses: Sequence[str]) -> dict[str, list[Moved]]:
         """Return the motion of every record of some uses along the free run of a fit."""
         simulator: Any = fit.detail.passes.simulator
-        found: dict[str, list[Moved]] = {}
+        moved: dict[str, list[Moved]] = {}
         for use in uses:
             point = fit.detail.points[use]
-            found[use] = []
+            moved[use] = []
             for record, x0 in zip(self.records[use], point.x0, strict=True):
                 seen = simulator.sampled.inputs(record.u[None], point.p[None], False)[0][0]
                 q, v, y = simulator.motion(point.p, x0, seen, float(record.t[0]))
-                found[use].append(Moved(record, seen, q, v, y, self.dt))
-        return found
+                moved[use].append(Moved(record, seen, q, v, y, self.dt))
+        return moved
 
     def _pushed(self, fit: Fit, found: Sequence[Direction]) -> list[Column]:
         """Return the columns of directions: pushes by difference quotients of runs, readings as they are."""
-        made = [{use: [np.zeros((0, len(one.names)))] for use in USES} for one in found]
+        made = [{use: [np.zeros((0, len(direction.names)))] for use in USES} for direction in found]
         for use in found[0].forces if found else ():
             passed, _ = self.paths(fit, use)
-            for number, one in enumerate(passed):
-                assert isinstance(one, Run)
+            for number, run in enumerate(passed):
+                assert isinstance(run, Run)
                 u = self.records[use][number].u
                 size = PUSH * max(float(np.sqrt(np.mean(u**2))) if u.size else 0.0, 1e-9)
-                still = one.pushed(np.zeros_like(u))
+                still = run.pushed(np.zeros_like(u))
                 for direction, columns in zip(found, made, strict=True):
                     response = -direction.readings[use][number]
                     forces = direction.forces[use][number]
@@ -124,8 +124,8 @@ class FmuForm(LikelihoodForm):
                         largest = float(np.sqrt(np.mean(forces[..., k] ** 2)))
                         if largest > 0:
                             step = size / largest
-                            response[..., k] -= (one.pushed(step * forces[..., k]) - still) / step
-                    columns[use].append(whitened(response, one.s[..., None]))
+                            response[..., k] -= (run.pushed(step * forces[..., k]) - still) / step
+                    columns[use].append(whitened(response, run.s[..., None]))
         return [
             Column(direction.placed, direction.given, direction.names,
                    np.concatenate(columns["estimation"]), np.concatenate(columns["validation"]))

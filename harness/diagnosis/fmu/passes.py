@@ -70,9 +70,9 @@ class FreePass:
         if columns is None:
             x, y = self._run(record, p, x0)
         else:
-            seen, slope = self.simulator.sampled.inputs(record.u[None], p[None], True)
+            seen, gradient = self.simulator.sampled.inputs(record.u[None], p[None], True)
             with self.simulator.deriving(columns):
-                states, outputs, s = self.simulator.windows(p[None], x0[None], seen, slope, record.t[:1])
+                states, outputs, s = self.simulator.windows(p[None], x0[None], seen, gradient, record.t[:1])
             assert s is not None
             x, y, j = states[0], outputs[0], -s[0][..., columns]
             if not np.isfinite(j).all():

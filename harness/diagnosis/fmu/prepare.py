@@ -56,12 +56,14 @@ def nominal_fmu(path: str | Path, dataset: Dataset, parameters: Mapping[str, Any
         return system
     p = system.vector()
     x0 = measured_states(system, simulator, run, p)[0][0]
-    slopes = simulator.windows(p[None], x0[None], run.u[None], None, run.t[:1])[2]
-    assert slopes is not None
-    moved = np.abs(slopes[0]).max(axis=(0, 1))
+    sensitivities = simulator.windows(p[None], x0[None], run.u[None], None, run.t[:1])[2]
+    assert sensitivities is not None
+    moved = np.abs(sensitivities[0]).max(axis=(0, 1))
     kept = tuple(
-        replace(one, fixed=True, minimum=-np.inf, maximum=np.inf) if not one.fixed and not moved[k] > 0 else one
-        for k, one in enumerate(system.parameters)
+        replace(parameter, fixed=True, minimum=-np.inf, maximum=np.inf)
+        if not parameter.fixed and not moved[k] > 0
+        else parameter
+        for k, parameter in enumerate(system.parameters)
     )
     return replace(system, parameters=kept)
 
@@ -71,8 +73,8 @@ def rough_values(system: FmuSystem, dataset: Dataset, runner: Runner) -> dict[st
     simulator, p = FmuSimulator(system, runner), system.vector()
     records = [run.measured() for run in dataset.estimation]
     windows = FmuWindows(simulator, records, short_window(dataset), _spread(dataset))  # type: ignore[arg-type]
-    starts = windows.starts_from([measured_states(system, simulator, one, p)[0] for one in records])
-    free = np.array([not one.fixed for one in system.parameters], dtype=bool)
+    starts = windows.starts_from([measured_states(system, simulator, record, p)[0] for record in records])
+    free = np.array([not parameter.fixed for parameter in system.parameters], dtype=bool)
     with simulator.deriving(simulator.state_columns):
         x0 = minimise_states(windows, p, starts, 8)
     solution = minimise(windows, p, x0, free, ROUGH, decrease=DECREASE)
@@ -91,16 +93,16 @@ def choose_horizon(system: FmuSystem, values: Mapping[str, float], dataset: Data
     simulator = FmuSimulator(system, runner)
     p = system.vector(values)
     shortest = np.inf
-    for run in (one.measured() for one in dataset.estimation):
+    for run in (record.measured() for record in dataset.estimation):
         seen, told = measured_states(system, simulator, run, p)
-        x, y, slopes = simulator.windows(p[None], seen[:1], run.u[None], None, run.t[:1])
-        assert slopes is not None
+        x, y, sensitivities = simulator.windows(p[None], seen[:1], run.u[None], None, run.t[:1])
+        assert sensitivities is not None
         finite = np.isfinite(y[0]).all(axis=1)
         span = np.maximum(np.std(run.y, axis=0), 1e-12)
         begun = x[0][: DATA_POLICY.shortest][finite[: DATA_POLICY.shortest]]
         simulated = np.std(begun, axis=0) if begun.size else np.ones(system.nx)
         states = np.maximum(np.where(told, np.std(seen, axis=0), simulated), 1e-12)
-        grown = np.abs(slopes[0][..., system.np :]) * states / span[:, None]
+        grown = np.abs(sensitivities[0][..., system.np :]) * states / span[:, None]
         worst = np.where(finite, np.nan_to_num(grown, nan=np.inf).max(axis=(1, 2), initial=0.0), np.inf)
         beyond = np.flatnonzero(worst > DATA_POLICY.growth)
         if beyond.size:
@@ -116,17 +118,17 @@ def choose_horizon(system: FmuSystem, values: Mapping[str, float], dataset: Data
 def sizes_of(system: FmuSystem, moved: Sequence[Moved]) -> dict[str, dict[str, float]]:
     """Return the rms sizes at every port along the FMU's own motion, for start values of effects."""
     dt = moved[0].dt
-    common = {"dt": dt, "T": max(len(one.u) for one in moved) * dt}
-    u, y = (np.concatenate([getattr(one, name) for one in moved]) for name in ("u", "y"))
+    common = {"dt": dt, "T": max(len(part.u) for part in moved) * dt}
+    u, y = (np.concatenate([getattr(part, name) for part in moved]) for name in ("u", "y"))
     result: dict[str, dict[str, float]] = {"base": dict(common)}
     for k, channel in enumerate(system.outputs):
         result[channel.name] = {**common, "y": _size(y[:, k])}
     for k, channel in enumerate(system.inputs):
         result.setdefault(channel.name, dict(common)).update(u=_size(u[:, k]), F=_size(u[:, k]))
-    for row, one in enumerate(system.coordinates):
+    for row, coordinate in enumerate(system.coordinates):
         q, v = (np.concatenate([getattr(part, name)[:, row] for part in moved]) for name in ("q", "v"))
-        own = {"q": _size(q), "v": _size(v), "a": _size(np.gradient(v, dt)), "F": _size(u[:, one.force])}
-        result.setdefault(one.name, dict(common)).update(own)
+        own = {"q": _size(q), "v": _size(v), "a": _size(np.gradient(v, dt)), "F": _size(u[:, coordinate.force])}
+        result.setdefault(coordinate.name, dict(common)).update(own)
     return result
 
 
@@ -183,20 +185,20 @@ def measured_states(
     system: FmuSystem, simulator: FmuSimulator, record: Trajectory, p: FloatArray
 ) -> tuple[FloatArray, list[bool]]:
     """Return states (N, nx) along a record, and which of them it tells: smoothed outputs and their derivatives."""
-    names = [one.name for one in system.outputs]
-    states = [one.name for one in system.inner_states]
+    names = [channel.name for channel in system.outputs]
+    states = [channel.name for channel in system.inner_states]
     x, known = np.zeros((len(record), system.nx)), [False] * system.nx
-    rates = {one.position: one.rate for one in system.coordinates}
+    rates = {coordinate.position: coordinate.rate for coordinate in system.coordinates}
     names = [system.shown.get(name, name) for name in names]
     for row, name in enumerate(names):
         if name not in states and rates.get(name) not in states:
             continue
-        found = smooth(record.y[:, row], simulator.dt, period=record.spec.outputs[row].period)
+        smoothed = smooth(record.y[:, row], simulator.dt, period=record.spec.outputs[row].period)
         if name in states:
-            x[:, states.index(name)], known[states.index(name)] = found.value, True
+            x[:, states.index(name)], known[states.index(name)] = smoothed.value, True
         rate = rates.get(name)
         if rate in states and rate not in names:
-            x[:, states.index(rate)], known[states.index(rate)] = found.rate, True
+            x[:, states.index(rate)], known[states.index(rate)] = smoothed.rate, True
     if system.hidden_count:
         x[:, len(states) :] = simulator.hidden_starts(x, record.u, p)
     return x, known

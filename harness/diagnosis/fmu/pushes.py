@@ -56,38 +56,48 @@ def pushes(
     sizes: Mapping[str, Mapping[str, float]],
 ) -> list[Direction]:
     """Return the directions of candidates, several for one whose parameters are not all linear."""
-    found: list[Direction] = []
+    directions: list[Direction] = []
     for placed in candidates:
         kind = port_of(nominal, placed).kind  # type: ignore[arg-type]
         try:
             if kind == "output":
-                found += reading_directions(moved, nominal, placed, sizes, ports=nominal.nu)
+                directions += reading_directions(moved, nominal, placed, sizes, ports=nominal.nu)
             else:
-                found += _commands(nominal, moved, placed, sizes, kind)
+                directions += _commands(nominal, moved, placed, sizes, kind)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             continue
-    return [one for one in found if all(np.isfinite(part).all() for side in (one.forces, one.readings)
-                                        for parts in side.values() for part in parts)]  # fmt: skip
+    return [
+        direction
+        for direction in directions
+        if all(
+            np.isfinite(part).all()
+            for side in (direction.forces, direction.readings)
+            for parts in side.values()
+            for part in parts
+        )
+    ]
 
 
 def test_pushes(nominal: FmuSystem, moved: Mapping[str, Sequence[Moved]]) -> list[Direction]:
     """Return piecewise linear pushes over positions, rates, outputs, inputs and time, at every input of the FMU."""
-    names = [name for one in nominal.coordinates for name in (one.name, f"{one.name}'")]
-    shown = [row for row, one in enumerate(nominal.outputs) if one.name not in names]
+    names = [name for coordinate in nominal.coordinates for name in (coordinate.name, f"{coordinate.name}'")]
+    shown = [row for row, output in enumerate(nominal.outputs) if output.name not in names]
     values = {
-        name: {use: [one.q[:, row] if not rate else one.v[:, row] for one in parts] for use, parts in moved.items()}
-        for row, one in enumerate(nominal.coordinates)
-        for rate, name in enumerate((one.name, f"{one.name}'"))
+        name: {use: [part.q[:, row] if not rate else part.v[:, row] for part in parts] for use, parts in moved.items()}
+        for row, coordinate in enumerate(nominal.coordinates)
+        for rate, name in enumerate((coordinate.name, f"{coordinate.name}'"))
     }
     for row in shown:
-        values[nominal.outputs[row].name] = {use: [one.y[:, row] for one in parts] for use, parts in moved.items()}
-    for row, one in enumerate(nominal.inputs):
-        values[one.name] = {use: [part.u[:, row] for part in parts] for use, parts in moved.items()}
-    inputs = [one.name for one in nominal.inputs]
-    pairs = [(one.name, other) for one in nominal.coordinates for other in (f"{one.name}'", *inputs)]
-    pairs += [(f"{one.name}'", other) for one in nominal.coordinates for other in inputs]
-    readings = {use: [one.y for one in parts] for use, parts in moved.items()}
-    times = {use: [one.record.t for one in parts] for use, parts in moved.items()}
+        values[nominal.outputs[row].name] = {use: [part.y[:, row] for part in parts] for use, parts in moved.items()}
+    for row, channel in enumerate(nominal.inputs):
+        values[channel.name] = {use: [part.u[:, row] for part in parts] for use, parts in moved.items()}
+    inputs = [channel.name for channel in nominal.inputs]
+    pairs = [
+        (coordinate.name, other) for coordinate in nominal.coordinates for other in (f"{coordinate.name}'", *inputs)
+    ]
+    pairs += [(f"{coordinate.name}'", other) for coordinate in nominal.coordinates for other in inputs]
+    readings = {use: [part.y for part in parts] for use, parts in moved.items()}
+    times = {use: [part.record.t for part in parts] for use, parts in moved.items()}
     return spline_directions(values, pairs, inputs, readings) + drift_directions(values, times, inputs, readings)
 
 
@@ -100,32 +110,34 @@ def _commands(
 ) -> list[Direction]:
     """Return the directions of an effect before the FMU: what it makes of the command, less the command."""
     at = sizes.get(placed.at, {})
-    found = []
+    directions = []
     for given, linear, phase in _tried(placed, at, moved):
         names = linear or ("effect",)
         complete = placed.effect.complete(given, at)
-        cases = [{**complete, **one} for one in _cases(placed, linear, phase)]
+        cases = [{**complete, **case} for case in _cases(placed, linear, phase)]
         forces: dict[str, list[FloatArray]] = {}
         for use, parts in moved.items():
             forces[use] = []
-            for one in parts:
+            for part in parts:
                 if kind == "input":
-                    each = [input_behind(placed, one, nominal, case) - one.record.u for case in cases]
+                    each = [input_behind(placed, part, nominal, case) - part.record.u for case in cases]
                 else:
-                    each = [_added(nominal, placed, one, case) for case in cases]
+                    each = [_added(nominal, placed, part, case) for case in cases]
                 columns = [later - each[0] for later in each[1:]] if linear else each
                 forces[use].append(np.stack(columns, axis=2))
-        readings = {use: [np.zeros((len(one.y), nominal.ny, len(names))) for one in parts]
+        readings = {use: [np.zeros((len(part.y), nominal.ny, len(names))) for part in parts]
                     for use, parts in moved.items()}  # fmt: skip
-        found.append(Direction(placed, given, names, forces, readings))
-    return found
+        directions.append(Direction(placed, given, names, forces, readings))
+    return directions
 
 
 def _cases(placed: Placed, linear: Sequence[str], phase: bool) -> list[dict[str, float]]:
     """Return values of the linear parameters: none of them, then each alone; sine and cosine of a phase."""
     if not linear:
         return [{}]
-    amplitude = next((one.name for one in placed.effect.parameters if one.linear and not one.fixed), "")
+    amplitude = next(
+        (parameter.name for parameter in placed.effect.parameters if parameter.linear and not parameter.fixed), ""
+    )
     if phase:
         return [{amplitude: 0.0, "phi": 0.0}, {amplitude: 1.0, "phi": 0.0}, {amplitude: 1.0, "phi": 0.5 * np.pi}]
     nothing = {name: placed.effect.parameter(name).neutral or 0.0 for name in linear}
@@ -138,19 +150,19 @@ def _tried(
     """Return choices of the nonlinear parameters; of a periodic push the strongest lines of the output error."""
     if "periodic" not in placed.effect.name:
         return [(given, linear, False) for given, linear in choices(placed, at)]
-    longest = max(moved["estimation"], key=lambda one: len(one.y))
+    longest = max(moved["estimation"], key=lambda part: len(part.y))
     error = np.nan_to_num(longest.record.y - longest.y)
     n = len(error)
     power = (np.abs(np.fft.rfft((error - error.mean(axis=0)) * np.hanning(n)[:, None], 4 * n, axis=0)) ** 2).sum(axis=1)
     omega = 2 * np.pi * np.arange(len(power)) / (4 * n * longest.dt)
     power[omega * n * longest.dt < 2 * 2 * np.pi] = 0.0  # two periods at least
-    found: list[tuple[dict[str, float], tuple[str, ...], bool]] = []
+    lines: list[tuple[dict[str, float], tuple[str, ...], bool]] = []
     for _ in range(LINES):
         peak = int(np.argmax(power))
         if omega[peak] > 0:
-            found.append(({"omega": float(omega[peak])}, ("in phase", "quarter turn"), True))
+            lines.append(({"omega": float(omega[peak])}, ("in phase", "quarter turn"), True))
         power[max(peak - 12, 0) : peak + 13] = 0.0
-    return found
+    return lines
 
 
 def _added(nominal: FmuSystem, placed: Placed, one: Moved, values: Mapping[str, float]) -> FloatArray:
@@ -183,12 +195,12 @@ def _compiled(nominal: FmuSystem, placed: Placed, dt: float) -> tuple[FmuSystem,
     if not around.z.shape[0]:
         return made, None
     sizes = (nominal.nu, len(nominal.coordinates), len(nominal.coordinates), 1)
-    here, there = ([ca.SX.sym(name, size) for name, size in zip("uqvt", sizes, strict=True)] for _ in range(2))
+    start, end = ([ca.SX.sym(name, size) for name, size in zip("uqvt", sizes, strict=True)] for _ in range(2))
     first, own = ca.SX.sym("z", around.z.shape[0]), ca.SX.sym("p", len(placed.effect.parameters))
     state, h = first, dt / PARTS
 
     def slope(now: Any, share: float) -> Any:
-        mixed = [here[0], *((1 - share) * a + share * b for a, b in zip(here[1:], there[1:], strict=True))]
+        mixed = [start[0], *((1 - share) * a + share * b for a, b in zip(start[1:], end[1:], strict=True))]
         return around.functions["slopes"](*mixed, now, own)
 
     for part in range(PARTS):
@@ -197,4 +209,4 @@ def _compiled(nominal: FmuSystem, placed: Placed, dt: float) -> tuple[FmuSystem,
         k3 = slope(state + 0.5 * h * k2, (part + 0.5) / PARTS)
         k4 = slope(state + h * k3, (part + 1) / PARTS)
         state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return made, ca.Function("step", [first, *here, *there, own], [state])
+    return made, ca.Function("step", [first, *start, *end, own], [state])

@@ -40,7 +40,7 @@ class FmuRuns(FreeRunForm):
 
     def system(self, effects: Sequence[Placed]) -> Any:
         """Return the FMU with effects around it, made once."""
-        key = tuple(str(one) for one in effects)
+        key = tuple(str(placed) for placed in effects)
         if key not in self._systems:
             self._systems[key] = surround(self.nominal, effects, self.sizes) if effects else self.nominal
         return self._systems[key]

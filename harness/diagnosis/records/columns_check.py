@@ -95,15 +95,15 @@ def doubts(system: Any, record: Trajectory, intersample: Any = "zoh") -> list[st
     elif not _clear(grain, before, grain):
         return []  # nothing can be far better than that
     possible = list(repairs(cut))
-    errors = [_fit(near, one.record, intersample, declared=True)[0] for one in possible]
+    errors = [_fit(near, repair.record, intersample, declared=True)[0] for repair in possible]
     clear = min(errors) <= good and _clear(min(errors), reference, grain)
     if lost and not clear:  # declared values that are placeholders
         values = {}
-        errors = [_fit(system, one.record, intersample)[0] for one in possible]
+        errors = [_fit(system, repair.record, intersample)[0] for repair in possible]
         clear = _clear(min(errors), before, grain)
     if not clear:
         return []
-    likely = [one for one, error in zip(possible, errors, strict=True) if error <= 1.5 * min(errors)]
+    likely = [repair for repair, error in zip(possible, errors, strict=True) if error <= 1.5 * min(errors)]
     return [_sentence(system, likely, values, before, min(errors))]
 
 
@@ -157,7 +157,9 @@ def _scaled(record: Trajectory, kind: str, columns: Sequence[int], factor: float
 
 def _off(system: Any, values: Mapping[str, float], factor: float) -> list[str]:
     """Return the free parameters that are more than a factor off their declared values."""
-    told = {one.name: one.value for one in system.parameters if not one.fixed and one.value}
+    told = {
+        parameter.name: parameter.value for parameter in system.parameters if not parameter.fixed and parameter.value
+    }
     return [name for name, value in told.items() if not 1 / factor < values.get(name, np.nan) / value < factor]
 
 
@@ -182,15 +184,15 @@ def _window(cut: Trajectory) -> int:
 
 def _sentence(system: Any, likely: Sequence[Repair], values: Mapping[str, float], before: float, after: float) -> str:
     """Return what is to be checked, and why."""
-    words = " or ".join(one.words for one in likely)
-    found = f"check the units and the order of the columns: perhaps {words} ({'; or '.join(o.remedy for o in likely)})"
-    found += f". The model then errs by {100 * after:.3g} % of the motion"
+    words = " or ".join(repair.words for repair in likely)
+    text = f"check the units and the order of the columns: perhaps {words} ({'; or '.join(o.remedy for o in likely)})"
+    text += f". The model then errs by {100 * after:.3g} % of the motion"
     off = _off(system, values, DATA_POLICY.near) if values else []
     if before > DATA_POLICY.unexplained or not off:
-        return f"{found}, and by {100 * min(before, 1.0):.3g} % as the columns are"
+        return f"{text}, and by {100 * min(before, 1.0):.3g} % as the columns are"
     moved = ", ".join(f"{name} {system.parameter(name).value:.3g} -> {values[name]:.3g}" for name in off)
     return (
-        f"{found} with parameters within {DATA_POLICY.near:g} times of the declared ones; as the columns are, it needs "
+        f"{text} with parameters within {DATA_POLICY.near:g} times of the declared ones; as the columns are, it needs "
         f"{moved}, and errs by {100 * before:.3g} %. If the plant is that size, give the model such values"
     )
 
@@ -202,7 +204,9 @@ def _held(system: Any, factor: float) -> Any:
         low, high = sorted((one.value / factor, one.value * factor))
         return replace(one, minimum=max(low, one.minimum), maximum=min(high, one.maximum))
 
-    parts = tuple(held(one) if not one.fixed and one.value else one for one in system.parameters)
+    parts = tuple(
+        held(parameter) if not parameter.fixed and parameter.value else parameter for parameter in system.parameters
+    )
     return replace(system, parameters=parts)
 
 
@@ -234,11 +238,11 @@ def _fit(
     noise = {channel.name: float(size) for channel, size in zip(system.outputs, moved, strict=True)}
     try:
         with np.errstate(all="ignore"):
-            found = fit_output_error(
+            fitted = fit_output_error(
                 plain, [record], horizon=samples * dt, continuation=(), noise=noise, intersample=intersample,
                 max_iterations=20, start=plain.values() if declared else None,
             )  # fmt: skip
     except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
         return float("inf"), system.values()
-    error = float(np.sqrt(np.mean((found.rms / moved) ** 2)))
-    return (error if np.isfinite(error) else float("inf")), dict(found.parameters)
+    error = float(np.sqrt(np.mean((fitted.rms / moved) ** 2)))
+    return (error if np.isfinite(error) else float("inf")), dict(fitted.parameters)

@@ -78,8 +78,8 @@ def _operating_points(system: Any, dataset: Dataset) -> FloatArray:
     from harness.physics.windows import data_states
 
     simulator = system.simulator(dataset.spec.sample_time, intersample=dataset.intersample, backend="casadi")
-    found = [data_states(simulator, run, system.vector())[0] for run in dataset.estimation]
-    joined = np.concatenate(found)
+    states = [data_states(simulator, run, system.vector())[0] for run in dataset.estimation]
+    joined = np.concatenate(states)
     return joined[np.isfinite(joined).all(axis=1)]
 
 
@@ -92,9 +92,9 @@ def _round(seconds: float) -> float:
 def vanished(system: Any, values: Mapping[str, float]) -> list[str]:
     """Return the free parameters of a nominal model that cannot be negative and have gone to 0."""
     return [
-        one.name
-        for one in system.parameters
-        if one.name in values
-        and "." not in one.name and not one.fixed and one.minimum == 0.0
-        and 0.0 <= values[one.name] < 1e-3 * abs(one.value)
+        parameter.name
+        for parameter in system.parameters
+        if parameter.name in values
+        and "." not in parameter.name and not parameter.fixed and parameter.minimum == 0.0
+        and 0.0 <= values[parameter.name] < 1e-3 * abs(parameter.value)
     ]  # fmt: skip

@@ -58,20 +58,20 @@ def measured_coordinates(system: Any) -> dict[str, tuple[int | None, int | None]
     """
     import casadi as ca
 
-    found: dict[str, tuple[int | None, int | None]] = {}
+    columns: dict[str, tuple[int | None, int | None]] = {}
     if system.h is None:  # an FMU
         return None
-    for one in system.coordinates:
+    for coordinate in system.coordinates:
         position = rate = None
         for j in range(system.ny):
-            if ca.is_equal(system.h[j], system.x[one.q]):
+            if ca.is_equal(system.h[j], system.x[coordinate.q]):
                 position = j
-            elif ca.is_equal(system.h[j], system.x[one.v]):
+            elif ca.is_equal(system.h[j], system.x[coordinate.v]):
                 rate = j
         if position is None:
             return None
-        found[one.name] = (position, rate)
-    return found or None
+        columns[coordinate.name] = (position, rate)
+    return columns or None
 
 
 def motion_band(position: FloatArray, sample_time: float) -> tuple[float, float]:
@@ -125,7 +125,7 @@ def smooth_motion(
         run = _interpolated(run, [position for position, _ in columns.values() if position is not None])
     dt, n = run.spec.sample_time, len(run)
     bands = [motion_band(run.y[:, position], dt) for position, _ in columns.values() if position is not None]
-    band = max(one for one, _ in bands)
+    band = max(width for width, _ in bands)
     highest = (SMOOTH if intersample == "smooth" else HELD) / dt
     cutoff = float(np.clip(max(clear for _, clear in bands), min(5 * band, highest), highest))
     sos = signal.butter(ORDER, 2 * cutoff * dt, output="sos")
@@ -152,7 +152,7 @@ def smooth_motion(
     factor = int(np.clip(1 / (10 * band * dt), 1, MOST))
     while factor > 1 and (n - 2 * edge) // factor < 100:
         factor -= 1
-    position_of, speed_of, acceleration_of = (np.stack(one, axis=1) for one in (q, v, a))
+    position_of, speed_of, acceleration_of = (np.stack(part, axis=1) for part in (q, v, a))
     u = run.u
     if intersample == "zoh" and n > 1:
         u = 0.5 * (u + np.concatenate([u[:1], u[:-1]]))
@@ -166,7 +166,7 @@ def _interpolated(run: Trajectory, positions: list[int]) -> Trajectory:
     from scipy import signal
 
     dt, n = run.spec.sample_time, len(run)
-    factor = int(np.ceil(max(motion_band(run.y[:, one], dt)[1] for one in positions) * dt / SMOOTH))
+    factor = int(np.ceil(max(motion_band(run.y[:, position], dt)[1] for position in positions) * dt / SMOOTH))
     if factor <= 1:
         return run
 

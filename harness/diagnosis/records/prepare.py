@@ -34,11 +34,11 @@ def checked(dataset: Dataset, system: Any) -> Dataset:
                 remedy=f'mark a run as use = "{use}"',
             )
     for what, ours, theirs in (("inputs", system.inputs, spec.inputs), ("outputs", system.outputs, spec.outputs)):
-        if [one.name for one in ours] != [one.name for one in theirs]:
+        if [port.name for port in ours] != [port.name for port in theirs]:
             raise InputError(
                 f"{what} of {dataset.name!r} do not fit the model {system.name}",
-                expected=", ".join(str(one) for one in ours) or "none",
-                got=", ".join(str(one) for one in theirs) or "none",
+                expected=", ".join(str(port) for port in ours) or "none",
+                got=", ".join(str(port) for port in theirs) or "none",
                 remedy="name the signals as the model's ports, or map them with port = ... in the data set",
             )
     for use in ("estimation", "validation"):

@@ -51,7 +51,7 @@ def stretched(
     [(10, 7.5), (10, 27.5)]
     """
     whole = dataset.using(use)  # type: ignore[arg-type]
-    total, records = sum(len(one) for one in whole), len(whole)
+    total, records = sum(len(run) for run in whole), len(whole)
     if total <= long:
         return dataset
     size = min(length, length * count // records)
@@ -94,7 +94,7 @@ def cut_alike(
     """
     if len(references) != len(whole.runs):
         return references
-    found: list[Mapping[str, FloatArray]] = []
+    matching: list[Mapping[str, FloatArray]] = []
     sources = zip(whole.runs, references, strict=True)
     source = next(sources, None)
     for piece in short.runs:
@@ -103,8 +103,8 @@ def cut_alike(
             source = next(sources, None)
         if source is None or first is None:
             return references
-        found.append({name: signal[first : first + len(piece.trajectory)] for name, signal in source[1].items()})
-    return found
+        matching.append({name: signal[first : first + len(piece.trajectory)] for name, signal in source[1].items()})
+    return matching
 
 
 def _place(piece: Run, run: Run) -> int | None:
@@ -173,7 +173,7 @@ def uncut(dataset: Dataset, column: int, ceiling: float, *, count: int = DATA_PO
     >>> [(len(one), float(one.t[0])) for one in pieces.estimation]
     [(60, 0.0), (120, 40.0)]
     """
-    found: list[Run] = []
+    runs: list[Run] = []
     for use in ("estimation", "validation"):
         pieces = []
         for run in dataset.runs:
@@ -186,11 +186,11 @@ def uncut(dataset: Dataset, column: int, ceiling: float, *, count: int = DATA_PO
                 for first, last in zip(edges[::2], edges[1::2], strict=True)
                 if last - first >= DATA_POLICY.shortest
             ]
-        longest = sorted(pieces, key=lambda one: -len(one.trajectory))[:count]
+        longest = sorted(pieces, key=lambda piece: -len(piece.trajectory))[:count]
         if not longest:
             return None
-        found += [one for one in pieces if one in longest]
-    return replace(dataset, runs=tuple(found))
+        runs += [piece for piece in pieces if piece in longest]
+    return replace(dataset, runs=tuple(runs))
 
 
 def about_lines(records: Sequence[FloatArray], samples: int | None = None) -> FloatArray:

@@ -136,14 +136,14 @@ def _followed(y: FloatArray, walk: float, *, folds: bool = True) -> list[tuple[f
         count = len(chosen)
         parent[sample, :count] = chosen % (len(ahead) // 2 if folds else len(ahead))
         place[sample, :count] = mean[:, 0]
-    found = []
+    paths = []
     for path in range(min(3, len(score))):
         signs, at = np.ones(n), path
         for sample in range(n - 1, 0, -1):
             signs[sample] = 1.0 if place[sample, at] >= 0 else -1.0
             at = parent[sample, at]
-        found.append((float(score[path]), signs))
-    return found
+        paths.append((float(score[path]), signs))
+    return paths
 
 
 def _apart(states: FloatArray, spread: FloatArray) -> list[int]:

@@ -103,20 +103,20 @@ def _unfolded(runs: Sequence[Trajectory], column: int) -> list[Unfolding]:
     """Return the likeliest signs, three at most."""
     whole = [np.asarray(run.y[:, column], dtype=float) for run in runs]
     size = float(np.sqrt(np.mean(np.concatenate(whole) ** 2)))
-    if size == 0 or any(one.min() < -max(1e-3 * size, 5 * fourth_difference(one)) for one in whole):
+    if size == 0 or any(y.min() < -max(1e-3 * size, 5 * fourth_difference(y)) for y in whole):
         return []
-    if not any(_low_turns(one, DATA_POLICY.near_zero * size) for one in whole):
+    if not any(_low_turns(y, DATA_POLICY.near_zero * size) for y in whole):
         return []
-    paths = [one for one in (_path(y.tobytes()) for y in whole) if one is not None]
+    paths = [path for path in (_path(y.tobytes()) for y in whole) if path is not None]
     if len(paths) == len(whole) and any(path.gain > 0 for path in paths):
         return _both_ways(runs, column, paths)
     records = tuple(run[: min(len(run), _LONGEST)] for run in runs)
-    folded = [one[:_LONGEST] for one in whole]
+    folded = [y[:_LONGEST] for y in whole]
     # records of different amplitude count alike
-    weight = np.concatenate([np.full(len(one), 1.0 / max(np.sqrt(np.mean(one**2)), 1e-12 * size)) for one in folded])
+    weight = np.concatenate([np.full(len(y), 1.0 / max(np.sqrt(np.mean(y**2)), 1e-12 * size)) for y in folded])
     z = np.concatenate(folded) * weight
     rng = np.random.default_rng(0)
-    found: list[tuple[float, FloatArray]] = []
+    tried: list[tuple[float, FloatArray]] = []
     for period in PERIODS:
         for damping in DAMPING:
             for slow in SLOW:
@@ -132,16 +132,16 @@ def _unfolded(runs: Sequence[Trajectory], column: int) -> list[Unfolding]:
                     signs = following
                 errors = np.sqrt(np.mean((np.abs(model) - z[:, None]) ** 2, axis=0))
                 best = int(np.argmin(errors))
-                found.append((float(errors[best]), signs[:, best]))
-    found.sort(key=lambda one: one[0])
-    cuts = np.cumsum([len(one) for one in folded])[:-1]
-    likeliest = [tuple(np.split(signs, cuts)) for _, signs in found[:3]]
+                tried.append((float(errors[best]), signs[:, best]))
+    tried.sort(key=lambda trial: trial[0])
+    cuts = np.cumsum([len(y) for y in folded])[:-1]
+    likeliest = [tuple(np.split(signs, cuts)) for _, signs in tried[:3]]
     return [Unfolding(signs, 2.0 ** -min(_turns(signs), 1000)) for signs in likeliest]
 
 
 def _turns(signs: Sequence[FloatArray]) -> int:
     """Return how often signs change."""
-    return sum(int(np.count_nonzero(np.diff(one))) for one in signs)
+    return sum(int(np.count_nonzero(np.diff(part))) for part in signs)
 
 
 @functools.lru_cache(maxsize=32)
@@ -163,7 +163,7 @@ def _both_ways(runs: Sequence[Trajectory], column: int, paths: Sequence[Path]) -
         if errors[1] < errors[0]:
             signs[number] = -signs[number]
     chance = float(np.exp(-min(sum(path.gain for path in paths), 700.0)))
-    return [Unfolding(tuple(sense * one for one in signs), chance) for sense in (1.0, -1.0)]
+    return [Unfolding(tuple(sense * part for part in signs), chance) for sense in (1.0, -1.0)]
 
 
 def _regression(run: Trajectory, column: int, signs: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -183,11 +183,11 @@ def signs_by_model(form: Any, simulator: Any, record: Trajectory, p: FloatArray)
     """
     system = simulator.system
     effects = tuple(system.effects)
-    hiding = [one for one in effects if one.effect.name in HIDING]
+    hiding = [placed for placed in effects if placed.effect.name in HIDING]
     if len(hiding) != 1:
         return None
-    rest = [one for one in effects if one.effect.name not in HIDING]
-    plain = form.system(rest)
+    others = [placed for placed in effects if placed.effect.name not in HIDING]
+    plain = form.system(others)
     values = dict(zip(system.parameter_names, p, strict=True))
     q = plain.vector({name: values[name] for name in plain.parameter_names})
     column = [channel.name for channel in plain.outputs].index(hiding[0].at)

@@ -27,14 +27,14 @@ def estimate(fit: Fit, name: str, together: Sequence[str] = ()) -> dict[str, Any
     ``together`` are those of which the data tell ratios only: the curvature of a fit that stopped somewhere along the
     scale says nothing of them.
     """
-    one: dict[str, Any] = {"value": known(fit.values[name]), "low": None, "high": None,
+    entry: dict[str, Any] = {"value": known(fit.values[name]), "low": None, "high": None,
                            "unit": fit.system.parameter(name).unit, "state": "fixed"}  # fmt: skip
     if name not in fit.free:
-        return one
-    one["state"] = "on_bound" if name in fit.on_bound else "not_determined"
+        return entry
+    entry["state"] = "on_bound" if name in fit.on_bound else "not_determined"
     if name not in together and fit.deviations.get(name, 0.0) > 0 and np.isfinite(fit.deviations[name]):
-        _limit(one, *fit.interval(name), positive=name in fit.logarithmic)
-    return one
+        _limit(entry, *fit.interval(name), positive=name in fit.logarithmic)
+    return entry
 
 
 def _limit(one: dict[str, Any], low: float, high: float, *, positive: bool) -> None:
@@ -51,11 +51,11 @@ def scaled_together(system: Any, fit: Fit, dataset: Dataset) -> list[str]:
     """
     if not system.coordinates or any(np.any(run.u) for run in dataset.estimation):
         return []
-    heavy = [one for one in fit.system.parameters if _base(one.unit)[0].get("kg") == 1]
-    own = [one.name for one in system.parameters]
-    if any(one.name in own and one.name not in fit.free for one in heavy):
+    heavy = [parameter for parameter in fit.system.parameters if _base(parameter.unit)[0].get("kg") == 1]
+    own = [parameter.name for parameter in system.parameters]
+    if any(parameter.name in own and parameter.name not in fit.free for parameter in heavy):
         return []
-    together = [one.name for one in heavy if one.name in fit.free]
+    together = [parameter.name for parameter in heavy if parameter.name in fit.free]
     return together if len(together) > 1 else []
 
 
@@ -65,19 +65,19 @@ def ratios(fit: Fit, names: Sequence[str]) -> dict[str, Any]:
     made: dict[str, Any] = {}
     for name in names[1:]:
         below, above = fit.values[names[0]], fit.values[name]
-        one = {"value": known(above / below) if below else None, "low": None, "high": None,
+        entry = {"value": known(above / below) if below else None, "low": None, "high": None,
                "unit": ratio_unit(fit.system.parameter(name).unit, fit.system.parameter(names[0]).unit),
                "state": "not_determined"}  # fmt: skip
         rows = [best.names.index(each) for each in (name, names[0])]
         # derivatives of the logarithm of the ratio by what was estimated, a parameter or its logarithm
-        slopes = np.array([sign / (1.0 if best.logarithmic[k] else best.parameters[each] or np.nan)
+        gradient = np.array([sign / (1.0 if best.logarithmic[k] else best.parameters[each] or np.nan)
                            for sign, k, each in zip((1.0, -1.0), rows, (name, names[0]), strict=True)])  # fmt: skip
-        variance = float(slopes @ best.covariance[np.ix_(rows, rows)] @ slopes)
-        if one["value"] is not None and 0 < variance < np.inf:
+        variance = float(gradient @ best.covariance[np.ix_(rows, rows)] @ gradient)
+        if entry["value"] is not None and 0 < variance < np.inf:
             half = 1.96 * float(np.sqrt(variance))
-            ends = sorted(one["value"] * (np.exp([-half, half]) if half < 50 else np.array([0.0, np.inf])))
-            _limit(one, float(ends[0]), float(ends[1]), positive=True)
-        made[f"{name}/{names[0]}"] = one
+            ends = sorted(entry["value"] * (np.exp([-half, half]) if half < 50 else np.array([0.0, np.inf])))
+            _limit(entry, float(ends[0]), float(ends[1]), positive=True)
+        made[f"{name}/{names[0]}"] = entry
     return made
 
 
@@ -89,8 +89,8 @@ def ratio_unit(above: str, below: str) -> str:
     >>> ratio_unit("N m s/rad", "kg m^2"), ratio_unit("N m", "kg m^2"), ratio_unit("kg", "mg")
     ('1/s', '1/s^2', '(kg)/(mg)')
     """
-    (first, one), (second, two) = _base(above), _base(below)
-    if one != 1.0 or two != 1.0:
+    (first, factor), (second, other) = _base(above), _base(below)
+    if factor != 1.0 or other != 1.0:
         return f"({above})/({below})"
     powers = {name: first.get(name, 0) - second.get(name, 0) for name in {**first, **second} if name != "rad"}
 

@@ -40,7 +40,7 @@ Keys of ``sysid-harness/close-loop/2``, the same for every kind of model; what d
     Every deciding number with its reason, source and what it was tuned on, by group: ``policy``, ``effort``, ``data``,
     ``run``, ``plan``, ``arm``.
 ``tests``, ``isolability``, ``not_visible``, ``closed_loop``, ``closed_loop_bias``, ``horizon``
-    The rest of the evidence.
+    The other evidence.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         warnings.append(AROUND)
     if not answer.fit.converged:
         warnings.append("the final fit did not converge: its figures are not those of a maximum")
-    names, cosines = found.test.cosines([str(one.placed) for one in accepted])
+    names, cosines = found.test.cosines([str(effect.placed) for effect in accepted])
     bench = Bench(found.system, answer.fit.system, answer.fit.values, found.dataset)
     bias = closed_loop_bias(
         found.runs.output, answer.runs, list(found.dataset.estimation), _used(found, references)
@@ -127,11 +127,11 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "explained_share": None if found.misfit else known(1.0 - found.runs.left),
         "misfit": list(found.misfit),
         "stand_in": {"flagged": bool(stand_in), "reasons": list(stand_in)},
-        "effects": [_effect(answer.fit, one, together) for one in accepted],
-        "searched": [_effect(found.final, one, together) for one in found.outcome.accepted] if found.misfit else [],
-        "tie_sets": [[_named(member) for member in one.tie] for one in accepted],
-        "separating_experiments": [separating([p for member in one.tie for p in member]) for one in accepted],
-        "separate_with": [separate_with(bench, one.tie) for one in accepted],
+        "effects": [_effect(answer.fit, effect, together) for effect in accepted],
+        "searched": [_effect(found.final, added, together) for added in found.outcome.accepted] if found.misfit else [],
+        "tie_sets": [[_named(member) for member in effect.tie] for effect in accepted],
+        "separating_experiments": [separating([p for member in effect.tie for p in member]) for effect in accepted],
+        "separate_with": [separate_with(bench, effect.tie) for effect in accepted],
         "errors": {
             "before": _errors(found, found.nominal, found.runs.before),
             "after": _errors(found, answer.fit, answer.runs),
@@ -143,19 +143,19 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "ratios": ratios(answer.fit, together),
         "noise": {"before": _noise(found, found.nominal), "after": _noise(found, answer.fit)},
         "candidates": _candidates(found),
-        "withdrawn": [_named([one.placed]) for one in found.outcome.withdrawn],
-        "left_over": [one.to_dict() for one in found.leftover.axes],
+        "withdrawn": [_named([effect.placed]) for effect in found.outcome.withdrawn],
+        "left_over": [axis.to_dict() for axis in found.leftover.axes],
         "tests": {"before": _tests(found, found.nominal), "after": _tests(found, answer.fit)},
         "isolability": {"effects": list(names), "cosine": np.round(cosines, 4).tolist()},
         "not_visible": [
-            {"name": one.placed.effect.name, "at": one.placed.at,
+            {"name": hidden.placed.effect.name, "at": hidden.placed.at,
              "reason": "the nominal parameters and initial states can do the same"}
-            for one in found.not_visible
+            for hidden in found.not_visible
         ],
         "closed_loop": _closed_loop(found, answer.fit),
         "closed_loop_bias": {**blank()["closed_loop_bias"], "text": "not tested: free runs diverge"}
         if bias is None
-        else bias.to_dict({one.name: one.unit for one in answer.fit.system.parameters}),
+        else bias.to_dict({parameter.name: parameter.unit for parameter in answer.fit.system.parameters}),
         "horizon": {"seconds": found.runs.horizon.seconds, "reason": found.runs.horizon.reason},
         "form": "maximum likelihood" if found.form.latent else "maximum likelihood of free runs",
         "converged": {"nominal": found.nominal.converged, "final": answer.fit.converged},
@@ -171,17 +171,20 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
 def innovations(found: Diagnosis, fit: Fit, use: str) -> list[FloatArray]:
     """Return the innovations of a fit over their standard deviations, (N, ny) by record."""
     passed, _ = found.form.paths(fit, use)
-    return [np.asarray(np.where(np.isfinite(one.e), one.e, 0.0) / np.sqrt(one.s)) for one in passed]
+    return [np.asarray(np.where(np.isfinite(filtered.e), filtered.e, 0.0) / np.sqrt(filtered.s)) for filtered in passed]
 
 
 def _used(found: Diagnosis, references: Sequence[Mapping[str, FloatArray]]) -> list[Mapping[str, FloatArray]]:
     """Return the references of the estimation runs."""
-    return [one for one, run in zip(references, found.dataset, strict=False) if run.use == "estimation"]
+    return [reference for reference, run in zip(references, found.dataset, strict=False) if run.use == "estimation"]
 
 
 def _named(member: Sequence[Placed]) -> dict[str, Any]:
     """Return one member of a tie set."""
-    return {"name": " + ".join(one.effect.name for one in member), "at": ", ".join(one.at for one in member)}
+    return {
+        "name": " + ".join(placed.effect.name for placed in member),
+        "at": ", ".join(placed.at for placed in member),
+    }
 
 
 def _effect(fit: Fit, one: Any, together: Sequence[str] = ()) -> dict[str, Any]:
@@ -215,7 +218,7 @@ def _meaning_of_intervals(found: Diagnosis) -> str:
 
 def _parameters(fit: Fit, together: Sequence[str]) -> dict[str, Any]:
     """Return every parameter with its interval."""
-    return {one.name: estimate(fit, one.name, together) for one in fit.system.parameters}
+    return {parameter.name: estimate(fit, parameter.name, together) for parameter in fit.system.parameters}
 
 
 def _noise(found: Diagnosis, fit: Fit) -> dict[str, Any]:
@@ -227,14 +230,14 @@ def _noise(found: Diagnosis, fit: Fit) -> dict[str, Any]:
             for channel, r in zip(found.dataset.spec.outputs, noise.r, strict=True)
         },
         "forces": {
-            one.port: {
+            force.port: {
                 "s": known(float(s)),
                 "tau_s": known(float(tau)),
                 "w": known(float(w)),
-                "unit": one.unit,
-                "at_least": f"s@{one.port}" in fit.on_bound and bool(s > scale),
+                "unit": force.unit,
+                "at_least": f"s@{force.port}" in fit.on_bound and bool(s > scale),
             }
-            for one, s, tau, w, scale in zip(
+            for force, s, tau, w, scale in zip(
                 fit.detail.passes.forces, noise.s, noise.tau, noise.w, found.form.noise_model.force_scale, strict=True
             )
         },
@@ -269,8 +272,8 @@ def _errors(found: Diagnosis, fit: Fit, fitted: Fitted | None) -> dict[str, Any]
         ),
         "one_step": {
             use: figures(
-                [one * np.sqrt(p.s) for one, p in zip(innovations(found, fit, use), found.form.paths(fit, use)[0],
-                                                      strict=True)],
+                [e * np.sqrt(passed.s) for e, passed in zip(innovations(found, fit, use),
+                                                            found.form.paths(fit, use)[0], strict=True)],
                 [run.y for run in found.form.records[use]],
                 [(channel.name, channel.unit) for channel in found.dataset.spec.outputs],
             )
@@ -283,7 +286,7 @@ def _errors(found: Diagnosis, fit: Fit, fitted: Fitted | None) -> dict[str, Any]
 def _sensors(fitted: Fitted) -> bool:
     """Return True if a model has effects on its outputs: measured motion is not the true one then."""
     names = {channel.name for channel in fitted.system.outputs}
-    return any(one.at in names and "output" in one.effect.kinds for one in fitted.effects)
+    return any(placed.at in names and "output" in placed.effect.kinds for placed in fitted.effects)
 
 
 def _other_horizons(found: Diagnosis) -> list[float]:
@@ -292,19 +295,21 @@ def _other_horizons(found: Diagnosis) -> list[float]:
     shortest = min(len(run.trajectory) for run in found.dataset) * dt
     seconds = found.runs.horizon.seconds
     wanted = [0.02 * shortest, 0.2 * shortest] if seconds is None else [0.1 * seconds, 5 * seconds]
-    return [float(f"{one:.2g}") for one in wanted if 20 * dt <= one < shortest]
+    return [float(f"{horizon:.2g}") for horizon in wanted if 20 * dt <= horizon < shortest]
 
 
 def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
     """Return one row for each refit of each round, then what the score test set aside."""
-    accepted = {str(one.placed) for one in answer_of(found).accepted}
-    tied = {str(p) for one in answer_of(found).accepted for member in one.tie for p in member} - accepted
+    accepted = {str(effect.placed) for effect in answer_of(found).accepted}
+    tied = {str(p) for effect in answer_of(found).accepted for member in effect.tie for p in member} - accepted
     rows = []
-    for number, here in enumerate(found.outcome.rounds, start=1):
-        ranked = sorted(here.candidates, key=lambda one: -np.inf if one.comparison is None else -one.comparison.total)
-        rows += [_row(one, number, accepted, tied, fits=not found.misfit) for one in ranked]
-        refitted = {one.name for one in here.candidates}
-        for lead in [*here.test.leads, *here.test.hidden]:
+    for number, step in enumerate(found.outcome.rounds, start=1):
+        ranked = sorted(
+            step.candidates, key=lambda judged: -np.inf if judged.comparison is None else -judged.comparison.total
+        )
+        rows += [_row(judged, number, accepted, tied, fits=not found.misfit) for judged in ranked]
+        refitted = {judged.name for judged in step.candidates}
+        for lead in [*step.test.leads, *step.test.hidden]:
             if str(lead.placed) in refitted:
                 continue
             hidden = lead.share < found.policy.seen
@@ -332,7 +337,7 @@ def _row(one: Judged, number: int, accepted: set[str], tied: set[str], *, fits: 
         reason = NO_FINDING
     elif one.passed and one.name not in accepted:
         reason = "tied with the answer" if one.name in tied else "another candidate explains more"
-    found = one.comparison
+    compared = one.comparison
     return {
         "name": " + ".join(p.effect.name for p in one.added),
         "at": ", ".join(p.at for p in one.added),
@@ -342,9 +347,9 @@ def _row(one: Judged, number: int, accepted: set[str], tied: set[str], *, fits: 
         "accepted": one.name in accepted and one.passed,
         "passed": one.passed,
         "reason": reason,
-        "evidence": known(None if found is None else found.evidence),
-        "validation_gain": known(None if found is None else found.validation),
-        "validation_error": known(None if found is None else found.error),
+        "evidence": known(None if compared is None else compared.evidence),
+        "validation_gain": known(None if compared is None else compared.validation),
+        "validation_error": known(None if compared is None else compared.error),
         "main": {}
         if one.fit is None
         else {
@@ -365,11 +370,13 @@ def _tests(found: Diagnosis, fit: Fit) -> dict[str, Any]:
         tests = [residual_tests.ljung_box(r)]
         for k, port in enumerate(found.dataset.spec.inputs):
             if np.ptp(record.u[:, k]) > 0:
-                one = residual_tests.input_correlation(record.u[: r.size, k], r)
-                tests.append(residual_tests.Outcome(f"{one.name} ({port.name})", one.statistic, one.dof, one.p))
+                outcome = residual_tests.input_correlation(record.u[: r.size, k], r)
+                tests.append(
+                    residual_tests.Outcome(f"{outcome.name} ({port.name})", outcome.statistic, outcome.dof, outcome.p)
+                )
         result[channel.name] = {
             "largest_autocorrelation": known(residual_tests.max_autocorrelation(r)),
-            "tests": [one.to_dict() for one in tests],
+            "tests": [test.to_dict() for test in tests],
         }
     return result
 
@@ -416,8 +423,8 @@ def _summary(data: dict[str, Any]) -> str:
         else "no free run"
     )
     if data["verdict"] == "effects_found":
-        names = " and ".join(f"{one['name'].replace('_', ' ')} at {one['at']}" for one in data["effects"])
-        more = " (tied with others, see below)" if any(len(one) > 1 for one in data["tie_sets"]) else ""
+        names = " and ".join(f"{effect['name'].replace('_', ' ')} at {effect['at']}" for effect in data["effects"])
+        more = " (tied with others, see below)" if any(len(ties) > 1 for ties in data["tie_sets"]) else ""
         if data["stand_in"]["flagged"]:
             stand = "stands" if len(data["effects"]) == 1 else "stand"
             text = (
@@ -430,14 +437,14 @@ def _summary(data: dict[str, Any]) -> str:
             return f"the validation simulation error grows ({worse}), although the likelihood rises: {text}; {words}"
         return f"{text}; validation simulation error {change}; {words}"
     plain = change.split(" -> ")[0] if ", " not in change else ", ".join(p.split(" -> ")[0] for p in change.split(", "))
-    units = ", ".join(dict.fromkeys(one["unit"] for one in before.values()))
+    units = ", ".join(dict.fromkeys(figure["unit"] for figure in before.values()))
     if data["verdict"] == "nothing_missing":
         return f"nothing is missing in {data['model']}: validation simulation error {plain} {units}; {words}"
     best = data["left_over"][0] if data["left_over"] else None
     if best and best["evidence"] + best["validation"] > 0:
         cause = f"a force at {best['axis']} would"
     elif data["withdrawn"]:
-        names = " and ".join(f"{one['name'].replace('_', ' ')} at {one['at']}" for one in data["withdrawn"])
+        names = " and ".join(f"{effect['name'].replace('_', ' ')} at {effect['at']}" for effect in data["withdrawn"])
         cause = f"{names} would by the likelihood, and takes free runs further from the validation records"
     else:
         cause = "the force that nobody measured is too large for a disturbance"

@@ -71,7 +71,7 @@ def _cards(rows: list[dict[str, Any]], changed: bool) -> list[dict[str, Any]]:
 def pictures(found: Diagnosis) -> Pictures:
     """Return the arrays behind the figures."""
     answer = answer_of(found)
-    accepted = [str(one.placed) for one in answer.accepted]
+    accepted = [str(effect.placed) for effect in answer.accepted]
     names, cosines = found.test.cosines(accepted)
     made = Pictures(isolability=(names, cosines))
     record = max(found.form.records["validation"], key=len)
@@ -95,8 +95,8 @@ def _overlays(found: Diagnosis, changed: bool) -> list[Overlay]:
     number = int(np.argmax([len(run) for run in found.dataset.validation]))
     record = found.dataset.validation[number]
     errors = {
-        name: runs.output.simulated(one, "validation", runs.horizon.seconds)[0][number]
-        for name, one in (("before", runs.before), ("after", last))
+        name: runs.output.simulated(fitted, "validation", runs.horizon.seconds)[0][number]
+        for name, fitted in (("before", runs.before), ("after", last))
     }
     return [
         Overlay(
@@ -133,10 +133,10 @@ def _force_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
              enumerate(found.form.noise_model.force_scale)]  # fmt: skip
     shown = sorted(np.argsort(sizes)[::-1][:MOST_PORTS])
     for port in shown:
-        one = ports[port]
+        force = ports[port]
         _, before, band = _force(found, found.nominal, port)
         x, after, later = _force(found, final, port)
-        coordinate = next(c for c in found.system.coordinates if c.name == one.port)
+        coordinate = next(c for c in found.system.coordinates if c.name == force.port)
         axes = [
             (coordinate.name, coordinate.unit, x[:, coordinate.q]),
             (f"{coordinate.name}'", f"{coordinate.unit}/s", x[:, coordinate.v]),
@@ -151,8 +151,8 @@ def _force_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
                 before,
                 after if changed else None,
                 None,
-                one.unit,
-                f"latent force at {one.port}",
+                force.unit,
+                f"latent force at {force.port}",
                 bands=(band, later if changed else None),
             )
             for name, unit, values in axes
@@ -187,9 +187,16 @@ def _output_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
 
 def _coverage(found: Diagnosis) -> list[tuple[str, str, FloatArray, FloatArray, FloatArray, FloatArray]]:
     """Return where estimation and validation have been, coordinate by coordinate."""
-    both = [np.concatenate([one.x for one in found.form.paths(answer_of(found).fit, use)[1]]) for use in
+    both = [np.concatenate([path.x for path in found.form.paths(answer_of(found).fit, use)[1]]) for use in
             ("estimation", "validation")]  # fmt: skip
     return [
-        (one.name, one.unit, both[0][:, one.q], both[0][:, one.v], both[1][:, one.q], both[1][:, one.v])
-        for one in (found.system.coordinates if found.form.latent else ())
+        (
+            coordinate.name,
+            coordinate.unit,
+            both[0][:, coordinate.q],
+            both[0][:, coordinate.v],
+            both[1][:, coordinate.q],
+            both[1][:, coordinate.v],
+        )
+        for coordinate in (found.system.coordinates if found.form.latent else ())
     ]

@@ -54,12 +54,12 @@ class Bench:
         states = states[np.isfinite(states).all(axis=1)]
         u = np.mean(np.concatenate([run.u for run in self.dataset.estimation]), axis=0)
         jacobian = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
-        found = []
+        fastest = []
         for point in states[:: max(len(states) // 60, 1)]:
             poles = np.linalg.eigvals(np.array(jacobian(point, u, p, 0.0), dtype=float))
             swinging = np.abs(poles[np.abs(poles.imag) > 0.3 * np.abs(poles)])
-            found.append(swinging.max() if swinging.size else np.abs(poles).max())
-        rates = [one for one in found if 0 < one < 0.5 * np.pi / self.sample_time]
+            fastest.append(swinging.max() if swinging.size else np.abs(poles).max())
+        rates = [rate for rate in fastest if 0 < rate < 0.5 * np.pi / self.sample_time]
         return float(np.median(rates)) / (2 * np.pi) if rates else 0.02 / self.sample_time
 
     def moves(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -71,12 +71,15 @@ class Bench:
         simulator = system.simulator(self.sample_time, intersample=self.dataset.intersample, backend="casadi")
         with np.errstate(all="ignore"):
             x = simulator.states(system.vector(self.values), np.zeros(system.nx), u)
-        found = []
-        for names in ([one.q for one in system.coordinates], [one.v for one in system.coordinates]):
+        sizes = []
+        for names in (
+            [coordinate.q for coordinate in system.coordinates],
+            [coordinate.v for coordinate in system.coordinates],
+        ):
             z = x[:, names] if names else x
             z = z if np.isfinite(z).all() else np.full_like(z, np.inf)
-            found.append(np.stack([np.abs(z).max(axis=0), np.sqrt(np.mean(z**2, axis=0))]))
-        return found[0], found[1]
+            sizes.append(np.stack([np.abs(z).max(axis=0), np.sqrt(np.mean(z**2, axis=0))]))
+        return sizes[0], sizes[1]
 
     def seen(self) -> tuple[FloatArray, FloatArray]:
         """Return the same for the inputs of the data."""
@@ -85,7 +88,7 @@ class Bench:
 
 def separating(members: Sequence[Placed]) -> list[str]:
     """Return in words the experiments that would separate the members of a tie set, each once."""
-    texts = [f"{one.effect.name}: {one.effect.experiment}" for one in members if one.effect.experiment]
+    texts = [f"{placed.effect.name}: {placed.effect.experiment}" for placed in members if placed.effect.experiment]
     return list(dict.fromkeys(texts))
 
 
@@ -107,12 +110,12 @@ def separate_with(bench: Bench, members: Sequence[Sequence[Placed]]) -> list[dic
     names = list(dict.fromkeys(placed.effect.name for member in members for placed in member))
     if len(members) < 2:
         return []
-    found = []
+    rows = []
     for group, why, plan in _RULES:
-        here = [name for name in names if name in group]
-        if len(here) < 2:
+        apart = [name for name in names if name in group]
+        if len(apart) < 2:
             continue
-        row: dict[str, Any] = {"separates": here, "why": why, "scenario": None, "options": {}, "command": None,
+        row: dict[str, Any] = {"separates": apart, "why": why, "scenario": None, "options": {}, "command": None,
                                "instruction": None}  # fmt: skip
         if isinstance(plan, str):
             row["instruction"] = plan
@@ -123,8 +126,8 @@ def separate_with(bench: Bench, members: Sequence[Sequence[Placed]]) -> list[dic
         else:
             scenario, options, more = plan(bench, members)
             row.update(scenario=scenario, options=options, command=_command(scenario, options), instruction=more)
-        found.append(row)
-    return found
+        rows.append(row)
+    return rows
 
 
 _Plan = Callable[[Bench, Sequence[Sequence[Placed]]], tuple[str, dict[str, Any], str | None]]
@@ -133,7 +136,7 @@ _Plan = Callable[[Bench, Sequence[Sequence[Placed]]], tuple[str, dict[str, Any],
 def _slow_triangle(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[str, Any], str | None]:
     """Plan a triangle of an eighth of the resonance at three amplitudes, its swing within what the data show."""
     seen, _ = bench.seen()
-    angles = np.array([one.unit == "rad" for one in bench.system.coordinates], dtype=bool)
+    angles = np.array([coordinate.unit == "rad" for coordinate in bench.system.coordinates], dtype=bool)
     most = np.where(angles, np.minimum(seen[0], PLAN_POLICY.upright), seen[0]) if angles.size else seen[0]
     frequency = bench.resonance() / 8
     wave = _triangle(int(PERIODS / frequency / bench.sample_time), bench.sample_time, frequency)
@@ -151,14 +154,14 @@ def _chirp(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict
 
     So far above its resonance a plant hardly moves, so that four times the data's amplitude does no harm.
     """
-    found = [
+    times = [
         abs(bench.values[name])
         for member in members
         for placed in member
-        for one in placed.effect.parameters
-        if one.unit == "s" and (name := placed.name(one.name)) in bench.values
+        for parameter in placed.effect.parameters
+        if parameter.unit == "s" and (name := placed.name(parameter.name)) in bench.values
     ]
-    tau = max([one for one in found if one > 0], default=2 * bench.sample_time)
+    tau = max([time for time in times if time > 0], default=2 * bench.sample_time)
     top = float(np.clip(5 / (2 * np.pi * tau), 2 * bench.resonance(), 0.4 / bench.sample_time))
     options = {**_amplitude(bench, 4 * bench.peaks), "band": [_two(0.1 * top), _two(top)], "law": "logarithmic"}
     return "chirp", {**options, "duration": SHORTEST}, None
@@ -169,7 +172,7 @@ def _swing(target: float) -> _Plan:
 
     def plan(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[str, Any], str | None]:
         seen, _ = bench.seen()
-        angles = np.array([one.unit == "rad" for one in bench.system.coordinates], dtype=bool)
+        angles = np.array([coordinate.unit == "rad" for coordinate in bench.system.coordinates], dtype=bool)
         wanted = np.where(angles, target, 2 * seen[0]) if angles.size else 2 * seen[0]
         centre, dt = bench.resonance(), bench.sample_time
         band = [_two(0.3 * centre), _two(1.5 * centre)]
@@ -229,11 +232,11 @@ def _triangle(n: int, dt: float, frequency: float) -> FloatArray:
 def _amplitude(bench: Bench, sizes: FloatArray) -> dict[str, Any]:
     """Return the option ``amplitude``, within the declared limits of the inputs; a table where there are several."""
     channels = bench.dataset.spec.inputs
-    limits = [0.5 * (one.maximum - one.minimum) for one in channels]
+    limits = [0.5 * (channel.maximum - channel.minimum) for channel in channels]
     kept = [_two(float(min(size, limit))) for size, limit in zip(sizes, limits, strict=True)]
     if len(kept) == 1:
         return {"amplitude": kept[0]}
-    return {"amplitude": {one.name: size for one, size in zip(channels, kept, strict=True)}}
+    return {"amplitude": {channel.name: size for channel, size in zip(channels, kept, strict=True)}}
 
 
 def _duration(seconds: float) -> float:
@@ -251,9 +254,9 @@ def _command(scenario: str, options: Mapping[str, Any]) -> str:
     words = [f"sysid simulate PLANT --scenario {scenario}"]
     for key, value in options.items():
         if isinstance(value, Mapping):
-            words += [f"-S {key}.{name}={one:g}" for name, one in value.items()]
+            words += [f"-S {key}.{name}={number:g}" for name, number in value.items()]
         elif isinstance(value, list):
-            words.append(f"-S '{key}=[{', '.join(f'{one:g}' for one in value)}]'")
+            words.append(f"-S '{key}=[{', '.join(f'{number:g}' for number in value)}]'")
         else:
             words.append(f"-S {key}={value if isinstance(value, str) else format(value, 'g')}")
     return " ".join([*words, "-o separate.csv"])

@@ -154,24 +154,30 @@ def _overlay(overlays: Sequence[Overlay]) -> str:
     """Draw measured, before and after, with the error below."""
     shown = overlays[:4]
     words = "; ".join(
-        f"{one.label}: rms error {_rms(one.measured - one.before, one.unit)} before"
-        + ("" if one.after is None else f", {_rms(one.measured - one.after, one.unit)} after")
-        for one in shown
+        f"{overlay.label}: rms error {_rms(overlay.measured - overlay.before, overlay.unit)} before"
+        + ("" if overlay.after is None else f", {_rms(overlay.measured - overlay.after, overlay.unit)} after")
+        for overlay in shown
     )
     words = f"Measured and simulated outputs over time, and their difference, on a validation record. {words}."
     with drawing("overlay", 10.5, 2.9 * len(shown), words) as (figure, svg):
         axes = figure.subplots(len(shown), 2, squeeze=False, width_ratios=(1.6, 1.0))
-        for (left, right), one in zip(axes, shown, strict=True):
-            pick = _thin(one.t.size, 2500)
-            name = "nominal model" if one.after is None else "before"
-            left.plot(one.t[pick], one.measured[pick], color=INK, lw=2.6, alpha=0.28, label="measured")
-            left.plot(one.t[pick], one.before[pick], color=BEFORE, lw=1.1, label=name)
-            right.plot(one.t[pick], (one.measured - one.before)[pick], color=BEFORE, lw=0.9, label=name)
-            if one.after is not None:
-                left.plot(one.t[pick], one.after[pick], color=AFTER, lw=1.1, ls=(0, (5, 2)), label="after")
-                right.plot(one.t[pick], (one.measured - one.after)[pick], color=AFTER, lw=0.9, label="after")
-            left.set(title=f"{one.label}: measured and simulated", xlabel="time [s]", ylabel=_axis(one.label, one.unit))
-            right.set(title="measured minus simulated", xlabel="time [s]", ylabel=f"error [{one.unit}]")
+        for (left, right), overlay in zip(axes, shown, strict=True):
+            pick = _thin(overlay.t.size, 2500)
+            name = "nominal model" if overlay.after is None else "before"
+            left.plot(overlay.t[pick], overlay.measured[pick], color=INK, lw=2.6, alpha=0.28, label="measured")
+            left.plot(overlay.t[pick], overlay.before[pick], color=BEFORE, lw=1.1, label=name)
+            right.plot(overlay.t[pick], (overlay.measured - overlay.before)[pick], color=BEFORE, lw=0.9, label=name)
+            if overlay.after is not None:
+                left.plot(overlay.t[pick], overlay.after[pick], color=AFTER, lw=1.1, ls=(0, (5, 2)), label="after")
+                right.plot(
+                    overlay.t[pick], (overlay.measured - overlay.after)[pick], color=AFTER, lw=0.9, label="after"
+                )
+            left.set(
+                title=f"{overlay.label}: measured and simulated",
+                xlabel="time [s]",
+                ylabel=_axis(overlay.label, overlay.unit),
+            )
+            right.set(title="measured minus simulated", xlabel="time [s]", ylabel=f"error [{overlay.unit}]")
         legend(figure)
     return svg[0]
 
@@ -198,10 +204,10 @@ def _residual_words(views: Sequence[ResidualView]) -> str:
     for view in views:
         ports.setdefault(view.port, []).append(view)
     parts = []
-    for port, here in ports.items():
-        first = here[0]
+    for port, group in ports.items():
+        first = group[0]
         after = "" if first.after is None else f", {_rms(first.after, first.residual_unit)} after"
-        axes = ", ".join(view.axis for view in here)
+        axes = ", ".join(view.axis for view in group)
         parts.append(f"{port} against {axes}: rms {_rms(first.before, first.residual_unit)} before{after}")
     return f"What the model leaves. {'; '.join(parts)}."
 
@@ -237,7 +243,7 @@ def _one_view(axis: Axes, view: ResidualView, name: str) -> None:
     shown = view.before if view.after is None else np.concatenate([view.before, view.after])
     low, high = np.quantile(shown, [0.005, 0.995])
     if view.bands is not None:
-        wide = 2 * max(float(np.median(one)) for one in view.bands if one is not None)
+        wide = 2 * max(float(np.median(band)) for band in view.bands if band is not None)
         low, high = low - wide, high + wide
     if view.deviation > 0:
         axis.axhspan(-2 * view.deviation, 2 * view.deviation, color=GREY, alpha=0.18, lw=0, label="±2 sd of one value")
@@ -270,7 +276,9 @@ def _smoothed(
             return
         which = np.clip(np.digitize(view.x, edges) - 1, 0, edges.size - 2)
         bins = [inside for k in range(edges.size - 1) if (inside := which == k).sum() >= 5]
-        x, middle, sd = (np.array([np.median(one[inside]) for inside in bins]) for one in (view.x, values, deviation))
+        x, middle, sd = (
+            np.array([np.median(column[inside]) for inside in bins]) for column in (view.x, values, deviation)
+        )
         ends = np.array([np.quantile(values[inside], [0.1, 0.9]) for inside in bins]).reshape(-1, 2)
         axis.fill_between(x, ends[:, 0], ends[:, 1], color=colour, alpha=0.12, lw=0, label=f"{label}: 10-90 %")
     axis.fill_between(x, middle - 2 * sd, middle + 2 * sd, color=colour, alpha=0.35, lw=0, label=f"{label}: ±2 sd")
@@ -371,9 +379,7 @@ def _isolability(names: Sequence[str], cosines: FloatArray) -> str:
 def _coverage(panels: Sequence[tuple[str, str, FloatArray, FloatArray, FloatArray, FloatArray]]) -> str:
     """Draw where in (q, v) the estimation and the validation records went."""
     shown = panels[:3]
-    words = (
-        f"Where position and speed of {', '.join(one[0] for one in shown)} went, in estimation and validation records."
-    )
+    words = f"Where position and speed of {', '.join(p[0] for p in shown)} went, in estimation and validation records."
     with drawing("coverage", 10.5, 3.3, words) as (figure, svg):
         axes: Any = figure.subplots(1, max(len(shown), 2), squeeze=False)
         for spare in axes[0][len(shown) :]:

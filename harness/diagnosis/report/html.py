@@ -46,15 +46,15 @@ def error_rows(data: dict[str, Any]) -> list[dict[str, Any]]:
             for name in before:
                 rows.append(_error_row(use, label, horizon, name, before[name], after.get(name)))
         begun = [data["errors"][key]["simulation_error"].get("from_measured_state", {}) for key in ("before", "after")]
-        for name, one in begun[0].get(use, {}).items():
+        for name, figures in begun[0].get(use, {}).items():
             text = f"{data['errors']['before']['simulation_error']['horizon_s']:g} s windows from the measured state"
-            rows.append(_error_row(use, "simulation error", text, name, one, begun[1][use].get(name)))
+            rows.append(_error_row(use, "simulation error", text, name, figures, begun[1][use].get(name)))
         others = data["errors"]["before"]["simulation_error"]["other_horizons"]
         later = data["errors"]["after"]["simulation_error"]["other_horizons"]
-        for one, two in zip(others, later, strict=True):
-            for name in one.get(use, {}):
-                text = f"{one['horizon_s']:g} s windows"
-                rows.append(_error_row(use, "simulation error", text, name, one[use][name], two[use].get(name)))
+        for old, new in zip(others, later, strict=True):
+            for name in old.get(use, {}):
+                text = f"{old['horizon_s']:g} s windows"
+                rows.append(_error_row(use, "simulation error", text, name, old[use][name], new[use].get(name)))
     return rows
 
 

@@ -105,7 +105,7 @@ class BiasTest:
 
     def to_dict(self, units: Mapping[str, str]) -> dict[str, Any]:
         """Return the entry of ``report.json``; figures that do not exist are None."""
-        shifts = {name: one.to_dict(units.get(name, "")) for name, one in self.shifts.items()}
+        shifts = {name: shift.to_dict(units.get(name, "")) for name, shift in self.shifts.items()}
         return {
             "test": "Durbin-Wu-Hausman",
             "instruments": list(self.instruments),
@@ -125,7 +125,7 @@ class BiasTest:
         if self.reason:
             return f"the test of the bias could not be made: {self.reason}"
         silent = f"; combinations of parameters that the instruments hardly move, untested: {self.unreached}"
-        sizes = {name: one["shift_in_standard_errors"] or 0.0 for name, one in shifts.items()}
+        sizes = {name: shift["shift_in_standard_errors"] or 0.0 for name, shift in shifts.items()}
         worst = max(sizes, key=lambda name: abs(sizes[name]))
         moved = f"{worst} moves most, by {sizes[worst]:+.2g} standard errors"
         if self.biased:
@@ -160,9 +160,9 @@ def closed_loop_bias(
         return BiasTest((), 'no reference or excitation from outside the loop is recorded (role = "reference")')
     if not fitted.free:
         return BiasTest(names, "no parameter was fitted")
-    if [len(one) for one in records] != [len(one) for one in signals]:
+    if [len(run) for run in records] != [len(signal) for signal in signals]:
         return BiasTest(names, "the references do not have the length of the runs")
-    if all(any(_same(one, run.u[:, k]) for k in range(run.u.shape[1])) for run, one in _pairs(records, signals)):
+    if all(any(_same(signal, run.u[:, k]) for k in range(run.u.shape[1])) for run, signal in _pairs(records, signals)):
         return BiasTest(names, "the reference is the input itself: the data were taken in open loop")
     driven = driven_part(records, signals)
     try:
@@ -170,8 +170,8 @@ def closed_loop_bias(
     except (np.linalg.LinAlgError, ValueError, ArithmeticError, HarnessError) as error:
         return BiasTest(names, f"the part of the motion that the reference drives cannot be simulated ({error})")
     parts = form.clean(fitted, columns)
-    residual = form.clean(fitted, [one[:, :, None] for one in fitted.estimation])
-    return _compare(names, fitted, list(parts), [one[:, :, 0] for one in residual], form.lengths(fitted, records))
+    residual = form.clean(fitted, [part[:, :, None] for part in fitted.estimation])
+    return _compare(names, fitted, list(parts), [part[:, :, 0] for part in residual], form.lengths(fitted, records))
 
 
 def driven_part(records: Sequence[Trajectory], signals: Sequence[FloatArray]) -> list[Trajectory]:
@@ -186,17 +186,17 @@ def driven_part(records: Sequence[Trajectory], signals: Sequence[FloatArray]) ->
     signals : sequence of array (N_i, m)
     """
     dt = records[0].spec.sample_time
-    longest = max(len(one) for one in records)
-    both = [np.hstack([one.u, _continuous(one)]) for one in records]
+    longest = max(len(run) for run in records)
+    both = [np.hstack([run.u, _continuous(run)]) for run in records]
     middle = np.concatenate(both).mean(axis=0)
     spread = np.concatenate(both).std(axis=0)
-    goal = np.concatenate([(one - middle) / np.where(spread > 0, spread, 1.0) for one in both])
+    goal = np.concatenate([(columns - middle) / np.where(spread > 0, spread, 1.0) for columns in both])
     centre = np.concatenate(list(signals)).mean(axis=0)
     times = np.geomspace(2.0, max(longest / 10, 4.0), 7) * dt
     filtered = {
-        float(tau): np.concatenate([_filtered(one - centre, dt, float(tau)) for one in signals]) for tau in times
+        float(tau): np.concatenate([_filtered(signal - centre, dt, float(tau)) for signal in signals]) for tau in times
     }
-    plain = np.concatenate([np.column_stack([np.ones(len(one)), one - centre]) for one in signals])
+    plain = np.concatenate([np.column_stack([np.ones(len(signal)), signal - centre]) for signal in signals])
     best: tuple[float, FloatArray] | None = None
     for a, b in combinations_with_replacement(filtered, 2):
         x = np.hstack([plain, filtered[a]] + ([filtered[b]] if b != a else []))
@@ -208,11 +208,11 @@ def driven_part(records: Sequence[Trajectory], signals: Sequence[FloatArray]) ->
             best = (lost, explained)
     assert best is not None
     made = best[1] * spread + middle
-    cuts = np.cumsum([len(one) for one in records])[:-1]
+    cuts = np.cumsum([len(run) for run in records])[:-1]
     nu = records[0].u.shape[1]
     return [
-        replace(run, u=one[:, :nu], y=one[:, nu:], x=None)
-        for run, one in zip(records, np.split(made, cuts), strict=True)
+        replace(run, u=part[:, :nu], y=part[:, nu:], x=None)
+        for run, part in zip(records, np.split(made, cuts), strict=True)
     ]
 
 
@@ -252,7 +252,7 @@ def _compare(
 
     ny = r_parts[0].shape[1]
     z, j = stacked(z_parts), stacked(fitted.jacobian)
-    r = np.concatenate([one.reshape(-1) for one in r_parts])
+    r = np.concatenate([part.reshape(-1) for part in r_parts])
     if z.shape != j.shape or not (np.isfinite(z).all() and np.isfinite(j).all() and np.isfinite(r).all()):
         return BiasTest(names, "the sensitivities along the driven motion are not finite")
     size = np.linalg.norm(j, axis=0)
@@ -278,7 +278,9 @@ def _compare(
     shift = inverse @ (seen.T @ r) - directions.T @ r
     after = r - directions @ (directions.T @ r + shift)
     influence = seen @ inverse.T - directions
-    (spread, second), (plain, _) = (_spread(one, after, lengths, ny, q) for one in (influence, directions))
+    (spread, second), (plain, _) = (
+        _spread(regressors, after, lengths, ny, q) for regressors in (influence, directions)
+    )
     if second < 4:
         return BiasTest(names, f"too few independent stretches ({second + q}) for {q} parameters", strength=strength)
     statistic = float(shift @ np.linalg.pinv(spread, hermitian=True) @ shift) / q
@@ -286,7 +288,10 @@ def _compare(
     moved = (turn @ axes @ shift) / size
     own = np.sqrt(np.maximum(np.diag(turn @ axes @ spread @ axes.T @ turn.T), 0.0)) / size
     intervals = fitted.intervals()
-    half = {name: 0.5 * (one.high - one.low) / float(stats.t.ppf(0.975, 19)) for name, one in intervals.items()}
+    half = {
+        name: 0.5 * (interval.high - interval.low) / float(stats.t.ppf(0.975, 19))
+        for name, interval in intervals.items()
+    }
     shifts = {
         name: Shift(fitted.values[name], fitted.values[name] + float(d), half[name], float(s))
         for name, d, s in zip(free, moved, own, strict=True)
@@ -312,31 +317,31 @@ def _spread(weights: FloatArray, r: FloatArray, lengths: Sequence[int], ny: int,
     parts = np.split(r.reshape(-1, ny), ends[:-1])
     lags, noise = _autoregression(parts)
     total = np.zeros((q, q))
-    for one in np.split(weights.reshape(-1, ny, q), ends[:-1]):
-        back = one.copy()
-        for k in range(len(one) - 2, -1, -1):
+    for weight in np.split(weights.reshape(-1, ny, q), ends[:-1]):
+        back = weight.copy()
+        for k in range(len(weight) - 2, -1, -1):
             ahead = back[k + 1 : k + 1 + len(lags)]
             back[k] += np.einsum("iab,iaq->bq", lags[: len(ahead)], ahead)
         total += np.einsum("taq,ab,tbp->qp", back, noise, back)
-    independent = sum(effective_samples(one[:, j]) for one in parts for j in range(ny)) / ny
+    independent = sum(effective_samples(part[:, j]) for part in parts for j in range(ny)) / ny
     return total, int(independent) - q
 
 
 def _autoregression(parts: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Return coefficients (n, ny, ny) and noise covariance (ny, ny) of an autoregression, its order by BIC."""
     ny, most = parts[0].shape[1], int(np.clip(min(map(len, parts)) // 20, 1, 20))
-    goal = np.concatenate([one[most:] for one in parts])
+    goal = np.concatenate([part[most:] for part in parts])
     lagged = np.concatenate(
-        [np.hstack([one[most - lag : len(one) - lag] for lag in range(1, most + 1)]) for one in parts]
+        [np.hstack([part[most - lag : len(part) - lag] for lag in range(1, most + 1)]) for part in parts]
     )
     best: tuple[float, FloatArray, FloatArray] | None = None
     for order in range(1, most + 1):
         x = lagged[:, : order * ny]
-        found = np.linalg.lstsq(x, goal, rcond=1e-12)[0]
-        noise = np.cov(goal - x @ found, rowvar=False, bias=True).reshape(ny, ny)
+        coefficients = np.linalg.lstsq(x, goal, rcond=1e-12)[0]
+        noise = np.cov(goal - x @ coefficients, rowvar=False, bias=True).reshape(ny, ny)
         score = len(goal) * np.linalg.slogdet(noise)[1] + order * ny**2 * np.log(len(goal))
         if best is None or score < best[0]:
-            best = (float(score), found, noise)
+            best = (float(score), coefficients, noise)
     assert best is not None
     return np.transpose(best[1].reshape(-1, ny, ny), (0, 2, 1)), best[2]
 
@@ -346,15 +351,18 @@ def _usable(references: Sequence[Mapping[str, FloatArray]]) -> tuple[tuple[str, 
     if not references:
         return (), []
     names = tuple(
-        name for name in references[0] if all(name in one for one in references)
-        and any(np.ptp(one[name]) > 0 for one in references) and all(np.isfinite(one[name]).all() for one in references)
-    )  # fmt: skip
-    return names, [np.column_stack([one[name] for name in names]) for one in references] if names else []
+        name
+        for name in references[0]
+        if all(name in reference for reference in references)
+        and any(np.ptp(reference[name]) > 0 for reference in references)
+        and all(np.isfinite(reference[name]).all() for reference in references)
+    )
+    return names, [np.column_stack([reference[name] for name in names]) for reference in references] if names else []
 
 
 def _pairs(records: Sequence[Trajectory], signals: Sequence[FloatArray]) -> list[tuple[Trajectory, FloatArray]]:
     """Return each record with each of its signals."""
-    return [(run, one[:, k]) for run, one in zip(records, signals, strict=True) for k in range(one.shape[1])]
+    return [(run, signal[:, k]) for run, signal in zip(records, signals, strict=True) for k in range(signal.shape[1])]
 
 
 def _same(a: FloatArray, b: FloatArray) -> bool:

@@ -85,7 +85,10 @@ def _motion(records: Sequence[Trajectory], horizon: Horizon) -> FloatArray:
     periods = [channel.period for channel in spec.outputs]
     unwrapped = [
         np.column_stack(
-            [one if period is None else np.unwrap(one, period=period) for one, period in zip(y.T, periods, strict=True)]
+            [
+                column if period is None else np.unwrap(column, period=period)
+                for column, period in zip(y.T, periods, strict=True)
+            ]
         )
         for y in (record.y for record in records)
     ]
@@ -101,7 +104,7 @@ def seen(output: FreeRunForm, fit: Fit) -> Fitted | None:
     try:
         with np.errstate(all="ignore"):
             windows = output._windows(system, p, "estimation")
-            states = [output._from_data(windows.simulator, one, p)[0] for one in output.records["estimation"]]
+            states = [output._from_data(windows.simulator, run, p)[0] for run in output.records["estimation"]]
             x0 = settled_states(output, system, p, "estimation", windows, windows.starts_from(states))
             record: dict[str, Any] = {
                 "values": dict(fit.values), "x0": x0.tolist(), "converged": fit.converged, "message": "",

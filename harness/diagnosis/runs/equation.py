@@ -1,7 +1,7 @@
 """The equation form: put the measured motion into the equations of motion and see which force is left over.
 
 Two forms of one residual. The strong form M a - Q needs the acceleration; it is low-passed and decimated together
-with its regressors (the published method for the EMPS benchmark). The weak form multiplies with bump functions and
+with its regressors (the published method for the EMPS benchmark). The weak form multiplies with test functions and
 integrates the momentum by parts, so that no acceleration is needed (momentum form of a mechanical model).
 Effects with hidden states or on samples cannot be judged here; see :func:`expressible`.
 """
@@ -76,7 +76,7 @@ class Equations:
         p : array (np,)
             Parameters in the order of the system's.
         form : {"strong", "weak"}
-            Rows are decimated samples, or bumps (half overlapping) with the mean force over each.
+            Rows are decimated samples, or test functions (half overlapping) with the mean force over each.
         columns : sequence of int, optional
             Parameters whose derivatives are wanted; all if not given.
         """
@@ -160,19 +160,19 @@ def decimated(rows: FloatArray, motion: Motion) -> FloatArray:
 
 
 def bump_rows(rows: FloatArray, motion: Motion, *, slope: bool = False) -> FloatArray:
-    """Return the mean of rows (N, k) over half overlapping bumps, or of minus their product with the bump's slope.
+    """Return means of rows (N, k) over half overlapping test functions, or minus those over their derivatives.
 
-    The bump is (1 - s^2)^2 on s in (-1, 1), so both it and its slope vanish at its ends; it is as wide as five
-    decimated samples. With ``slope`` the result is the mean of the derivative of the rows, by parts.
+    A test function is (1 - s^2)^2 on s in (-1, 1), so both it and its derivative vanish at its ends; it is as wide as
+    five decimated samples. With ``slope`` the result is the mean of the derivative of the rows, by parts.
     """
     dt = motion.sample_time
     width = max(5 * motion.factor, 8)
     rows = rows[motion.inside]
     width = min(width, rows.shape[0] // 4)
     s = (np.arange(width) + 0.5) / width * 2 - 1
-    bump = (1 - s**2) ** 2
-    norm = bump.sum()
-    weights = 4 * s * (1 - s**2) * (2 / (width * dt)) if slope else bump
+    test = (1 - s**2) ** 2
+    norm = test.sum()
+    weights = 4 * s * (1 - s**2) * (2 / (width * dt)) if slope else test
     starts = np.arange(0, rows.shape[0] - width + 1, max(width // 2, 1))
     windows = np.lib.stride_tricks.sliding_window_view(rows, width, axis=0)[starts]
     return np.asarray(windows @ (weights / norm))

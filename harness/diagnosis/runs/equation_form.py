@@ -37,7 +37,7 @@ class EquationForm:
     sizes : mapping
         Sizes of the data by port, for start values.
     shape : {"strong", "weak"}
-        Decimated samples of M a - Q, or means over bumps of the momentum balance.
+        Decimated samples of M a - Q, or means over test functions of the momentum balance.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class EquationForm:
         self.sample_time = dataset.spec.sample_time
         self.shape: Literal["strong", "weak"] = shape
         self.sizes = sizes
-        self.columns = tuple((one.name, one.force_unit) for one in nominal.coordinates)
+        self.columns = tuple((coordinate.name, coordinate.force_unit) for coordinate in nominal.coordinates)
         weak, smooth = shape == "weak", dataset.intersample == "smooth"
         self.motions: dict[str, tuple[Motion, ...]] = {
             use: tuple(
@@ -77,12 +77,12 @@ class EquationForm:
     def judges(self, placed: Placed) -> bool:
         """Return True for forces without a state of their own; see :func:`expressible`."""
         return expressible(placed) and placed.at not in {channel.name for channel in self.nominal.outputs} - {
-            one.name for one in self.nominal.coordinates
+            coordinate.name for coordinate in self.nominal.coordinates
         }
 
     def equations(self, effects: Sequence[Placed]) -> Equations:
         """Return the equation form with effects, made once."""
-        key = tuple(str(one) for one in effects)
+        key = tuple(str(placed) for placed in effects)
         if key not in self._equations:
             system = compose(self.nominal, effects, sizes=self.sizes) if effects else self.nominal
             self._equations[key] = equations_of(system)
@@ -94,14 +94,14 @@ class EquationForm:
         equations = self.equations(tuple(effects))
         system = equations.system
         p = system.vector({name: values[name] for name in system.parameter_names})
-        free = tuple(one.name for one in system.parameters if not one.fixed)
+        free = tuple(parameter.name for parameter in system.parameters if not parameter.fixed)
         index = [system.parameter_names.index(name) for name in free]
         inside = [equations.residual(motion, p, self.shape, index) for motion in self.motions["estimation"]]
         outside = [equations.residual(motion, p, self.shape, ()) for motion in self.motions["validation"]]
         # a block before the inputs could make the equation small by passing nothing on: count by what it passes on
         inputs = {channel.name for channel in self.nominal.inputs}
         lost = 1.0
-        if any(one.at in inputs for one in effects):
+        if any(placed.at in inputs for placed in effects):
             motion = self.motions["estimation"][0]
             passed = equations.input_size(motion, p)
             lost = self.equations(()).input_size(motion, self.nominal.vector()) / max(passed, 1e-300)
@@ -123,14 +123,14 @@ class EquationForm:
         return tuple(parts)
 
     def averaged(self, columns: FloatArray, motion: Motion) -> FloatArray:
-        """Return columns (N, n, k) of forces along a motion as the residual is: decimated, or means over bumps."""
+        """Return columns (N, n, k) of forces along a motion as the residual is: decimated, or as means."""
         count, n, k = columns.shape
         slim = decimated if self.shape == "strong" else bump_rows
         return slim(columns.reshape(count, n * k), motion).reshape(-1, n, k)
 
     def force(self, placed: Sequence[Placed], fitted: Fitted, motion: Motion) -> FloatArray:
         """Return the force (rows, n) that effects of a fitted model exert, decimated as the residual is."""
-        keep = [one for one in fitted.effects if str(one) not in {str(gone) for gone in placed}]
+        keep = [effect for effect in fitted.effects if str(effect) not in {str(gone) for gone in placed}]
         full = self.equations(fitted.effects)
         less = self.equations(tuple(keep))
         a, _ = full.residual(motion, full.system.vector(fitted.values), self.shape)
@@ -152,4 +152,4 @@ class EquationForm:
 
     def lengths(self, fitted: Fitted, records: Sequence[Trajectory]) -> list[int]:
         """Return the samples of each record."""
-        return [len(one) for one in fitted.estimation]
+        return [len(part) for part in fitted.estimation]

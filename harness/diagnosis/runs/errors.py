@@ -120,7 +120,7 @@ def equation_error(
             result[use] = {}
             continue
         errors, _, _ = output.simulated(fitted, use, 2 * dataset.spec.sample_time, start="data")
-        steps = [one[1::2] for one in errors]
+        steps = [part[1::2] for part in errors]
         result[use] = figures(steps, [run.y for run in output.records[use]], output.columns)
     result["meaning"] = (
         "one-step prediction from the smoothed measured state"

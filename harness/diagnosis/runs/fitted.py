@@ -65,7 +65,7 @@ class Fitted:
     @property
     def finite(self) -> bool:
         """True if both residuals are finite."""
-        return all(np.isfinite(one).all() for one in (*self.estimation, *self.validation))
+        return all(np.isfinite(part).all() for part in (*self.estimation, *self.validation))
 
     def intervals(self, *, adapt: bool = True) -> dict[str, Interval]:
         """Return 95 % intervals of the free parameters; see :func:`harness.diagnosis.runs.intervals.block_interval`.
@@ -77,21 +77,21 @@ class Fitted:
             return {}
         lost = vanished(self.system, self.values)
         gone = [name in lost for name in self.free]
-        found: dict[str, Interval] = {}
-        for chosen in ([not one for one in gone], [True] * len(gone)):
+        limits: dict[str, Interval] = {}
+        for chosen in ([not vanishes for vanishes in gone], [True] * len(gone)):
             names = [name for name, use in zip(self.free, chosen, strict=True) if use]
-            if names and not found.keys() >= set(names):
-                columns = [one[:, :, np.array(chosen)] for one in self.jacobian]
+            if names and not limits.keys() >= set(names):
+                columns = [part[:, :, np.array(chosen)] for part in self.jacobian]
                 values = np.array([self.values[name] for name in names])
                 intervals = block_interval(values, columns, self.estimation, starts=self.starts, adapt=adapt)
-                for name, one in zip(names, intervals, strict=True):
-                    found.setdefault(name, one)
-        return {name: found[name] for name in self.free}
+                for name, interval in zip(names, intervals, strict=True):
+                    limits.setdefault(name, interval)
+        return {name: limits[name] for name in self.free}
 
 
 def stacked(parts: Sequence[FloatArray]) -> FloatArray:
     """Return columns (N_i, ny, k) as one matrix (sum N_i * ny, k)."""
-    return np.concatenate([one.reshape(-1, one.shape[2]) for one in parts])
+    return np.concatenate([part.reshape(-1, part.shape[2]) for part in parts])
 
 
 def rms(parts: Sequence[FloatArray]) -> FloatArray:

@@ -64,7 +64,7 @@ class FreeRunForm:
 
     def system(self, effects: Sequence[Placed]) -> Any:
         """Return the nominal system with effects, made once."""
-        key = tuple(str(one) for one in effects)
+        key = tuple(str(placed) for placed in effects)
         if key not in self._systems:
             self._systems[key] = compose(self.nominal, effects, sizes=self.sizes) if effects else self.nominal
         return self._systems[key]
@@ -76,16 +76,16 @@ class FreeRunForm:
         steps = max(default_substeps(system, self.sample_time, p), moved)
         steps = int(2 ** np.ceil(np.log2(steps)))  # few different ones: each is compiled by itself
         backend = "casadi" if quick else "auto"
-        found: Simulator = system.simulator(
+        simulator: Simulator = system.simulator(
             self.sample_time, intersample=self.intersample, substeps=min(steps, 32), backend=backend
         )
-        return found
+        return simulator
 
     def evaluate(self, effects: Sequence[Placed], record: Mapping[str, Any]) -> Fitted:
         """Return residuals and Jacobian of a record."""
         system = self.system(effects)
         p = system.vector(record["values"])
-        free = tuple(one.name for one in system.parameters if not one.fixed)
+        free = tuple(parameter.name for parameter in system.parameters if not parameter.fixed)
         index = [system.parameter_names.index(name) for name in free]
         windows = self._windows(system, p, "estimation")
         x0 = np.array(record["x0"], dtype=float).reshape(len(windows), system.nx)
@@ -93,7 +93,7 @@ class FreeRunForm:
         if result.jacobian is None:
             raise np.linalg.LinAlgError(f"the simulation of {system} diverges")
         inside, jacobian = windows.together(result.residuals), result.jacobian[:, index]
-        cuts = np.cumsum([len(one) for one in inside])[:-1]
+        cuts = np.cumsum([len(part) for part in inside])[:-1]
         q = system.vector({**record["values"], **record["refitted"]})
         outside: list[FloatArray] = []
         if self.records["validation"]:
@@ -113,9 +113,9 @@ class FreeRunForm:
             free=free,
             converged=bool(record["converged"]),
             message=str(record["message"]),
-            estimation=tuple(one / self.weights for one in inside),
-            validation=tuple(one / self.weights for one in outside),
-            unaided=tuple(one / self.weights for one in unaided),
+            estimation=tuple(part / self.weights for part in inside),
+            validation=tuple(part / self.weights for part in outside),
+            unaided=tuple(part / self.weights for part in unaided),
             jacobian=tuple(np.split(jacobian.reshape(len(jacobian) // ny, ny, len(free)), cuts)),
             refitted=dict(record["refitted"]),
             record=dict(record),
@@ -129,7 +129,7 @@ class FreeRunForm:
     def without_states(self, base: Fitted, parts: Sequence[FloatArray], use: str) -> tuple[FloatArray, ...]:
         """Take out of columns (N_i, ny, k) what the initial states of the windows of a use can do."""
         lefts, places = state_bases(self, base, use)
-        cleaned = [np.array(one, dtype=float) for one in parts]
+        cleaned = [np.array(part, dtype=float) for part in parts]
         for left, (record, first, last) in zip(lefts, places, strict=True):
             block = cleaned[record][first:last]
             flat = block.reshape(-1, block.shape[2])
@@ -153,7 +153,7 @@ class FreeRunForm:
         system = fitted.system
         p = system.vector({**fitted.values, **(fitted.refitted if use != "estimation" else {})})
         windows = self._windows(system, p, use, horizon, always=True)
-        x0 = windows.starts_from([self._from_data(windows.simulator, one, p)[0] for one in self.records[use]])
+        x0 = windows.starts_from([self._from_data(windows.simulator, run, p)[0] for run in self.records[use]])
         if start == "estimated":
             x0 = settled_states(self, system, p, use, windows, x0)
         result = windows.evaluate(p, x0, keep=True)
@@ -171,7 +171,7 @@ class FreeRunForm:
         for use, key in (("estimation", "x0"), ("validation", "x0_validation")):
             q = p if use == "estimation" else fitted.system.vector({**fitted.values, **fitted.refitted})
             windows = short._windows(fitted.system, q, use)
-            states = [self._from_data(windows.simulator, one, q)[0] for one in self.records[use]]
+            states = [self._from_data(windows.simulator, run, q)[0] for run in self.records[use]]
             record[key] = self._fit_states(windows, q, windows.starts_from(states), 25).tolist()
         return short, short.evaluate(fitted.effects, record)
 

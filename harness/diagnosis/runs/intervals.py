@@ -91,8 +91,8 @@ def block_interval(
     from scipy import stats
 
     p = values.size
-    j = np.concatenate([one.reshape(-1, p) for one in jacobian])
-    r = np.concatenate([one.reshape(-1) for one in residual])
+    j = np.concatenate([part.reshape(-1, p) for part in jacobian])
+    r = np.concatenate([part.reshape(-1) for part in residual])
     ny = residual[0].shape[1]
     scale = np.linalg.norm(j, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
@@ -100,7 +100,7 @@ def block_interval(
     alive = singular > 1e-9 * singular.max(initial=1e-300)
     basis = left[:, alive]
     back = right[alive].T / singular[alive]  # from the orthonormal directions to the parameters
-    lengths = [len(one) // ny for one in starts] or [len(one) for one in residual]
+    lengths = [len(start) // ny for start in starts] or [len(part) for part in residual]
     most = r.size // ny / (RUN_POLICY.correlation_times * correlation_samples(residual))
     plain = np.sum(back**2, axis=1) * float(r @ r) / max(r.size - p, 1)
     half = np.zeros(p)
@@ -141,16 +141,16 @@ def correlation_samples(residual: Sequence[FloatArray]) -> float:
 
     longest = 1.0
     for scale in SCALES:
-        means = [one[: len(one) // scale * scale].reshape(-1, scale, one.shape[1]).mean(axis=1) for one in residual]
-        count = sum(len(one) for one in means)
+        means = [part[: len(part) // scale * scale].reshape(-1, scale, part.shape[1]).mean(axis=1) for part in residual]
+        count = sum(len(mean) for mean in means)
         if count < RUN_POLICY.means:
             break
         for column in range(residual[0].shape[1]):
-            power = float(np.mean(np.concatenate([one[:, column] ** 2 for one in residual])))
-            parts = [one[:, column] for one in means]
+            power = float(np.mean(np.concatenate([part[:, column] ** 2 for part in residual])))
+            parts = [mean[:, column] for mean in means]
             size = float(np.mean(np.concatenate(parts) ** 2))
             if power > 0 and scale * size / power > stats.chi2.ppf(1 - RUN_POLICY.white_level, count) / count:
-                longest = max([longest, *(scale * _squared(one) for one in parts if len(one) >= RUN_POLICY.means)])
+                longest = max([longest, *(scale * _squared(part) for part in parts if len(part) >= RUN_POLICY.means)])
     return longest
 
 
@@ -173,23 +173,23 @@ def _blocks(
     of the others.
     """
     size = max(sum(lengths) / wanted, 1.0)
-    found: list[tuple[int, int, FloatArray | None, int, int]] = []
+    blocks: list[tuple[int, int, FloatArray | None, int, int]] = []
     begin = first = 0
     for number, length in enumerate(lengths):
         end = begin + length
         parts = max(round(length / size), 1)
         if parts > 1:
             if first < begin:
-                found.append((first, begin, None, 0, 0))
+                blocks.append((first, begin, None, 0, 0))
             cuts = np.linspace(0, length, parts + 1).astype(int)
             start = starts[number] if number < len(starts) else None
-            found += [(begin + a, begin + b, start, int(a), int(b)) for a, b in pairwise(cuts)]
+            blocks += [(begin + a, begin + b, start, int(a), int(b)) for a, b in pairwise(cuts)]
             first = end
         elif end - first >= 0.75 * size or number + 1 == len(lengths):
-            found.append((first, end, None, 0, 0))
+            blocks.append((first, end, None, 0, 0))
             first = end
         begin = end
-    return found
+    return blocks
 
 
 def _score(basis: FloatArray, start: FloatArray | None, r: FloatArray) -> FloatArray:

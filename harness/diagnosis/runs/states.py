@@ -28,15 +28,15 @@ def on_validation(form: Any, system: Any, record: Mapping[str, Any]) -> dict[str
         return {"x0_validation": [], "refitted": {}}
     p = system.vector(record["values"])
     windows = form._windows(system, p, "validation")
-    x0 = windows.starts_from([form._from_data(windows.simulator, one, p)[0] for one in records])
+    x0 = windows.starts_from([form._from_data(windows.simulator, run, p)[0] for run in records])
     x0 = settled_states(form, system, p, "validation", windows, x0)
-    own = {one.name(name) for one in system.effects for name in PER_RECORD.get(one.effect.name, ())}
+    own = {placed.name(name) for placed in system.effects for name in PER_RECORD.get(placed.effect.name, ())}
     own = {name for name in own if not system.parameter(name).fixed}
     refitted: dict[str, float] = {}
     if own:
-        free = np.array([one.name in own for one in system.parameters], dtype=bool)
+        free = np.array([parameter.name in own for parameter in system.parameters], dtype=bool)
         best = None
-        for start in _own_starts(form, system, p, own, max(len(one) for one in records)):
+        for start in _own_starts(form, system, p, own, max(len(run) for run in records)):
             solution = minimise(windows, start, x0, free, 25, decrease=form.decrease)
             if best is None or solution.evaluation.cost < best.evaluation.cost:
                 best = solution
@@ -65,9 +65,9 @@ def settled_states(form: Any, system: Any, p: FloatArray, use: str, windows: Win
     short = max(longest / 8, 50 * form.sample_time)
     if short < 0.6 * longest:
         first = form._cut(windows.simulator, records, short)
-        states = [form._from_data(windows.simulator, one, p)[0] for one in records]
-        found = form._fit_states(first, p, first.starts_from(states), 8)
-        kept = first.together(first.evaluate(p, found, keep=True).states)
+        states = [form._from_data(windows.simulator, run, p)[0] for run in records]
+        settled = form._fit_states(first, p, first.starts_from(states), 8)
+        kept = first.together(first.evaluate(p, settled, keep=True).states)
         better = windows.starts_from(kept)
         x0 = np.where(np.isfinite(better), better, x0)
     fitted: FloatArray = form._fit_states(windows, p, x0, 25)
@@ -90,10 +90,12 @@ def carried_states(form: Any, system: Any, p: FloatArray, windows: Windows, x0: 
         before = number
         for _ in range(3):  # Gauss-Newton over the states of the nominal model
             result[row, first:] = simulator.hidden_start(result[row], record.u[0], p) + away
-            rest = alone.evaluate(p, result[row : row + 1], keep=True).residuals[0]
-            _, _, slope = simulator.sensitivities(p, result[row], record.u, t0=float(record.t[0]))
-            known = (slope[..., :first] / form.weights[:, None]).reshape(slope.shape[0] * slope.shape[1], first)
-            wanted = (rest / form.weights).reshape(-1)
+            residual = alone.evaluate(p, result[row : row + 1], keep=True).residuals[0]
+            _, _, sensitivity = simulator.sensitivities(p, result[row], record.u, t0=float(record.t[0]))
+            known = (sensitivity[..., :first] / form.weights[:, None]).reshape(
+                sensitivity.shape[0] * sensitivity.shape[1], first
+            )
+            wanted = (residual / form.weights).reshape(-1)
             if not (np.isfinite(known).all() and np.isfinite(wanted).all()):
                 break
             result[row, :first] += np.linalg.lstsq(known, wanted, rcond=1e-10)[0]
@@ -116,10 +118,10 @@ def state_bases(form: Any, base: Fitted, use: str) -> tuple[list[FloatArray], li
         lefts = []
         for row, (number, first, last) in enumerate(windows.places):
             record = form.records[use][number]
-            _, _, slope = windows.simulator.sensitivities(p, x0[row], record.u[first:last], t0=record.t[first])
-            flat = (slope / form.weights[:, None]).reshape(slope.shape[0] * slope.shape[1], system.nx)
+            _, _, sensitivity = windows.simulator.sensitivities(p, x0[row], record.u[first:last], t0=record.t[first])
+            flat = (sensitivity / form.weights[:, None]).reshape(sensitivity.shape[0] * sensitivity.shape[1], system.nx)
             left, sizes, _ = np.linalg.svd(flat, full_matrices=False)
             lefts.append(left[:, sizes > 1e-10 * max(sizes.max(initial=0.0), 1e-300)])
         cache[use] = (lefts, windows.places)
-    found: tuple[list[FloatArray], list[tuple[int, int, int]]] = cache[use]
-    return found
+    bases: tuple[list[FloatArray], list[tuple[int, int, int]]] = cache[use]
+    return bases
