@@ -58,6 +58,8 @@ class Diagnosis:
     warnings: list[str] = field(default_factory=list)
     seconds: float = 0.0
     apart: Apart | None = None
+    doubtful: bool = False
+    """True where a unit may be wrong, though the model fits as it is."""
 
     @property
     def nominal(self) -> Fit:
@@ -116,7 +118,7 @@ class Diagnosis:
         if self.incomplete:
             return "proxy_or_incomplete"
         quiet = self.latent_share <= self.policy.disturbed and not self.runs.worse(self.policy)
-        good = quiet and self.runs.left <= self.policy.explained and not self.stand_in
+        good = quiet and self.runs.left <= self.policy.explained and not (self.stand_in or self.doubtful)
         return "explained" if good else "mostly_explained"
 
     @property
@@ -204,8 +206,9 @@ def diagnose(
     with one_thread():
         kind = kind or Equations()
         dataset, doubts = kind.prepared(checked(dataset, system), system)
+        wrong = [doubt.words for doubt in doubts if doubt.certain]
         judged = stretched(stretched(dataset), use="validation")
-        warnings = [*judged.warnings]
+        warnings = [*(doubt.words for doubt in doubts if not doubt.certain), *judged.warnings]
         form = kind.form(system, judged)
         if not form.latent:  # a plant that loses its start cannot be judged by whole free runs
             horizon = kind.horizon(system, system.values(), judged)
@@ -218,18 +221,18 @@ def diagnose(
                 f"the nominal model {system.name}",
                 expected="start values from which it can be simulated along the data",
                 got="a state that diverges",
-                remedy="; ".join(doubts)
+                remedy="; ".join(doubt.words for doubt in doubts)
                 or "check signs and units of the columns, or give start values nearer to the plant",
             )
         if form.resize(nominal):
             nominal = remembered.fit((), [nominal.values], nominal) or nominal
-        doubts = [*doubts, *mostly_noise(form, nominal, policy)]
+        wrong += mostly_noise(form, nominal, policy)
         candidates, faults = placed(
             system,
             dictionary,
             composed=lambda effects: form.composed(effects) if all(map(form.judges, effects)) else None,
         )
-        candidates = [] if doubts else [candidate for candidate in candidates if form.judges(candidate)]
+        candidates = [] if wrong else [candidate for candidate in candidates if form.judges(candidate)]
         outcome = search(remembered, nominal, candidates, policy=policy, say=say)
         add_rounding(remembered, outcome, dataset, candidates, policy)
         horizon = kind.horizon(system, outcome.nominal.values, dataset)
@@ -249,7 +252,7 @@ def diagnose(
         same = outcome.model is outcome.nominal
         outcome.nominal = form.with_deviations(outcome.nominal)
         outcome.model = outcome.nominal if same else form.with_deviations(outcome.model)
-        misfit = misfit_reasons(form, outcome.model, runs, policy, doubts)
+        misfit = misfit_reasons(form, outcome.model, runs, policy, wrong)
         apart = form.apart(outcome.model)
     if outcome.withdrawn:
         names = ", ".join(str(accepted.placed) for accepted in outcome.withdrawn)
@@ -266,6 +269,7 @@ def diagnose(
         warnings + faults,
         time.monotonic() - began,
         apart,
+        doubtful=bool(doubts),
     )
     if apart is not None and diagnosis.disagree:
         diagnosis.warnings.append(apart.words(outcome.model.values))

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from harness.diagnosis.records.columns_check import check_columns
+from harness.diagnosis.records.columns_check import Doubt, check_columns
 from harness.diagnosis.records.horizon import Horizon, choose_horizon
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.records.thinning import thinned_dataset
@@ -22,8 +22,8 @@ __all__ = ["Equations", "Kind"]
 class Kind(Protocol):
     """How a kind of nominal model is prepared, fitted and simulated."""
 
-    def prepared(self, dataset: Dataset, system: Any) -> tuple[Dataset, list[str]]:
-        """Return the data as they are judged, and why their columns are in doubt: nothing is looked for then."""
+    def prepared(self, dataset: Dataset, system: Any) -> tuple[Dataset, list[Doubt]]:
+        """Return the data as they are judged, and why their columns are in doubt."""
         ...
 
     def horizon(self, system: Any, values: Mapping[str, float], dataset: Dataset) -> Horizon:
@@ -42,7 +42,7 @@ class Kind(Protocol):
 class Equations:
     """A system given by its equations."""
 
-    def prepared(self, dataset: Dataset, system: Any) -> tuple[Dataset, list[str]]:
+    def prepared(self, dataset: Dataset, system: Any) -> tuple[Dataset, list[Doubt]]:
         """See :class:`Kind`."""
         if not system.nx:  # no force and no rate that could be missing: all at the input would be called invisible
             raise InputError(

@@ -27,7 +27,7 @@ SAMPLES = 1500
 
 
 def misfit_reasons(
-    form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Policy, doubts: Sequence[str] = ()
+    form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Policy, wrong: Sequence[str] = ()
 ) -> tuple[str, ...]:
     """Return why the model does not fit the data, and what probably is wrong; empty if it fits.
 
@@ -38,11 +38,11 @@ def misfit_reasons(
         With all effects that were accepted.
     runs : FreeRuns
     policy : Policy
-    doubts : sequence of str
+    wrong : sequence of str
         Why nothing was looked for in the records: columns that are probably wrong, or noise.
     """
-    if doubts:  # they say what is to be done
-        return tuple(doubts)
+    if wrong:  # it says what is to be done
+        return tuple(wrong)
     reasons = []
     left, noisy = _left(form, final, runs)
     if not left <= policy.misfit_nrmse**2 and not carried_away(form, final, runs, policy):

@@ -11,6 +11,7 @@ from harness.blackbox.runner import Runner
 from harness.diagnosis.fmu.form import FmuForm
 from harness.diagnosis.fmu.prepare import choose_horizon
 from harness.diagnosis.fmu.runs import FmuRuns
+from harness.diagnosis.records.columns_check import Doubt
 from harness.diagnosis.records.horizon import Horizon
 from harness.diagnosis.search.likelihood_form import LikelihoodForm
 from harness.errors import HarnessError
@@ -22,7 +23,7 @@ __all__ = ["BlackBox"]
 class BlackBox:
     """See :class:`harness.diagnosis.kinds.Kind`."""
 
-    def prepared(self, dataset: Dataset, system: Any) -> tuple[Dataset, list[str]]:
+    def prepared(self, dataset: Dataset, system: Any) -> tuple[Dataset, list[Doubt]]:
         """Return the data as they are: an FMU steps at the rate of its records."""
         return dataset, []
 

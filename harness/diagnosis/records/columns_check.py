@@ -21,7 +21,7 @@ from harness.diagnosis.records.stretches import about_lines
 from harness.errors import HarnessError
 from harness.signals import Dataset, Trajectory
 
-__all__ = ["Repair", "check_columns", "doubts", "repairs"]
+__all__ = ["Doubt", "Repair", "check_columns", "doubts", "repairs"]
 
 DEGREE = float(np.pi / 180)
 ANGULAR = ("rad", "rad/s", "rad/s^2")
@@ -38,7 +38,23 @@ class Repair:
     record: Trajectory
 
 
-def check_columns(system: Any, dataset: Dataset) -> list[str]:
+@dataclass(frozen=True)
+class Doubt:
+    """What is probably wrong with the columns.
+
+    Attributes
+    ----------
+    words : str
+    certain : bool
+        False where the model fits the columns as they are just as well, and only its declared values speak against
+        them: the plant may be of that size.
+    """
+
+    words: str
+    certain: bool
+
+
+def check_columns(system: Any, dataset: Dataset) -> list[Doubt]:
     """Say which columns of a data set are probably wrong: see :func:`doubts`, for its longest estimation record.
 
     Parameters
@@ -49,13 +65,13 @@ def check_columns(system: Any, dataset: Dataset) -> list[str]:
 
     Returns
     -------
-    list of str
-        Empty, or one sentence.
+    list of Doubt
+        Empty, or one.
     """
     return doubts(system, max(dataset.estimation, key=len), dataset.intersample)
 
 
-def doubts(system: Any, record: Trajectory, intersample: Any = "zoh") -> list[str]:
+def doubts(system: Any, record: Trajectory, intersample: Any = "zoh") -> list[Doubt]:
     """Return what is probably wrong with the columns, if a repair brings the record to what the model declares.
 
     The declared values and the inputs predict the size of every output, and a wrong unit leaves that far behind, even
@@ -73,8 +89,8 @@ def doubts(system: Any, record: Trajectory, intersample: Any = "zoh") -> list[st
 
     Returns
     -------
-    list of str
-        Empty, or one sentence with the channels and what to do.
+    list of Doubt
+        Empty, or one with the channels and what to do.
     """
     cut = _plain(record)
     before, values = _fit(system, cut, intersample)
@@ -104,7 +120,8 @@ def doubts(system: Any, record: Trajectory, intersample: Any = "zoh") -> list[st
     if not clear:
         return []
     likely = [repair for repair, error in zip(possible, errors, strict=True) if error <= 1.5 * min(errors)]
-    return [_sentence(system, likely, values, before, min(errors))]
+    certain = not before <= max(1.5 * min(errors), DATA_POLICY.repair_clear)
+    return [Doubt(_sentence(system, likely, values, before, min(errors)), certain)]
 
 
 def repairs(record: Trajectory) -> Iterator[Repair]:
