@@ -335,7 +335,7 @@ class DataPolicy:
         "a fivefold fall is no accident of a fit",
     )
     repair_clear: float = _number(
-        0.03, "error over the motion that needs no comparison between repairs", "3 % is a fit"
+        0.03, "error over the motion below which a model fits the columns, whatever a repair leaves", "3 % is a fit"
     )
     far: float = _number(
         100.0,
