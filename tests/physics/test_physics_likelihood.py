@@ -286,3 +286,26 @@ def test_the_compiled_smoother_and_response_are_those_in_python(monkeypatch) -> 
     np.testing.assert_allclose(fast[0].deviation, slow[0].deviation, rtol=1e-6, atol=1e-10)
     for one, other in zip(fast[1], slow[1], strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-12)
+
+
+def test_a_free_swing_has_no_interval_of_what_only_ratios_tell() -> None:
+    """Scaled together, inertia, damping and gravity move alike: a pseudo-inverse gave each a width of 0."""
+    from harness.physics.latent import without_latent_forces
+
+    system = pendulum().system()
+    swing = record(system, system.vector(), np.array([0.6, 0.0]), n=400)
+    still = replace(swing, u=np.zeros_like(swing.u))
+    simulated = system.simulator(DT).rollout(system.vector(), [0.6, 0.0], still.u)
+    noisy = simulated[:400] + 1e-3 * np.random.default_rng(0).standard_normal((400, 1))
+    free = replace(still, y=noisy)
+    model = replace(noise_model(system), latent=False, force_scale=np.zeros(0))
+    passes = KalmanPass(without_latent_forces(system), DT)
+    likelihood = Likelihood(system, [free], model, passes=passes)
+    none = np.zeros(0)
+    start = Point(system.vector(), [np.array([0.6, 0.0])], Noise(np.array([1e-3]), none, none, none))
+    fit = likelihood.maximise(start, free=[*system.parameter_names, "x0[0].theta"])
+    assert set(fit.undetermined) == set(system.parameter_names)
+    assert all(fit.interval(name) == (0.0, np.inf) for name in system.parameter_names)
+    held = likelihood.maximise(start, free=["J", "b", "x0[0].theta"])
+    assert held.undetermined == ()
+    assert 0.0 < held.deviation("J") < 0.05
