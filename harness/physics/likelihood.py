@@ -39,7 +39,12 @@ _PARTLY = 1e-3
 """Share of such a direction from which on an entry is undetermined."""
 _LONGEST = 1.5
 """Longest step of a logarithm."""
+_DAMPING = 1e-3
+"""Of the first step, over the diagonal."""
+_LEAST_DAMPING = 1e-7
 _MOST_DAMPING = 1e9
+_AGREES, _DISAGREES = 0.75, 0.25
+"""Gains over their promises above which the damping falls, and below which it grows (Nocedal & Wright 2006, sec. 4.1)."""
 _POSITIVE = 1e-12
 
 
@@ -113,6 +118,8 @@ class LikelihoodFit:
         True if it was left because its steps would not have brought it within reach.
     pace : float
         Log-likelihood that its last step gained; 0 where it converged.
+    damping : float
+        Of its last step: a search that goes on from here begins with it.
     undetermined : tuple of str
         What the records tell in combinations only: it can move along with others and nothing changes. ``covariance``
         is that of the combinations.
@@ -132,6 +139,7 @@ class LikelihoodFit:
     filtered: list[Filtered] = field(default_factory=list, repr=False)
     beyond: bool = False
     pace: float = 0.0
+    damping: float = _DAMPING
     undetermined: tuple[str, ...] = ()
 
     @property
@@ -336,42 +344,41 @@ class Likelihood:
         """
         e, s = _joined(found)
         known = np.isfinite(e)
-        root = 1.0 / np.sqrt(s[known])
+        root = np.where(known, 1.0 / np.sqrt(s), 0.0)
         n, m = self.filter.parameter_count, self.filter.start_size
         limit = n + len(self.records) * m
-        by_e = np.zeros((len(which), int(known.sum())))
-        by_s = np.zeros_like(by_e)
+        by_e, by_s = np.zeros((len(which), len(e))), np.zeros((len(which), len(e)))
         point = self._unpack(z)
+        scale = np.ones(len(which))
         columns = [] if exact else [int(k) for k in which if k < n]
         starts = list(range(n, n + m)) if not exact and any(n <= k < limit for k in which) else []
         chosen = np.array([*columns, *starts], dtype=np.intp)
         passes = self.filtered(point, columns=chosen if len(chosen) else None, by_noise=bool((which >= limit).any()))
         told = np.zeros(len(which), dtype=bool)
-        if passes is not None and len(chosen):
-            told |= which < limit
-            whole = [np.asarray(one.j).reshape(-1, len(chosen)) for one in passes]
-            edges = np.cumsum([0, *(len(one) for one in whole)])
-            for part, first, last in zip(whole, edges[:-1], edges[1:], strict=True):  # what is not known is 0 in j
-                part *= np.where(known[first:last], 1.0 / np.sqrt(s[first:last]), 0.0)[:, None]
-            shared = np.flatnonzero(which < n)
-            scale = np.where(self._log, point.p, 1.0)[which[shared]]
-            full = np.zeros((len(which), edges[-1]))
-            for number, (part, first, last) in enumerate(zip(whole, edges[:-1], edges[1:], strict=True)):
-                full[shared, first:last] = part[:, : len(columns)].T * scale[:, None]
-                own = np.flatnonzero((which >= n + number * m) & (which < n + (number + 1) * m))
-                full[own, first:last] = part[:, len(columns) + which[own] - n - number * m].T
-            by_e = full if known.all() else full[:, known]
-        if passes is not None and all(one.e_noise is not None for one in passes):
-            told |= which >= limit
-            noisy = np.flatnonzero(which >= limit)
+        if passes is not None:
+            if len(chosen):
+                told |= which < limit
+                shared = np.flatnonzero(which < n)
+                scale[shared] = np.where(self._log, point.p, 1.0)[which[shared]]
+            noisy = np.flatnonzero(which >= limit) if all(one.e_noise is not None for one in passes) else []
+            told[noisy] = True
             lanes = np.array(self._noise_lanes(), dtype=np.intp)[which[noisy] - limit]
-            for sums, parts in (
-                (by_e, [np.asarray(one.e_noise) for one in passes]),
-                (by_s, [np.asarray(one.s_noise) for one in passes]),
-            ):
-                each = np.concatenate([part.reshape(-1, part.shape[-1]) for part in parts])[known]
-                sums[noisy] = each[:, lanes].T
-            by_e[noisy] *= root
+            edges = np.cumsum([0, *(one.e.size for one in passes)])
+            for number, (one, first, last) in enumerate(zip(passes, edges[:-1], edges[1:], strict=True)):
+                here = root[first:last]  # what is not known is 0 in all derivatives
+                if len(chosen):
+                    j = np.asarray(one.j).reshape(-1, len(chosen))
+                    for column, row in enumerate(shared):
+                        np.multiply(j[:, column], here, out=by_e[row, first:last])
+                    for row in np.flatnonzero((which >= n + number * m) & (which < n + (number + 1) * m)):
+                        column = len(columns) + which[row] - n - number * m
+                        np.multiply(j[:, column], here, out=by_e[row, first:last])
+                if len(noisy):
+                    e_noise = np.asarray(one.e_noise).reshape(last - first, -1)
+                    s_noise = np.asarray(one.s_noise).reshape(last - first, -1)
+                    for row, lane in zip(noisy, lanes, strict=True):
+                        np.multiply(e_noise[:, lane], here, out=by_e[row, first:last])
+                        by_s[row, first:last] = s_noise[:, lane]
         for row, k in enumerate(which):
             if told[row]:
                 continue
@@ -399,14 +406,14 @@ class Likelihood:
                     continue
                 other = shifted
             e2, s2 = _joined(other)
-            change = e2[known] - e[known]
-            by_e[row] = change / h * root
-            by_s[row] = np.log(s2[known] / s[known]) / h
-        normal = e[known] * root
-        gradient, matrix = by_e @ normal, by_e @ by_e.T
+            by_e[row, known] = (e2[known] - e[known]) / h * root[known]
+            by_s[row, known] = np.log(s2[known] / s[known]) / h
+        normal = np.where(known, e, 0.0) * root
+        gradient, matrix = scale * (by_e @ normal), (by_e @ by_e.T) * np.outer(scale, scale)
         spread = np.flatnonzero(by_s.any(axis=1))
-        gradient[spread] += 0.5 * (by_s[spread] @ (1.0 - normal**2))
-        matrix[np.ix_(spread, spread)] += 0.5 * (by_s[spread] @ by_s[spread].T)
+        part = by_s[spread]
+        gradient[spread] += 0.5 * (part @ (1.0 - normal**2))
+        matrix[np.ix_(spread, spread)] += 0.5 * (part @ part.T)
         return gradient, matrix
 
     def _noise_lanes(self) -> list[int]:
@@ -425,7 +432,7 @@ class Likelihood:
 
     def maximise(
         self,
-        start: Point,
+        start: Point | LikelihoodFit,
         *,
         free: Sequence[str] | None = None,
         most: int = 60,
@@ -437,7 +444,8 @@ class Likelihood:
 
         Parameters
         ----------
-        start : Point
+        start : Point or LikelihoodFit
+            A fit of this likelihood to go on from.
         free : sequence of str, optional
             What is estimated (parameters, ``x0[k].state``, ``s@``, ``tau@``, ``w@``, ``r@``); all that is not fixed by
             default.
@@ -467,8 +475,12 @@ class Likelihood:
             wanted = set(free)
             chosen[:] = [name in wanted for name in names]
         longest = np.where(log, -_LONGEST, -np.inf)
-        z = np.clip(self._pack(start), low, high)
-        value, found = self._value(z)
+        point, damping = (start.point, start.damping) if isinstance(start, LikelihoodFit) else (start, _DAMPING)
+        z = np.clip(self._pack(point), low, high)
+        if isinstance(start, LikelihoodFit) and start.filtered:
+            value, found = start.nll, start.filtered
+        else:
+            value, found = self._value(z)
         if found is None:
             raise FitError(
                 f"likelihood of {self.system.name}",
@@ -476,7 +488,7 @@ class Likelihood:
                 got="a diverging state",
                 remedy="start elsewhere, or check units and signs of the records",
             )
-        damping, converged, message, count, beyond = 1e-3, False, "", 0, False
+        converged, message, count, beyond = False, "", 0, False
         last, counted = near, exact and self.noise_model.latent
         entries = np.flatnonzero(chosen)
         scaled_noise = not self.noise_model.latent and bool(chosen[len(names) - self.filter.ny :].all())
@@ -505,7 +517,7 @@ class Likelihood:
             live = ~stuck
             size = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
             scaled = matrix / np.outer(size, size)
-            improved, first = False, np.inf
+            improved, first, more_damping = False, np.inf, 8.0
             while damping < _MOST_DAMPING:
                 step = _damped(scaled, gradient / size, damping, live, np.maximum(low - z, longest)[entries] * size,
                                np.minimum(high - z, -longest)[entries] * size) / size  # fmt: skip
@@ -513,6 +525,9 @@ class Likelihood:
                 trial[entries] = np.clip(z[entries] + step, low[entries], high[entries])
                 moved = trial[entries] - z[entries]
                 promise = -float(gradient @ moved + 0.5 * moved @ matrix @ moved)
+                if 0 <= promise < _ENOUGH and first == np.inf:
+                    first = promise
+                    break
                 first = promise if first == np.inf and promise >= 0 else first
                 new, passes = self._value(trial)
                 if passes is not None and new < value:
@@ -520,13 +535,16 @@ class Likelihood:
                     break
                 if 0 <= promise < _ENOUGH:
                     break
-                damping = max(damping, 1e-4) * 8.0
+                damping, more_damping = max(damping, 1e-4) * more_damping, 32.0
             if improved:
                 assert passes is not None
                 if scaled_noise:
                     new, trial = self._concentrate(trial, passes, low, high)
                 gain, value, z, found = value - new, new, trial, passes
-                damping = max(damping / 8.0, 1e-7)
+                if gain > _AGREES * promise:
+                    damping = max(damping / 8.0, _LEAST_DAMPING)
+                elif gain < _DISAGREES * promise:
+                    damping *= 4.0
                 if count >= _SETTLED and value - (most - count) * gain > reach:
                     message, beyond = "its steps do not bring it within reach", True
                     break
@@ -538,18 +556,18 @@ class Likelihood:
                 if not last and max(gain, promise) < _ROUGH:
                     last = True
             elif last and more is not None and seen - value >= _ROUGH:
-                more, damping = None, 1e-3
+                more, damping = None, _DAMPING
             elif last:
                 # where steps of the solver follow the motion, difference quotients may be rounding: without them then
                 converged = min(first, plain) < 5 * _ENOUGH
                 message = "" if converged else "no step raises the likelihood"
                 break
             else:
-                last, damping = True, 1e-3
+                last, damping = True, _DAMPING
         else:
             message = f"no maximum after {most} iterations"
         fit = self._finished(z, value, found, entries, matrix, converged, count, message)
-        return replace(fit, beyond=beyond, pace=0.0 if converged else gain)
+        return replace(fit, beyond=beyond, pace=0.0 if converged else gain, damping=damping)
 
     def _finished(
         self, z: FloatArray, value: float, found: Any, entries: Any, matrix: FloatArray, converged: bool, count: int,

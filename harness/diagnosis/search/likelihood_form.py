@@ -285,13 +285,13 @@ class LikelihoodForm:
         tried = self._stepped(likelihood, points, EFFORT.looks if halved else EFFORT.first_steps, free)
         near = [fit for fit in tried if halved and fit.nll < tried[0].nll + EFFORT.close]
         if any(not fit.converged and -fit.nll + EFFORT.first_steps * fit.pace >= hope for fit in near):
-            more = self._stepped(likelihood, [fit.point for fit in near], EFFORT.first_steps - EFFORT.looks, free)
+            more = self._stepped(likelihood, near, EFFORT.first_steps - EFFORT.looks, free)
             tried = sorted([*more, *tried[len(near) :]], key=lambda fit: fit.nll)
         return tried
 
     @staticmethod
     def _stepped(
-        likelihood: Likelihood, points: Sequence[Point], most: int, free: Sequence[str] | None = None
+        likelihood: Likelihood, points: Sequence[Point | LikelihoodFit], most: int, free: Sequence[str] | None = None
     ) -> list[LikelihoodFit]:
         """Return where a few steps lead from each point, likeliest first; without those that cannot be simulated."""
         fits: list[LikelihoodFit] = []
@@ -306,11 +306,14 @@ class LikelihoodForm:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         system, passes, likelihood, tried = begun.detail
         reach = np.inf if rival is None else EFFORT.margin - rival.log_likelihood("estimation")
+        close = np.inf if rival is None else EFFORT.close - rival.log_likelihood("estimation")
         try:
             near = [fit for fit in tried if fit.nll < tried[0].nll + EFFORT.close]
-            ends = [likelihood.maximise(fit.point, reach=reach, near=fit.converged) for fit in near[:2]]
+            ends = [likelihood.maximise(fit, reach=reach, exact=False) for fit in near[:2]]
             best = min(ends, key=lambda fit: fit.nll)
-            best = best if best.converged or best.beyond else likelihood.maximise(best.point, reach=reach)
+            best = best if best.converged or best.beyond else likelihood.maximise(best, reach=reach, exact=False)
+            if best.nll < close and not best.beyond:  # elsewhere nothing is decided by what the last steps add
+                best = likelihood.maximise(best, reach=reach, near=best.converged)
             for _ in range(EFFORT.finer):  # coarse steps keep a fit from where its law is fast
                 needed = self.substeps(system, {**system.values(), **_known(system, best.parameters)})
                 if needed <= passes.substeps or best.beyond:
@@ -517,7 +520,7 @@ class LikelihoodForm:
             )
         chosen = tried[0]
         if not chosen.converged:
-            chosen = likelihood.maximise(chosen.point, free=free, exact=False)
+            chosen = likelihood.maximise(chosen, free=free, exact=False)
         shared = [name for name in best.names if name in system.parameter_names]
         expected = predictive(likelihood, chosen.point, shared, spread_of(best, shared, own))
         phases = [name for name in own if name.endswith(".phi")]
