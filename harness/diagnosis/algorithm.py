@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from harness.diagnosis.dictionary import placed
+from harness.diagnosis.forms.apart import Apart
+from harness.diagnosis.forms.likelihood_form import LikelihoodForm
+from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Equations, Kind
 from harness.diagnosis.misfit import misfit_reasons, mostly_noise
 from harness.diagnosis.policy import PLAN_POLICY, POLICY, Policy
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.records.stretches import stretched, windowed
 from harness.diagnosis.runs.compare import FreeRuns, free_runs
-from harness.diagnosis.search.apart import Apart
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Leftover, left_over
-from harness.diagnosis.search.likelihood_form import LikelihoodForm
-from harness.diagnosis.search.remembered import Remembered
 from harness.diagnosis.search.rounding import add_rounding
 from harness.diagnosis.search.rounds import Outcome, search
 from harness.diagnosis.search.score_test import Lead, ScoreTest

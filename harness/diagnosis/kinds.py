@@ -7,12 +7,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from harness.diagnosis.forms.likelihood_form import LikelihoodForm
 from harness.diagnosis.records.columns_check import Doubt, check_columns
 from harness.diagnosis.records.horizon import Horizon, choose_horizon
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.records.thinning import thinned_dataset
 from harness.diagnosis.runs.form import FreeRunForm
-from harness.diagnosis.search.likelihood_form import LikelihoodForm
 from harness.errors import HarnessError, InputError
 from harness.signals import Dataset, FloatArray
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from harness.diagnosis.forms.likelihood_form import LikelihoodForm
 from harness.diagnosis.policy import Policy
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.search.fit import Fit
-from harness.diagnosis.search.likelihood_form import LikelihoodForm
 from harness.physics.likelihood_fit import sensor_noise
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 

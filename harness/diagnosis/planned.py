@@ -120,8 +120,8 @@ def isolability_of(
     [('gravity_tilt@base', 'sensor_offset@theta')]
     """
     from harness import registry
+    from harness.diagnosis.forms.likelihood_form import LikelihoodForm
     from harness.diagnosis.records.prepare import sizes_of
-    from harness.diagnosis.search.likelihood_form import LikelihoodForm
     from harness.effects import place_all
     from harness.rollout import run
     from harness.workers import one_thread

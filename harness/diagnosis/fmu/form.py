@@ -15,10 +15,10 @@ from harness.blackbox.system import FmuSystem
 from harness.diagnosis.fmu.passes import FreePass, Run
 from harness.diagnosis.fmu.prepare import measured_states, rough_values, sizes_of
 from harness.diagnosis.fmu.pushes import Moved, pushes, test_pushes
-from harness.diagnosis.search.directions import Direction
+from harness.diagnosis.forms.directions import Direction
+from harness.diagnosis.forms.likelihood_form import USES, LikelihoodForm
+from harness.diagnosis.forms.predictive import whitened
 from harness.diagnosis.search.fit import Column, Fit
-from harness.diagnosis.search.likelihood_form import USES, LikelihoodForm
-from harness.diagnosis.search.predictive import whitened
 from harness.effects.effect import Placed
 from harness.physics.kalman_pass import Filtered, Pass
 from harness.physics.smoother import Smoothed
@@ -31,7 +31,7 @@ PUSH = 1e-3
 
 
 class FmuForm(LikelihoodForm):
-    """Fits an FMU with effects around it; see :class:`harness.diagnosis.search.likelihood_form.LikelihoodForm`."""
+    """Fits an FMU with effects around it; see :class:`harness.diagnosis.forms.likelihood_form.LikelihoodForm`."""
 
     def __init__(self, system: FmuSystem, dataset: Dataset, sizes: Mapping[str, Mapping[str, float]]) -> None:
         self.runner = Runner(system, dataset.spec.sample_time)

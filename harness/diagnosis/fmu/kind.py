@@ -11,9 +11,9 @@ from harness.blackbox.runner import Runner
 from harness.diagnosis.fmu.form import FmuForm
 from harness.diagnosis.fmu.prepare import choose_horizon
 from harness.diagnosis.fmu.runs import FmuRuns
+from harness.diagnosis.forms.likelihood_form import LikelihoodForm
 from harness.diagnosis.records.columns_check import Doubt
 from harness.diagnosis.records.horizon import Horizon
-from harness.diagnosis.search.likelihood_form import LikelihoodForm
 from harness.errors import HarnessError
 from harness.signals import Dataset, FloatArray
 

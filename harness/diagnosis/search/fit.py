@@ -12,7 +12,10 @@ from harness.effects.effect import Placed
 from harness.physics.likelihood import interval
 from harness.signals import FloatArray
 
-__all__ = ["Begun", "Column", "Fit", "Form", "Linearised", "Suspect"]
+__all__ = ["DRIFT", "Begun", "Column", "Fit", "Form", "Linearised", "Suspect"]
+
+DRIFT = ", changing with time"
+"""How the name of an axis ends whose force drifts through every record."""
 
 
 def _untold(placed: Placed) -> float:
@@ -124,7 +127,7 @@ class Linearised:
     The first columns belong to the parameters ``names``, which the validation records share; the others to initial
     states, which every record has for itself. ``spread`` (shared, k) is a square root of the covariance of the
     parameters, and ``moved`` (k,) how far along it they went for the validation records, see
-    :func:`harness.diagnosis.search.predictive.predictive`; without them, the parameters stay those of the estimation
+    :func:`harness.diagnosis.forms.predictive.predictive`; without them, the parameters stay those of the estimation
     records.
     """
 

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from harness.diagnosis.search.directions import Trace, signals_of
+from harness.diagnosis.forms.directions import Trace, signals_of
 
 __all__ = ["lightened"]
 

@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.forms.apart import Apart
+from harness.diagnosis.forms.changed import changed_share
+from harness.diagnosis.forms.coherence import in_parts, wandering
+from harness.diagnosis.forms.directions import Direction, Trace, directions, line_directions, test_functions
+from harness.diagnosis.forms.fit_records import fit_from_record, fit_record, point_from_record, point_record
+from harness.diagnosis.forms.lightened import lightened
+from harness.diagnosis.forms.predictive import Predictive, predictive, spread_of, whitened
+from harness.diagnosis.forms.robust import robust_covariance
 from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.records.stretches import uncut
 from harness.diagnosis.records.unfold import HIDING, unfoldings
-from harness.diagnosis.search.apart import Apart
-from harness.diagnosis.search.changed import changed_share
-from harness.diagnosis.search.coherence import in_parts, wandering
-from harness.diagnosis.search.directions import Direction, Trace, directions, line_directions, test_functions
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
-from harness.diagnosis.search.fit_records import fit_from_record, fit_record, point_from_record, point_record
-from harness.diagnosis.search.lightened import lightened
-from harness.diagnosis.search.predictive import Predictive, predictive, spread_of, whitened
-from harness.diagnosis.search.robust import robust_covariance
 from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed
 from harness.effects.places import port_of

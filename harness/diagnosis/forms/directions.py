@@ -11,8 +11,9 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
+from harness.diagnosis.forms.hats import hat_basis, joint_basis
 from harness.diagnosis.policy import EFFORT
-from harness.diagnosis.search.hats import hat_basis, joint_basis
+from harness.diagnosis.search.fit import DRIFT
 from harness.effects.along import Signals
 from harness.effects.columns import column_blocks
 from harness.effects.compose import compose
@@ -24,7 +25,6 @@ from harness.physics.kalman_pass import Pass
 from harness.signals import FloatArray, Trajectory
 
 __all__ = [
-    "DRIFT",
     "Along",
     "Direction",
     "Trace",
@@ -38,9 +38,6 @@ __all__ = [
     "spline_directions",
     "test_functions",
 ]
-
-DRIFT = ", changing with time"
-"""How the name of an axis ends whose force drifts through every record."""
 
 
 class Along(Protocol):

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.forms.likelihood_form import LikelihoodForm
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
-from harness.diagnosis.search.likelihood_form import LikelihoodForm
 from harness.diagnosis.store import Store, fingerprint
 from harness.effects.effect import Placed
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.search.directions import Trace
+from harness.diagnosis.forms.directions import Trace
 from harness.physics.rollout_code import Functions
 from harness.physics.sampled import SampledBlocks
 from harness.signals import FloatArray
