@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from harness.diagnosis.algorithm import Diagnosis
 from harness.diagnosis.close import close_loop
+from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.forms.apart import Apart
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.misfit import _shifted, misfit_reasons, mistakes

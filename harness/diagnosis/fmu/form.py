@@ -30,7 +30,7 @@ PUSH = 1e-3
 """Size of a push in the difference quotients, over that of the inputs: well above what the solver rounds off."""
 
 
-class FmuForm(LikelihoodForm):
+class FmuForm(LikelihoodForm[FmuSystem]):
     """Fits an FMU with effects around it; see :class:`harness.diagnosis.forms.likelihood_form.LikelihoodForm`."""
 
     def __init__(self, system: FmuSystem, dataset: Dataset, sizes: Mapping[str, Mapping[str, float]]) -> None:
@@ -45,20 +45,20 @@ class FmuForm(LikelihoodForm):
         """Return False: only what the FMU lets us set could be disturbed."""
         return False
 
-    def composed(self, effects: Sequence[Placed]) -> Any:
+    def composed(self, effects: Sequence[Placed]) -> FmuSystem:
         """Return the FMU with effects around it; rounding of readings counts as noise."""
         made = surround(self.nominal, effects, self.sizes) if effects else self.nominal
         return replace(made, sampled=tuple(block for block in made.sampled if block.kind != "quantise"))
 
-    def substeps(self, system: Any, values: Mapping[str, float]) -> int:
+    def substeps(self, system: FmuSystem, values: Mapping[str, float]) -> int:
         """Return 1: the FMU chooses its own steps."""
         return 1
 
-    def passes(self, system: Any, substeps: int) -> Pass:
+    def passes(self, system: FmuSystem, substeps: int) -> Pass:
         """Return the free runs of a system."""
         return FreePass(FmuSimulator(system, self.runner))
 
-    def first_state(self, system: Any, record: Trajectory, p: FloatArray) -> FloatArray:
+    def first_state(self, system: FmuSystem, record: Trajectory, p: FloatArray) -> FloatArray:
         """Return the initial state that a record tells, (nx,)."""
         simulator = FmuSimulator(self.nominal, self.runner)
         return np.asarray(measured_states(self.nominal, simulator, record, p[: self.nominal.np])[0][0])

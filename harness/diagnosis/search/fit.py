@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 
+from harness.diagnosis.systems import AnySystem, Parametrised
 from harness.effects.effect import Placed
 from harness.physics.likelihood import interval
 from harness.signals import FloatArray
@@ -30,7 +31,7 @@ class Fit:
     Attributes
     ----------
     effects : tuple of Placed
-    system : System
+    system : Parametrised
         The nominal one with the effects.
     values : dict
         All parameters by full name.
@@ -63,7 +64,7 @@ class Fit:
     """
 
     effects: tuple[Placed, ...]
-    system: Any
+    system: Parametrised
     values: dict[str, float]
     free: tuple[str, ...]
     count: int
@@ -77,6 +78,11 @@ class Fit:
     detail: Any = field(default=None, repr=False)
     beyond: bool = False
     change: Callable[[Placed], float] = field(default=_untold, repr=False)
+
+    @property
+    def model(self) -> AnySystem:
+        """The system of a fit to whole records, which has inputs, outputs and states beside its parameters."""
+        return cast(AnySystem, self.system)
 
     @property
     def samples(self) -> int:
@@ -171,8 +177,8 @@ class Form(Protocol):
     """A way to give data a likelihood under a model with effects."""
 
     @property
-    def nominal(self) -> Any:
-        """The nominal system."""
+    def nominal(self) -> Parametrised:
+        """The nominal model."""
         ...
 
     def begin(
