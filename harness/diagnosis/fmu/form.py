@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -95,7 +94,7 @@ class FmuForm(LikelihoodForm[FmuSystem]):
 
     def _moved(self, fit: Fit, uses: Sequence[str]) -> dict[str, list[Moved]]:
         """Return the motion of every record of some uses along the free run of a fit."""
-        simulator: Any = fit.detail.passes.simulator
+        simulator: FmuSimulator = fit.detail.passes.simulator
         moved: dict[str, list[Moved]] = {}
         for use in uses:
             point = fit.detail.points[use]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import cast
 
 from harness.blackbox.effects import surround
 from harness.blackbox.runner import Runner
@@ -14,6 +14,7 @@ from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import Placed
 from harness.physics.levenberg import minimise_states
+from harness.physics.simulator import Simulator
 from harness.physics.windows import Windows
 from harness.signals import Dataset, FloatArray, Trajectory
 
@@ -48,23 +49,24 @@ class FmuRuns(FreeRunForm):
             self._surrounded[key] = surround(self.nominal, effects, self.sizes) if effects else self.nominal
         return self._surrounded[key]
 
-    def simulator(self, system: AnySystem, p: FloatArray, *, quick: bool = False) -> Any:
+    def simulator(self, system: AnySystem, p: FloatArray, *, quick: bool = False) -> Simulator:
         """Return the simulator of a system, made once."""
         assert isinstance(system, FmuSystem)
         if id(system) not in self._simulators:
             self._simulators[id(system)] = (system, FmuSimulator(system, self.runner))
-        return self._simulators[id(system)][1]
+        return cast(Simulator, self._simulators[id(system)][1])  # it offers all that windows ask of one
 
-    def cut(self, simulator: Any, records: list[Trajectory], horizon: float | None) -> Windows:
+    def cut(self, simulator: Simulator, records: list[Trajectory], horizon: float | None) -> Windows:
         """Return the windows of records."""
         return FmuWindows(simulator, records, horizon, self.weights)
 
     def fit_states(self, windows: Windows, p: FloatArray, x0: FloatArray, most: int) -> FloatArray:
         """Return fitted initial states (W, nx); no derivative by a parameter is needed for that."""
-        simulator: Any = windows.simulator
+        simulator = cast(FmuSimulator, windows.simulator)
         with simulator.deriving(simulator.state_columns):
             return minimise_states(windows, p, x0, most)
 
-    def from_data(self, simulator: Any, record: Trajectory, p: FloatArray) -> tuple[FloatArray, list[bool]]:
+    def from_data(self, simulator: Simulator, record: Trajectory, p: FloatArray) -> tuple[FloatArray, list[bool]]:
         """Return smoothed measurements for states that are outputs, their derivatives for rates, else 0."""
-        return measured_states(simulator.system, simulator, record, p)
+        runner = cast(FmuSimulator, simulator)
+        return measured_states(runner.system, runner, record, p)

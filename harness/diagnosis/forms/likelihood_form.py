@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Generic, Self, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
@@ -16,8 +15,9 @@ from harness.diagnosis.forms.innovations import linearised
 from harness.diagnosis.forms.predictive import Predictive, predictive, spread_of
 from harness.diagnosis.forms.robust import coloured_deviations
 from harness.diagnosis.forms.suspects import lost_signs, piled_up
+from harness.diagnosis.forms.system_form import SystemForm
 from harness.diagnosis.policy import EFFORT, POLICY
-from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
+from harness.diagnosis.search.fit import Begun, Fit, Linearised, Suspect
 from harness.diagnosis.systems import AnySystem, SystemT
 from harness.effects.effect import Placed
 from harness.errors import FitError, HarnessError
@@ -53,8 +53,8 @@ class Detail:
     smooth: dict[str, list[Smoothed]] = field(default_factory=dict)
 
 
-class LikelihoodForm(ABC, Generic[SystemT]):
-    """Fits a model with effects to a data set by maximum likelihood; each kind of model fills in what is its own.
+class LikelihoodForm(SystemForm[SystemT]):
+    """Fits a model with effects to a data set by maximum likelihood, whatever kind of system they make.
 
     Parameters
     ----------
@@ -89,64 +89,6 @@ class LikelihoodForm(ABC, Generic[SystemT]):
     def on(self, dataset: Dataset) -> Self:
         """Return the same form of other data."""
         return type(self)(self.nominal, dataset, self.sizes)
-
-    # ---- what each kind of model does in its own way ----------------------------------------------------------------
-
-    @abstractmethod
-    def judges(self, placed: Placed) -> bool:
-        """Return True for an effect that can be judged with such a model."""
-
-    @abstractmethod
-    def has_latent_forces(self) -> bool:
-        """Return False for output error."""
-
-    def force_scale(self, values: Mapping[str, float] | None = None) -> FloatArray:
-        """Return the typical force at every latent one, of declared parameters or others; none for output error."""
-        return np.zeros(0)
-
-    @abstractmethod
-    def composed(self, effects: Sequence[Placed]) -> SystemT:
-        """Return the nominal model with effects."""
-
-    @abstractmethod
-    def substeps(self, system: SystemT, values: Mapping[str, float]) -> int:
-        """Return the steps of the solver within a sample."""
-
-    @abstractmethod
-    def passes(self, system: SystemT, substeps: int) -> Pass:
-        """Return the filter of a model."""
-
-    @abstractmethod
-    def first_state(self, system: SystemT, record: Trajectory, p: FloatArray) -> FloatArray:
-        """Return the initial state that a record tells, (nx,)."""
-
-    @abstractmethod
-    def smooth(self, passed: Filtered) -> Smoothed:
-        """Return the states given the whole record."""
-
-    @abstractmethod
-    def first_starts(self) -> list[dict[str, float]]:
-        """Return parameters to start the nominal fit from."""
-
-    @abstractmethod
-    def resize(self, nominal: Fit) -> bool:
-        """Take the sizes from which effects start from the nominal fit; True where it must be made anew."""
-
-    @abstractmethod
-    def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
-        """See :class:`harness.diagnosis.search.fit.Form`."""
-
-    @abstractmethod
-    def test_functions(self, fit: Fit) -> list[Column]:
-        """See :class:`harness.diagnosis.search.fit.Form`."""
-
-    @abstractmethod
-    def change(self, fit: Fit, placed: Placed) -> float:
-        """Return how much an effect changes of rates or readings along the estimation records, as a share of them."""
-
-    def _wandering(self, fit: Fit, placed: Placed) -> float:
-        """Return the evidence that the amplitude and the phase of a line change along the records."""
-        return 0.0
 
     # ---- fits ------------------------------------------------------------------------------------------------------
 
