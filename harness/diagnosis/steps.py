@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from harness.diagnosis.dictionary import placed
 from harness.diagnosis.forms.form import WholeForm
@@ -33,7 +34,6 @@ __all__ = [
 ]
 
 Progress = Callable[[float, str], None]
-Say = Callable[..., None]
 WORSE = "with it the model runs further from the validation records than without, and something is left"
 MOVED = (
     "Free runs of the validation records err more with the accepted effects than without them, though nothing is left "
@@ -42,8 +42,15 @@ MOVED = (
 )
 
 
+class Say(Protocol):
+    """Tells of the next step."""
+
+    def __call__(self, what: str, part: float | None = None) -> None:
+        """Tell what comes, and which part of all is done; without a part it moves on by itself."""
+
+
 def teller(progress: Progress | None) -> Say:
-    """Return what tells of the next step, ``say(what, part_done)``; without a part it moves on by itself."""
+    """Return what tells ``progress`` of every step."""
     parts = iter(0.75 * (1.0 - 0.9**k) for k in range(1, 10_000))
 
     def say(what: str, part: float | None = None) -> None:

@@ -1,4 +1,4 @@
-"""The likelihood as a form of the search: compiled systems with latent forces and sensor noise."""
+"""The likelihood as a form of the search: fits to estimation records, and what they say of validation records."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Detail:
 
 
 class LikelihoodForm(SystemForm[SystemT]):
-    """Fits a model with effects to a data set by maximum likelihood, whatever kind of system they make.
+    """Fits a system with effects to a data set by maximum likelihood; the kinds of systems are its subclasses.
 
     Parameters
     ----------
