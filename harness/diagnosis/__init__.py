@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from harness.diagnosis.algorithm import Diagnosis, diagnose
+    from harness.diagnosis.algorithm import diagnose
     from harness.diagnosis.close import Report, close_loop, close_loop_file
+    from harness.diagnosis.diagnosis import Diagnosis
 
 __all__ = ["Diagnosis", "Report", "close_loop", "close_loop_file", "diagnose"]
 
@@ -17,5 +18,5 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    home = "algorithm" if name in ("Diagnosis", "diagnose") else "close"
+    home = {"diagnose": "algorithm", "Diagnosis": "diagnosis"}.get(name, "close")
     return getattr(import_module(f"harness.diagnosis.{home}"), name)

@@ -6,19 +6,34 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, cast
 
-from harness.diagnosis.algorithm import Diagnosis, Progress, diagnose
+from harness.diagnosis.algorithm import diagnose
+from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.kinds import Equations, Kind
 from harness.diagnosis.records.stretches import cut_alike
+from harness.diagnosis.steps import Progress
+from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import Effect
 from harness.errors import InputError
 from harness.physics.arm import ArmModel, is_arm, load_arm
 from harness.signals import Dataset, FloatArray
 
+if TYPE_CHECKING:
+    from harness.blackbox.system import FmuSystem
+    from harness.data import LoadedDataset
+
 __all__ = ["Report", "close_loop", "close_loop_file"]
 
 JSON, HTML, MODEL, NOMINAL = "report.json", "report.html", "model.json", "nominal.fmu"
+
+
+class Definition(Protocol):
+    """What makes a system: the symbolic definition of a mechanism, or equations in a file."""
+
+    def system(self) -> AnySystem:
+        """Return the system."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +43,7 @@ class Report:
     Attributes
     ----------
     data : dict
-        The content of ``report.json``; see :mod:`harness.diagnosis.report_json`.
+        The content of ``report.json``; see :mod:`harness.diagnosis.report.evidence_json`.
     folder : Path or None
         Where ``report.json`` and ``report.html`` lie.
     model : System
@@ -37,7 +52,7 @@ class Report:
 
     data: dict[str, Any]
     folder: Path | None
-    model: Any = None
+    model: AnySystem | ArmModel | None = None
 
     @property
     def verdict(self) -> str:
@@ -55,7 +70,7 @@ class Report:
 
 def close_loop(
     dataset: Dataset,
-    model: Any,
+    model: AnySystem | ArmModel | Definition | str | Path,
     *,
     parameters: Mapping[str, Any] | None = None,
     out: str | Path | None = None,
@@ -135,7 +150,7 @@ def close_loop(
     if progress is not None:
         progress(1.0, data["summary"])
     last = diagnosis.nominal if diagnosis.misfit else diagnosis.final
-    return Report(data, folder, last.system.with_parameters(last.values))
+    return Report(data, folder, last.model.with_parameters(last.values))
 
 
 def close_loop_file(
@@ -160,15 +175,15 @@ def close_loop_file(
     if loaded.nominal is not None and is_arm(loaded.nominal.model):
         from harness.diagnosis.arm.close import recorded_arm
 
-        arm: Any = recorded_arm(loaded)
+        arm: Any = recorded_arm(loaded)  # of a model the data set asks for its channels only
         return close_loop(
             loaded.for_system(arm), arm, out=out, resume=resume, force=force, progress=progress
         )  # fmt: skip
     box = loaded.nominal is not None and loaded.nominal.model.endswith(".fmu")
-    system = _recorded_fmu(loaded) if box else loaded.system()
+    system = loaded.system() if not box else None
     return close_loop(
-        loaded.dataset if box else loaded.for_system(system),
-        system,
+        loaded.dataset if system is None else loaded.for_system(system),
+        _recorded_fmu(loaded) if system is None else system,
         out=out,
         resume=resume,
         force=force,
@@ -179,7 +194,7 @@ def close_loop_file(
     )
 
 
-def _options(loaded: Any) -> dict[str, Any]:
+def _options(loaded: LoadedDataset) -> dict[str, Any]:
     """Return the options that a data set loads its model with."""
     from harness.data.ports import model_options
 
@@ -200,21 +215,21 @@ def _repaired(diagnosis: Diagnosis, name: str, options: Mapping[str, Any], sampl
         "spec": spec_to_dict(replace(diagnosis.dataset.spec, sample_time=sample_time)),  # records may have been thinned
         "model": name,
         "options": dict(options),
-        "parameters": {key: float(value) for key, value in last.system.values(last.values).items()},
-        "effects": [[placed.effect.name, placed.at] for placed in last.system.effects],
+        "parameters": {key: float(value) for key, value in last.model.values(last.values).items()},
+        "effects": [[placed.effect.name, placed.at] for placed in last.model.effects],
         "intersample": diagnosis.dataset.intersample,
         "notes": {"verdict": diagnosis.verdict},
     }
 
 
-def _arm(model: Any) -> ArmModel | None:
+def _arm(model: object) -> ArmModel | None:
     """Return the arm that is meant, None for any other model."""
     if isinstance(model, ArmModel):
         return model
     return load_arm(model) if isinstance(model, str | Path) and is_arm(str(model)) else None
 
 
-def is_fmu(system: Any) -> bool:
+def is_fmu(system: object) -> TypeGuard[FmuSystem]:
     """Return True for an FMU as the nominal model."""
     from harness.blackbox.system import FmuSystem
 
@@ -226,7 +241,8 @@ def _repaired_fmu(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
     from harness.specs import spec_to_dict
 
     last = diagnosis.nominal if diagnosis.misfit else diagnosis.final
-    final = last.system
+    final = last.model
+    assert is_fmu(final)
     (folder / NOMINAL).write_bytes(final.path.read_bytes())
     return {
         "kind": "fmu",
@@ -240,7 +256,7 @@ def _repaired_fmu(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
     }
 
 
-def _recorded_fmu(loaded: Any) -> Any:
+def _recorded_fmu(loaded: LoadedDataset) -> FmuSystem:
     """Return the FMU that a data set names, with what it says of the parameters."""
     from harness.diagnosis.fmu.prepare import nominal_fmu
 
@@ -253,6 +269,7 @@ def _recorded_fmu(loaded: Any) -> Any:
                 remedy="name the variable with port = ... (sysid list FILE.fmu shows all)",
                 file=loaded.path,
             )
+    assert loaded.nominal is not None
     given = {
         name: {"value": parameter.start if parameter.value is None else parameter.value, "minimum": parameter.minimum,
                "maximum": parameter.maximum, "fixed": parameter.fixed}
@@ -261,18 +278,23 @@ def _recorded_fmu(loaded: Any) -> Any:
     return nominal_fmu(loaded.nominal.model, loaded.dataset, given)
 
 
-def _system(model: Any, parameters: Mapping[str, Any] | None, dataset: Dataset) -> Any:
+def _system(
+    model: AnySystem | ArmModel | Definition | str | Path, parameters: Mapping[str, Any] | None, dataset: Dataset
+) -> AnySystem:
     """Return the nominal system from a name, a file, a definition or a system."""
     if isinstance(model, str | Path) and str(model).endswith(".fmu"):
         from harness.diagnosis.fmu.prepare import nominal_fmu
 
         return nominal_fmu(model, dataset, parameters)
+    made: AnySystem
     if isinstance(model, str):
         from harness.physics import load_model
 
         made = load_model(model)
+    elif hasattr(model, "system") and not hasattr(model, "generalized_forces"):
+        made = model.system()
     else:
-        made = model.system() if hasattr(model, "system") and not hasattr(model, "generalized_forces") else model
+        made = cast(AnySystem, model)
     return made.with_parameters(parameters) if parameters else made
 
 

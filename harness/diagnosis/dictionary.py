@@ -4,27 +4,31 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, cast
 
 from harness import registry
+from harness.diagnosis.systems import AnySystem
 from harness.effects import builtin, compose, place_all
 from harness.effects.effect import Effect, Placed
 from harness.errors import HarnessError
+
+if TYPE_CHECKING:
+    from harness.physics.system import System
 
 __all__ = ["placed"]
 
 
 def placed(
-    system: Any,
+    system: AnySystem,
     dictionary: Sequence[Effect] | None = None,
     *,
-    composed: Callable[[Sequence[Placed]], Any] | None = None,
+    composed: Callable[[Sequence[Placed]], object] | None = None,
 ) -> tuple[list[Placed], list[str]]:
     """Return every effect at every port of a system that it fits, and what is wrong with plug-ins.
 
     Parameters
     ----------
-    system : System or FmuSystem
+    system : AnySystem
     dictionary : sequence of Effect, optional
         Effects to use in place of the built-in ones and those of plug-ins; a fault of one of these is raised.
 
@@ -44,11 +48,12 @@ def placed(
     >>> [str(effect) for effect in effects if effect.at == "base"], faults
     (['gravity_tilt@base'], [])
     """
-    build = composed or functools.partial(compose, system)
+    at = cast("System", system)  # effects are placed at ports, and an FMU has ports as well
+    build = composed or functools.partial(compose, at)
     if dictionary is not None:
-        return place_all(system, dictionary), []
+        return place_all(at, dictionary), []
     known = builtin()
-    candidates = place_all(system, known.values())
+    candidates = place_all(at, known.values())
     faults: list[str] = []
     names = {name: "the harness" for name in known}
     for entry in _outside(known, faults):
@@ -57,7 +62,7 @@ def placed(
             made = _loaded(entry)
             if made.name in names:
                 raise TypeError(f"{names[made.name]} already has an effect named {made.name!r}")
-            places = place_all(system, [made])
+            places = place_all(at, [made])
             for candidate in places:
                 build([candidate])
         except Exception as error:  # a stranger's code may raise anything, and must not stop the diagnosis

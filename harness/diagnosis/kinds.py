@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
+from harness.diagnosis.forms.equations_form import EquationsForm
+from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.records.columns_check import Doubt, check_columns
 from harness.diagnosis.records.horizon import Horizon, choose_horizon
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.records.thinning import thinned_dataset
 from harness.diagnosis.runs.form import FreeRunForm
-from harness.diagnosis.search.likelihood_form import LikelihoodForm
+from harness.diagnosis.systems import AnySystem, by_equations
 from harness.errors import HarnessError, InputError
 from harness.signals import Dataset, FloatArray
 
@@ -22,19 +24,19 @@ __all__ = ["Equations", "Kind"]
 class Kind(Protocol):
     """How a kind of nominal model is prepared, fitted and simulated."""
 
-    def prepared(self, dataset: Dataset, system: Any) -> tuple[Dataset, list[Doubt]]:
+    def prepared(self, dataset: Dataset, system: AnySystem) -> tuple[Dataset, list[Doubt]]:
         """Return the data as they are judged, and why their columns are in doubt."""
         ...
 
-    def horizon(self, system: Any, values: Mapping[str, float], dataset: Dataset) -> Horizon:
+    def horizon(self, system: AnySystem, values: Mapping[str, float], dataset: Dataset) -> Horizon:
         """Return how far a free run is compared."""
         ...
 
-    def form(self, system: Any, dataset: Dataset) -> LikelihoodForm:
+    def form(self, system: AnySystem, dataset: Dataset) -> WholeForm:
         """Return the likelihood of the data."""
         ...
 
-    def runs(self, form: LikelihoodForm, dataset: Dataset, noise: FloatArray, horizon: Horizon) -> FreeRunForm:
+    def runs(self, form: WholeForm, dataset: Dataset, noise: FloatArray, horizon: Horizon) -> FreeRunForm:
         """Return what simulates fitted models along the data, its residuals over the sensor noise."""
         ...
 
@@ -42,7 +44,7 @@ class Kind(Protocol):
 class Equations:
     """A system given by its equations."""
 
-    def prepared(self, dataset: Dataset, system: Any) -> tuple[Dataset, list[Doubt]]:
+    def prepared(self, dataset: Dataset, system: AnySystem) -> tuple[Dataset, list[Doubt]]:
         """See :class:`Kind`."""
         if not system.nx:  # no force and no rate that could be missing: all at the input would be called invisible
             raise InputError(
@@ -52,19 +54,22 @@ class Equations:
                 remedy="give it the dynamics of the plant (a lag of the sensor or the drive, say), or fit its "
                 "parameters alone with fit_output_error",
             )
+        assert by_equations(system)
         return thinned_dataset(dataset), check_columns(system, dataset)
 
-    def horizon(self, system: Any, values: Mapping[str, float], dataset: Dataset) -> Horizon:
+    def horizon(self, system: AnySystem, values: Mapping[str, float], dataset: Dataset) -> Horizon:
         """See :class:`Kind`."""
+        assert by_equations(system)
         try:
             return choose_horizon(system, values, dataset)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             return Horizon(None, "the poles of the nominal model are unknown: whole records are simulated")
 
-    def form(self, system: Any, dataset: Dataset) -> LikelihoodForm:
+    def form(self, system: AnySystem, dataset: Dataset) -> EquationsForm:
         """See :class:`Kind`."""
-        return LikelihoodForm(system, dataset, sizes_of(system, system.values(), dataset))
+        assert by_equations(system)
+        return EquationsForm(system, dataset, sizes_of(system, system.values(), dataset))
 
-    def runs(self, form: LikelihoodForm, dataset: Dataset, noise: FloatArray, horizon: Horizon) -> FreeRunForm:
+    def runs(self, form: WholeForm, dataset: Dataset, noise: FloatArray, horizon: Horizon) -> FreeRunForm:
         """See :class:`Kind`."""
         return FreeRunForm(form.nominal, dataset, sizes=form.sizes, horizon=horizon.seconds, weights=noise)

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import Policy
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.search.fit import Fit
-from harness.diagnosis.search.likelihood_form import LikelihoodForm
 from harness.physics.likelihood_fit import sensor_noise
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
@@ -27,13 +27,13 @@ SAMPLES = 1500
 
 
 def misfit_reasons(
-    form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Policy, wrong: Sequence[str] = ()
+    form: WholeForm, final: Fit, runs: FreeRuns, policy: Policy, wrong: Sequence[str] = ()
 ) -> tuple[str, ...]:
     """Return why the model does not fit the data, and what probably is wrong; empty if it fits.
 
     Parameters
     ----------
-    form : LikelihoodForm
+    form : WholeForm
     final : Fit
         With all effects that were accepted.
     runs : FreeRuns
@@ -68,7 +68,7 @@ def misfit_reasons(
     return tuple(reasons)
 
 
-def carried_away(form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Policy) -> bool:
+def carried_away(form: WholeForm, final: Fit, runs: FreeRuns, policy: Policy) -> bool:
     """Return True if a free run errs only where the model itself says that a small unknown force takes it away.
 
     Near its top a pendulum turns the smallest push into any error. What the forces of the fit add to the state goes on
@@ -101,7 +101,7 @@ def carried_away(form: LikelihoodForm, final: Fit, runs: FreeRuns, policy: Polic
     return bool((np.mean(squares, axis=0) <= (policy.misfit_nrmse * size) ** 2).all())
 
 
-def mostly_noise(form: LikelihoodForm, nominal: Fit, policy: Policy) -> list[str]:
+def mostly_noise(form: WholeForm, nominal: Fit, policy: Policy) -> list[str]:
     """Return why nothing can be told from records that are noise in every output; empty if one of them is not.
 
     They are where the motion is less than the share of what is read that a model which fits may leave.
@@ -111,13 +111,13 @@ def mostly_noise(form: LikelihoodForm, nominal: Fit, policy: Policy) -> list[str
     return [_noisy(form, shares)] if noisy else []
 
 
-def _noise(form: LikelihoodForm, fit: Fit) -> FloatArray:
+def _noise(form: WholeForm, fit: Fit) -> FloatArray:
     """Return the variance of the sensor noise (ny,): what a model leaves is noise only as far as neighbours differ."""
     deviation = np.asarray(fit.detail.points["estimation"].noise.r, dtype=float)
     return np.asarray(np.minimum(deviation, sensor_noise(form.records["estimation"])) ** 2)
 
 
-def _noisy(form: LikelihoodForm, shares: FloatArray) -> str:
+def _noisy(form: WholeForm, shares: FloatArray) -> str:
     """Return that readings are noise."""
     pairs = zip(form.dataset.spec.outputs, np.minimum(shares, 1.0), strict=True)
     outputs = {channel.name: float(share) for channel, share in pairs if share > MOSTLY}
@@ -126,7 +126,7 @@ def _noisy(form: LikelihoodForm, shares: FloatArray) -> str:
     return f"the readings of {names} are mostly noise ({share}), or far too coarse in time: nothing can be told"
 
 
-def _left(form: LikelihoodForm, final: Fit, runs: FreeRuns) -> tuple[float, str]:
+def _left(form: WholeForm, final: Fit, runs: FreeRuns) -> tuple[float, str]:
     """Return the share of the motion's variance that free runs leave, noise taken off, and whether readings are noise.
 
     Returns
@@ -151,7 +151,7 @@ def _length(runs: FreeRuns) -> str:
     return "whole records" if runs.horizon.seconds is None else f"windows of {runs.horizon.seconds:g} s"
 
 
-def _likely(form: LikelihoodForm, final: Fit, policy: Policy) -> list[str]:
+def _likely(form: WholeForm, final: Fit, policy: Policy) -> list[str]:
     """Return the mistakes whose repair makes the nominal model much likelier, all that do so about as well."""
     least = final.log_likelihood("estimation") + policy.misfit_gain
     likelier = []
@@ -180,7 +180,7 @@ def mistakes(dataset: Dataset) -> Iterator[tuple[str, Dataset, float]]:
             yield f"the signs of all {what}", _changed(dataset, kind, range(len(channels)), -1.0), 0.0
 
 
-def _shifted(form: LikelihoodForm) -> Iterator[tuple[str, Dataset, float]]:
+def _shifted(form: WholeForm) -> Iterator[tuple[str, Dataset, float]]:
     """Yield the data with each input moved by as many samples as make a part of a record likeliest."""
     dataset = form.dataset
     longest = max(dataset.estimation, key=len)
@@ -205,7 +205,7 @@ def _shifted(form: LikelihoodForm) -> Iterator[tuple[str, Dataset, float]]:
         yield f"whether {channel.name} is recorded about {many} {side}, or the outputs {opposite}", moved, 0.0
 
 
-def _first_steps(form: LikelihoodForm, record: Trajectory) -> float:
+def _first_steps(form: WholeForm, record: Trajectory) -> float:
     """Return the log-likelihood of one record after the first steps of a fit of the nominal model to it."""
     other = form.on(replace(form.dataset, runs=(Run(record, "estimation"),)))
     begun = other.begin((), other.first_starts(), None)

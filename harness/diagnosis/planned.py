@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from harness.diagnosis.isolability import unseen
 from harness.diagnosis.policy import PLAN_POLICY, POLICY, PlanPolicy, Policy
-from harness.diagnosis.search.fit import Fit, Form
+from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.score_test import projected, score_test
 from harness.effects.compose import compose
 from harness.effects.effect import Effect, Placed
 from harness.errors import FitError, InputError
+from harness.physics.system import System
+from harness.protocols import Scenario
 from harness.rng import Streams, stream
 from harness.signals import Dataset, FloatArray, Run, Trajectory
+
+if TYPE_CHECKING:
+    from harness.diagnosis.forms.equations_form import EquationsForm
 
 __all__ = ["Planned", "isolability_of"]
 
@@ -70,8 +75,8 @@ class Planned:
 
 
 def isolability_of(
-    model: Any,
-    scenario: Any,
+    model: System | str,
+    scenario: Scenario,
     *,
     parameters: Mapping[str, float] | None = None,
     sample_time: float = 0.01,
@@ -120,8 +125,8 @@ def isolability_of(
     [('gravity_tilt@base', 'sensor_offset@theta')]
     """
     from harness import registry
+    from harness.diagnosis.forms.equations_form import EquationsForm
     from harness.diagnosis.records.prepare import sizes_of
-    from harness.diagnosis.search.likelihood_form import LikelihoodForm
     from harness.effects import place_all
     from harness.rollout import run
     from harness.workers import one_thread
@@ -142,7 +147,7 @@ def isolability_of(
     dataset = Dataset("planned", tuple(Run(record, use) for record, use in zip(records, USES, strict=True)))
     system = system.with_parameters(values)
     with one_thread():
-        form = LikelihoodForm(system, dataset, sizes_of(system, values, dataset))
+        form = EquationsForm(system, dataset, sizes_of(system, values, dataset))
         fit = form.fit((), [values], None)
         if fit is None:
             raise FitError(
@@ -175,7 +180,7 @@ def isolability_of(
         )
 
 
-def _noisy(records: Sequence[Trajectory], scenario: Any, seed: int) -> tuple[list[Trajectory], str]:
+def _noisy(records: Sequence[Trajectory], scenario: Scenario, seed: int) -> tuple[list[Trajectory], str]:
     """Return records with sensor noise, and words about it: that of the scenario, else 1 % of each output's size."""
     noise = getattr(scenario, "noise", None)
     outputs = records[0].spec.outputs
@@ -191,7 +196,7 @@ def _noisy(records: Sequence[Trajectory], scenario: Any, seed: int) -> tuple[lis
     return made, f"sensor noise of 1 % of each output, as the scenario has none: {each}"
 
 
-def _smallest(form: Form, fit: Fit, visible: Sequence[Placed], policy: Policy) -> dict[str, dict[str, Any]]:
+def _smallest(form: EquationsForm, fit: Fit, visible: Sequence[Placed], policy: Policy) -> dict[str, dict[str, Any]]:
     """Return the size of each effect's main parameter at which the likelihood is expected to rise as much as asked.
 
     At first order a size s gains s^2 |c|^2 / 2, c being the whitened column of the parameter without what is free

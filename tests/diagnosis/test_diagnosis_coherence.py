@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.diagnosis.algorithm import diagnose
+from harness.diagnosis.forms.coherence import in_parts, wandering
+from harness.diagnosis.forms.directions import Direction
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.search.coherence import in_parts, wandering
-from harness.diagnosis.search.directions import Direction
 from harness.diagnosis.search.fit import Column, Linearised
 from harness.effects import builtin
 from harness.physics import load_model

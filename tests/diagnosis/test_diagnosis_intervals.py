@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from harness.diagnosis.forms.robust import robust_covariance
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.intervals import _blocks, block_interval, correlation_samples
-from harness.diagnosis.search.robust import robust_covariance
 from harness.physics import load_model
 from harness.physics.windows import Windows
 from harness.signals import PlantSpec, Trajectory

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness import api
-from harness.diagnosis.search.predictive import predictive, spread_of
+from harness.diagnosis.forms.predictive import predictive, spread_of
 from harness.physics import load_model
 from harness.physics.kalman_pass import KalmanPass, Noise
 from harness.physics.latent import without_latent_forces

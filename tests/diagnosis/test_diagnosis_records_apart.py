@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from harness.diagnosis.algorithm import Diagnosis, diagnose
+from harness.diagnosis.algorithm import diagnose
+from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.search.rounds import in_its_place
 from harness.effects import builtin
 from harness.effects.compose import compose, moving, recommended_substeps

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from harness.diagnosis.algorithm import DRY, stand_in_reasons
+from harness.diagnosis.stand_in import DRY, stand_in_reasons
 from harness.effects import builtin
 from harness.effects.effect import Placed
 

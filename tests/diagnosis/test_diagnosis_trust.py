@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harness.diagnosis.algorithm import Diagnosis, diagnose
+from harness.diagnosis.algorithm import diagnose
+from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.misfit import carried_away
 from harness.diagnosis.policy import POLICY

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from harness.diagnosis.algorithm import Diagnosis
 from harness.diagnosis.close import close_loop
+from harness.diagnosis.diagnosis import Diagnosis
+from harness.diagnosis.forms.apart import Apart
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.misfit import _shifted, misfit_reasons, mistakes
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.horizon import choose_horizon
 from harness.diagnosis.runs.errors import figures
-from harness.diagnosis.search.apart import Apart
 from harness.diagnosis.store import Store, fingerprint
 from harness.effects import builtin
 from harness.effects.effect import Placed

@@ -6,15 +6,18 @@ import json
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from harness.diagnosis.arm.diagnose import diagnose_arm
+from harness.diagnosis.arm.diagnose import Progress, diagnose_arm
 from harness.diagnosis.arm.found import ArmDiagnosis
 from harness.effects.effect import Effect
 from harness.errors import InputError
 from harness.physics.arm import ArmModel, load_arm
 from harness.physics.urdf_write import urdf_with
 from harness.signals import Dataset
+
+if TYPE_CHECKING:
+    from harness.data import LoadedDataset
 
 __all__ = ["close_arm", "recorded_arm", "repaired_urdf"]
 
@@ -26,7 +29,7 @@ def close_arm(
     arm: ArmModel,
     *,
     folder: Path | None,
-    progress: Any = None,
+    progress: Progress | None = None,
     dictionary: Sequence[Effect] | None = None,
 ) -> dict[str, Any]:
     """Diagnose an arm, write the report into a folder, and return its content.
@@ -53,7 +56,7 @@ def close_arm(
     return data
 
 
-def recorded_arm(loaded: Any) -> ArmModel:
+def recorded_arm(loaded: LoadedDataset) -> ArmModel:
     """Return the arm that a data set names, measured as its data are.
 
     Raises
@@ -62,6 +65,7 @@ def recorded_arm(loaded: Any) -> ArmModel:
         If an option or a measured output does not fit, or parameters are given.
     """
     nominal = loaded.nominal
+    assert nominal is not None
     if nominal.parameters:
         raise InputError(
             "parameters of an arm",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from harness.diagnosis.runs.equation import Equations, decimated, expressible
 from harness.effects.compose import compose
 from harness.effects.effect import Effect, Placed
 from harness.physics.arm import ArmModel
+from harness.physics.system import System
 from harness.signals import Channel, FloatArray
 
 __all__ = ["JOINT_EFFECTS", "JointBalance", "joint_dictionary", "joint_system", "white_noise"]
@@ -51,7 +51,7 @@ class JointEquation:
     motions: Mapping[str, Sequence[Motion]]
 
     @property
-    def system(self) -> Any:
+    def system(self) -> System:
         """The joint with its effects."""
         return self.equations.system
 
@@ -252,7 +252,7 @@ def _thinned(motion: Motion) -> Motion:
     )
 
 
-def joint_system(arm: ArmModel, joint: int, free: int = 0) -> Any:
+def joint_system(arm: ArmModel, joint: int, free: int = 0) -> System:
     """Return one joint as a system: its torque, its clock, and factors of ``free`` known columns."""
     import casadi as ca
 
@@ -328,7 +328,7 @@ def _either_sign(effect: Effect) -> Effect:
     return replace(effect, parameters=tuple(replace(parameter, sign="any") for parameter in effect.parameters))
 
 
-def _joint_equations(system: Any, free: int) -> Equations:
+def _joint_equations(system: System, free: int) -> Equations:
     """Return torque needed minus torque given, with its derivatives."""
     import casadi as ca
 
@@ -348,7 +348,7 @@ def _joint_equations(system: Any, free: int) -> Equations:
     return Equations(system, strong, weak, ca.Function("drive", [q, v, u, p, t], [drive]))
 
 
-def _sizes(system: Any, motion: Motion) -> dict[str, dict[str, float]]:
+def _sizes(system: System, motion: Motion) -> dict[str, dict[str, float]]:
     """Return the rms sizes at the ports of a joint, for start values of effects.
 
     The force is what is unsteady of the torque: a constant weight says nothing about friction.

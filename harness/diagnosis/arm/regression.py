@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy
 from harness.diagnosis.search.coloured import Before, Coloured, fitted_error
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
+from harness.diagnosis.systems import Parametrised
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
 from harness.signals import FloatArray
@@ -36,7 +37,7 @@ class Equation(Protocol):
     """The torque balance with some effects."""
 
     @property
-    def system(self) -> Any:
+    def system(self) -> Parametrised:
         """What has the parameters."""
         ...
 
@@ -59,7 +60,7 @@ class Balance(Protocol):
     """What a regression is about: a model, which rows count, and what effects would change."""
 
     @property
-    def nominal(self) -> Any:
+    def nominal(self) -> Parametrised:
         """The nominal system."""
         ...
 

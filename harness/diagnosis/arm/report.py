@@ -39,6 +39,7 @@ from harness.diagnosis.runs.closed_loop_bias import BiasTest
 from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.rounds import Accepted, Outcome
+from harness.diagnosis.stand_in import stand_in_reasons
 
 __all__ = ["arm_report"]
 
@@ -112,8 +113,6 @@ def _bodies(bodies: ArmBodies) -> dict[str, Any]:
 
 def _stand_in(found: ArmDiagnosis) -> list[str]:
     """Return why effects of a joint imitate something that is not in the dictionary."""
-    from harness.diagnosis.algorithm import stand_in_reasons
-
     if found.misfit:
         return []
     reasons: list[str] = []

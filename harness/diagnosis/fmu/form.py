@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -15,10 +14,10 @@ from harness.blackbox.system import FmuSystem
 from harness.diagnosis.fmu.passes import FreePass, Run
 from harness.diagnosis.fmu.prepare import measured_states, rough_values, sizes_of
 from harness.diagnosis.fmu.pushes import Moved, pushes, test_pushes
-from harness.diagnosis.search.directions import Direction
+from harness.diagnosis.forms.directions import Direction
+from harness.diagnosis.forms.likelihood_form import USES, LikelihoodForm
+from harness.diagnosis.forms.predictive import whitened
 from harness.diagnosis.search.fit import Column, Fit
-from harness.diagnosis.search.likelihood_form import USES, LikelihoodForm
-from harness.diagnosis.search.predictive import whitened
 from harness.effects.effect import Placed
 from harness.physics.kalman_pass import Filtered, Pass
 from harness.physics.smoother import Smoothed
@@ -30,8 +29,8 @@ PUSH = 1e-3
 """Size of a push in the difference quotients, over that of the inputs: well above what the solver rounds off."""
 
 
-class FmuForm(LikelihoodForm):
-    """Fits an FMU with effects around it; see :class:`harness.diagnosis.search.likelihood_form.LikelihoodForm`."""
+class FmuForm(LikelihoodForm[FmuSystem]):
+    """Fits an FMU with effects around it; see :class:`harness.diagnosis.forms.likelihood_form.LikelihoodForm`."""
 
     def __init__(self, system: FmuSystem, dataset: Dataset, sizes: Mapping[str, Mapping[str, float]]) -> None:
         self.runner = Runner(system, dataset.spec.sample_time)
@@ -45,20 +44,20 @@ class FmuForm(LikelihoodForm):
         """Return False: only what the FMU lets us set could be disturbed."""
         return False
 
-    def composed(self, effects: Sequence[Placed]) -> Any:
+    def composed(self, effects: Sequence[Placed]) -> FmuSystem:
         """Return the FMU with effects around it; rounding of readings counts as noise."""
         made = surround(self.nominal, effects, self.sizes) if effects else self.nominal
         return replace(made, sampled=tuple(block for block in made.sampled if block.kind != "quantise"))
 
-    def substeps(self, system: Any, values: Mapping[str, float]) -> int:
+    def substeps(self, system: FmuSystem, values: Mapping[str, float]) -> int:
         """Return 1: the FMU chooses its own steps."""
         return 1
 
-    def passes(self, system: Any, substeps: int) -> Pass:
+    def passes(self, system: FmuSystem, substeps: int) -> Pass:
         """Return the free runs of a system."""
         return FreePass(FmuSimulator(system, self.runner))
 
-    def first_state(self, system: Any, record: Trajectory, p: FloatArray) -> FloatArray:
+    def first_state(self, system: FmuSystem, record: Trajectory, p: FloatArray) -> FloatArray:
         """Return the initial state that a record tells, (nx,)."""
         simulator = FmuSimulator(self.nominal, self.runner)
         return np.asarray(measured_states(self.nominal, simulator, record, p[: self.nominal.np])[0][0])
@@ -95,7 +94,7 @@ class FmuForm(LikelihoodForm):
 
     def _moved(self, fit: Fit, uses: Sequence[str]) -> dict[str, list[Moved]]:
         """Return the motion of every record of some uses along the free run of a fit."""
-        simulator: Any = fit.detail.passes.simulator
+        simulator: FmuSimulator = fit.detail.passes.simulator
         moved: dict[str, list[Moved]] = {}
         for use in uses:
             point = fit.detail.points[use]

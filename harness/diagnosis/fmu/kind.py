@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from harness.blackbox.runner import Runner
+from harness.blackbox.system import FmuSystem
 from harness.diagnosis.fmu.form import FmuForm
 from harness.diagnosis.fmu.prepare import choose_horizon
 from harness.diagnosis.fmu.runs import FmuRuns
+from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.records.columns_check import Doubt
 from harness.diagnosis.records.horizon import Horizon
-from harness.diagnosis.search.likelihood_form import LikelihoodForm
+from harness.diagnosis.systems import AnySystem
 from harness.errors import HarnessError
 from harness.signals import Dataset, FloatArray
 
@@ -23,22 +24,26 @@ __all__ = ["BlackBox"]
 class BlackBox:
     """See :class:`harness.diagnosis.kinds.Kind`."""
 
-    def prepared(self, dataset: Dataset, system: Any) -> tuple[Dataset, list[Doubt]]:
+    def prepared(self, dataset: Dataset, system: AnySystem) -> tuple[Dataset, list[Doubt]]:
         """Return the data as they are: an FMU steps at the rate of its records."""
         return dataset, []
 
-    def horizon(self, system: Any, values: Mapping[str, float], dataset: Dataset) -> Horizon:
+    def horizon(self, system: AnySystem, values: Mapping[str, float], dataset: Dataset) -> Horizon:
         """Return how far a free run is compared, from how an error of the start grows."""
+        assert isinstance(system, FmuSystem)
         try:
             return choose_horizon(system, values, dataset, Runner(system, dataset.spec.sample_time))
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             return Horizon(None, "how an error of the start grows is unknown: whole records are simulated")
 
-    def form(self, system: Any, dataset: Dataset) -> LikelihoodForm:
+    def form(self, system: AnySystem, dataset: Dataset) -> FmuForm:
         """Return the likelihood of the data."""
+        assert isinstance(system, FmuSystem)
         return FmuForm(system, dataset, {})
 
-    def runs(self, form: LikelihoodForm, dataset: Dataset, noise: FloatArray, horizon: Horizon) -> FmuRuns:
+    def runs(self, form: WholeForm, dataset: Dataset, noise: FloatArray, horizon: Horizon) -> FmuRuns:
         """Return what simulates fitted models along the data."""
-        runner = Runner(form.nominal, dataset.spec.sample_time)
-        return FmuRuns(form.nominal, dataset, sizes=form.sizes, horizon=horizon.seconds, weights=noise, runner=runner)
+        nominal = form.nominal
+        assert isinstance(nominal, FmuSystem)
+        runner = Runner(nominal, dataset.spec.sample_time)
+        return FmuRuns(nominal, dataset, sizes=form.sizes, horizon=horizon.seconds, weights=noise, runner=runner)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from harness.blackbox.simulator import FmuSimulator
 from harness.physics.kalman_pass import Filtered, Noise
@@ -41,7 +41,7 @@ class FreePass:
     """
 
     def __init__(self, simulator: FmuSimulator) -> None:
-        self.simulator: Any = simulator
+        self.simulator = simulator
         system = simulator.system
         self.forces: tuple[LatentForce, ...] = ()
         self.nl, self.substeps = 0, 1
@@ -53,8 +53,8 @@ class FreePass:
     def __call__(
         self,
         record: Trajectory,
-        p: Any,
-        x0: Any,
+        p: ArrayLike,
+        x0: ArrayLike,
         noise: Noise,
         *,
         columns: npt.NDArray[np.intp] | None = None,

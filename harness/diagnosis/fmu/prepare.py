@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -137,7 +137,7 @@ class FmuWindows(Windows):
 
     def evaluate(self, p: FloatArray, x0: FloatArray, *, keep: bool = False, jacobian: bool = False) -> Evaluation:
         """Simulate all windows; the normal equations follow on demand."""
-        simulator: Any = self.simulator
+        simulator = cast(FmuSimulator, self.simulator)
         if simulator.wanted is not None or jacobian:
             return super().evaluate(p, x0, keep=keep, jacobian=jacobian)
         with simulator.deriving(()):

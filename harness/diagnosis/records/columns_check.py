@@ -12,13 +12,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
 from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.records.stretches import about_lines
 from harness.errors import HarnessError
+from harness.physics.parameters import Parameter
+from harness.physics.simulator import Intersample
+from harness.physics.system import System
 from harness.signals import Dataset, Trajectory
 
 __all__ = ["Doubt", "Repair", "check_columns", "doubts", "repairs"]
@@ -54,7 +56,7 @@ class Doubt:
     certain: bool
 
 
-def check_columns(system: Any, dataset: Dataset) -> list[Doubt]:
+def check_columns(system: System, dataset: Dataset) -> list[Doubt]:
     """Say which columns of a data set are probably wrong: see :func:`doubts`, for its longest estimation record.
 
     Parameters
@@ -71,7 +73,7 @@ def check_columns(system: Any, dataset: Dataset) -> list[Doubt]:
     return doubts(system, max(dataset.estimation, key=len), dataset.intersample)
 
 
-def doubts(system: Any, record: Trajectory, intersample: Any = "zoh") -> list[Doubt]:
+def doubts(system: System, record: Trajectory, intersample: Intersample = "zoh") -> list[Doubt]:
     """Return what is probably wrong with the columns, if a repair brings the record to what the model declares.
 
     The declared values and the inputs predict the size of every output, and a wrong unit leaves that far behind, even
@@ -172,7 +174,7 @@ def _scaled(record: Trajectory, kind: str, columns: Sequence[int], factor: float
     return replace(record, **{kind: values})
 
 
-def _off(system: Any, values: Mapping[str, float], factor: float) -> list[str]:
+def _off(system: System, values: Mapping[str, float], factor: float) -> list[str]:
     """Return the free parameters that are more than a factor off their declared values."""
     told = {
         parameter.name: parameter.value for parameter in system.parameters if not parameter.fixed and parameter.value
@@ -199,7 +201,9 @@ def _window(cut: Trajectory) -> int:
     return int(np.clip(len(cut) // 10, 50, len(cut)))
 
 
-def _sentence(system: Any, likely: Sequence[Repair], values: Mapping[str, float], before: float, after: float) -> str:
+def _sentence(
+    system: System, likely: Sequence[Repair], values: Mapping[str, float], before: float, after: float
+) -> str:
     """Return what is to be checked, and why."""
     words = " or ".join(repair.words for repair in likely)
     text = f"check the units and the order of the columns: perhaps {words} ({'; or '.join(o.remedy for o in likely)})"
@@ -214,10 +218,10 @@ def _sentence(system: Any, likely: Sequence[Repair], values: Mapping[str, float]
     )
 
 
-def _held(system: Any, factor: float) -> Any:
+def _held(system: System, factor: float) -> System:
     """Return the system with its free parameters held within a factor of their declared values."""
 
-    def held(one: Any) -> Any:
+    def held(one: Parameter) -> Parameter:
         low, high = sorted((one.value / factor, one.value * factor))
         return replace(one, minimum=max(low, one.minimum), maximum=min(high, one.maximum))
 
@@ -239,7 +243,7 @@ def _plain(record: Trajectory) -> Trajectory:
 
 
 def _fit(
-    system: Any, record: Trajectory, intersample: Any, *, declared: bool = False
+    system: System, record: Trajectory, intersample: Intersample, *, declared: bool = False
 ) -> tuple[float, dict[str, float]]:
     """Return the error of a rough fit over windows, relative to the motion within them, and the parameters.
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.records.motion import motion_band
+from harness.diagnosis.systems import AnySystem
+from harness.physics.system import System
 from harness.signals import Dataset, FloatArray
 
 __all__ = ["Horizon", "choose_horizon", "short_window", "vanished"]
@@ -23,7 +24,7 @@ class Horizon:
     reason: str
 
 
-def choose_horizon(system: Any, values: Mapping[str, float], dataset: Dataset) -> Horizon:
+def choose_horizon(system: System, values: Mapping[str, float], dataset: Dataset) -> Horizon:
     """Decide from the nominal model whether whole records can be simulated, or windows.
 
     An integrating plant (a pole at 0) is judged over four of its slowest time constants, an unstable one over the
@@ -73,7 +74,7 @@ def short_window(dataset: Dataset) -> float:
     return float(np.clip(4.0 / max(band, 1e-12), 50 * dt, len(run) * dt / 3))
 
 
-def _operating_points(system: Any, dataset: Dataset) -> FloatArray:
+def _operating_points(system: System, dataset: Dataset) -> FloatArray:
     """Return states (N, nx) along the estimation data, as far as they are measured."""
     from harness.physics.windows import data_states
 
@@ -89,7 +90,7 @@ def _round(seconds: float) -> float:
     return float(next(step * power for step in (5, 2, 1) if step * power <= seconds * 1.1))
 
 
-def vanished(system: Any, values: Mapping[str, float]) -> list[str]:
+def vanished(system: AnySystem, values: Mapping[str, float]) -> list[str]:
     """Return the free parameters of a nominal model that cannot be negative and have gone to 0."""
     return [
         parameter.name

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects import Signals
 from harness.signals import FloatArray, Trajectory
 
@@ -51,7 +51,7 @@ class Motion:
         return Signals(self.t, self.u if u is None else u, self.q, self.v, self.a, ramps=True)
 
 
-def measured_coordinates(system: Any) -> dict[str, tuple[int | None, int | None]] | None:
+def measured_coordinates(system: AnySystem) -> dict[str, tuple[int | None, int | None]] | None:
     """Return for each coordinate the columns of y that hold its position and its rate.
 
     None if a coordinate has neither, or if there are no coordinates: then no equation error can be formed.
@@ -59,7 +59,7 @@ def measured_coordinates(system: Any) -> dict[str, tuple[int | None, int | None]
     import casadi as ca
 
     columns: dict[str, tuple[int | None, int | None]] = {}
-    if system.h is None:  # an FMU
+    if not by_equations(system):
         return None
     for coordinate in system.coordinates:
         position = rate = None

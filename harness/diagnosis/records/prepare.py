@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from harness.diagnosis.records.motion import measured_coordinates, smooth_motion
+from harness.diagnosis.systems import Measured
 from harness.effects.columns import motion_sizes
 from harness.errors import InputError
+from harness.physics.system import System
 from harness.signals import Dataset
 
 __all__ = ["checked", "sizes_of"]
 
 
-def checked(dataset: Dataset, system: Any) -> Dataset:
+def checked(dataset: Dataset, system: Measured) -> Dataset:
     """Return the data set in the channels of the system, or refuse what cannot be judged.
 
     Raises
@@ -71,7 +72,7 @@ def checked(dataset: Dataset, system: Any) -> Dataset:
     return replace(dataset, runs=runs_of)
 
 
-def sizes_of(system: Any, values: Mapping[str, float], dataset: Dataset) -> dict[str, dict[str, float]]:
+def sizes_of(system: System, values: Mapping[str, float], dataset: Dataset) -> dict[str, dict[str, float]]:
     """Return the rms sizes of the data at every port, for start values of effects."""
     runs = dataset.estimation
     dt = dataset.spec.sample_time

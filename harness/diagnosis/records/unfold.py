@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from harness.diagnosis.policy import DATA_POLICY
-from harness.diagnosis.records.tracked_signs import LONGEST, Path, fourth_difference, tracked
-from harness.physics.windows import Windows, data_states
+from harness.diagnosis.records.tracked_signs import Path, fourth_difference, tracked
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["HIDING", "Unfolding", "signs_by_model", "unfoldings"]
+__all__ = ["HIDING", "Unfolding", "followed", "unfoldings"]
 
 HIDING = ("sensor_rectification",)
 """Effects on an output that hide its sign."""
@@ -107,7 +105,7 @@ def _unfolded(runs: Sequence[Trajectory], column: int) -> list[Unfolding]:
         return []
     if not any(_low_turns(y, DATA_POLICY.near_zero * size) for y in whole):
         return []
-    paths = [path for path in (_path(y.tobytes()) for y in whole) if path is not None]
+    paths = [path for path in (followed(y) for y in whole) if path is not None]
     if len(paths) == len(whole) and any(path.gain > 0 for path in paths):
         return _both_ways(runs, column, paths)
     records = tuple(run[: min(len(run), _LONGEST)] for run in runs)
@@ -144,9 +142,13 @@ def _turns(signs: Sequence[FloatArray]) -> int:
     return sum(int(np.count_nonzero(np.diff(part))) for part in signs)
 
 
+def followed(y: FloatArray) -> Path | None:
+    """Return the path of an output (N,) that could be followed through its zeros, made once; else None."""
+    return _followed(y.tobytes())
+
+
 @functools.lru_cache(maxsize=32)
-def _path(y: bytes) -> Path | None:
-    """Return the path of an output (its numbers as bytes) that was followed, made once."""
+def _followed(y: bytes) -> Path | None:
     return tracked(np.frombuffer(y))
 
 
@@ -172,75 +174,6 @@ def _regression(run: Trajectory, column: int, signs: FloatArray) -> tuple[FloatA
     past = [y[4 - lag : n - lag] for lag in range(1, 5)]
     past += [run.u[4 - lag : n - lag, port] for lag in range(1, 5) for port in range(run.u.shape[1])]
     return np.column_stack(past), y[4:]
-
-
-def signs_by_model(form: Any, simulator: Any, record: Trajectory, p: FloatArray) -> FloatArray | None:
-    """Return states (N, nx) of a record whose sensor hides the sign; None if the system has no such sensor.
-
-    Where the output could be followed through its zeros its signs are known but for the first, and the model without
-    the sensor decides about that. Elsewhere this model is run with the input from several states; its signs unfold the
-    output, its initial state follows from the unfolded output, and so on until the signs stay.
-    """
-    system = simulator.system
-    effects = tuple(system.effects)
-    hiding = [placed for placed in effects if placed.effect.name in HIDING]
-    if len(hiding) != 1:
-        return None
-    others = [placed for placed in effects if placed.effect.name not in HIDING]
-    plain = form.system(others)
-    values = dict(zip(system.parameter_names, p, strict=True))
-    q = plain.vector({name: values[name] for name in plain.parameter_names})
-    column = [channel.name for channel in plain.outputs].index(hiding[0].at)
-    runner = form.simulator(plain, q)
-    path = _path(np.asarray(record.y[:, column], dtype=float).tobytes()) if len(record) <= LONGEST else None
-    if path is not None:
-        return _states_of_path(form, runner, record, column, path, q)
-    guess = data_states(runner, record, q)[0]
-    tries = [guess, np.zeros_like(guess)]
-    tries.append(data_states(runner, _signed(record, column, -np.ones(len(record))), q)[0])
-    best: tuple[float, FloatArray] | None = None
-    for x in tries:
-        windows = Windows(runner, [record], None, form.weights)
-        x0 = windows.starts_from([x])
-        signs = np.zeros(len(record))
-        for _ in range(6):
-            result = windows.evaluate(q, x0, keep=True)
-            if not np.isfinite(result.cost):
-                break
-            simulated = windows.trajectories[0].y - result.residuals[0]
-            now = np.where(simulated[:, column] >= 0, 1.0, -1.0)
-            if np.array_equal(now, signs):
-                break
-            signs = now
-            windows = Windows(runner, [_signed(record, column, signs, fold=True)], None, form.weights)
-            x0 = form._fit_states(windows, q, x0, 25)
-        result = windows.evaluate(q, x0, keep=True)
-        if np.isfinite(result.cost) and (best is None or result.cost < best[0]):
-            best = (float(result.cost), windows.together(result.states)[0])
-    return None if best is None else best[1]
-
-
-def _states_of_path(
-    form: Any, runner: Any, record: Trajectory, column: int, path: Path, q: FloatArray
-) -> FloatArray | None:
-    """Return the states (N, nx) by a model without the sensor, of the first sign that it explains better."""
-    best: tuple[float, FloatArray] | None = None
-    for sense in (1.0, -1.0):
-        unfolded = _signed(record, column, sense * path.signs)
-        windows = Windows(runner, [unfolded], form.horizon, form.weights)
-        with np.errstate(all="ignore"):  # the wrong sign may diverge
-            x0 = form._fit_states(windows, q, windows.starts_from([data_states(runner, unfolded, q)[0]]), 25)
-            result = windows.evaluate(q, x0, keep=True)
-        if np.isfinite(result.cost) and (best is None or result.cost < best[0]):
-            best = (float(result.cost), windows.together(result.states)[0])
-    return None if best is None else best[1]
-
-
-def _signed(run: Trajectory, column: int, signs: FloatArray, *, fold: bool = False) -> Trajectory:
-    """Return a run with signs put to one output."""
-    y = np.array(run.y, dtype=float)
-    y[:, column] = (np.abs(y[:, column]) if fold else y[:, column]) * signs
-    return replace(run, y=y)
 
 
 def _low_turns(y: FloatArray, level: float) -> int:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.systems import AnySystem
 from harness.signals import Dataset
 
 __all__ = ["estimate", "known", "ratio_unit", "ratios", "scaled_together"]
@@ -44,7 +45,7 @@ def _limit(one: dict[str, Any], low: float, high: float, *, positive: bool) -> N
     one.update(low=low, high=high, state="determined")
 
 
-def scaled_together(system: Any, fit: Fit, dataset: Dataset) -> list[str]:
+def scaled_together(system: AnySystem, fit: Fit, dataset: Dataset) -> list[str]:
     """Return parameters of which the data tell ratios only: those that carry a mass, if nothing drives the model.
 
     One of them that is known, or an input that is not 0 all the time, fixes the scale of them all.

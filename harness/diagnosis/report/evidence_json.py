@@ -65,11 +65,12 @@ from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.rounds import Accepted
+from harness.diagnosis.systems import by_equations
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
-    from harness.diagnosis.algorithm import Diagnosis
+    from harness.diagnosis.diagnosis import Diagnosis
 
 __all__ = ["Answer", "answer_of", "evidence_data", "innovations"]
 
@@ -108,12 +109,12 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
     together = scaled_together(found.system, answer.fit, found.dataset)
     if together:
         warnings.append(FREE)
-    if found.system.h is None:
+    if not by_equations(found.system):
         warnings.append(AROUND)
     if not answer.fit.converged:
         warnings.append("the final fit did not converge: its figures are not those of a maximum")
     names, cosines = found.test.cosines([str(effect.placed) for effect in accepted])
-    bench = Bench(found.system, answer.fit.system, answer.fit.values, found.dataset)
+    bench = Bench(found.system, answer.fit.model, answer.fit.values, found.dataset)
     bias = closed_loop_bias(
         found.runs.output, answer.runs, list(found.dataset.estimation), _used(found, references)
     ) if answer.runs is not None else None  # fmt: skip
@@ -262,8 +263,10 @@ def _errors(found: Diagnosis, fit: Fit, fitted: Fitted | None) -> dict[str, Any]
     strong = None
     after = answer_of(found).runs
     final = fitted if after is None else after  # before and after are the same quantity
-    if measured_coordinates(found.system) is not None and not (output.nominal.ny and _sensors(final)):
-        strong = EquationForm(found.system, found.dataset, sizes=found.form.sizes)
+    system = found.system
+    hidden = output.nominal.ny and _sensors(final)
+    if by_equations(system) and measured_coordinates(system) is not None and not hidden:
+        strong = EquationForm(system, found.dataset, sizes=found.form.sizes)
     usable = strong is not None and all(map(strong.judges, (*fitted.effects, *final.effects)))
     return {
         "equation_error": equation_error(output, strong if usable else None, fitted, found.dataset, inverse=usable),

@@ -12,10 +12,12 @@ from harness.diagnosis.report.figures import Overlay, Pictures, ResidualView, dr
 from harness.diagnosis.report.html import environment, error_rows
 from harness.diagnosis.report.words import SAME
 from harness.diagnosis.store import write_atomic
+from harness.diagnosis.systems import by_equations
+from harness.physics.ports import Coordinate
 from harness.signals import FloatArray, Trajectory
 
 if TYPE_CHECKING:
-    from harness.diagnosis.algorithm import Diagnosis
+    from harness.diagnosis.diagnosis import Diagnosis
     from harness.diagnosis.search.fit import Fit
 
 __all__ = ["pictures", "render_evidence", "write_evidence"]
@@ -136,7 +138,7 @@ def _force_views(found: Diagnosis, changed: bool) -> list[ResidualView]:
         force = ports[port]
         _, before, band = _force(found, found.nominal, port)
         x, after, later = _force(found, final, port)
-        coordinate = next(c for c in found.system.coordinates if c.name == force.port)
+        coordinate = next(c for c in _coordinates(found) if c.name == force.port)
         axes = [
             (coordinate.name, coordinate.unit, x[:, coordinate.q]),
             (f"{coordinate.name}'", f"{coordinate.unit}/s", x[:, coordinate.v]),
@@ -198,5 +200,10 @@ def _coverage(found: Diagnosis) -> list[tuple[str, str, FloatArray, FloatArray, 
             both[1][:, coordinate.q],
             both[1][:, coordinate.v],
         )
-        for coordinate in (found.system.coordinates if found.form.latent else ())
+        for coordinate in _coordinates(found)
     ]
+
+
+def _coordinates(found: Diagnosis) -> tuple[Coordinate, ...]:
+    """Return where positions and rates stand in the states; none of a process or an FMU."""
+    return found.system.coordinates if found.form.latent and by_equations(found.system) else ()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.policy import PLAN_POLICY
+from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects.effect import Placed
 from harness.signals import Dataset, FloatArray
 
@@ -22,8 +23,8 @@ PERIODS = 6
 class Bench:
     """What is known of the plant when an experiment is planned: the fitted model, and the data it was fitted to."""
 
-    nominal: Any
-    system: Any
+    nominal: AnySystem
+    system: AnySystem
     values: Mapping[str, float]
     dataset: Dataset
 
@@ -48,6 +49,7 @@ class Bench:
         from harness.physics.windows import data_states
 
         system = self.nominal
+        assert by_equations(system)
         p = system.vector({name: self.values[name] for name in system.parameter_names})
         simulator = system.simulator(self.sample_time, intersample=self.dataset.intersample, backend="casadi")
         states = np.concatenate([data_states(simulator, run, p)[0] for run in self.dataset.estimation])
@@ -68,6 +70,7 @@ class Bench:
         Both are arrays (2, n): largest, rms. Infinite where the model cannot follow. The model starts at rest.
         """
         system = self.system
+        assert by_equations(system)
         simulator = system.simulator(self.sample_time, intersample=self.dataset.intersample, backend="casadi")
         with np.errstate(all="ignore"):
             x = simulator.states(system.vector(self.values), np.zeros(system.nx), u)
@@ -121,7 +124,7 @@ def separate_with(bench: Bench, members: Sequence[Sequence[Placed]]) -> list[dic
             row["instruction"] = plan
         elif not bench.dataset.spec.inputs:
             row["instruction"] = "no input of this plant is recorded: move it by hand as said"
-        elif not hasattr(bench.nominal, "f"):
+        elif not by_equations(bench.nominal):
             row["instruction"] = "the model has no equations to plan with: choose the amplitudes by hand"
         else:
             scenario, options, more = plan(bench, members)

@@ -103,8 +103,8 @@ def seen(output: FreeRunForm, fit: Fit) -> Fitted | None:
     p = system.vector({name: fit.values[name] for name in system.parameter_names})
     try:
         with np.errstate(all="ignore"):
-            windows = output._windows(system, p, "estimation")
-            states = [output._from_data(windows.simulator, run, p)[0] for run in output.records["estimation"]]
+            windows = output.windows(system, p, "estimation")
+            states = [output.from_data(windows.simulator, run, p)[0] for run in output.records["estimation"]]
             x0 = settled_states(output, system, p, "estimation", windows, windows.starts_from(states))
             record: dict[str, Any] = {
                 "values": dict(fit.values), "x0": x0.tolist(), "converged": fit.converged, "message": "",

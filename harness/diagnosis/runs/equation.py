@@ -16,6 +16,8 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.diagnosis.records.motion import Motion
+from harness.effects.effect import Placed
+from harness.physics.system import System
 from harness.signals import FloatArray
 
 __all__ = ["Equations", "bump_rows", "decimated", "equations_of", "expressible"]
@@ -37,7 +39,7 @@ class Equations:
         (q, v, u, p, t) -> force of the inputs (n,).
     """
 
-    system: Any
+    system: System
     strong: Any
     weak: Any
     drive: Any
@@ -102,7 +104,7 @@ class Equations:
         return r, j.reshape(-1, n, k)
 
 
-def expressible(placed: Any) -> bool:
+def expressible(placed: Placed) -> bool:
     """Return True if an effect acts on the forces without a state of its own, so that it has an equation form."""
     effect = placed.effect
     if effect.name == "input_gain":  # a common factor on all forces: the equation alone cannot know it
@@ -110,7 +112,7 @@ def expressible(placed: Any) -> bool:
     return not effect.states and not effect.sampled and bool({"coordinate", "input", "base"} & set(effect.kinds))
 
 
-def equations_of(system: Any) -> Equations:
+def equations_of(system: System) -> Equations:
     """Return the equation form of a system.
 
     Parameters

@@ -20,6 +20,7 @@ from harness.diagnosis.runs.fitted import Fitted
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.errors import FitError
+from harness.physics.system import System
 from harness.signals import Dataset, FloatArray, Trajectory
 
 __all__ = ["EquationForm"]
@@ -42,7 +43,7 @@ class EquationForm:
 
     def __init__(
         self,
-        nominal: Any,
+        nominal: System,
         dataset: Dataset,
         *,
         sizes: Mapping[str, Mapping[str, float]],

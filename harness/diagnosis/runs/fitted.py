@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.diagnosis.records.horizon import vanished
 from harness.diagnosis.runs.intervals import Interval, block_interval
+from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
@@ -49,7 +50,7 @@ class Fitted:
     """
 
     effects: tuple[Placed, ...]
-    system: Any
+    system: AnySystem
     values: dict[str, float]
     free: tuple[str, ...]
     converged: bool

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.records.unfold import signs_by_model
 from harness.diagnosis.runs.fitted import Fitted
+from harness.diagnosis.runs.signs import signs_by_model
 from harness.diagnosis.runs.states import carried_states, settled_states, state_bases
+from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed
 from harness.physics.levenberg import minimise_states
@@ -43,7 +44,7 @@ class FreeRunForm:
 
     def __init__(
         self,
-        nominal: Any,
+        nominal: AnySystem,
         dataset: Dataset,
         *,
         sizes: Mapping[str, Mapping[str, float]],
@@ -60,26 +61,29 @@ class FreeRunForm:
         self.records: dict[str, tuple[Trajectory, ...]] = {
             use: tuple(run.measured() for run in dataset.using(use)) for use in ("estimation", "validation", "test")
         }
-        self._systems: dict[tuple[str, ...], Any] = {}
+        self._systems: dict[tuple[str, ...], AnySystem] = {}
 
-    def system(self, effects: Sequence[Placed]) -> Any:
+    def system(self, effects: Sequence[Placed]) -> AnySystem:
         """Return the nominal system with effects, made once."""
         key = tuple(str(placed) for placed in effects)
         if key not in self._systems:
+            assert by_equations(self.nominal)
             self._systems[key] = compose(self.nominal, effects, sizes=self.sizes) if effects else self.nominal
         return self._systems[key]
 
-    def simulator(self, system: Any, p: FloatArray, *, quick: bool = False) -> Simulator:
+    def simulator(self, system: AnySystem, p: FloatArray, *, quick: bool = False) -> Simulator:
         """Return the simulator of a system with the substeps that these parameters need."""
+        assert by_equations(system)
         values = dict(zip(system.parameter_names, p, strict=True))
         moved = recommended_substeps(system, values, self.sample_time, x=moving(system, self.sizes))
         steps = max(default_substeps(system, self.sample_time, p), moved)
         steps = int(2 ** np.ceil(np.log2(steps)))  # few different ones: each is compiled by itself
-        backend = "casadi" if quick else "auto"
-        simulator: Simulator = system.simulator(
-            self.sample_time, intersample=self.intersample, substeps=min(steps, 32), backend=backend
+        return system.simulator(
+            self.sample_time,
+            intersample=self.intersample,
+            substeps=min(steps, 32),
+            backend="casadi" if quick else "auto",
         )
-        return simulator
 
     def evaluate(self, effects: Sequence[Placed], record: Mapping[str, Any]) -> Fitted:
         """Return residuals and Jacobian of a record."""
@@ -87,7 +91,7 @@ class FreeRunForm:
         p = system.vector(record["values"])
         free = tuple(parameter.name for parameter in system.parameters if not parameter.fixed)
         index = [system.parameter_names.index(name) for name in free]
-        windows = self._windows(system, p, "estimation")
+        windows = self.windows(system, p, "estimation")
         x0 = np.array(record["x0"], dtype=float).reshape(len(windows), system.nx)
         result = windows.evaluate(p, x0, keep=True, jacobian=True)
         if result.jacobian is None:
@@ -97,12 +101,11 @@ class FreeRunForm:
         q = system.vector({**record["values"], **record["refitted"]})
         outside: list[FloatArray] = []
         if self.records["validation"]:
-            other = self._windows(system, q, "validation")
+            other = self.windows(system, q, "validation")
             y0 = np.array(record["x0_validation"], dtype=float).reshape(len(other), system.nx)
             outside = other.together(other.evaluate(q, y0, keep=True).residuals)
         unaided: list[FloatArray] = []
-        hidden = int(getattr(system, "hidden_count", 0))
-        if outside and hidden:
+        if outside and system.hidden_count:
             z0 = carried_states(self, system, q, other, y0)
             unaided = other.together(other.evaluate(q, z0, keep=True).residuals)
         ny = len(self.weights)
@@ -152,8 +155,8 @@ class FreeRunForm:
         """
         system = fitted.system
         p = system.vector({**fitted.values, **(fitted.refitted if use != "estimation" else {})})
-        windows = self._windows(system, p, use, horizon, always=True)
-        x0 = windows.starts_from([self._from_data(windows.simulator, run, p)[0] for run in self.records[use]])
+        windows = self.windows(system, p, use, horizon, always=True)
+        x0 = windows.starts_from([self.from_data(windows.simulator, run, p)[0] for run in self.records[use]])
         if start == "estimated":
             x0 = settled_states(self, system, p, use, windows, x0)
         result = windows.evaluate(p, x0, keep=True)
@@ -170,9 +173,9 @@ class FreeRunForm:
         record = {**fitted.record}
         for use, key in (("estimation", "x0"), ("validation", "x0_validation")):
             q = p if use == "estimation" else fitted.system.vector({**fitted.values, **fitted.refitted})
-            windows = short._windows(fitted.system, q, use)
-            states = [self._from_data(windows.simulator, run, q)[0] for run in self.records[use]]
-            record[key] = self._fit_states(windows, q, windows.starts_from(states), 25).tolist()
+            windows = short.windows(fitted.system, q, use)
+            states = [self.from_data(windows.simulator, run, q)[0] for run in self.records[use]]
+            record[key] = self.fit_states(windows, q, windows.starts_from(states), 25).tolist()
         return short, short.evaluate(fitted.effects, record)
 
     def driven_jacobian(self, fitted: Fitted, driven: Sequence[Trajectory]) -> tuple[FloatArray, ...]:
@@ -184,29 +187,29 @@ class FreeRunForm:
     def lengths(self, fitted: Fitted, records: Sequence[Trajectory]) -> list[int]:
         """Return the samples of each window."""
         p = fitted.system.vector(fitted.values)
-        windows = self._cut(self.simulator(fitted.system, p), list(records), self.horizon)
+        windows = self.cut(self.simulator(fitted.system, p), list(records), self.horizon)
         return [last - first for _, first, last in windows.places]
 
     # ---- the work ------------------------------------------------------------------------------------------------
 
-    def _windows(
-        self, system: Any, p: FloatArray, use: str, horizon: float | None = None, *, always: bool = False
+    def windows(
+        self, system: AnySystem, p: FloatArray, use: str, horizon: float | None = None, *, always: bool = False
     ) -> Windows:
         """Return the windows of a use, at the form's horizon unless another is asked for."""
         length = horizon if always else self.horizon
-        return self._cut(self.simulator(system, p), list(self.records[use]), length)
+        return self.cut(self.simulator(system, p), list(self.records[use]), length)
 
-    def _from_data(self, simulator: Any, record: Trajectory, p: FloatArray) -> tuple[FloatArray, list[bool]]:
+    def from_data(self, simulator: Simulator, record: Trajectory, p: FloatArray) -> tuple[FloatArray, list[bool]]:
         """Return what a record tells about the states (N, nx), and which of them it tells."""
         hidden = signs_by_model(self, simulator, record, p)
         if hidden is not None:
             return hidden, [True] * hidden.shape[1]
         return data_states(simulator, record, p)
 
-    def _cut(self, simulator: Any, records: list[Trajectory], horizon: float | None) -> Windows:
+    def cut(self, simulator: Simulator, records: list[Trajectory], horizon: float | None) -> Windows:
         """Return the windows of records."""
         return Windows(simulator, records, horizon, self.weights)
 
-    def _fit_states(self, windows: Windows, p: FloatArray, x0: FloatArray, most: int) -> FloatArray:
+    def fit_states(self, windows: Windows, p: FloatArray, x0: FloatArray, most: int) -> FloatArray:
         """Return initial states (W, nx) fitted with the parameters held."""
         return minimise_states(windows, p, x0, most)

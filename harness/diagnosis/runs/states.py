@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.runs.fitted import Fitted
+from harness.diagnosis.runs.windowed import WindowedForm
+from harness.diagnosis.systems import AnySystem
 from harness.physics.levenberg import minimise
 from harness.physics.windows import Windows
 from harness.signals import FloatArray
@@ -21,14 +23,14 @@ PER_RECORD = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
 """Parameters that belong to a record: refitted on validation."""
 
 
-def on_validation(form: Any, system: Any, record: Mapping[str, Any]) -> dict[str, Any]:
+def on_validation(form: WindowedForm, system: AnySystem, record: Mapping[str, Any]) -> dict[str, Any]:
     """Return the initial states of the validation windows, and what belongs to the record refitted there."""
     records = form.records["validation"]
     if not records:
         return {"x0_validation": [], "refitted": {}}
     p = system.vector(record["values"])
-    windows = form._windows(system, p, "validation")
-    x0 = windows.starts_from([form._from_data(windows.simulator, run, p)[0] for run in records])
+    windows = form.windows(system, p, "validation")
+    x0 = windows.starts_from([form.from_data(windows.simulator, run, p)[0] for run in records])
     x0 = settled_states(form, system, p, "validation", windows, x0)
     own = {placed.name(name) for placed in system.effects for name in PER_RECORD.get(placed.effect.name, ())}
     own = {name for name in own if not system.parameter(name).fixed}
@@ -46,7 +48,7 @@ def on_validation(form: Any, system: Any, record: Mapping[str, Any]) -> dict[str
     return {"x0_validation": x0.tolist(), "refitted": refitted}
 
 
-def _own_starts(form: Any, system: Any, p: FloatArray, own: set[str], samples: int) -> list[FloatArray]:
+def _own_starts(form: WindowedForm, system: AnySystem, p: FloatArray, own: set[str], samples: int) -> list[FloatArray]:
     """Return several starts for phases and instants of change."""
     starts = []
     for part in (0.0, 0.25, 0.5, 0.75):
@@ -58,23 +60,26 @@ def _own_starts(form: Any, system: Any, p: FloatArray, own: set[str], samples: i
     return starts
 
 
-def settled_states(form: Any, system: Any, p: FloatArray, use: str, windows: Windows, x0: FloatArray) -> FloatArray:
+def settled_states(
+    form: WindowedForm, system: AnySystem, p: FloatArray, use: str, windows: Windows, x0: FloatArray
+) -> FloatArray:
     """Return fitted initial states (W, nx), found over short windows first where the windows are long."""
     records = list(form.records[use])
     longest = max(last - first for _, first, last in windows.places) * form.sample_time
     short = max(longest / 8, 50 * form.sample_time)
     if short < 0.6 * longest:
-        first = form._cut(windows.simulator, records, short)
-        states = [form._from_data(windows.simulator, run, p)[0] for run in records]
-        settled = form._fit_states(first, p, first.starts_from(states), 8)
+        first = form.cut(windows.simulator, records, short)
+        states = [form.from_data(windows.simulator, run, p)[0] for run in records]
+        settled = form.fit_states(first, p, first.starts_from(states), 8)
         kept = first.together(first.evaluate(p, settled, keep=True).states)
         better = windows.starts_from(kept)
         x0 = np.where(np.isfinite(better), better, x0)
-    fitted: FloatArray = form._fit_states(windows, p, x0, 25)
-    return fitted
+    return form.fit_states(windows, p, x0, 25)
 
 
-def carried_states(form: Any, system: Any, p: FloatArray, windows: Windows, x0: FloatArray) -> FloatArray:
+def carried_states(
+    form: WindowedForm, system: AnySystem, p: FloatArray, windows: Windows, x0: FloatArray
+) -> FloatArray:
     """Return initial states (W, nx) of validation windows with the hidden ones handed on from window to window.
 
     They start where their effects say, and are carried over the seams by how far they are from there (a twist, a bent
@@ -106,13 +111,13 @@ def carried_states(form: Any, system: Any, p: FloatArray, windows: Windows, x0: 
     return result
 
 
-def state_bases(form: Any, base: Fitted, use: str) -> tuple[list[FloatArray], list[tuple[int, int, int]]]:
+def state_bases(form: WindowedForm, base: Fitted, use: str) -> tuple[list[FloatArray], list[tuple[int, int, int]]]:
     """Return for each window an orthonormal basis of what its initial state can do, and the windows; found once."""
     cache: dict[str, Any] = base.__dict__.setdefault("_state_bases", {})
     if use not in cache:
         system = base.system
         p = system.vector({**base.values, **(base.refitted if use != "estimation" else {})})
-        windows = form._windows(system, p, use)
+        windows = form.windows(system, p, use)
         key = "x0" if use == "estimation" else "x0_validation"
         x0 = np.array(base.record[key], dtype=float).reshape(len(windows), system.nx)
         lefts = []

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 
+from harness.diagnosis.systems import AnySystem, Parametrised
 from harness.effects.effect import Placed
 from harness.physics.likelihood import interval
 from harness.signals import FloatArray
 
-__all__ = ["Begun", "Column", "Fit", "Form", "Linearised", "Suspect"]
+__all__ = ["DRIFT", "Begun", "Column", "Fit", "Form", "Linearised", "Suspect"]
+
+DRIFT = ", changing with time"
+"""How the name of an axis ends whose force drifts through every record."""
 
 
 def _untold(placed: Placed) -> float:
@@ -27,7 +31,7 @@ class Fit:
     Attributes
     ----------
     effects : tuple of Placed
-    system : System
+    system : Parametrised
         The nominal one with the effects.
     values : dict
         All parameters by full name.
@@ -60,7 +64,7 @@ class Fit:
     """
 
     effects: tuple[Placed, ...]
-    system: Any
+    system: Parametrised
     values: dict[str, float]
     free: tuple[str, ...]
     count: int
@@ -74,6 +78,11 @@ class Fit:
     detail: Any = field(default=None, repr=False)
     beyond: bool = False
     change: Callable[[Placed], float] = field(default=_untold, repr=False)
+
+    @property
+    def model(self) -> AnySystem:
+        """The system of a fit to whole records, which has inputs, outputs and states beside its parameters."""
+        return cast(AnySystem, self.system)
 
     @property
     def samples(self) -> int:
@@ -124,7 +133,7 @@ class Linearised:
     The first columns belong to the parameters ``names``, which the validation records share; the others to initial
     states, which every record has for itself. ``spread`` (shared, k) is a square root of the covariance of the
     parameters, and ``moved`` (k,) how far along it they went for the validation records, see
-    :func:`harness.diagnosis.search.predictive.predictive`; without them, the parameters stay those of the estimation
+    :func:`harness.diagnosis.forms.predictive.predictive`; without them, the parameters stay those of the estimation
     records.
     """
 
@@ -168,8 +177,8 @@ class Form(Protocol):
     """A way to give data a likelihood under a model with effects."""
 
     @property
-    def nominal(self) -> Any:
-        """The nominal system."""
+    def nominal(self) -> Parametrised:
+        """The nominal model."""
         ...
 
     def begin(

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.policy import POLICY, Policy
-from harness.diagnosis.search.directions import DRIFT
-from harness.diagnosis.search.fit import Column, Fit, Form, Linearised
+from harness.diagnosis.search.fit import DRIFT, Column, Fit, Form, Linearised
 from harness.diagnosis.search.score_test import projected
 from harness.signals import FloatArray
 

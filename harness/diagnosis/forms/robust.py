@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from harness.diagnosis.search.coloured import LONGEST, Before, fitted_error
+from harness.diagnosis.search.fit import Fit
+from harness.physics.kalman_pass import Filtered
 from harness.signals import FloatArray
 
-__all__ = ["robust_covariance"]
+__all__ = ["coloured_deviations", "robust_covariance"]
 
 
 def robust_covariance(
@@ -63,3 +66,37 @@ def robust_covariance(
     scale = np.sqrt(np.maximum(np.diag(bread), 1e-300))
     inverse = np.linalg.pinv(bread / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
     return np.asarray(inverse @ (0.5 * (meat + meat.T)) @ inverse)
+
+
+def coloured_deviations(fit: Fit, paths: Sequence[Filtered], order: int, floor: FloatArray) -> Fit:
+    """Return a fit with deviations for a coloured error of its free runs.
+
+    Parameters
+    ----------
+    fit : Fit
+    paths : sequence of Filtered
+        Its free runs along the estimation records, with derivatives by what is free and by initial states.
+    order : int
+        Coefficients of the autoregression.
+    floor : array (ny,)
+        Smallest deviations.
+    """
+    count = len(fit.free)
+    own = paths[0].j.shape[2] - count if paths[0].j is not None else 0
+    wide = []
+    for number, passed in enumerate(paths):
+        j = np.zeros((*passed.e.shape, count + own * len(paths)))
+        assert passed.j is not None
+        j[..., :count] = passed.j[..., :count]
+        j[..., count + number * own : count + (number + 1) * own] = passed.j[..., count:]
+        wide.append(j)
+    keep = [k for k in range(wide[0].shape[2]) if k >= count or fit.deviations[fit.free[k]] > 0]
+    parts = [part[..., keep] for part in wide]
+    covariance = robust_covariance([passed.e for passed in paths], parts, order, floor)
+    deviations = dict(fit.deviations)
+    for k, column in enumerate(keep):
+        if column < count and np.isfinite(fit.deviations[fit.free[column]]):
+            name = fit.free[column]
+            size = abs(fit.values[name]) if name in fit.logarithmic else 1.0
+            deviations[name] = float(np.sqrt(max(covariance[k, k], 0.0)) / max(size, 1e-300))
+    return replace(fit, deviations=deviations)

@@ -6,25 +6,27 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
 
+from harness.diagnosis.forms.hats import hat_basis, joint_basis
 from harness.diagnosis.policy import EFFORT
-from harness.diagnosis.search.hats import hat_basis, joint_basis
+from harness.diagnosis.search.fit import DRIFT
+from harness.diagnosis.systems import AnySystem
 from harness.effects.along import Signals
-from harness.effects.columns import column_blocks
+from harness.effects.columns import ColumnBlock, column_blocks
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.effects.places import port_of
 from harness.effects.sampled import delay
 from harness.errors import HarnessError
 from harness.physics.kalman_pass import Pass
+from harness.physics.system import System
 from harness.signals import FloatArray, Trajectory
 
 __all__ = [
-    "DRIFT",
     "Along",
     "Direction",
     "Trace",
@@ -38,9 +40,6 @@ __all__ = [
     "spline_directions",
     "test_functions",
 ]
-
-DRIFT = ", changing with time"
-"""How the name of an axis ends whose force drifts through every record."""
 
 
 class Along(Protocol):
@@ -100,7 +99,7 @@ class Direction:
 
 def directions(
     traces: Mapping[str, Sequence[Trace]],
-    nominal: Any,
+    nominal: System,
     values: Mapping[str, float],
     candidates: Sequence[Placed],
     sizes: Mapping[str, Mapping[str, float]],
@@ -127,7 +126,7 @@ def directions(
 
 def line_directions(
     traces: Mapping[str, Sequence[Trace]],
-    nominal: Any,
+    nominal: System,
     values: Mapping[str, float],
     line: Placed,
     sizes: Mapping[str, Mapping[str, float]],
@@ -145,7 +144,7 @@ def _finite(direction: Direction) -> bool:
     return all(np.isfinite(part).all() for part in parts)
 
 
-def signals_of(trace: Trace, nominal: Any) -> Signals:
+def signals_of(trace: Trace, nominal: System) -> Signals:
     """Return the smoothed motion of a mechanical system; accelerations with the latent force in them."""
     q = trace.x[:, [c.q for c in nominal.coordinates]]
     v = trace.x[:, [c.v for c in nominal.coordinates]]
@@ -171,8 +170,8 @@ def _nothing(traces: Mapping[str, Sequence[Along]], width: int, k: int) -> dict[
 
 def _forces(
     traces: Mapping[str, Sequence[Trace]],
-    signals: Mapping[str, Sequence[Any]],
-    nominal: Any,
+    signals: Mapping[str, Sequence[Signals]],
+    nominal: System,
     known: Mapping[str, float],
     placed: Placed,
     sizes: Mapping[str, Mapping[str, float]],
@@ -195,8 +194,8 @@ def _forces(
 
 def _blocks(
     traces: Mapping[str, Sequence[Trace]],
-    signals: Mapping[str, Sequence[Any]],
-    nominal: Any,
+    signals: Mapping[str, Sequence[Signals]],
+    nominal: System,
     known: Mapping[str, float],
     placed: Placed,
     sizes: Mapping[str, Mapping[str, float]],
@@ -204,7 +203,7 @@ def _blocks(
 ) -> list[Direction]:
     """Return one direction for each block of columns; of a law with a phase, sine and cosine together."""
     choices = [placed.with_values({phase: angle}) for angle in (0.0, 0.5 * np.pi)] if phase else [placed]
-    made: list[dict[str, list[Any]]] = []
+    made: list[dict[str, list[list[ColumnBlock]]]] = []
     for choice in choices:
         made.append(
             {
@@ -275,7 +274,7 @@ def choices(placed: Placed, at: Mapping[str, float]) -> list[tuple[dict[str, flo
 
 def reading_directions(
     traces: Mapping[str, Sequence[Along]],
-    nominal: Any,
+    nominal: AnySystem,
     placed: Placed,
     sizes: Mapping[str, Mapping[str, float]],
     *,
@@ -313,7 +312,7 @@ def reading_directions(
 
 
 def _waves_of_readings(
-    traces: Mapping[str, Sequence[Along]], nominal: Any, placed: Placed, row: int, ports: int
+    traces: Mapping[str, Sequence[Along]], nominal: AnySystem, placed: Placed, row: int, ports: int
 ) -> list[Direction]:
     """Return the directions of an error that repeats along the reading itself: sine and cosine of every wave number."""
     angle = np.concatenate([trace.expected[:, row] for trace in traces["estimation"]])
@@ -343,7 +342,7 @@ def _sensor(placed: Placed, y: FloatArray, values: Mapping[str, float]) -> Float
 
 def _rates(
     traces: Mapping[str, Sequence[Trace]],
-    nominal: Any,
+    nominal: System,
     known: Mapping[str, float],
     placed: Placed,
     sizes: Mapping[str, Mapping[str, float]],
@@ -385,7 +384,7 @@ def _rates(
     return directions
 
 
-def input_behind(placed: Placed, trace: Along, nominal: Any, values: Mapping[str, float]) -> FloatArray:
+def input_behind(placed: Placed, trace: Along, nominal: AnySystem, values: Mapping[str, float]) -> FloatArray:
     """Return the inputs behind a block at one of them; hidden states by one step of Euler's method a sample."""
     column = [channel.name for channel in nominal.inputs].index(placed.at)
     u, dt = trace.record.u.copy(), trace.dt
@@ -406,7 +405,7 @@ def input_behind(placed: Placed, trace: Along, nominal: Any, values: Mapping[str
     return u
 
 
-def test_functions(traces: Mapping[str, Sequence[Trace]], nominal: Any) -> list[Direction]:
+def test_functions(traces: Mapping[str, Sequence[Trace]], nominal: System) -> list[Direction]:
     """Return test functions that are no effect: piecewise linear forces of one or two axes, at every port.
 
     The axes are every state and every input; of a coordinate also position with speed, and either with each input

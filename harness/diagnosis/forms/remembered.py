@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
-from harness.diagnosis.search.likelihood_form import LikelihoodForm
 from harness.diagnosis.store import Store, fingerprint
+from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import Placed
 
 __all__ = ["Remembered"]
@@ -21,12 +21,12 @@ class Remembered:
 
     Parameters
     ----------
-    form : LikelihoodForm
+    form : WholeForm
     folder : Path, optional
         Nothing is kept without one.
     """
 
-    def __init__(self, form: LikelihoodForm, folder: Path | None) -> None:
+    def __init__(self, form: WholeForm, folder: Path | None) -> None:
         self.form = form
         system = form.nominal
         identity = fingerprint(form.dataset, model=str(system), parameters=str(system.parameters))
@@ -34,7 +34,7 @@ class Remembered:
         self._number: dict[str, int] = {}
 
     @property
-    def nominal(self) -> Any:
+    def nominal(self) -> AnySystem:
         """See :class:`harness.diagnosis.search.fit.Form`, also below."""
         return self.form.nominal
 

@@ -8,9 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from harness.diagnosis.policy import Policy
+from harness.diagnosis.search.fit import Fit
+from harness.errors import FitError
+from harness.physics.likelihood import Likelihood, LikelihoodFit
 from harness.signals import FloatArray
 
-__all__ = ["Apart"]
+__all__ = ["Apart", "apart"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,3 +61,39 @@ class Apart:
             "the validation records want other parameters than the estimation records (log-likelihood "
             f"{self.gain:.0f} higher{moved}): another machine, another load, or something that changes between records"
         )
+
+
+def apart(likelihood: Likelihood, fit: Fit) -> Apart | None:
+    """Return how much likelier the validation records are with parameters of their own; None if that diverges.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Of the validation records.
+    fit : Fit
+    """
+    point = fit.detail.points["validation"]
+    try:
+        before = likelihood.filtered(point)
+        after = likelihood.maximise(point, exact=False)
+    except (FitError, ArithmeticError, np.linalg.LinAlgError):
+        return None
+    if before is None:
+        return None
+    gains = [passed.terms - own for passed, own in zip(before, after.terms, strict=True)]
+    moved = _moved(fit, after)
+    farthest = max(moved, key=lambda name: moved[name], default="")
+    return Apart(float(sum(gain.sum() for gain in gains)), gains, farthest, after.parameters.get(farthest, np.nan))
+
+
+def _moved(fit: Fit, after: LikelihoodFit) -> dict[str, float]:
+    """Return how far the parameters moved, in standard deviations of both."""
+    moved = {}
+    for name in fit.free:
+        spread = float(np.hypot(fit.deviations[name], after.deviation(name) if name in after.names else 0.0))
+        change = after.parameters[name] - fit.values[name]
+        if name in fit.logarithmic:
+            change = float(np.log(max(after.parameters[name], 1e-300) / max(fit.values[name], 1e-300)))
+        if 0 < spread < np.inf:
+            moved[name] = abs(change) / spread
+    return moved

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from harness.diagnosis.search.directions import Trace, signals_of
+from harness.diagnosis.forms.directions import Trace, signals_of
+from harness.physics.system import System
 
 __all__ = ["lightened"]
 
@@ -19,7 +19,7 @@ _FARTHEST = 5.0
 
 
 def lightened(
-    traces: Sequence[Trace], nominal: Any, values: Mapping[str, float], free: Sequence[str], at: str, inertia: float
+    traces: Sequence[Trace], nominal: System, values: Mapping[str, float], free: Sequence[str], at: str, inertia: float
 ) -> dict[str, float]:
     """Return values of free parameters with which a plant is lighter by an inertia and moves alike otherwise.
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.search.directions import Trace
+from harness.diagnosis.forms.directions import Trace
 from harness.physics.rollout_code import Functions
 from harness.physics.sampled import SampledBlocks
+from harness.physics.system import System
 from harness.signals import FloatArray
 
 __all__ = ["changed_share"]
@@ -18,7 +18,7 @@ _LOOKED_AT = 1000
 """Samples of a record, evenly spread, from which one step is made with and without the effect: an rms needs no more."""
 
 
-def changed_share(traces: Sequence[Trace], whole: Any, less: Any, rows: Sequence[int]) -> float:
+def changed_share(traces: Sequence[Trace], whole: System, less: System, rows: Sequence[int]) -> float:
     """Return what a part of a model changes, over all that happens: of the largest, rates or readings.
 
     From each smoothed state one sample is simulated with and without the part. The rms of the difference stands over
@@ -54,7 +54,7 @@ def changed_share(traces: Sequence[Trace], whole: Any, less: Any, rows: Sequence
     return max(_ratio(apart, moved), _ratio(off, read))
 
 
-def _stepped(trace: Trace, system: Any, x: FloatArray, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _stepped(trace: Trace, system: System, x: FloatArray, p: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the states one sample later, from evenly spread ones of a record's (K, nx), and its readings (K, ny)."""
     functions, sampled = Functions(system), SampledBlocks(system, trace.dt)
     simulator = trace.passes.simulator

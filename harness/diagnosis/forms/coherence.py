@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from harness.diagnosis.search.directions import Direction
+from harness.diagnosis.forms.directions import Direction
 from harness.diagnosis.search.fit import Column, Linearised
 from harness.diagnosis.search.leftover import largest_evidence
 from harness.signals import FloatArray

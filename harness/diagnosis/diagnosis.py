@@ -1,0 +1,123 @@
+"""What a diagnosis found out: the answer, how far it goes, and what it rests on."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, field
+
+from harness.diagnosis.forms.apart import Apart
+from harness.diagnosis.forms.form import WholeForm
+from harness.diagnosis.policy import PLAN_POLICY, Policy
+from harness.diagnosis.runs.compare import FreeRuns
+from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.leftover import Leftover
+from harness.diagnosis.search.rounds import Outcome
+from harness.diagnosis.search.score_test import Lead, ScoreTest
+from harness.diagnosis.stand_in import stand_in_reasons
+from harness.diagnosis.systems import AnySystem
+from harness.signals import Dataset
+
+__all__ = ["Diagnosis"]
+
+
+@dataclass(eq=False)
+class Diagnosis:
+    """Everything that one diagnosis found out, for the reports."""
+
+    dataset: Dataset
+    system: AnySystem
+    form: WholeForm
+    outcome: Outcome
+    leftover: Leftover
+    runs: FreeRuns
+    misfit: tuple[str, ...]
+    policy: Policy
+    warnings: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+    apart: Apart | None = None
+    doubtful: bool = False
+    """True where a unit may be wrong, though the model fits as it is."""
+
+    @property
+    def nominal(self) -> Fit:
+        """The nominal model at its maximum."""
+        return self.outcome.nominal
+
+    @property
+    def final(self) -> Fit:
+        """The model with the accepted effects (the nominal one if none was accepted)."""
+        return self.outcome.model
+
+    @property
+    def test(self) -> ScoreTest:
+        """The dictionary against the nominal model: what this experiment can show, and tell apart."""
+        return self.outcome.rounds[0].test
+
+    @property
+    def not_visible(self) -> list[Lead]:
+        """Effects that the nominal parameters and initial states can do as well: these data do not show them."""
+        first = self.outcome.rounds[0].candidates
+        shown = {
+            candidate.name
+            for candidate in first
+            if candidate.comparison and candidate.comparison.evidence >= self.policy.evidence
+        }
+        shown |= {str(accepted.placed) for accepted in self.outcome.accepted}
+        faint = [lead for lead in self.test.leads if lead.share < PLAN_POLICY.visible and str(lead.placed) not in shown]
+        return sorted([*self.test.hidden, *faint], key=lambda lead: str(lead.placed))
+
+    @property
+    def verdict(self) -> str:
+        """See diagnosis: model_does_not_fit, effects_found, unexplained, nothing_missing."""
+        if self.misfit:
+            return "model_does_not_fit"
+        if self.outcome.accepted:
+            return "effects_found"
+        return "unexplained" if self.incomplete else "nothing_missing"
+
+    @property
+    def incomplete(self) -> bool:
+        """True where something is left: that could be predicted, that no effect takes away, or between the uses."""
+        left = self.leftover.best is not None or self.latent_share > self.policy.large
+        refused = not self.outcome.accepted and self.outcome.promised(self.policy) is not None
+        return left or refused or bool(self.outcome.withdrawn) or self.disagree
+
+    @property
+    def disagree(self) -> bool:
+        """True where the validation records want other parameters than the estimation records."""
+        return self.apart is not None and self.apart.matters(self.policy)
+
+    @property
+    def grade(self) -> str:
+        """How much of the motion the final model explains over the horizon, and whether more could be predicted."""
+        if self.misfit:
+            return "does_not_fit"
+        if self.incomplete:
+            return "proxy_or_incomplete"
+        quiet = self.latent_share <= self.policy.disturbed and not self.runs.worse(self.policy)
+        good = quiet and self.runs.left <= self.policy.explained and not (self.stand_in or self.doubtful)
+        return "explained" if good else "mostly_explained"
+
+    @property
+    def structure_fits(self) -> bool:
+        """False where the final model lacks something that could be predicted: its intervals do not count that."""
+        return self.grade in ("explained", "mostly_explained")
+
+    @property
+    def latent_share(self) -> float:
+        """Size of the latent force of the final model over the typical force, the largest of all ports."""
+        noise = self.final.detail.points["estimation"].noise
+        size = (noise.s**2 + noise.w**2) ** 0.5 / self.form.noise_model.force_scale
+        return float(size.max(initial=0.0))
+
+    @functools.cached_property
+    def stand_in(self) -> tuple[str, ...]:
+        """Why accepted effects imitate something that is not in the dictionary; empty if nothing says so."""
+        best = self.leftover.best
+        reasons = stand_in_reasons(
+            [accepted.placed for accepted in self.outcome.accepted], None if best is None else best.name
+        )
+        unlawful = self.outcome.unlawful(self.policy) if self.outcome.accepted else None
+        if unlawful is None:
+            return reasons
+        return (*reasons, f"{unlawful.name} explains the records better, with values that its own physics forbids")

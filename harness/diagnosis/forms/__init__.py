@@ -1,0 +1,1 @@
+"""The likelihood as a form of the search, and what only that form needs."""

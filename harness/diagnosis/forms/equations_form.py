@@ -1,0 +1,201 @@
+"""The likelihood of a system given by its equations: compiled, with latent forces or by free runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from harness.diagnosis.forms.changed import changed_share
+from harness.diagnosis.forms.coherence import in_parts, wandering
+from harness.diagnosis.forms.directions import Direction, Trace, directions, line_directions, test_functions
+from harness.diagnosis.forms.innovations import answered
+from harness.diagnosis.forms.lightened import lightened
+from harness.diagnosis.forms.likelihood_form import USES, Detail, LikelihoodForm
+from harness.diagnosis.forms.suspects import hidden
+from harness.diagnosis.policy import EFFORT, POLICY
+from harness.diagnosis.records.prepare import sizes_of
+from harness.diagnosis.search.fit import Begun, Column, Fit, Suspect
+from harness.diagnosis.systems import by_equations
+from harness.effects.compose import compose, moving, recommended_substeps
+from harness.effects.effect import Placed
+from harness.effects.places import port_of
+from harness.physics.kalman_pass import Filtered, KalmanPass, Pass
+from harness.physics.latent import with_latent_forces, without_latent_forces
+from harness.physics.likelihood import Point
+from harness.physics.likelihood_fit import first_state, force_scale
+from harness.physics.simulator import default_substeps
+from harness.physics.smoother import Smoothed, smoothed
+from harness.physics.start import first_values
+from harness.physics.system import System
+from harness.signals import FloatArray, Trajectory
+
+__all__ = ["EquationsForm"]
+
+_FAR = 2.0
+"""Factor between typical forces, as declared and as fitted, beyond which a fit is made anew."""
+
+
+class EquationsForm(LikelihoodForm[System]):
+    """Fits a system with effects; see :class:`harness.diagnosis.forms.likelihood_form.LikelihoodForm`.
+
+    Equations of motion have a latent force each. A process has none, so free runs are compared: a latent force on every
+    rate, those of unmeasured levels among them, could do whatever a missing law does. What is estimated is then what
+    makes the free run nearest, and intervals count that its error is coloured.
+    """
+
+    def judges(self, placed: Placed) -> bool:
+        """Return True: every effect can be judged by its equations."""
+        return True
+
+    def has_latent_forces(self) -> bool:
+        """Return False for output error."""
+        return bool(self.nominal.coordinates)
+
+    def force_scale(self, values: Mapping[str, float] | None = None) -> FloatArray:
+        """Return the typical force on every coordinate, of declared parameters or others; none for output error."""
+        if not self.latent:
+            return np.zeros(0)
+        return force_scale(self.nominal, self.records["estimation"], self.dataset.intersample, values)
+
+    def composed(self, effects: Sequence[Placed]) -> System:
+        """Return the nominal system with effects."""
+        return compose(self.nominal, list(effects), sizes=self.sizes) if effects else self.nominal
+
+    def substeps(self, system: System, values: Mapping[str, float]) -> int:
+        """Return the steps of the solver within a sample."""
+        return max(
+            default_substeps(system, self.dt, system.vector(values)),
+            recommended_substeps(system, values, self.dt, x=moving(system, self.sizes)),
+        )
+
+    def passes(self, system: System, substeps: int) -> Pass:
+        """Return the filter of a system."""
+        disturbed = with_latent_forces(system) if self.latent else without_latent_forces(system)
+        return KalmanPass(disturbed, self.dt, intersample=self.dataset.intersample, substeps=substeps)
+
+    def first_state(self, system: System, record: Trajectory, p: FloatArray) -> FloatArray:
+        """Return the initial state that a record tells, (nx,)."""
+        return first_state(system, record, p, self.dataset.intersample)
+
+    def smooth(self, passed: Filtered) -> Smoothed:
+        """Return the states given the whole record."""
+        return smoothed(passed)
+
+    def first_starts(self) -> list[dict[str, float]]:
+        """Return parameters to start the nominal fit from: as declared, and where equation errors are least."""
+        system = self.nominal
+        free = np.array([not parameter.fixed for parameter in system.parameters], dtype=bool)
+        vectors = first_values(
+            system, self.records["estimation"], system.values(), free, set(), self.dataset.intersample
+        )
+        return [dict(zip(system.parameter_names, map(float, vector), strict=True)) for vector in vectors]
+
+    def resize(self, nominal: Fit) -> bool:
+        """Take the sizes of forces and of unmeasured levels from the nominal fit: effects start from them.
+
+        The noise is bounded by them as well. True where declared parameters were so far off that a fit must be made
+        anew within the new bounds.
+        """
+        sizes = {port: dict(size) for port, size in sizes_of(self.nominal, nominal.values, self.dataset).items()}
+        _, smooth = self.paths(nominal, "estimation")
+        x = np.concatenate([motion.x for motion in smooth])
+        names = [channel.name for channel in self.nominal.states]
+        for port in self.nominal.ports:
+            if port.kind == "process":
+                level = float(np.sqrt(np.mean(x[:, names.index(port.name)] ** 2)))
+                sizes.setdefault(port.name, {})["x"] = level
+        self.sizes = sizes
+        if not self.latent:
+            return False
+        old, scale = self.noise_model.force_scale, self.force_scale(nominal.values)
+        self.noise_model = replace(self.noise_model, force_scale=scale)
+        return bool((np.maximum(scale / old, old / scale) > _FAR).any())
+
+    # ---- what the score test needs -----------------------------------------------------------------------------------
+
+    def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        traces = self._traces(fit, ("estimation",))
+        return self._answered(fit, directions(traces, self.nominal, fit.values, candidates, self.sizes))
+
+    def test_functions(self, fit: Fit) -> list[Column]:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+        return self._answered(fit, test_functions(self._traces(fit, USES), self.nominal))
+
+    def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
+        """See :class:`harness.diagnosis.search.fit.Form`: hidden resonances and play besides."""
+        point: Point = base.detail.points["estimation"] if rival is None else rival.detail[3][0].point
+        noise = point.noise
+        left = np.sqrt(noise.s**2 + noise.w**2) / self.noise_model.force_scale
+        common = super().suspects(base, rival, candidates)
+        if not left.max(initial=0.0) > EFFORT.negligible:
+            return common
+        lighter: dict[tuple[str, float], dict[str, float]] = {}
+        return [
+            *hidden(self.nominal, self.sizes, candidates,
+                    lambda placed, start: self._lightened(base, placed, start, lighter)),
+            *common,
+        ]  # fmt: skip
+
+    def _lightened(
+        self, base: Fit, placed: Placed, start: Mapping[str, float], known: dict[tuple[str, float], dict[str, float]]
+    ) -> dict[str, float]:
+        """Return the nominal parameters that leave a motor's inertia out of what it drives; ``known`` is added to.
+
+        The nominal fit holds both. Left as it is, the plant is too heavy by the motor, and a fit makes that small.
+        """
+        inertias = [
+            start[placed.name(parameter.name)] for parameter in placed.effect.parameters if parameter.unit == "F/a"
+        ]
+        if not inertias:
+            return {}
+        key = placed.at, sum(inertias)
+        if key not in known:
+            free = [name for name in base.free if name in self.nominal.parameter_names]
+            traces = self._traces(base, USES[:1])[USES[0]]
+            known[key] = lightened(traces, self.nominal, base.values, free, *key)
+        return known[key]
+
+    def change(self, fit: Fit, placed: Placed) -> float:
+        """Return how much an effect changes of rates or readings along the estimation records, as a share of them."""
+        whole = fit.model
+        assert by_equations(whole)
+        less = self.composed([other for other in fit.effects if str(other) != str(placed)])
+        rates = [coordinate.v for coordinate in self.nominal.coordinates] or range(self.nominal.nx)
+        return changed_share(self._traces(fit, USES[:1])["estimation"], whole, less, list(rates))
+
+    def _wandering(self, fit: Fit, placed: Placed) -> float:
+        """Return the evidence that the amplitude and the phase of a line change along the records."""
+        line = placed.with_values({"omega": fit.values[placed.name("omega")]})
+        waves = line_directions(self._traces(fit, USES), self.nominal, fit.values, line, self.sizes)
+        pieces = [piece for wave in waves for piece in in_parts(wave, POLICY.line_parts)]
+        return wandering(self.linearised(fit), self._answered(fit, pieces)) if pieces else 0.0
+
+    def _traces(self, fit: Fit, uses: Sequence[str]) -> dict[str, list[Trace]]:
+        """Return the smoothed motion of every record of some uses."""
+        detail: Detail = fit.detail
+        if self.latent:
+            ports = tuple(force.port for force in detail.passes.forces)
+        else:
+            ports = tuple(state.name for state in self.nominal.states)
+        traces: dict[str, list[Trace]] = {}
+        for use in uses:
+            _, smooth = self.paths(fit, use)
+            traces[use] = [
+                Trace(record, motion.x, detail.passes, detail.points[use].p, ports)
+                for record, motion in zip(self.records[use], smooth, strict=True)
+            ]
+        return traces
+
+    def _held(self, placed: Placed | None) -> bool:
+        """Return True for a law without memory at an input that is held between samples: its force is held too."""
+        if placed is None or port_of(self.nominal, placed).kind != "input" or self.dataset.intersample != "zoh":
+            return False
+        return not (placed.effect.states or placed.effect.sampled)
+
+    def _answered(self, fit: Fit, asked: Sequence[Direction]) -> list[Column]:
+        """Return the columns of directions."""
+        paths = {use: self.paths(fit, use)[0] for use in (asked[0].forces if asked else ())}
+        return answered(asked, paths, self._held, None if self.latent else self.dt)

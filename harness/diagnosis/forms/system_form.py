@@ -1,0 +1,78 @@
+"""What a form does in its own way for each kind of system: built, simulated, smoothed, asked for columns."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Generic
+
+import numpy as np
+
+from harness.diagnosis.search.fit import Column, Fit
+from harness.diagnosis.systems import SystemT
+from harness.effects.effect import Placed
+from harness.physics.kalman_pass import Filtered, Pass
+from harness.physics.smoother import Smoothed
+from harness.signals import FloatArray, Trajectory
+
+__all__ = ["SystemForm"]
+
+
+class SystemForm(ABC, Generic[SystemT]):
+    """What :class:`harness.diagnosis.forms.likelihood_form.LikelihoodForm` leaves to each kind of system."""
+
+    @abstractmethod
+    def judges(self, placed: Placed) -> bool:
+        """Return True for an effect that can be judged with such a model."""
+
+    @abstractmethod
+    def has_latent_forces(self) -> bool:
+        """Return False for output error."""
+
+    def force_scale(self, values: Mapping[str, float] | None = None) -> FloatArray:
+        """Return the typical force at every latent one, of declared parameters or others; none for output error."""
+        return np.zeros(0)
+
+    @abstractmethod
+    def composed(self, effects: Sequence[Placed]) -> SystemT:
+        """Return the nominal model with effects."""
+
+    @abstractmethod
+    def substeps(self, system: SystemT, values: Mapping[str, float]) -> int:
+        """Return the steps of the solver within a sample."""
+
+    @abstractmethod
+    def passes(self, system: SystemT, substeps: int) -> Pass:
+        """Return the filter of a model."""
+
+    @abstractmethod
+    def first_state(self, system: SystemT, record: Trajectory, p: FloatArray) -> FloatArray:
+        """Return the initial state that a record tells, (nx,)."""
+
+    @abstractmethod
+    def smooth(self, passed: Filtered) -> Smoothed:
+        """Return the states given the whole record."""
+
+    @abstractmethod
+    def first_starts(self) -> list[dict[str, float]]:
+        """Return parameters to start the nominal fit from."""
+
+    @abstractmethod
+    def resize(self, nominal: Fit) -> bool:
+        """Take the sizes from which effects start from the nominal fit; True where it must be made anew."""
+
+    @abstractmethod
+    def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+
+    @abstractmethod
+    def test_functions(self, fit: Fit) -> list[Column]:
+        """See :class:`harness.diagnosis.search.fit.Form`."""
+
+    @abstractmethod
+    def change(self, fit: Fit, placed: Placed) -> float:
+        """Return how much an effect changes of rates or readings along the estimation records, as a share of them."""
+
+    def _wandering(self, fit: Fit, placed: Placed) -> float:
+        """Return the evidence that the amplitude and the phase of a line change along the records."""
+        return 0.0

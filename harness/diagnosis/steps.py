@@ -1,0 +1,139 @@
+"""Steps of the closed loop, each by itself: the form to judge by, the nominal fit, candidates, free runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from harness.diagnosis.dictionary import placed
+from harness.diagnosis.forms.form import WholeForm
+from harness.diagnosis.forms.remembered import Remembered
+from harness.diagnosis.kinds import Kind
+from harness.diagnosis.policy import Policy
+from harness.diagnosis.records.columns_check import Doubt
+from harness.diagnosis.records.stretches import stretched, windowed
+from harness.diagnosis.runs.compare import FreeRuns, free_runs
+from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.leftover import Leftover, left_over
+from harness.diagnosis.search.rounds import Outcome
+from harness.diagnosis.systems import AnySystem
+from harness.effects.effect import Effect, Placed
+from harness.errors import FitError
+from harness.signals import Dataset
+
+__all__ = [
+    "Progress",
+    "Say",
+    "candidates_of",
+    "form_of",
+    "nominal_fit",
+    "taken_back",
+    "teller",
+    "what_free_runs_say",
+    "widened",
+]
+
+Progress = Callable[[float, str], None]
+WORSE = "with it the model runs further from the validation records than without, and something is left"
+MOVED = (
+    "Free runs of the validation records err more with the accepted effects than without them, though nothing is left "
+    "that could be predicted: an unknown force moves these runs more than the effects do, and one error may cancel "
+    "another by chance. What was accepted rests on the likelihood, one step ahead."
+)
+
+
+class Say(Protocol):
+    """Tells of the next step."""
+
+    def __call__(self, what: str, part: float | None = None) -> None:
+        """Tell what comes, and which part of all is done; without a part it moves on by itself."""
+
+
+def teller(progress: Progress | None) -> Say:
+    """Return what tells ``progress`` of every step."""
+    parts = iter(0.75 * (1.0 - 0.9**k) for k in range(1, 10_000))
+
+    def say(what: str, part: float | None = None) -> None:
+        if progress is not None:
+            progress(next(parts) if part is None else part, what)
+
+    return say
+
+
+def form_of(kind: Kind, system: AnySystem, dataset: Dataset, policy: Policy) -> tuple[WholeForm, list[str]]:
+    """Return the likelihood of the data, in stretches that are judged one by one, and warnings about these."""
+    judged = stretched(stretched(dataset), use="validation")
+    form = kind.form(system, judged)
+    if not form.latent:  # a plant that loses its start cannot be judged by whole free runs
+        horizon = kind.horizon(system, system.values(), judged)
+        form = kind.form(system, windowed(judged, horizon.seconds and policy.window * horizon.seconds))
+    return form, list(judged.warnings)
+
+
+def nominal_fit(remembered: Remembered, form: WholeForm, doubts: Sequence[Doubt]) -> Fit:
+    """Return the nominal model at its maximum, sizes of the form taken from there.
+
+    Raises
+    ------
+    FitError
+        If it cannot be simulated along the data.
+    """
+    nominal = remembered.fit((), form.first_starts(), None)
+    if nominal is None:
+        raise FitError(
+            f"the nominal model {form.nominal.name}",
+            expected="start values from which it can be simulated along the data",
+            got="a state that diverges",
+            remedy="; ".join(doubt.words for doubt in doubts)
+            or "check signs and units of the columns, or give start values nearer to the plant",
+        )
+    if form.resize(nominal):
+        nominal = remembered.fit((), [nominal.values], nominal) or nominal
+    return nominal
+
+
+def candidates_of(form: WholeForm, dictionary: Sequence[Effect] | None) -> tuple[list[Placed], list[str]]:
+    """Return the effects that the form can judge at the ports of the nominal model, and what is wrong with plug-ins."""
+    candidates, faults = placed(
+        form.nominal,
+        dictionary,
+        composed=lambda effects: form.composed(effects) if all(map(form.judges, effects)) else None,
+    )
+    return [candidate for candidate in candidates if form.judges(candidate)], faults
+
+
+def what_free_runs_say(
+    kind: Kind, form: WholeForm, outcome: Outcome, dataset: Dataset, policy: Policy, say: Say
+) -> tuple[FreeRuns, Leftover, list[str]]:
+    """Return free runs before and after, what is left of the final model, and warnings.
+
+    Accepted effects with which the model runs further from the data are taken back where something is left.
+    """
+    horizon = kind.horizon(form.nominal, outcome.nominal.values, dataset)
+
+    def run_freely() -> FreeRuns:
+        noise = outcome.model.detail.points["estimation"].noise.r
+        return free_runs(kind.runs(form, dataset, noise, horizon), horizon, outcome.nominal, outcome.model)
+
+    runs = run_freely()
+    say("what is left", 0.8)
+    leftover = left_over(form, outcome.model, policy)
+    if not runs.worse(policy):
+        return runs, leftover, []
+    if leftover.best is None:
+        return runs, leftover, [MOVED]
+    outcome.withdraw(WORSE)
+    return run_freely(), left_over(form, outcome.model, policy), []
+
+
+def widened(form: WholeForm, outcome: Outcome) -> None:
+    """Give the fits of an outcome deviations that count how their errors are coloured."""
+    same = outcome.model is outcome.nominal
+    outcome.nominal = form.with_deviations(outcome.nominal)
+    outcome.model = outcome.nominal if same else form.with_deviations(outcome.model)
+
+
+def taken_back(outcome: Outcome) -> list[str]:
+    """Return a warning about what was accepted and taken back."""
+    names = ", ".join(str(accepted.placed) for accepted in outcome.withdrawn)
+    return [f"{names}: likely by the likelihood and taken back: {WORSE}"] if names else []
