@@ -39,7 +39,8 @@ MOVED = (
     "another by chance. What was accepted rests on the likelihood, one step ahead."
 )
 DRY = frozenset({"coulomb_friction", "stribeck_friction", "asymmetric_friction", "hysteresis",
-                 "position_dependent_friction", "sublinear_friction"})  # fmt: skip
+                 "position_dependent_friction", "sublinear_friction",
+                 "yield_friction"})  # fmt: skip
 """Laws of the whole dry friction of a joint: a sum of two is neither."""
 
 

@@ -15,6 +15,7 @@ from harness.diagnosis.search.rounds import chosen
 from harness.diagnosis.search.score_test import score_test
 from harness.effects import builtin
 from harness.physics import load_model
+from harness.study.context import Context, Hidden
 from harness.study.plan import Task
 from harness.study.records import make_records
 
@@ -38,6 +39,32 @@ def test_what_imitates_other_effects_gets_its_own_name(effect: str, held: tuple[
     assert (found.verdict, found.grade) == ("effects_found", "explained")
     for name in held:
         assert found.final.values[f"{effect}.{name}"] == pytest.approx(records.hidden[0].named[name], rel=within)
+
+
+@pytest.mark.parametrize(
+    ("level", "root", "name"),
+    [
+        (0.03, 0.05, "yield_friction@theta"),
+        (0.0, 0.06, "sublinear_friction@theta"),
+        (0.06, 0.0, "coulomb_friction@theta"),
+    ],
+)
+def test_a_level_with_a_root_of_the_speed_is_one_law(
+    level: float, root: float, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sizes over the rms torque. A Stribeck friction that rises with the speed stood for both together."""
+
+    def both(_: str, at: str, __: str, context: Context, ___: np.random.Generator) -> Hidden:
+        named = {"Fc": level * context.torque(at), "Fr": root * context.torque(at), "a": 0.5}
+        return Hidden(name, at, {"Fp0": named["Fc"], "Fm0": named["Fc"], "root0": named["Fr"]}, named)
+
+    monkeypatch.setattr("harness.study.records.hide", both)
+    records = make_records(replace(TASK, engine="laws", effects=(name,)))
+    found = diagnose(records.dataset, load_model("pendulum"))
+    assert [str(one.placed) for one in found.outcome.accepted] == [name]
+    for key, value in records.hidden[0].named.items():
+        if f"{name}.{key}" in found.final.values:
+            assert found.final.values[f"{name}.{key}"] == pytest.approx(value, rel=0.15)
 
 
 def test_no_refit_starts_below_what_it_adds_to() -> None:
