@@ -1,7 +1,7 @@
 """Effects that act on several joints of an arm at once: payload, tilted base, wrong link, joint zero, elasticity.
 
-They are tested beside the friction that a joint could have by itself (dry, viscous, in proportion to its torque, a
-constant), so that friction is never mistaken for a payload and hides none. A wrong torque gain of one joint competes
+They are tested beside what a joint could have by itself: friction (dry, viscous, in proportion to its torque, a
+constant), and the inertia of its rotor. So neither is ever mistaken for a payload or a heavy link, and hides none. A wrong torque gain of one joint competes
 with them on equal terms: what it explains better is left to the search on that joint.
 """
 
@@ -26,7 +26,7 @@ from harness.signals import FloatArray
 
 __all__ = ["WideBalance", "WideResult", "own_columns", "wide_search"]
 
-OWN = ("dry", "viscous", "constant", "load", "clock")
+OWN = ("dry", "viscous", "constant", "load", "clock", "rotor")
 """Columns of each joint in :func:`own_columns`."""
 FRICTION = ("dry", "load")
 LEVEL = 0.02
@@ -210,9 +210,9 @@ class WideResult:
 
 
 def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
-    """Return what every joint could do by itself (N, n, 5 n).
+    """Return what every joint could do by itself (N, n, 6 n).
 
-    Sign of the speed, speed, 1, size of the torque times the sign, rate of the torque.
+    Sign of the speed, speed, 1, size of the torque times the sign, rate of the torque, acceleration.
 
     The rate stands for a torque that is recorded a fraction of a sample too late (tau - s tau'), and for the half
     step by which an integrator is late.
@@ -228,7 +228,7 @@ def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
     for k in range(n):
         v = run.motion.v[:, k]
         sign = np.tanh(v / level[k])
-        parts = (sign, v, np.ones(rows), np.abs(run.calm.u[:, k]) * sign, -run.first[:, k])
+        parts = (sign, v, np.ones(rows), np.abs(run.calm.u[:, k]) * sign, -run.first[:, k], run.calm.a[:, k])
         for place, column in enumerate(parts):
             result[:, k, len(OWN) * k + place] = column
     return result
