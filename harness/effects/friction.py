@@ -213,6 +213,12 @@ def position_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     formula="F = -(c1 q + c2 q^2) v",
     family=("viscous_friction", "position_dependent_friction", "load_dependent_friction", "quadratic_drag"),
     limits={"viscous_friction": "for a motion that stays at one place"},
+    requires_along={
+        # a twentieth of its largest is no drive: the estimate at the ends of the way is not better known
+        "with all that brakes the joint, the damping is nowhere negative over the motion": lambda p, q, damping: bool(
+            damping.min() >= -0.05 * abs(p["c1"] * q + p["c2"] * q**2).max()
+        )
+    },
     experiment="small fast swings about several places: the decay differs from place to place",
 )  # fmt: skip
 def position_dependent_damping(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:

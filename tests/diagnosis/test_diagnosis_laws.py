@@ -10,10 +10,13 @@ import pytest
 from harness.diagnosis import diagnose
 from harness.diagnosis.dictionary import placed
 from harness.diagnosis.kinds import Equations
+from harness.diagnosis.search.braking import braking
+from harness.diagnosis.search.compare import impossible
+from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Axis, Leftover
 from harness.diagnosis.search.rounds import chosen
 from harness.diagnosis.search.score_test import score_test
-from harness.effects import builtin
+from harness.effects import Placed, builtin, compose
 from harness.physics import load_model
 from harness.study.context import Context, Hidden
 from harness.study.plan import Task
@@ -65,6 +68,32 @@ def test_a_level_with_a_root_of_the_speed_is_one_law(
     for key, value in records.hidden[0].named.items():
         if f"{name}.{key}" in found.final.values:
             assert found.final.values[f"{name}.{key}"] == pytest.approx(value, rel=0.15)
+
+
+@pytest.mark.parametrize(("share", "allowed"), [(0.9, True), (1.2, False)])
+def test_a_damping_that_drives_somewhere_is_no_damping(share: float, allowed: bool) -> None:
+    """It falls by a share of what the joint has up to the ends of the way: by more than all, it would push."""
+    law = Placed(builtin()["position_dependent_damping"], "theta")
+    system = compose(load_model("pendulum"), [law])
+    ends, b = 1.5, system.values()["b"]
+    values = {**system.values(), law.name("c1"): 0.0, law.name("c2"): -share * b / ends**2}
+    q, v = ends * np.sin(np.arange(0, 6, 0.01)), ends * np.cos(np.arange(0, 6, 0.01))
+    fit = Fit((law,), system, values, (law.name("c2"),), 1, {}, {}, frozenset(), True, (),
+              braking=lambda at: braking(system, values, at, q, v))  # fmt: skip
+    assert any("nowhere negative over the motion" in text for text in impossible(law, fit)) != allowed
+    blind = replace(fit, braking=lambda at: None)
+    assert not impossible(law, blind)
+
+
+def test_a_damping_that_falls_along_the_way_is_named_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    def falling(name: str, at: str, _: str, context: Context, __: np.random.Generator) -> Hidden:
+        value = -0.5 * context.values["b0"] / float(np.abs(context.q(at)).max()) ** 2
+        return Hidden("position_dependent_damping", at, {"vdp0": value}, {"c1": 0.0, "c2": value})
+
+    monkeypatch.setattr("harness.study.records.hide", falling)
+    effect = "position_dependent_damping@theta"
+    found = diagnose(make_records(replace(TASK, engine="laws", effects=(effect,))).dataset, load_model("pendulum"))
+    assert [str(one.placed) for one in found.outcome.accepted] == [effect]
 
 
 def test_no_refit_starts_below_what_it_adds_to() -> None:

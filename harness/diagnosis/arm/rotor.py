@@ -30,7 +30,7 @@ SAME = 1e-4
     experiment="the same path at several speeds: the torque grows with the square of the speed, and gravity stays",
 )  # fmt: skip
 def rotor_inertia(f: Any, s: Any, p: Any, q: Any, v: Any, a: Any) -> Any:
-    """The rotor of the motor, geared up: it turns with its joint, wherever the arm carries it."""
+    """Rotor of the motor, geared up: it turns with its joint, wherever the arm carries it."""
     return -p.J * a
 
 

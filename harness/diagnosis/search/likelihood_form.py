@@ -14,6 +14,7 @@ from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.records.stretches import uncut
 from harness.diagnosis.records.unfold import HIDING, unfoldings
 from harness.diagnosis.search.apart import Apart
+from harness.diagnosis.search.braking import braking
 from harness.diagnosis.search.changed import changed_share
 from harness.diagnosis.search.coherence import in_parts, wandering
 from harness.diagnosis.search.directions import Direction, Trace, directions, line_directions, test_functions
@@ -399,7 +400,7 @@ class LikelihoodForm:
             detail=Detail({"estimation": best.point, "validation": expected.point}, passes, best, expected, told),
             beyond=best.beyond,
         )
-        fit = replace(fit, change=lambda placed: self.change(fit, placed))
+        fit = replace(fit, change=lambda placed: self.change(fit, placed), braking=lambda at: self._braking(fit, at))
         repeating = [placed for placed in effects if "phi" in OWN.get(placed.effect.name, ())]
         if not (self.latent and best.converged and repeating):  # elsewhere the innovations are coloured
             return fit
@@ -410,6 +411,12 @@ class LikelihoodForm:
         less = self.composed([other for other in fit.effects if str(other) != str(placed)])
         rates = [coordinate.v for coordinate in self.nominal.coordinates] or range(self.nominal.nx)
         return changed_share(self._traces(fit, USES[:1])["estimation"], fit.system, less, list(rates))
+
+    def _braking(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
+        """Return places along the motion of a coordinate, and the damping of all that brakes it there."""
+        row = self.nominal.coordinate(at)
+        x = np.concatenate([trace.x for trace in self._traces(fit, USES[:1])["estimation"]])
+        return braking(fit.system, fit.values, at, x[:, row.q], x[:, row.v])
 
     def _wandering(self, fit: Fit, placed: Placed) -> float:
         """Return the evidence that the amplitude and the phase of a line change along the records."""
