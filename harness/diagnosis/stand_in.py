@@ -9,7 +9,7 @@ from harness.effects.effect import Placed
 __all__ = ["DRY", "stand_in_reasons"]
 
 DRY = frozenset({"coulomb_friction", "stribeck_friction", "asymmetric_friction", "hysteresis",
-                 "position_dependent_friction", "sublinear_friction"})  # fmt: skip
+                 "position_dependent_friction", "sublinear_friction", "yield_friction"})  # fmt: skip
 """Laws of the whole dry friction of a joint: a sum of two is neither."""
 
 

@@ -14,10 +14,12 @@ import numpy as np
 from harness.effects.parameter import EffectParameter, par
 from harness.effects.unit_templates import fill, rate_unit
 from harness.errors import InputError
+from harness.signals import FloatArray
 
 __all__ = ["Effect", "EffectParameter", "Kind", "Placed", "effect", "par", "port_units", "unit_of"]
 
 Kind = Literal["input", "coordinate", "output", "base", "process"]
+Along = Callable[[Mapping[str, float], FloatArray, FloatArray], bool]
 KINDS: tuple[Kind, ...] = ("input", "coordinate", "output", "base", "process")
 _FIXED_ARGUMENTS = 5
 _EXTRA_ARGUMENTS = ("t", "a", "load")
@@ -67,6 +69,9 @@ class Effect:
         Where a hidden state starts if not at 0: ``"signal"`` (what arrives at the port), ``"q"`` or ``"v"``.
     requires : dict
         What the law's own physics asks of its values: a sentence, and a function of the values by name.
+    requires_along : dict
+        What it asks along the motion: a sentence, and a function of the values, of places (K,) and of the damping of
+        all that brakes the coordinate there (K,), this effect included.
     """
 
     name: str
@@ -90,6 +95,7 @@ class Effect:
     initial: Mapping[str, str] = field(default_factory=dict)
     extras: tuple[str, ...] = ()
     requires: Mapping[str, Callable[[Mapping[str, float]], bool]] = field(default_factory=dict)
+    requires_along: Mapping[str, Along] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return self.name
@@ -123,6 +129,10 @@ class Effect:
     def violations(self, values: Mapping[str, float]) -> list[str]:
         """Return the sentences of ``requires`` that do not hold for values by name."""
         return [f"not so: {text}" for text, holds in self.requires.items() if not holds(values)]
+
+    def violations_along(self, values: Mapping[str, float], q: FloatArray, damping: FloatArray) -> list[str]:
+        """Return the sentences of ``requires_along`` that do not hold, see there."""
+        return [f"not so: {text}" for text, holds in self.requires_along.items() if not holds(values, q, damping)]
 
     def complete(self, values: Mapping[str, float], sizes: Mapping[str, float] | None = None) -> dict[str, float]:
         """Return a value for every parameter: those given, the others from their scale hints.
@@ -265,6 +275,7 @@ def effect(
     angles: bool = False,
     initial: Mapping[str, str] | None = None,
     requires: Mapping[str, Callable[[Mapping[str, float]], bool]] | None = None,
+    requires_along: Mapping[str, Along] | None = None,
 ) -> Callable[[Callable[..., Any]], Effect]:
     """Make an effect of a function.
 
@@ -279,7 +290,7 @@ def effect(
         Names of hidden states separated by spaces, or name to unit template. They start at 0 unless ``initial`` says
         otherwise.
     name, family, same_as, limits, nests, experiment, formula, drives, downstream, sampled, linearises, angles, initial,
-    requires
+    requires, requires_along
         See :class:`Effect`; ``name`` is the function's own unless given.
 
     Returns
@@ -347,6 +358,7 @@ def effect(
             initial=dict(initial or {}),
             extras=extras,
             requires=dict(requires or {}),
+            requires_along=dict(requires_along or {}),
         )
 
     return decorate

@@ -22,6 +22,7 @@ __all__ = [
     "stribeck_friction",
     "sublinear_friction",
     "viscous_friction",
+    "yield_friction",
 ]
 
 
@@ -55,7 +56,7 @@ def viscous_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     [_level("Fc", "0.05 F", main=True, meaning="Coulomb level"), _width()],
     formula="F = -Fc sgn(v), sgn(v) = tanh(v/w)",
     family=("stribeck_friction", "asymmetric_friction", "viscous_friction", "hysteresis", "load_dependent_friction",
-            "position_dependent_friction", "sublinear_friction"),
+            "position_dependent_friction", "sublinear_friction", "yield_friction"),
     limits={"stribeck_friction": "at speeds far above the Stribeck speed"},
     experiment="slow triangles through zero speed at several amplitudes: the force loop keeps its height",
 )  # fmt: skip
@@ -136,6 +137,26 @@ def sublinear_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 
 @effect(
     "coordinate",
+    [
+        par("Fr", "F", scale="0.05 F", sign="+", neutral=0.0, main=True, linear=True,
+            meaning="force at a speed of 1 (rad/s or m/s), beyond the level"),
+        par("a", "1", scale="0.5", minimum=0.05, maximum=0.95, grid=(1.0, 0.5, 1.5), meaning="exponent of the speed"),
+        _level("Fc", "0.03 F", main=False, meaning="Coulomb level"),
+        _width(),
+    ],
+    formula="F = -(Fc + Fr |v|^a) sgn(v) with v in rad/s or m/s, 0 < a < 1; sgn(v) = tanh(v/w), |v| rounded over w",
+    family=("stribeck_friction", "viscous_friction", "asymmetric_friction"),
+    nests=("sublinear_friction", "coulomb_friction"),
+    limits={"coulomb_friction": "for a small exponent"},
+    experiment="slow and fast triangles: the force starts from a level, and grows with the speed, less and less",
+)  # fmt: skip
+def yield_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
+    """Dry friction and, beyond its level, a force that grows with the speed less than in proportion: stiff grease."""
+    return -p.Fc * tanh(v / p.w) - p.Fr * v * (v * v + p.w * p.w) ** (0.5 * (p.a - 1.0))
+
+
+@effect(
+    "coordinate",
     [par("c", "F/v^2", scale="0.05 F/v^2", sign="+", neutral=0.0, main=True, linear=True, meaning="drag coefficient")],
     formula="F = -c |v| v",
     family=("viscous_friction", "coulomb_friction"),
@@ -192,6 +213,12 @@ def position_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     formula="F = -(c1 q + c2 q^2) v",
     family=("viscous_friction", "position_dependent_friction", "load_dependent_friction", "quadratic_drag"),
     limits={"viscous_friction": "for a motion that stays at one place"},
+    requires_along={
+        # a twentieth of its largest is no drive: the estimate at the ends of the way is not better known
+        "with all that brakes the joint, the damping is nowhere negative over the motion": lambda p, q, damping: bool(
+            damping.min() >= -0.05 * abs(p["c1"] * q + p["c2"] * q**2).max()
+        )
+    },
     experiment="small fast swings about several places: the decay differs from place to place",
 )  # fmt: skip
 def position_dependent_damping(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:

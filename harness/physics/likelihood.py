@@ -44,7 +44,7 @@ _DAMPING = 1e-3
 _LEAST_DAMPING = 1e-7
 _MOST_DAMPING = 1e9
 _AGREES, _DISAGREES = 0.75, 0.25
-"""Gains over their promises above which the damping falls, and below which it grows (Nocedal & Wright 2006, sec. 4.1)."""
+"""Gains over their promises above which damping falls, and below which it grows (Nocedal & Wright 2006, sec. 4.1)."""
 _POSITIVE = 1e-12
 
 
@@ -360,7 +360,8 @@ class Likelihood:
                 told |= which < limit
                 shared = np.flatnonzero(which < n)
                 scale[shared] = np.where(self._log, point.p, 1.0)[which[shared]]
-            noisy = np.flatnonzero(which >= limit) if all(one.e_noise is not None for one in passes) else []
+            lanes_known = all(one.e_noise is not None for one in passes)
+            noisy = np.flatnonzero((which >= limit) & lanes_known)
             told[noisy] = True
             lanes = np.array(self._noise_lanes(), dtype=np.intp)[which[noisy] - limit]
             edges = np.cumsum([0, *(one.e.size for one in passes)])
@@ -368,10 +369,9 @@ class Likelihood:
                 here = root[first:last]  # what is not known is 0 in all derivatives
                 if len(chosen):
                     j = np.asarray(one.j).reshape(-1, len(chosen))
-                    for column, row in enumerate(shared):
-                        np.multiply(j[:, column], here, out=by_e[row, first:last])
-                    for row in np.flatnonzero((which >= n + number * m) & (which < n + (number + 1) * m)):
-                        column = len(columns) + which[row] - n - number * m
+                    mine = np.flatnonzero((which >= n + number * m) & (which < n + (number + 1) * m))
+                    places = [*range(len(columns)), *(len(columns) + which[mine] - n - number * m)]
+                    for column, row in zip(places, [*shared, *mine], strict=True):
                         np.multiply(j[:, column], here, out=by_e[row, first:last])
                 if len(noisy):
                     e_noise = np.asarray(one.e_noise).reshape(last - first, -1)
@@ -475,11 +475,13 @@ class Likelihood:
             wanted = set(free)
             chosen[:] = [name in wanted for name in names]
         longest = np.where(log, -_LONGEST, -np.inf)
-        point, damping = (start.point, start.damping) if isinstance(start, LikelihoodFit) else (start, _DAMPING)
-        z = np.clip(self._pack(point), low, high)
+        found: list[Filtered] | None
         if isinstance(start, LikelihoodFit) and start.filtered:
+            z, damping = self._pack(start.point), start.damping
             value, found = start.nll, start.filtered
         else:
+            point, damping = start.point if isinstance(start, LikelihoodFit) else start, _DAMPING
+            z = np.clip(self._pack(point), low, high)
             value, found = self._value(z)
         if found is None:
             raise FitError(

@@ -9,12 +9,16 @@ import pytest
 
 from harness.diagnosis import diagnose
 from harness.diagnosis.dictionary import placed
+from harness.diagnosis.forms.braking import braking
 from harness.diagnosis.kinds import Equations
+from harness.diagnosis.search.compare import impossible
+from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Axis, Leftover
 from harness.diagnosis.search.rounds import chosen
 from harness.diagnosis.search.score_test import score_test
-from harness.effects import builtin
+from harness.effects import Placed, builtin, compose
 from harness.physics import load_model
+from harness.study.context import Context, Hidden
 from harness.study.plan import Task
 from harness.study.records import make_records
 
@@ -38,6 +42,58 @@ def test_what_imitates_other_effects_gets_its_own_name(effect: str, held: tuple[
     assert (found.verdict, found.grade) == ("effects_found", "explained")
     for name in held:
         assert found.final.values[f"{effect}.{name}"] == pytest.approx(records.hidden[0].named[name], rel=within)
+
+
+@pytest.mark.parametrize(
+    ("level", "root", "name"),
+    [
+        (0.03, 0.05, "yield_friction@theta"),
+        (0.0, 0.06, "sublinear_friction@theta"),
+        (0.06, 0.0, "coulomb_friction@theta"),
+    ],
+)
+def test_a_level_with_a_root_of_the_speed_is_one_law(
+    level: float, root: float, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sizes over the rms torque. A Stribeck friction that rises with the speed stood for both together."""
+
+    def both(_: str, at: str, __: str, context: Context, ___: np.random.Generator) -> Hidden:
+        named = {"Fc": level * context.torque(at), "Fr": root * context.torque(at), "a": 0.5}
+        return Hidden(name, at, {"Fp0": named["Fc"], "Fm0": named["Fc"], "root0": named["Fr"]}, named)
+
+    monkeypatch.setattr("harness.study.records.hide", both)
+    records = make_records(replace(TASK, engine="laws", effects=(name,)))
+    found = diagnose(records.dataset, load_model("pendulum"))
+    assert [str(one.placed) for one in found.outcome.accepted] == [name]
+    for key, value in records.hidden[0].named.items():
+        if f"{name}.{key}" in found.final.values:
+            assert found.final.values[f"{name}.{key}"] == pytest.approx(value, rel=0.15)
+
+
+@pytest.mark.parametrize(("share", "allowed"), [(0.9, True), (1.2, False)])
+def test_a_damping_that_drives_somewhere_is_no_damping(share: float, allowed: bool) -> None:
+    """It falls by a share of what the joint has up to the ends of the way: by more than all, it would push."""
+    law = Placed(builtin()["position_dependent_damping"], "theta")
+    system = compose(load_model("pendulum"), [law])
+    ends, b = 1.5, system.values()["b"]
+    values = {**system.values(), law.name("c1"): 0.0, law.name("c2"): -share * b / ends**2}
+    q, v = ends * np.sin(np.arange(0, 6, 0.01)), ends * np.cos(np.arange(0, 6, 0.01))
+    fit = Fit((law,), system, values, (law.name("c2"),), 1, {}, {}, frozenset(), True, (),
+              braking=lambda at: braking(system, values, at, q, v))  # fmt: skip
+    assert any("nowhere negative over the motion" in text for text in impossible(law, fit)) != allowed
+    blind = replace(fit, braking=lambda at: None)
+    assert not impossible(law, blind)
+
+
+def test_a_damping_that_falls_along_the_way_is_named_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    def falling(name: str, at: str, _: str, context: Context, __: np.random.Generator) -> Hidden:
+        value = -0.5 * context.values["b0"] / float(np.abs(context.q(at)).max()) ** 2
+        return Hidden("position_dependent_damping", at, {"vdp0": value}, {"c1": 0.0, "c2": value})
+
+    monkeypatch.setattr("harness.study.records.hide", falling)
+    effect = "position_dependent_damping@theta"
+    found = diagnose(make_records(replace(TASK, engine="laws", effects=(effect,))).dataset, load_model("pendulum"))
+    assert [str(one.placed) for one in found.outcome.accepted] == [effect]
 
 
 def test_no_refit_starts_below_what_it_adds_to() -> None:

@@ -153,6 +153,9 @@ def test_nested_members_are_reached_exactly():
     assert (
         np.abs(run(put("position_dependent_friction", "theta", Fc=0.1, a=0.0, phi=0.3, w=0.02)) - coulomb).max() < 1e-12
     )
+    assert np.abs(run(put("yield_friction", "theta", Fr=0.0, a=0.5, Fc=0.1, w=0.02)) - coulomb).max() < 1e-12
+    grease = run(put("sublinear_friction", "theta", Fr=0.1, a=0.5, w=0.02))
+    assert np.abs(run(put("yield_friction", "theta", Fr=0.1, a=0.5, Fc=0.0, w=0.02)) - grease).max() < 1e-12
     asymmetric = run(put("asymmetric_friction", "theta", Fp=0.12, Fm=0.08, w=0.02))
     both = run(put("coulomb_friction", "theta", Fc=0.1, w=0.02), put("force_bias", "theta", F0=-0.02))
     assert np.abs(asymmetric - both).max() < 1e-12

@@ -13,7 +13,8 @@ MASS = (
     95.11  # kg, of the data's authors (Janot, Gautier & Brunot 2019); its other figures depend on the law of friction
 )
 MASS_BY_OUR_FIT = 0.01
-FRICTION = {"coulomb_friction", "stribeck_friction", "asymmetric_friction", "sublinear_friction", "hysteresis"}
+FRICTION = {"coulomb_friction", "stribeck_friction", "asymmetric_friction", "sublinear_friction", "yield_friction",
+            "hysteresis"}  # fmt: skip
 
 
 def validation_error(report, when: str, output: str) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 from harness.diagnosis.arm.joint import CLOCK, JointBalance
 from harness.diagnosis.arm.motion import ArmRun
 from harness.diagnosis.arm.regression import RegressionForm
+from harness.diagnosis.arm.rotor import ROTOR
 from harness.diagnosis.arm.wide import WideBalance, WideResult
 from harness.diagnosis.search.fit import Fit
 from harness.errors import FitError
@@ -114,7 +115,7 @@ def bodies_of_arm(
 def bodies_of_joints(
     arm: ArmModel, runs: Mapping[str, Sequence[ArmRun]], fits: Mapping[int, Fit], wide: WideResult
 ) -> ArmBodies:
-    """Return the bodies beside all effects that were found, whose values stay.
+    """Return the bodies beside all effects that were found, whose values stay; rotors are estimated with the bodies.
 
     Parameters are those of :func:`bodies_of_arm`, with the fit of every joint that was judged.
     """
@@ -133,7 +134,8 @@ def bodies_of_joints(
         rows = form.whitened([j for _, j in parts], "estimation", errors)
         free = [k for k, name in enumerate(names) if name in form.balance.own]
         residual = form.whitened([r for r, _ in parts], "estimation", errors)
-        blocks.append((rows[:, free], rows[:, [names.index(CLOCK)]], -residual))
+        beside = [names.index(CLOCK), *(k for k, name in enumerate(names) if name.startswith(f"{ROTOR}@"))]
+        blocks.append((rows[:, free], rows[:, beside], -residual))
     return _estimated(arm, chosen, blocks)
 
 

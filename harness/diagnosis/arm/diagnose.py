@@ -151,7 +151,9 @@ def _with_bodies(
         known = {use: [wide.torque(run)[:, joint.joint] for run in parts] for use, parts in own.items()}
         balance = JointBalance(arm, joint.joint, own, known)
         fit = RegressionForm(balance, joint.policy).fit(joint.final.effects, [joint.final.values], joint.final)
-        joint.closed = None if fit is None else (balance, fit)
+        if fit is not None:
+            joint.closed = balance, fit
+            joint.leftover = left_over(RegressionForm(balance, joint.policy), fit)
     return wide, joints, bodies
 
 

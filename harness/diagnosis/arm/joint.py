@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.diagnosis.arm.motion import ArmRun, moving_rows
 from harness.diagnosis.arm.regression import Change
+from harness.diagnosis.arm.rotor import rotor_inertia
 from harness.diagnosis.policy import ARM_POLICY, EFFORT
 from harness.diagnosis.records.motion import Motion, motion_band
 from harness.diagnosis.runs.equation import Equations, decimated, expressible
@@ -27,6 +28,7 @@ JOINT_EFFECTS = (
     "stribeck_friction",
     "asymmetric_friction",
     "sublinear_friction",
+    "yield_friction",
     "quadratic_drag",
     "load_dependent_friction",
     "position_dependent_friction",
@@ -35,7 +37,7 @@ JOINT_EFFECTS = (
     "cogging",
     "linear_spring",
 )
-"""What a joint of an arm may have that a rigid body has not."""
+"""What a joint of an arm may have that a rigid body has not, and other coordinates too; its rotor comes in addition."""
 
 WAVES, SLOWEST = 24, 2.5
 """Wave numbers of a cogging that are tried, and the lowest [1/rad]: slower ones are gravity."""
@@ -107,7 +109,8 @@ class JointBalance:
                 if free is not None:
                     columns.append(free[use][number])
                 own = np.concatenate(columns, axis=1)
-                made.append(_thinned(replace(m, q=m.q[:, pick], v=m.v[:, pick], a=m.a[:, pick], u=own)))
+                # and the calm acceleration, whose noise is in what the bodies need as well
+                made.append(_thinned(replace(m, q=m.q[:, pick], v=m.v[:, pick], a=run.calm.a[:, pick], u=own)))
             self.motions[use] = tuple(made)
         self.counts = {use: [moving_rows(motion) for motion in parts] for use, parts in self.motions.items()}
         self.sizes = _sizes(self.nominal, self.motions["estimation"][0])
@@ -292,7 +295,8 @@ def joint_dictionary(
     """
     from harness.effects import builtin, place_all
 
-    effects = [builtin()[name] for name in JOINT_EFFECTS] if dictionary is None else list(dictionary)
+    usual = [*(builtin()[name] for name in JOINT_EFFECTS), rotor_inertia]
+    effects = usual if dictionary is None else list(dictionary)
     if arm.damping[joint] > 0:
         effects = [_either_sign(effect) if effect.name == "viscous_friction" else effect for effect in effects]
     torque = run.calm.u[:, joint]

@@ -31,6 +31,7 @@ import numpy as np
 
 from harness.diagnosis.arm.bodies import ArmBodies
 from harness.diagnosis.arm.found import ArmDiagnosis
+from harness.diagnosis.arm.rotor import ROTOR, in_the_bodies
 from harness.diagnosis.report.estimates import estimate, known
 from harness.diagnosis.report.experiments import separating
 from harness.diagnosis.report.keys import blank, numbers
@@ -173,6 +174,8 @@ def _effects(found: ArmDiagnosis) -> tuple[list[dict[str, Any]], list[list[dict[
                 members += [{"name": other.effect.name, "at": other.at} for other in others]
                 if joint.joint == found.arm.n - 1:
                     members.append({"name": "parameter", "at": "mass and inertia of the last link"})
+            if accepted.placed.effect.name == ROTOR and in_the_bodies(found.arm, found.runs, joint.joint):
+                members.append({"name": "parameter", "at": "inertia of its link about the axis of the joint"})
             ties.append(members)
             apart.append(separating([placed for group in accepted.tie for placed in group]))
     return effects, ties, apart

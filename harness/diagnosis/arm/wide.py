@@ -1,8 +1,9 @@
 """Effects that act on several joints of an arm at once: payload, tilted base, wrong link, joint zero, elasticity.
 
-They are tested beside the friction that a joint could have by itself (dry, viscous, in proportion to its torque, a
-constant), so that friction is never mistaken for a payload and hides none. A wrong torque gain of one joint competes
-with them on equal terms: what it explains better is left to the search on that joint.
+They are tested beside what a joint could have by itself: friction (dry, viscous, in proportion to its torque, a
+constant), and the inertia of its rotor. So neither is ever mistaken for a payload or a heavy link, and hides none. A
+wrong torque gain of one joint competes with them on equal terms: what it explains better is left to the search on that
+joint.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from harness.signals import FloatArray
 
 __all__ = ["WideBalance", "WideResult", "own_columns", "wide_search"]
 
-OWN = ("dry", "viscous", "constant", "load", "clock")
+ROTOR = "rotor"
+OWN = ("dry", "viscous", "constant", "load", "clock", ROTOR)
 """Columns of each joint in :func:`own_columns`."""
 FRICTION = ("dry", "load")
 LEVEL = 0.02
@@ -83,6 +85,8 @@ class WideBalance:
     calibrated : sequence of array (10 * bodies,)
         Directions in which inertial parameters are free.
     policy : ArmPolicy
+    rotors : sequence of int, optional
+        Joints that may have a rotor; all if not given.
     """
 
     def __init__(
@@ -92,6 +96,7 @@ class WideBalance:
         joints: Sequence[int],
         calibrated: Sequence[FloatArray] = (),
         policy: ArmPolicy = ARM_POLICY,
+        rotors: Sequence[int] | None = None,
     ) -> None:
         self.runs, self.joints = runs, list(joints)
         self.counts = {use: [moving_rows(run.motion)[:, self.joints] for run in runs[use]] for use in USES}
@@ -99,16 +104,19 @@ class WideBalance:
         level = np.maximum(LEVEL * speeds, 1e-6)
         self._target = {use: [self._slim(run, run.motion.u - run.rigid) for run in runs[use]] for use in USES}
         self._base: dict[str, list[FloatArray]] = {}
+        own_of = [
+            (k, c) for k in joints for c, word in enumerate(OWN) if word != ROTOR or rotors is None or k in rotors
+        ]
         for use in USES:
             self._base[use] = []
             for run in runs[use]:
                 m = run.calm
-                own = own_columns(run, level)[:, :, [len(OWN) * k + c for k in joints for c in range(len(OWN))]]
+                own = own_columns(run, level)[:, :, [len(OWN) * k + c for k, c in own_of]]
                 if len(calibrated):
                     free = arm.arm.regressor(m.q, m.v, m.a) @ np.stack(calibrated, axis=1)
                     own = np.concatenate([own, free.reshape(*m.q.shape, -1)], axis=2)
                 self._base[use].append(self._slim(run, own))
-        names = [f"{arm.positions[k].name} {word}" for k in joints for word in OWN]
+        names = [f"{arm.positions[k].name} {OWN[c]}" for k, c in own_of]
         self.own = frozenset(f"inertia{k + 1}" for k in range(len(calibrated)))
         names += [f"inertia{k + 1}" for k in range(len(calibrated))]
         self.nominal = Linear(tuple(Parameter(name, "1", 0.0) for name in names))
@@ -210,9 +218,9 @@ class WideResult:
 
 
 def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
-    """Return what every joint could do by itself (N, n, 5 n).
+    """Return what every joint could do by itself (N, n, 6 n).
 
-    Sign of the speed, speed, 1, size of the torque times the sign, rate of the torque.
+    Sign of the speed, speed, 1, size of the torque times the sign, rate of the torque, acceleration.
 
     The rate stands for a torque that is recorded a fraction of a sample too late (tau - s tau'), and for the half
     step by which an integrator is late.
@@ -228,7 +236,7 @@ def own_columns(run: ArmRun, level: Sequence[float] | FloatArray) -> FloatArray:
     for k in range(n):
         v = run.motion.v[:, k]
         sign = np.tanh(v / level[k])
-        parts = (sign, v, np.ones(rows), np.abs(run.calm.u[:, k]) * sign, -run.first[:, k])
+        parts = (sign, v, np.ones(rows), np.abs(run.calm.u[:, k]) * sign, -run.first[:, k], run.calm.a[:, k])
         for place, column in enumerate(parts):
             result[:, k, len(OWN) * k + place] = column
     return result
@@ -299,4 +307,15 @@ def wide_search(
         if accepted.placed.effect.name == GAIN
     }
     kept = tuple(accepted for accepted in outcome.accepted if accepted.placed.effect.name != GAIN)
-    return WideResult(outcome.model, kept, outcome, gains, balance.effects, notes)
+    fit = outcome.model
+    if outcome.accepted:  # a rotor that is not there would take a part of what is, a few grams of a payload
+        there = [k for k in joints if _seen(outcome.model, f"{arm.positions[k].name} {ROTOR}", policy)]
+        lean = RegressionForm(WideBalance(arm, runs, joints, calibrated, arm_policy, there), arm_policy)
+        fit = lean.fit([accepted.placed for accepted in outcome.accepted], [fit.values], fit) or fit
+    return WideResult(fit, kept, outcome, gains, balance.effects, notes)
+
+
+def _seen(fit: Fit, name: str, policy: Policy) -> bool:
+    """Return whether a parameter is positive, by the evidence that is asked of an effect."""
+    value, error = fit.values[name], fit.deviations.get(name, np.inf)
+    return value > 0 and 0.5 * (value / error) ** 2 - 0.5 * float(np.log(fit.samples)) >= policy.evidence

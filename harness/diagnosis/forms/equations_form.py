@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from harness.diagnosis.forms.braking import braking
 from harness.diagnosis.forms.changed import changed_share
 from harness.diagnosis.forms.coherence import in_parts, wandering
 from harness.diagnosis.forms.directions import Direction, Trace, directions, line_directions, test_functions
@@ -165,6 +166,12 @@ class EquationsForm(LikelihoodForm[System]):
         less = self.composed([other for other in fit.effects if str(other) != str(placed)])
         rates = [coordinate.v for coordinate in self.nominal.coordinates] or range(self.nominal.nx)
         return changed_share(self._traces(fit, USES[:1])["estimation"], whole, less, list(rates))
+
+    def _braking(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
+        """Return places along the motion of a coordinate, and the damping of all that brakes it there."""
+        row = self.nominal.coordinate(at)
+        x = np.concatenate([trace.x for trace in self._traces(fit, USES[:1])["estimation"]])
+        return braking(fit.system, fit.values, at, x[:, row.q], x[:, row.v])
 
     def _wandering(self, fit: Fit, placed: Placed) -> float:
         """Return the evidence that the amplitude and the phase of a line change along the records."""

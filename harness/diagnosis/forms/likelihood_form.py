@@ -324,7 +324,7 @@ class LikelihoodForm(SystemForm[SystemT]):
             detail=Detail({"estimation": best.point, "validation": expected.point}, passes, best, expected, told),
             beyond=best.beyond,
         )
-        fit = replace(fit, change=lambda placed: self.change(fit, placed))
+        fit = replace(fit, change=lambda placed: self.change(fit, placed), braking=lambda at: self._braking(fit, at))
         repeating = [placed for placed in effects if "phi" in OWN.get(placed.effect.name, ())]
         if not (self.latent and best.converged and repeating):  # elsewhere the innovations are coloured
             return fit
@@ -374,15 +374,18 @@ class LikelihoodForm(SystemForm[SystemT]):
         free = [name for name in likelihood.names if name.startswith(("x0[", *NOISE))] + own
         noises = [best.point.noise] if base is None else [best.point.noise, base.detail.points["validation"].noise]
         longest = max(len(run) for run in self.records["validation"]) * self.dt
-        points = []
+        points: list[tuple[float, Point]] = []
         for part in EFFORT.own_starts if own else (0.0,):
             p = best.point.p.copy()
             for name in own:
                 p[system.parameter_names.index(name)] = part * (2 * np.pi if name.endswith("phi") else longest)
             for origin in dict.fromkeys((base, None)):  # narrow friction may catch one of two starts
                 x0 = self._starts(system, passes, p, "validation", origin)
-                points.append(min((Point(p, x0, self._woken(noise, best)) for noise in noises), key=likelihood.nll))
-        tried = self._looked(likelihood, points, free=free)
+                tries = [Point(p, x0, self._woken(noise, best)) for noise in noises]
+                points.append(min(((likelihood.nll(point), point) for point in tries), key=lambda pair: pair[0]))
+        least = min(value for value, _ in points)
+        near = [point for value, point in points if value <= least + EFFORT.close]
+        tried = self._looked(likelihood, near, free=free)
         if not tried:
             raise FitError(
                 "validation", expected="a model that can be filtered", got="divergence", remedy="start elsewhere"

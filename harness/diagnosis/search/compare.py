@@ -172,6 +172,7 @@ def wrong_signs(placed: Placed, values: Mapping[str, float]) -> list[str]:
 
 def violations(placed: Placed, fit: Fit) -> list[str]:
     """Return which relations between the values of an effect, as its law asks for them, do not hold."""
-    return placed.effect.violations(
-        {parameter.name: fit.values[placed.name(parameter.name)] for parameter in placed.effect.parameters}
-    )
+    effect = placed.effect
+    values = {parameter.name: fit.values[placed.name(parameter.name)] for parameter in effect.parameters}
+    along = fit.braking(placed.at) if effect.requires_along else None
+    return effect.violations(values) + ([] if along is None else effect.violations_along(values, *along))

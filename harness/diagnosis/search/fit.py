@@ -24,6 +24,10 @@ def _untold(placed: Placed) -> float:
     return float("inf")
 
 
+def _unbraked(at: str) -> None:
+    """Return nothing: nobody told what brakes a coordinate."""
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A model with some effects at the maximum of its likelihood.
@@ -59,6 +63,9 @@ class Fit:
     change : callable
         How much one of the effects changes of rates or readings, as a share of them; found when it is asked for.
         Infinite where a form cannot tell.
+    braking : callable
+        Places along the motion of a coordinate and the damping of all that brakes it there; None where unknown. See
+        :func:`harness.diagnosis.forms.braking.braking`.
     detail : object
         What the form itself needs to go on from here.
     """
@@ -78,6 +85,7 @@ class Fit:
     detail: Any = field(default=None, repr=False)
     beyond: bool = False
     change: Callable[[Placed], float] = field(default=_untold, repr=False)
+    braking: Callable[[str], tuple[FloatArray, FloatArray] | None] = field(default=_unbraked, repr=False)
 
     @property
     def model(self) -> AnySystem:

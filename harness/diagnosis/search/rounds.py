@@ -295,7 +295,7 @@ def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None
     for rich, simple in [(a, b) for a in fits for b in fits if b.effect.name in a.effect.nests and a.at == b.at]:
         for mine, theirs in ((rich, simple), (simple, rich)):
             fit, other = fits[mine], fits[theirs]
-            if other is None or (fit is not None and _value(fit) > _value(other) - 1.0):
+            if other is None or (fit is not None and _as_good(fit, other, contains=mine is rich)):
                 continue
             start = dict(other.values)
             for parameter in mine.effect.parameters:
@@ -306,6 +306,13 @@ def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None
             again = form.fit([*base.effects, mine], [start], other, _best(fits, mine))
             if again is not None and (fit is None or _value(again) > _value(fit)):
                 fits[mine] = again
+
+
+def _as_good(fit: Fit, other: Fit, *, contains: bool) -> bool:
+    """Return True if a fit has nothing to learn from where another ended; a law that contains it may not be worse."""
+    if contains:
+        return fit.log_likelihood("estimation") > other.log_likelihood("estimation") - 1.0
+    return _value(fit) > _value(other) - 1.0
 
 
 def _lawful(form: Form, fits: dict[Placed, Fit | None], base: Fit, starts: Mapping[Placed, dict[str, float]]) -> None:
@@ -461,12 +468,20 @@ def _exchange(form: Form, outcome: Outcome, nominal: Fit, policy: Policy) -> Non
             outcome.accepted[number] = Accepted(placed, ((placed,),), earlier.evidence, earlier.validation)
 
 
+def _hoped(begun: Begun) -> float:
+    """Return the log-likelihood that a fit would come to if its next steps brought as much as its last one."""
+    return begun.log_likelihood + EFFORT.first_steps * begun.pace
+
+
 def _pruned(form: Form, outcome: Outcome, policy: Policy) -> None:
     """Drop earlier effects that a later one has made needless."""
     for earlier in outcome.accepted[:-1]:
         left = [accepted.placed for accepted in outcome.accepted if accepted is not earlier]
         starts = [outcome.model.values, *in_its_place(outcome.model.values, earlier.placed, left)]
-        without = form.fit(left, starts, outcome.model)
+        begun = form.begin(left, starts, outcome.model)
+        if begun is None or _hoped(begun) < outcome.model.log_likelihood("estimation") - EFFORT.margin:
+            continue
+        without = form.finish(begun, outcome.model)
         if without is None or not without.converged or any(impossible(placed, without) for placed in left):
             continue
         if _value(without) > _value(outcome.model) - policy.tie:
