@@ -231,6 +231,12 @@ class Effort:
         "noises below the largest reading that count as at it",
         "of thousands of readings at a ceiling the largest lies four above it, and the least four below",
     )
+    pile_flat: float = _number(
+        1.7,
+        "readings within four such widths over those within one, at most: more are peaks of a swing",
+        "a peak is a parabola and has twice as many; sensors at their ceiling had 1.00 to 1.40, swings 2.05 to 4.8",
+        "seeds below 1000",
+    )
 
 
 EFFORT = Effort()

@@ -22,6 +22,9 @@ from harness.signals import Dataset, FloatArray, Run
 
 __all__ = ["HoldingForm", "hidden", "lost_signs", "piled_up"]
 
+_WIDER = 4
+"""Widths of a pile within which a smooth peak has twice as many readings as within one: it is a parabola."""
+
 Lightened = Callable[[Placed, Mapping[str, float]], Mapping[str, float]]
 
 
@@ -80,7 +83,8 @@ def piled_up(form: HoldingForm, base: Fit, candidates: Sequence[Placed]) -> list
         top = float(np.nanmax(size))
         ceiling = top - EFFORT.pile_width * float(noise[column])
         piled = size[size > ceiling]
-        if len(piled) <= EFFORT.pile * len(size):
+        near = np.count_nonzero(size > top - _WIDER * EFFORT.pile_width * float(noise[column]))
+        if len(piled) <= EFFORT.pile * len(size) or near > EFFORT.pile_flat * len(piled):
             continue
         start = {placed.name(main.name): float(np.median(piled))}
         anew = None if base.effects else _from_uncut(form, placed, column, ceiling, start)

@@ -468,20 +468,12 @@ def _exchange(form: Form, outcome: Outcome, nominal: Fit, policy: Policy) -> Non
             outcome.accepted[number] = Accepted(placed, ((placed,),), earlier.evidence, earlier.validation)
 
 
-def _hoped(begun: Begun) -> float:
-    """Return the log-likelihood that a fit would come to if its next steps brought as much as its last one."""
-    return begun.log_likelihood + EFFORT.first_steps * begun.pace
-
-
 def _pruned(form: Form, outcome: Outcome, policy: Policy) -> None:
     """Drop earlier effects that a later one has made needless."""
     for earlier in outcome.accepted[:-1]:
         left = [accepted.placed for accepted in outcome.accepted if accepted is not earlier]
         starts = [outcome.model.values, *in_its_place(outcome.model.values, earlier.placed, left)]
-        begun = form.begin(left, starts, outcome.model)
-        if begun is None or _hoped(begun) < outcome.model.log_likelihood("estimation") - EFFORT.margin:
-            continue
-        without = form.finish(begun, outcome.model)
+        without = form.fit(left, starts, outcome.model, outcome.model)
         if without is None or not without.converged or any(impossible(placed, without) for placed in left):
             continue
         if _value(without) > _value(outcome.model) - policy.tie:
