@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -70,10 +71,8 @@ class Bench:
         Both are arrays (2, n): largest, rms. Infinite where the model cannot follow. The model starts at rest.
         """
         system = self.system
-        assert by_equations(system)
-        simulator = system.simulator(self.sample_time, intersample=self.dataset.intersample, backend="casadi")
         with np.errstate(all="ignore"):
-            x = simulator.states(system.vector(self.values), np.zeros(system.nx), u)
+            x = self._simulator.states(system.vector(self.values), np.zeros(system.nx), u)
         sizes = []
         for names in (
             [coordinate.q for coordinate in system.coordinates],
@@ -84,9 +83,16 @@ class Bench:
             sizes.append(np.stack([np.abs(z).max(axis=0), np.sqrt(np.mean(z**2, axis=0))]))
         return sizes[0], sizes[1]
 
+    @functools.cached_property
     def seen(self) -> tuple[FloatArray, FloatArray]:
-        """Return the same for the inputs of the data."""
+        """The same for the inputs of the data."""
         return self.moves(max(self.dataset.estimation, key=len).u)
+
+    @functools.cached_property
+    def _simulator(self) -> Any:
+        """What simulates the fitted model: planning asks for many runs of it."""
+        assert by_equations(self.system)
+        return self.system.simulator(self.sample_time, intersample=self.dataset.intersample)
 
 
 def separating(members: Sequence[Placed]) -> list[str]:
@@ -138,7 +144,7 @@ _Plan = Callable[[Bench, Sequence[Sequence[Placed]]], tuple[str, dict[str, Any],
 
 def _slow_triangle(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[str, Any], str | None]:
     """Plan a triangle of an eighth of the resonance at three amplitudes, its swing within what the data show."""
-    seen, _ = bench.seen()
+    seen, _ = bench.seen
     angles = np.array([coordinate.unit == "rad" for coordinate in bench.system.coordinates], dtype=bool)
     most = np.where(angles, np.minimum(seen[0], PLAN_POLICY.upright), seen[0]) if angles.size else seen[0]
     frequency = bench.resonance() / 8
@@ -174,7 +180,7 @@ def _swing(target: float) -> _Plan:
     """Plan sweeps about the resonance, just strong enough to reach an angle (or twice the data's range)."""
 
     def plan(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[str, Any], str | None]:
-        seen, _ = bench.seen()
+        seen, _ = bench.seen
         angles = np.array([coordinate.unit == "rad" for coordinate in bench.system.coordinates], dtype=bool)
         wanted = np.where(angles, target, 2 * seen[0]) if angles.size else 2 * seen[0]
         centre, dt = bench.resonance(), bench.sample_time
