@@ -121,10 +121,10 @@ def close_loop(
     InputError
         If the data do not fit the model, or ``out`` holds a report and neither ``resume`` nor ``force`` is given.
     """
-    from harness.diagnosis.fmu.kind import BlackBox
     from harness.diagnosis.report.evidence_json import evidence_data
     from harness.diagnosis.report.evidence_page import write_evidence
     from harness.diagnosis.store import write_atomic
+    from harness.workers import one_thread
 
     folder = _folder(out, resume=resume, force=force)
     if (arm := _arm(model)) is not None:
@@ -134,13 +134,15 @@ def close_loop(
         return Report(data, folder, arm)
     system = _system(model, parameters, dataset)
     box = is_fmu(system)
-    kind: Kind = BlackBox() if box else Equations()
+    kind = _black_box() if box else Equations()
     diagnosis = diagnose(dataset, system, kind=kind, progress=progress, folder=folder, dictionary=dictionary)
     if progress is not None:
         progress(0.9, "report")
-    data = evidence_data(diagnosis, cut_alike(references, dataset, diagnosis.dataset))
+    with one_thread():
+        data = evidence_data(diagnosis, cut_alike(references, dataset, diagnosis.dataset))
+        if folder is not None:
+            write_evidence(diagnosis, data, folder / HTML)
     if folder is not None:
-        write_evidence(diagnosis, data, folder / HTML)
         if box:
             repaired = _repaired_fmu(diagnosis, folder)
         else:
@@ -234,6 +236,13 @@ def is_fmu(system: object) -> TypeGuard[FmuSystem]:
     from harness.blackbox.system import FmuSystem
 
     return isinstance(system, FmuSystem)
+
+
+def _black_box() -> Kind:
+    """Return what a diagnosis does in its own way for an FMU."""
+    from harness.diagnosis.fmu.kind import BlackBox
+
+    return BlackBox()
 
 
 def _repaired_fmu(diagnosis: Diagnosis, folder: Path) -> dict[str, Any]:
