@@ -126,14 +126,17 @@ def drawing(name: str, width: float, height: float, words: str) -> Iterator[tupl
     svg: list[str] = []
     with mpl.rc_context(style):
         figure = MakeFigure(figsize=(width, height), layout="constrained")
-        FigureCanvasSVG(figure)
+        canvas = FigureCanvasSVG(figure)
         yield figure, svg
         layout = figure.get_layout_engine()
         assert layout is not None
         layout.execute(figure)
-        figure.set_layout_engine("none")  # savefig would draw the whole figure once more to lay it out
+        figure.set_layout_engine("none")
+        figure.set_dpi(110)
+        for patch in (figure.patch, *(axis.patch for axis in figure.axes)):
+            patch.set(facecolor="none", edgecolor="none")
         text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None}, dpi=110, transparent=True)
+        canvas.print_svg(text, metadata={"Date": None})  # savefig would draw the figure twice, to lay it out once more
     whole = text.getvalue()
     begun = whole.index("<svg") + len("<svg")
     svg.append(f'<svg role="img" aria-label="{escape(words, quote=True)}"{whole[begun:]}')
