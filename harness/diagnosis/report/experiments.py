@@ -71,6 +71,7 @@ class Bench:
         Both are arrays (2, n): largest, rms. Infinite where the model cannot follow. The model starts at rest.
         """
         system = self.system
+        assert by_equations(system)
         with np.errstate(all="ignore"):
             x = self._simulator.states(system.vector(self.values), np.zeros(system.nx), u)
         sizes = []

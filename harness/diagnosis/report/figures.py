@@ -126,7 +126,7 @@ def drawing(name: str, width: float, height: float, words: str) -> Iterator[tupl
     svg: list[str] = []
     with mpl.rc_context(style):
         figure = MakeFigure(figsize=(width, height), layout="constrained")
-        canvas = FigureCanvasSVG(figure)
+        canvas: Any = FigureCanvasSVG(figure)
         yield figure, svg
         layout = figure.get_layout_engine()
         assert layout is not None
