@@ -88,7 +88,7 @@ def block_interval(
     >>> bool(0.03 < found.high < 0.07)  # the 95 % half width of a mean is 0.044
     True
     """
-    from scipy import stats
+    from scipy import special
 
     p = values.size
     j = np.concatenate([part.reshape(-1, p) for part in jacobian])
@@ -111,7 +111,7 @@ def block_interval(
         ]
         free = max(len(scores) - 1, 1)
         robust = np.sum((np.array(scores) @ back.T) ** 2, axis=0) * free / len(scores)
-        half = np.maximum(half, stats.t.ppf(0.975, free) * np.sqrt(np.maximum(robust, plain)) / scale)
+        half = np.maximum(half, special.stdtrit(free, 0.975) * np.sqrt(np.maximum(robust, plain)) / scale)
     # a direction the data do not move has no interval
     unseen = np.sum(right[~alive] ** 2, axis=0) > 1e-6 if (~alive).any() else np.zeros(p, dtype=bool)
     half = np.where(unseen | (np.linalg.norm(j, axis=0) == 0), np.inf, half)
@@ -137,7 +137,7 @@ def correlation_samples(residual: Sequence[FloatArray]) -> float:
     >>> bool(correlation_samples([np.sin(np.arange(5000) * 0.1)[:, None]]) > 1000)
     True
     """
-    from scipy import stats
+    from scipy import special
 
     longest = 1.0
     for scale in SCALES:
@@ -149,7 +149,7 @@ def correlation_samples(residual: Sequence[FloatArray]) -> float:
             power = float(np.mean(np.concatenate([part[:, column] ** 2 for part in residual])))
             parts = [mean[:, column] for mean in means]
             size = float(np.mean(np.concatenate(parts) ** 2))
-            if power > 0 and scale * size / power > stats.chi2.ppf(1 - RUN_POLICY.white_level, count) / count:
+            if power > 0 and scale * size / power > 2 * special.gammaincinv(count / 2, 1 - RUN_POLICY.white_level) / count:
                 longest = max([longest, *(scale * _squared(part) for part in parts if len(part) >= RUN_POLICY.means)])
     return longest
 
