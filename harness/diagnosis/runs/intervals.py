@@ -149,7 +149,8 @@ def correlation_samples(residual: Sequence[FloatArray]) -> float:
             power = float(np.mean(np.concatenate([part[:, column] ** 2 for part in residual])))
             parts = [mean[:, column] for mean in means]
             size = float(np.mean(np.concatenate(parts) ** 2))
-            if power > 0 and scale * size / power > 2 * special.gammaincinv(count / 2, 1 - RUN_POLICY.white_level) / count:
+            white = 2 * special.gammaincinv(count / 2, 1 - RUN_POLICY.white_level)  # a quantile of chi-square
+            if power > 0 and scale * size / power > white / count:
                 longest = max([longest, *(scale * _squared(part) for part in parts if len(part) >= RUN_POLICY.means)])
     return longest
 
