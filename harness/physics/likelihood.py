@@ -31,6 +31,8 @@ _ENOUGH = 0.02
 """A step that brings less than this much log-likelihood ends a fit: nothing is decided by a fiftieth."""
 _ROUGH = 0.3
 """Below this promise the derivatives of gains and variances count, and difference quotients are taken of all."""
+_STALE = 0.05
+"""Log-likelihood gained since, from which on these are taken anew: it is a third of a standard error."""
 _SETTLED = 5
 """Iterations after which a step is taken as typical of those to come."""
 _TOLD = 1e-12
@@ -551,13 +553,13 @@ class Likelihood:
                     message, beyond = "its steps do not bring it within reach", True
                     break
                 if last and gain < _ENOUGH:
-                    if more is None or seen - value < _ROUGH:
+                    if more is None or seen - value < _STALE:
                         converged = True
                         break
                     more = None
                 if not last and max(gain, promise) < _ROUGH:
                     last = True
-            elif last and more is not None and seen - value >= _ROUGH:
+            elif last and more is not None and seen - value >= _STALE:
                 more, damping = None, _DAMPING
             elif last:
                 # where steps of the solver follow the motion, difference quotients may be rounding: without them then

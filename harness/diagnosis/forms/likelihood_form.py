@@ -383,9 +383,12 @@ class LikelihoodForm(SystemForm[SystemT]):
                 x0 = self._starts(system, passes, p, "validation", origin)
                 tries = [Point(p, x0, self._woken(noise, best)) for noise in noises]
                 points.append(min(((likelihood.nll(point), point) for point in tries), key=lambda pair: pair[0]))
-        least = min(value for value, _ in points)
-        near = [point for value, point in points if value <= least + EFFORT.close]
-        tried = self._looked(likelihood, near, free=free)
+        enough = min(value for value, _ in points) + EFFORT.close
+        tried = self._looked(likelihood, [point for value, point in points if value <= enough], free=free)
+        before = -np.inf if base is None else base.log_likelihood("validation")
+        if not tried or -tried[0].nll < before:  # worse than without what was added: a start may be the cause
+            rest = self._looked(likelihood, [point for value, point in points if value > enough], free=free)
+            tried = sorted([*tried, *rest], key=lambda fit: fit.nll)
         if not tried:
             raise FitError(
                 "validation", expected="a model that can be filtered", got="divergence", remedy="start elsewhere"

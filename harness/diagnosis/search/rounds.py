@@ -200,8 +200,10 @@ def _refitted(
         starts = [{**base.values, **start} for start in promising]
         begun[lead.placed] = form.begin([*base.effects, lead.placed], starts, base, before + enough())
     best = max((refit for refit in begun.values() if refit), key=lambda refit: refit.log_likelihood, default=None)
+    unseen = []
     for suspect in form.suspects(base, best, untried):
         say(str(suspect.placed))
+        unseen.append(suspect.placed)
         origin = base if suspect.base is None else suspect.base
         starts = [{**origin.values, **start} for start in suspect.starts]
         origins[suspect.placed] = origin
@@ -219,11 +221,12 @@ def _refitted(
         assert first is not None
         return bool(wrong_signs(placed, first.values)), -gains[placed]
 
-    faint = {str(lead.placed) for lead in (*test.leads, *test.hidden) if lead.share < policy.clear}
+    uncertain = {str(lead.placed) for lead in (*test.leads, *test.hidden) if lead.share < policy.clear}
+    uncertain |= {str(placed) for placed in unseen if gains.get(placed, 0.0) > 0.0}
 
     def hoped(placed: Placed) -> float:  # along a narrow valley the first steps are short
         first = begun[placed]
-        return gains[placed] + (EFFORT.first_steps * first.pace if first and str(placed) in faint else 0.0)
+        return gains[placed] + (EFFORT.first_steps * first.pace if first and str(placed) in uncertain else 0.0)
 
     order = sorted((placed for placed in gains if hoped(placed) >= needed(placed)), key=place)
     lawful = sum(not place(placed)[0] for placed in order)
@@ -473,7 +476,7 @@ def _pruned(form: Form, outcome: Outcome, policy: Policy) -> None:
     for earlier in outcome.accepted[:-1]:
         left = [accepted.placed for accepted in outcome.accepted if accepted is not earlier]
         starts = [outcome.model.values, *in_its_place(outcome.model.values, earlier.placed, left)]
-        without = form.fit(left, starts, outcome.model, outcome.model)
+        without = form.fit(left, starts, outcome.model)
         if without is None or not without.converged or any(impossible(placed, without) for placed in left):
             continue
         if _value(without) > _value(outcome.model) - policy.tie:
