@@ -1,6 +1,6 @@
 """Whether the tests notice when the diagnosis is wrong: plants small faults, one at a time, and runs the tests.
 
-    python benchmarks/planted_faults.py [--out FILE] [--only WORDS] [--limit N]
+    python benchmarks/planted_faults.py [--out FILE] [--only WORDS] [--room ROOM ...] [--limit N]
 
 Works in a temporary copy of the tree. A fault is noticed if a test fails; it is stale if its text is gone, and then no
 merit of the tests. Each result is written as it comes (``--out``, JSON lines), and a second run does what is left: a
@@ -20,7 +20,7 @@ import tempfile
 import time
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,7 @@ class Fault:
     old: str
     new: str
     tests: tuple[str, ...]
+    room: str = field(default="", repr=False)
 
     def identity(self) -> str:
         """Return what decides the result: the fault, its file and its tests as they are."""
@@ -55,9 +56,12 @@ def read_faults() -> list[Fault]:
     data = tomllib.loads(LIST.read_text(encoding="utf-8"))
     rooms = data["rooms"]
     return [
-        Fault(one["name"], one["file"], one["old"], one["new"], tuple(one.get("tests") or rooms[one["room"]]))
+        Fault(
+            one["name"], one["file"], one["old"], one["new"],
+            tuple(one.get("tests") or rooms[one["room"]]), one.get("room", ""),
+        )
         for one in data["fault"]
-    ]
+    ]  # fmt: skip
 
 
 def copied(folder: Path) -> None:
@@ -113,9 +117,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "planted_faults.jsonl")
     parser.add_argument("--only", default="", help="faults whose name or file holds this")
+    parser.add_argument("--room", nargs="+", default=[], help="faults of these rooms: groups of tests, see the list")
     parser.add_argument("--limit", type=int, default=None, help="at most so many new ones")
     chosen = parser.parse_args(arguments)
     faults = [one for one in read_faults() if chosen.only in one.name or chosen.only in one.file]
+    if chosen.room:
+        faults = [one for one in faults if one.room in chosen.room]
     known: dict[str, dict[str, Any]] = {}
     if chosen.out.is_file():
         for line in chosen.out.read_text(encoding="utf-8").splitlines():
@@ -154,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     others = {word: sum(row["result"] == word for row in rows) for word in ("unnoticed", "stale", "broken")}
     rest = ", ".join([*(f"{count} {word}" for word, count in others.items()), f"{len(faults) - len(rows)} not tried"])
     print(f"\nnoticed {noticed} of {len(faults)} ({rest}); aim {AIM:.0%}: {'met' if met else 'missed'}")
-    return 0 if met or chosen.only or chosen.limit else 1
+    return 0 if met or chosen.only or chosen.room or chosen.limit else 1
 
 
 if __name__ == "__main__":

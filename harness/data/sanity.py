@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from harness.data.ports import Ports, rate_unit
 from harness.data.suspicion import swapped_in_and_out, swapped_runs, units_between_runs
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, Run, Trajectory
@@ -35,7 +36,7 @@ def check_run(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> li
     trajectory : Trajectory
         Any length.
     measured : sequence of (port, derivative)
-        What each output is.
+        What each output is; ``theta_rate`` in rad/s beside ``theta`` in rad is its derivative.
 
     Raises
     ------
@@ -75,11 +76,11 @@ def check_run(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> li
                 f"input {channel.name} is constant ({trajectory.u[0, i]:g} {channel.unit}): it excites nothing"
             )
         notes += _out_of_range(channel, trajectory.u[:, i])
-    notes += _rates(trajectory, measured)
+    said, sure = _rates(trajectory, measured)
+    notes += said
     for i, channel in enumerate(spec.outputs):
         _refuse_whirling(channel, trajectory.y[:, i])
-    notes += swapped_in_and_out(trajectory)
-    return notes
+    return notes + swapped_in_and_out(trajectory, besides=sure)
 
 
 def _refuse_other_categories(channel: Channel, values: FloatArray) -> None:
@@ -169,14 +170,25 @@ def _refuse_whirling(channel: Channel, values: FloatArray) -> None:
     """Refuse an angle that moves by more than a turn from sample to sample: no record of a rotation can mean that."""
     if channel.unit != "rad" or len(values) < 50:
         return
-    far = np.abs(np.diff(values)) > 1.1 * 2 * np.pi
+    steps = np.abs(np.diff(values))
+    far = steps > 1.1 * 2 * np.pi
     if np.mean(far) > 0.05:
+        possible = [
+            f"{unit} (steps up to {steps.max() * factor:.2g} rad then)"
+            for unit, factor in (("deg", np.pi / 180), ("mrad", 1e-3))
+            if np.mean(steps * factor > np.pi) <= 0.05
+        ]
+        units = (
+            f"declare the unit that the readings have, perhaps {' or '.join(possible)}: unit in dataset.toml, or in "
+            "brackets in the title of a file without one; or "
+            if possible
+            else ""
+        )
         raise InputError(
             f"output {channel.name} moves by more than a turn between samples",
             expected="an angle in rad, sampled several times a turn",
-            got=f"steps up to {float(np.abs(np.diff(values)).max()):.3g} rad, beyond a turn in {np.mean(far):.0%} of "
-            "the samples",
-            remedy=f"correct the unit of {channel.name} (mrad and deg are read as such), its scale, or the sample time",
+            got=f"steps up to {float(steps.max()):.3g} rad, beyond a turn in {np.mean(far):.0%} of the samples",
+            remedy=f"{units}correct the scale of {channel.name} or the sample time",
         )
 
 
@@ -191,10 +203,17 @@ def _out_of_range(channel: Channel, values: FloatArray) -> list[str]:
     ]
 
 
-def _rates(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> list[str]:
-    """Hold a measured rate against the difference quotient of its position."""
-    notes = []
-    where = {pair: column for column, pair in enumerate(measured)}
+def _rates(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> tuple[list[str], set[int]]:
+    """Hold a measured rate against the difference quotient of its position; return notes, and columns that agree."""
+    notes: list[str] = []
+    sure: set[int] = set()
+    units = {port: trajectory.spec.outputs[column].unit for column, (port, order) in enumerate(measured) if not order}
+    named = {
+        (Ports.channel_name(port, 1), 0): (port, 1)
+        for port, unit in units.items()
+        if units.get(Ports.channel_name(port, 1)) == rate_unit(unit, 1)
+    }
+    where = {named.get(pair, pair): column for column, pair in enumerate(measured)}
     for (port, order), column in where.items():
         below = where.get((port, order - 1))
         if order == 0 or below is None or len(trajectory) < 20:
@@ -204,6 +223,7 @@ def _rates(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> list[
         slope, correlation = _slope(position, rate, trajectory.spec.sample_time, period)
         names = f"{trajectory.spec.outputs[below].name} and {trajectory.spec.outputs[column].name}"
         if abs(slope - 1.0) <= 0.25 and correlation > 0.8:
+            sure |= {below, column}
             continue
         back, agreed = _slope(rate, position, trajectory.spec.sample_time, None)
         if agreed > max(0.9, correlation) and abs(back - 1.0) <= 0.25:
@@ -228,7 +248,7 @@ def _rates(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> list[
                 remedy="correct the unit, the scale or the sample time",
             )
         notes.append(f"{names}: the derivative of the position is {slope:.3g} times the measured rate")
-    return notes
+    return notes, sure
 
 
 def _slope(position: FloatArray, rate: FloatArray, dt: float, period: float | None) -> tuple[float, float]:

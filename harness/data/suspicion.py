@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -18,12 +18,13 @@ _FOLLOWS = 1.25
 # order was 1.12 to 8.4 (below 1.25 only for the coupled drives), that of the wrong one at most 1.16.
 
 
-def swapped_in_and_out(trajectory: Trajectory) -> list[str]:
+def swapped_in_and_out(trajectory: Trajectory, besides: Collection[int] = ()) -> list[str]:
     """Say so if the "input" follows the "output", and never the other way round.
 
     One-step predictions of each from its own past, with and without the past of the other (Granger, Econometrica
     37:424, 1969). In open loop only the output gains; in closed loop both do; if only the input gains, the columns are
-    probably swapped.
+    probably swapped. ``besides`` are outputs known to be right: a rate that is the derivative of its position is no
+    input, and torques of an arm under feedback follow it.
 
     Examples
     --------
@@ -46,6 +47,8 @@ def swapped_in_and_out(trajectory: Trajectory) -> list[str]:
     notes = []
     for i, source in enumerate(trajectory.spec.inputs):
         for j, sink in enumerate(trajectory.spec.outputs):
+            if j in besides:
+                continue
             forward = [_gain(y[::d, j], u[::d, i]) for d in _DECIMATIONS if n >= 50 * d]
             backward = [_gain(u[::d, i], y[::d, j]) for d in _DECIMATIONS if n >= 50 * d]
             clear = any(b > _FOLLOWS and f < 0.85 * b for f, b in zip(forward, backward, strict=True))

@@ -351,6 +351,11 @@ class DataPolicy:
     near: float = _number(
         10.0, "and within which a repair must bring it", "a power of ten, as declared values are rough"
     )
+    declared: float = _number(
+        1.3,
+        "factor of its declared value within which every parameter must come by a repair of degrees alone",
+        "degrees for radians are a factor of 57, which a plant may be off: closer than that is no accident",
+    )
     growth: float = _number(
         20.0,
         "by how much an error of the initial state may grow within a window",

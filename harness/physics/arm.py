@@ -115,15 +115,17 @@ class ArmModel:
         return np.asarray(self.damping * v + self.friction * np.tanh(v / REST))
 
     def with_outputs(self, chosen: Sequence[str | tuple[str, int] | tuple[str, int, str]]) -> ArmModel:
-        """Return the arm with these measured outputs: every position, and rates.
+        """Return the arm with these measured outputs: every position, and rates, ``("q1", 1)`` or ``"q1_rate"``.
 
         Raises
         ------
         InputError
             If a joint position is missing, or another thing is asked for.
         """
-        plain = [(one, 0) if isinstance(one, str) else (one[0], one[1]) for one in chosen]
         known = [one.name for one in self.positions]
+        rate_of = {(f"{name}_rate", 0): (name, 1) for name in known}
+        plain = [(one, 0) if isinstance(one, str) else (one[0], one[1]) for one in chosen]
+        plain = [rate_of.get(one, one) for one in plain]
         wrong = [name for name, order in plain if name not in known or order not in (0, 1)]
         missing = [name for name in known if (name, 0) not in plain]
         if wrong or missing:
@@ -131,7 +133,7 @@ class ArmModel:
                 f"measured outputs of {self.name}",
                 expected=f"every joint position ({', '.join(known)}), and rates if there are any",
                 got=f"{', '.join(missing)} missing" if missing else ", ".join(wrong),
-                remedy="record all joints of the arm",
+                remedy="record all joints of the arm" if missing else "leave these columns out",
             )
         channels = {one.name: one for one in self.states}
         rates = [f"{name}_rate" for name in known if (name, 1) in plain]

@@ -99,6 +99,49 @@ def test_a_swapped_input_is_suspected(smooth: bool) -> None:
     assert any("input and output swapped" in note for note in check_run(wrong, MEASURED[:1]))
 
 
+@pytest.mark.parametrize(("factor", "units"), [(1500.0, "mrad"), (60.0, "deg")])
+def test_an_angle_that_turns_between_samples_is_refused_with_the_units_it_may_be_in(factor: float, units: str) -> None:
+    """18 rad from sample to sample are a third of a radian in degrees: what to declare is said, and where."""
+    t = np.arange(N) * 0.02
+    spec = PlantSpec(SPEC.inputs, SPEC.outputs[:1], 0.02)
+    y = factor * np.sin(16.0 * t)[:, None]
+    with pytest.raises(InputError, match="expected an angle in rad") as refused:
+        check_run(Trajectory(t, np.cos(16.0 * t)[:, None], y, spec), MEASURED[:1])
+    assert f"perhaps {units} (steps up to" in str(refused.value) or f"or {units} (steps" in str(refused.value)
+    assert ("deg (steps" in str(refused.value)) == (units == "deg")
+    assert "unit in dataset.toml" in str(refused.value)
+
+
+def test_a_rate_by_its_name_is_held_against_its_position() -> None:
+    """A bare file has columns theta and theta_rate: the second is no port of its own."""
+    measured = (("theta", 0), ("theta_rate", 0))
+    assert check_run(record(swing()), measured) == []
+    with pytest.raises(InputError, match="degrees"):
+        check_run(record(swing() * [1, 1, 180 / np.pi]), measured)
+    speed = PlantSpec(SPEC.inputs, (SPEC.outputs[0], Channel("theta_rate", "1")), DT)  # something else of that name
+    other = Trajectory(np.arange(N) * DT, swing()[:, :1], swing()[:, 1:] * [1, 180 / np.pi], speed)
+    assert check_run(other, measured) == []
+
+
+def test_a_torque_that_follows_a_rate_is_not_swapped_with_it() -> None:
+    """Feedback on a rate that noise hides one sample ahead: the rate is the derivative of its position all the same."""
+    rng, x, rows = np.random.default_rng(1), np.zeros(2), []
+    for _ in range(N):
+        read = x + [1e-4, 1e-2] * rng.normal(size=2)
+        u = -1.0 * read[1] + 0.05 * rng.normal()
+        rows.append([u, *read])
+        for _ in range(4):
+            x = x + DT / 4 * np.array([x[1], 0.3 * u + 8.0 * np.sin(0.02 * len(rows)) - 20 * x[0] - x[1]])
+    columns = np.array(rows)
+    columns[1:, 0] = columns[:-1, 0]  # recorded a sample late, as followers are
+    alone = PlantSpec(SPEC.inputs, SPEC.outputs[1:], DT)
+    t = np.arange(N) * DT
+    assert any(
+        "swapped" in one for one in check_run(Trajectory(t, columns[:, :1], columns[:, 2:], alone), MEASURED[1:])
+    )
+    assert check_run(record(columns), MEASURED) == []
+
+
 def runs(*records: tuple[np.ndarray, Use]) -> list[Run]:
     return [Run(record(columns), use) for columns, use in records]
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+from harness.command import main
 from harness.diagnosis.arm.motion import arm_runs
 from harness.diagnosis.arm.wide import wide_search
 from harness.diagnosis.close import close_loop, close_loop_file
@@ -93,6 +94,22 @@ def test_payload_is_named_with_its_mass_from_bare_files(tmp_path: Path) -> None:
     assert effects["payload@flange"]["m"] == pytest.approx(2.0, rel=0.02)
     masses = [joint.mass for joint in load_arm(tmp_path / "out" / "repaired.urdf").arm.joints]
     assert masses[-1] == pytest.approx(2.0, rel=0.02)
+
+
+def test_a_simulated_arm_goes_into_the_loop_with_its_rates(tmp_path: Path) -> None:
+    """``sysid simulate iiwa-bullet``, then ``sysid close-loop``: rates beside the angles were refused."""
+    options = ["--scenario", "arm-computed-torque", "-S", "noise=1e-4", "-S", "duration=10"]
+    files = {"estimation/0": tmp_path / "run.csv", "validation/0": tmp_path / "val.csv"}
+    for role, path in files.items():
+        with pytest.raises(SystemExit) as ended:
+            main(["simulate", "iiwa-bullet", *options, "--role", role, "-o", str(path)])
+        assert ended.value.code == 0
+    run, val = files.values()
+    assert "q7_rate [rad/s]" in run.read_text().partition("\n")[0]
+    report = close_loop_file(run, validation=val, model="iiwa", out=tmp_path / "out")
+    assert report.data["adequacy"] == "explained"
+    assert report.verdict == "nothing_missing", report.data["summary"]
+    assert not any("swapped" in one for one in report.data["warnings"])
 
 
 def test_a_flexible_joint_is_named_with_its_compliance() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from harness.diagnosis.close import close_loop
-from harness.diagnosis.records.columns_check import check_columns, doubts, repairs
+from harness.diagnosis.records.columns_check import Doubt, check_columns, doubts, repairs
 from harness.effects import builtin
 from harness.physics import load_model
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
@@ -94,6 +94,37 @@ def test_degrees_are_told_where_declared_values_are_placeholders(foreign_pendulu
     (doubt,) = doubts(small, scaled(foreign_pendulum(5, n=600).estimation[0], "y", 0, 180 / np.pi))
     assert "theta is in degrees, not in radians" in doubt.words
     assert doubt.certain
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (180 / np.pi, "q is in degrees, not in radians"),
+        (np.pi / 180, "q is in radians, and read as degrees"),
+        (1.0, ""),
+    ],
+)
+def test_degrees_show_in_the_parameters_of_a_linear_model(factor: float, words: str) -> None:
+    """It follows the record either way, with inertia, damping and stiffness 57 times what was declared."""
+    assert words in " ".join(one.words for one in linear_doubts(factor, 1.0))
+    assert len(linear_doubts(factor, 1.0)) == bool(words)
+    assert linear_doubts(factor, 1.6) == [], "a plant of another size than declared: degrees do not explain it"
+
+
+def linear_doubts(factor: float, size: float) -> list[Doubt]:
+    """Return what is doubted of a torsional oscillator's record, times a factor, of a plant so many times as large."""
+    from harness.physics.models import oscillator
+
+    system = oscillator().system()
+    system = replace(system, outputs=tuple(replace(one, unit="rad") for one in system.outputs))
+    system = system.with_parameters({"m": 1.0, "c": 0.4, "k": 9.0})
+    rng, t = np.random.default_rng(0), np.arange(800) * DT
+    u = sum(0.4 * np.cos(2 * np.pi * f * t + rng.uniform(0, 6)) for f in np.linspace(0.1, 2, 12))[:, None]
+    y = system.simulator(DT).rollout(size * np.array([1.0, 0.4, 9.0]), [0.1, 0.0], u)
+    y = factor * (y + 0.01 * y.std() * rng.standard_normal(y.shape))
+    found = doubts(system, Trajectory(t, u, y, PlantSpec(system.inputs, system.outputs, DT)))
+    assert not any(one.certain for one in found), "the plant may be of that size"
+    return found
 
 
 def test_all_angles_of_a_record_may_be_in_degrees(cart: Trajectory) -> None:

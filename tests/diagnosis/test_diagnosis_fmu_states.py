@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from harness.diagnosis.search.predictive import whitened
 
 from harness import registry
 from harness.blackbox.reader import fmu_system
 from harness.diagnosis import diagnose
 from harness.diagnosis.fmu.kind import BlackBox
 from harness.effects import builtin
+from harness.effects.effect import Placed
 from harness.export import export
 from harness.fmi.build import compiler
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
@@ -76,3 +78,23 @@ def test_an_fmu_without_settable_states_is_diagnosed_from_rest(exported: Path) -
     found = diagnose(recorded({}, 0.05), system, kind=BlackBox(), dictionary=[builtin()["coulomb_friction"]])
     assert [str(one.placed) for one in found.outcome.accepted] == ["coulomb_friction@theta"]
     assert found.final.values["coulomb_friction@theta.Fc"] == pytest.approx(0.05, rel=0.2)
+
+
+def test_a_direction_around_an_fmu_is_what_a_little_of_the_effect_does(exported: Path) -> None:
+    """Sign and size: forces that are left over are drawn as what the FMU lacks, not as what it has too much of."""
+    data, placed = recorded({}), Placed(builtin()["quadratic_drag"], "theta")
+    system = fmu_system(exported, SPEC)
+    form = BlackBox().form(system, data)
+    fit = form.fit((), [system.values()], None)
+    assert fit is not None
+    (column,) = form.columns(fit, [placed])
+    point, little = fit.detail.points["estimation"], 1e-4
+    with_it = form.composed([placed])
+    values = with_it.vector({**fit.values, placed.main(): little})
+    record, (before,) = data.estimation[0], form.paths(fit, "estimation")[0]
+    after = form.passes(with_it, 1)(record, values, point.x0[0], point.noise)
+    assert after is not None
+    moved = whitened((after.e - before.e)[..., None] / little, before.s[..., None])
+    got, expected = column.estimation[:, 0], np.ravel(moved)
+    assert got @ expected / np.sqrt((got @ got) * (expected @ expected)) > 0.99
+    assert got @ got == pytest.approx(expected @ expected, rel=0.05)

@@ -60,6 +60,23 @@ def test_a_candidate_shows_why_it_was_rejected_or_what_it_ties_with() -> None:
     assert (row["accepted"], row["reason"]) == (False, "its fit did not converge")
 
 
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"interval": lambda name: (0.0, float("inf")), "deviations": {DRAG.main(): float("inf")}}, "not determined"),
+        ({"interval": lambda name: (1e-9, 1e9), "logarithmic": frozenset({DRAG.main()})}, "far too wide"),
+        ({"interval": lambda name: (0.5, 0.5), "deviations": {DRAG.main(): 0.0}}, "of no width"),
+    ],
+)  # fmt: skip
+def test_a_candidate_has_limits_where_a_parameter_has(more: dict[str, Any], words: str) -> None:
+    """The table of candidates said 1e-9 to 1e9, or 0 to null, where the answer said null and null."""
+    judged = Judged((DRAG,), a_fit(**more), None, ("its evidence is too small",))
+    row = evidence_json._row(judged, 1, set(), set())
+    assert row["main"] == {DRAG.main(): [0.5, None, None]}, words
+    answer = evidence_json._effect(a_fit(**more), SimpleNamespace(placed=DRAG, evidence=1.0, validation=1.0))
+    assert [answer["parameters"]["c"][key] for key in ("low", "high")] == [None, None]
+
+
 def data(verdict: str, **more: Any) -> dict[str, Any]:
     """Return what the summary is made from."""
     errors = {

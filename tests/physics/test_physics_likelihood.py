@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
 
 from harness.physics import fit_output_error
 from harness.physics.kalman_pass import KalmanPass, Noise
 from harness.physics.latent import with_latent_forces
 from harness.physics.likelihood import Likelihood, NoiseModel, Point
+from harness.physics.likelihood_fit import fit_likelihood
 from harness.physics.models import cart_pole, oscillator, pendulum
 from harness.physics.smoother import innovation_response, smoothed
 from harness.signals import PlantSpec, Trajectory
@@ -60,25 +62,38 @@ def test_compiled_and_interpreted_passes_agree(make, intersample) -> None:
         np.testing.assert_allclose(getattr(fast.path, name), getattr(slow.path, name), rtol=1e-8, atol=1e-13)
 
 
+def discretised(system, p, noise) -> tuple[np.ndarray, ...]:
+    """Transition, input, process noise, output and sensor noise of a linear system with latent forces, input held."""
+    simulator, nx, nl = system.simulator(DT), system.nx, len(noise.s)
+    base = simulator.step(np.zeros(nx), np.zeros(nl), p)
+    moved = np.stack([simulator.step(row, np.zeros(nl), p) - base for row in np.eye(nx)], axis=1)
+    push = np.stack([simulator.step(np.zeros(nx), row, p) - base for row in np.eye(nl)], axis=1)
+    fade, below = np.exp(-DT / noise.tau), np.zeros((nl, nx))
+    transition = np.block([[moved, push], [below, np.diag(fade)]])
+    gained = np.diag(noise.s**2 * (1 - fade**2))
+    process = np.block([[push @ np.diag(noise.w**2) @ push.T, below.T], [below, gained]])
+    zero = np.zeros(1)
+    seen = np.stack([np.ravel(simulator.output(row, zero, p)) for row in np.eye(nx)], axis=1)
+    output = np.hstack([seen, np.zeros((system.ny, nl))])
+    return transition, np.vstack([push, np.zeros((nl, nl))]), process, output, np.diag(noise.r**2)
+
+
+def linear_case(outputs) -> tuple:
+    """An oscillator with a latent force: system, parameters, noise, record and initial state."""
+    system = oscillator().system().with_outputs(outputs)
+    p = np.array([1.0, 0.4, 9.0])
+    noise = Noise(np.array([0.02, 0.05])[: system.ny], np.array([0.5]), np.array([0.2]), np.array([0.1]))
+    data = record(system, p, [0.1, 0.0], noise=0.02, force=0.5, n=400)
+    return system, p, noise, data, np.array([0.1, 0.0])
+
+
 def test_the_likelihood_of_a_linear_model_is_that_of_filterpy() -> None:
     from filterpy.kalman import KalmanFilter
 
-    system = oscillator().system()
-    p, noise = np.array([1.0, 0.4, 9.0]), some_noise(system, r=0.02, s=0.5, tau=0.2, w=0.1)
-    data = record(system, p, [0.1, 0.0], noise=0.02, force=0.5, n=400)
-    ours = KalmanPass(with_latent_forces(system), DT)(data, p, [0.1, 0.0], noise)
-    # the discrete matrices from the simulator itself: states (q, v, d), input held
-    simulator = system.simulator(DT)
-    base = simulator.step([0, 0], [0], p)
-    columns = [simulator.step(e, [0], p) - base for e in np.eye(2)]
-    push = simulator.step([0, 0], [1], p) - base
-    fade = np.exp(-DT / 0.2)
+    system, p, noise, data, x0 = linear_case(["q"])
+    ours = KalmanPass(with_latent_forces(system), DT)(data, p, x0, noise)
     theirs = KalmanFilter(3, 1, 1)
-    theirs.F = np.block([[np.stack(columns, axis=1), push[:, None]], [np.zeros((1, 2)), np.array([[fade]])]])
-    theirs.B = np.concatenate([push, [0.0]])[:, None]
-    white = 0.1**2 * np.outer(push, push)
-    theirs.Q = np.block([[white, np.zeros((2, 1))], [np.zeros((1, 2)), np.array([[0.5**2 * (1 - fade**2)]])]])
-    theirs.H, theirs.R = np.array([[1.0, 0.0, 0.0]]), np.array([[0.02**2]])
+    theirs.F, theirs.B, theirs.Q, theirs.H, theirs.R = discretised(system, p, noise)
     theirs.x, theirs.P = np.array([[0.1], [0.0], [0.0]]), np.diag([0.0, 0.0, 0.25])
     total = 0.0
     for k in range(len(data)):
@@ -90,16 +105,95 @@ def test_the_likelihood_of_a_linear_model_is_that_of_filterpy() -> None:
     assert ours.nll == pytest.approx(total, rel=1e-9)
 
 
-def test_without_latent_force_it_is_the_output_error_fit() -> None:
-    system = pendulum().system()
-    data = record(system, system.vector(), [0.3, 0.0])
+@pytest.mark.parametrize("outputs", [["q"], ["q", ("q", 1)]], ids=["position", "whole state"])
+def test_the_likelihood_of_a_linear_model_is_that_of_statsmodels(outputs) -> None:
+    """Sample by sample, too."""
+    from statsmodels.tsa.statespace.kalman_filter import KalmanFilter
+
+    system, p, noise, data, x0 = linear_case(outputs)
+    ours = KalmanPass(with_latent_forces(system), DT)(data, p, x0, noise)
+    transition, push, process, output, sensors = discretised(system, p, noise)
+    theirs = KalmanFilter(
+        system.ny, 3, design=output[:, :, None], transition=transition[:, :, None], selection=np.eye(3)[:, :, None],
+        obs_cov=sensors[:, :, None], state_cov=process[:, :, None], tolerance=0.0,
+    )  # fmt: skip
+    theirs.bind(data.y.copy())
+    theirs["state_intercept"] = push @ data.u.T
+    theirs.initialize_known(np.array([*x0, 0.0]), np.diag([0.0, 0.0, noise.s[0] ** 2]))
+    theirs = theirs.filter()
+    assert ours.nll == pytest.approx(-theirs.llf, rel=1e-9)
+    np.testing.assert_allclose(-ours.terms, theirs.llf_obs, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("latent", [False, True], ids=["no latent force", "one of size 0"])
+@pytest.mark.parametrize(
+    ("make", "truth", "x0"), [(pendulum, [0.1, 0.05, 1.0], [0.3, 0.0]), (oscillator, [1.0, 0.4, 9.0], [0.1, 0.0])]
+)
+def test_without_latent_force_it_is_the_output_error_fit(make, truth, x0, latent) -> None:
+    system = make().system()
+    data = record(system, np.array(truth), x0)
     fit = fit_output_error(system, [data])
-    likelihood = Likelihood(system, [data], noise_model(system, latent=False))
-    found = likelihood.maximise(Point(1.1 * system.vector(), [np.array([0.3, 0.0])], some_noise(system)))
+    likelihood = Likelihood(system, [data], noise_model(system, latent=latent))
+    free = [name for name in likelihood.names if name.partition("@")[0] not in ("s", "tau", "w")]
+    start = Point(1.1 * np.array(truth), [np.array(x0)], some_noise(system, s=0.0, w=0.0))
+    found = likelihood.maximise(start, free=free)
     assert found.converged
     for name, value in fit.parameters.items():
-        assert found.parameters[name] == pytest.approx(value, rel=1e-5)
-    assert found.point.noise.r[0] == pytest.approx(fit.rms[0], rel=1e-4)
+        assert found.parameters[name] == pytest.approx(value, rel=1e-6)
+    assert found.point.noise.r[0] == pytest.approx(fit.rms[0], rel=1e-6)
+
+
+def test_with_a_large_latent_force_it_is_the_equation_error_fit() -> None:
+    """Readings of the whole state, and a force of s = 1 N that nobody measured, drawn anew for every sample of h.
+
+    It moves the rate by h s / m = 0.01 m/s a sample, far more than the noise r of the readings. The innovations of the
+    rate are then the errors e of the equation of motion, times h / m, and the likelihood is
+    ``N log(h s / m) + sum e^2 / (2 s^2)``. With s unknown too that is N / 2 log of the sum of (e / m)^2: least squares
+    of the acceleration, and its standard errors. With s fixed it is least squares if the mass is known.
+    What that leaves out is of the order of r / (h s / m), noise of the readings, and h^2 s / (12 m r), what the
+    position tells beyond the rate, as the motion within a sample is curved. Both are least together where r is their
+    geometric mean, 3e-4 m, and are 3 % then: of a standard error, for each sample has a part in both alike.
+    """
+    system = oscillator().system().with_outputs(["q", ("q", 1)])
+    truth, simulator = np.array([1.0, 0.4, 9.0]), system.simulator(DT)
+    start, model = [np.array([0.1, 0.0])], NoiseModel(np.ones(1), np.full(2, 0.3), shortest=1e-3, longest=3.0)
+    noise = Noise(np.full(2, 3e-4), np.ones(1), np.array([1e-3]), np.zeros(1))
+    errors = []  # of free runs
+    for seed in range(4):
+        data = record(system, truth, start[0], noise=3e-4, force=1.0, tau=1e-3, n=3000, seed=seed)
+
+        def least(known, data=data) -> tuple[np.ndarray, np.ndarray]:
+            """Logarithms of the parameters that leave least of the measured accelerations, and standard errors."""
+            (q, v), u = data.y[:-1].T, data.u[:-1, 0]
+
+            def left(logarithms) -> np.ndarray:
+                p = np.exp([*known, *logarithms])
+                of_q, of_v, of_u = (simulator.step(x, [w], p)[1] for x, w in (([1, 0], 0), ([0, 1], 0), ([0, 0], 1)))
+                return (data.y[1:, 1] - of_q * q - of_v * v - of_u * u) / DT
+
+            fit = least_squares(left, np.log(truth[len(known) :]), x_scale="jac", xtol=1e-14, ftol=1e-14)
+            return fit.x, np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)) * np.mean(fit.fun**2))
+
+        def compared(found, values, deviations, share, wider) -> None:
+            """A fit is least squares to a share of a standard error, and its standard errors are those."""
+            for name, value, deviation in zip(("m", "c", "k")[-len(values) :], values, deviations, strict=True):
+                assert abs(np.log(found.parameters[name]) - value) < share * deviation
+                assert found.deviation(name) == pytest.approx(deviation, rel=wider)
+
+        likelihood = Likelihood(system, [data], model)
+        begin = Point(truth * [1.0, 1.2, 0.9], start, noise)
+        compared(likelihood.maximise(begin, free=["c", "k"]), *least(np.log(truth[:1])), 0.15, 0.05)
+        free = ["m", "c", "k", "s@q"]
+        found = likelihood.maximise(begin, free=free)
+        for _ in range(3):  # a fit may end a third of a unit of log-likelihood early: half a standard error
+            found = likelihood.maximise(found.point, free=free, near=True)
+        compared(found, *least([]), 0.15, 0.05)
+        # what a user calls: readings' noise, size, memory and a white part of the force are unknown too
+        compared(fit_likelihood(system, [data]), *least([]), 0.3, 0.15)
+        values, deviations = least([])
+        run = fit_output_error(system, [data])
+        errors.append((np.log([run.parameters[name] for name in ("m", "c", "k")]) - values) / deviations)
+    assert np.sqrt(np.mean(np.square(errors))) > 2.0  # a free run counts the force as noise of the sensors
 
 
 def test_a_free_run_has_the_likelihood_of_its_noise_and_every_record_its_own_start() -> None:

@@ -70,3 +70,13 @@ def test_a_locked_joint_is_no_coordinate(tmp_path: Path) -> None:
 def test_a_missing_joint_is_named() -> None:
     with pytest.raises(InputError, match="q7 missing"):
         load_arm("iiwa").with_outputs([f"q{k}" for k in range(1, 7)])
+
+
+def test_rates_of_joints_are_measured_by_name_or_by_order() -> None:
+    """A simulated arm records angles and rates: its columns go into the loop as they are."""
+    arm, positions = load_arm("iiwa"), [f"q{k}" for k in range(1, 8)]
+    named = arm.with_outputs([*positions, "q2_rate"])
+    assert [str(one) for one in named.outputs[7:]] == ["q2_rate [rad/s]"]
+    assert named.outputs == arm.with_outputs([*positions, ("q2", 1)]).outputs
+    with pytest.raises(InputError, match="got flange; remedy: leave these columns out"):
+        arm.with_outputs([*positions, "flange"])

@@ -150,11 +150,11 @@ class EquationsForm(LikelihoodForm[System]):
         inertias = [
             start[placed.name(parameter.name)] for parameter in placed.effect.parameters if parameter.unit == "F/a"
         ]
-        if not inertias:
+        free = [name for name in base.free if name in self.nominal.parameter_names]
+        if not inertias or not free:
             return {}
         key = placed.at, sum(inertias)
         if key not in known:
-            free = [name for name in base.free if name in self.nominal.parameter_names]
             traces = self._traces(base, USES[:1])[USES[0]]
             known[key] = lightened(traces, self.nominal, base.values, free, *key)
         return known[key]

@@ -4,7 +4,8 @@ The model and its declared parameters predict the records. Where they do not, th
 repaired (scaled by 1000 or by 180/pi, exchanged with another) and the parameters near the declared ones. All are
 tried; the best one is named if it leaves far less than the records as they are do with any parameters within a factor
 of 100. Where the declared values say nothing, and the records as they are cannot be followed at all, the same is asked
-with free parameters.
+with free parameters. Degrees for radians are a factor of 57 only, which a linear model follows with other parameters:
+they are named if they alone bring all parameters to what was declared.
 """
 
 from __future__ import annotations
@@ -33,11 +34,15 @@ SAMPLES = 1500
 
 @dataclass(frozen=True, eq=False)
 class Repair:
-    """One thing that may be wrong with the columns: words, what to do about it, and the record without it."""
+    """One thing that may be wrong with the columns: words, what to do about it, and the record without it.
+
+    ``angle``: degrees and radians are taken for each other.
+    """
 
     words: str
     remedy: str
     record: Trajectory
+    angle: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,7 +85,8 @@ def doubts(system: System, record: Trajectory, intersample: Intersample = "zoh")
     where the model fits as well as before: a force in N mm read as N m scales inertia, damping and stiffness alike. So
     every repair is fitted with the parameters held within a factor 10 of the declared ones; the best one is named if it
     leaves a fifth at most of what the record as it is leaves with parameters within a factor 100. Repairs that do as
-    well are named beside it. Parameters of declared value 0 are free; a declared value wrong by 100 alone says nothing.
+    well are named beside it. Parameters of declared value 0 are free; a declared value wrong by 100 alone says nothing,
+    unless it is by the factor between degrees and radians that all are off.
 
     Parameters
     ----------
@@ -110,8 +116,8 @@ def doubts(system: System, record: Trajectory, intersample: Intersample = "zoh")
     reference, grain = before, _grain(cut)
     if _off(system, values, DATA_POLICY.far):
         reference = max(before, _fit(_held(system, DATA_POLICY.far), cut, intersample, declared=True)[0])
-    elif not _clear(grain, before, grain):
-        return []  # nothing can be far better than that
+    elif not _clear(grain, before, grain):  # nothing can be far better than that
+        return [] if lost else _by_angle(system, cut, values, before, intersample)
     possible = list(repairs(cut))
     errors = [_fit(near, repair.record, intersample, declared=True)[0] for repair in possible]
     clear = min(errors) <= good and _clear(min(errors), reference, grain)
@@ -120,10 +126,27 @@ def doubts(system: System, record: Trajectory, intersample: Intersample = "zoh")
         errors = [_fit(system, repair.record, intersample)[0] for repair in possible]
         clear = _clear(min(errors), before, grain)
     if not clear:
-        return []
+        return [] if lost else _by_angle(system, cut, values, before, intersample)
     likely = [repair for repair, error in zip(possible, errors, strict=True) if error <= 1.5 * min(errors)]
     certain = not before <= max(1.5 * min(errors), DATA_POLICY.repair_clear)
     return [Doubt(_sentence(system, likely, values, before, min(errors)), certain)]
+
+
+def _by_angle(
+    system: System, cut: Trajectory, values: Mapping[str, float], before: float, intersample: Intersample
+) -> list[Doubt]:
+    """Return the doubt that an angle is in the other unit, if then all parameters are as declared; else nothing.
+
+    A linear model follows the record either way: what it leaves tells nothing, and the parameters tell.
+    """
+    as_declared = _held(system, DATA_POLICY.declared)
+    errors = [(repair, _fit(as_declared, repair.record, intersample, declared=True)[0])
+              for repair in repairs(cut) if repair.angle]  # fmt: skip
+    least = min((error for _, error in errors), default=np.inf)
+    if not least <= max(1.5 * before, DATA_POLICY.repair_clear):
+        return []
+    likely = [repair for repair, error in errors if error <= 1.5 * least]
+    return [Doubt(_sentence(system, likely, values, before, least, DATA_POLICY.declared), certain=False)]
 
 
 def repairs(record: Trajectory) -> Iterator[Repair]:
@@ -143,11 +166,13 @@ def repairs(record: Trajectory) -> Iterator[Repair]:
                 f"{names} {verb} in degrees, not in radians",
                 f"declare {names} in deg",
                 _scaled(record, kind, columns, DEGREE),
+                angle=True,
             )
             yield Repair(
                 f"{names} {verb} in radians, and read as degrees",
                 f"declare {names} in rad",
                 _scaled(record, kind, columns, 1 / DEGREE),
+                angle=True,
             )
         for k, channel in enumerate(channels):
             for factor, word in ((1e-3, "large"), (1e3, "small")):
@@ -202,8 +227,9 @@ def _window(cut: Trajectory) -> int:
 
 
 def _sentence(
-    system: System, likely: Sequence[Repair], values: Mapping[str, float], before: float, after: float
-) -> str:
+    system: System, likely: Sequence[Repair], values: Mapping[str, float], before: float, after: float,
+    within: float = DATA_POLICY.near,
+) -> str:  # fmt: skip
     """Return what is to be checked, and why."""
     words = " or ".join(repair.words for repair in likely)
     text = f"check the units and the order of the columns: perhaps {words} ({'; or '.join(o.remedy for o in likely)})"
@@ -213,7 +239,7 @@ def _sentence(
         return f"{text}, and by {100 * min(before, 1.0):.3g} % as the columns are"
     moved = ", ".join(f"{name} {system.parameter(name).value:.3g} -> {values[name]:.3g}" for name in off)
     return (
-        f"{text} with parameters within {DATA_POLICY.near:g} times of the declared ones; as the columns are, it needs "
+        f"{text} with parameters within {within:g} times of the declared ones; as the columns are, it needs "
         f"{moved}, and errs by {100 * before:.3g} %. If the plant is that size, give the model such values"
     )
 

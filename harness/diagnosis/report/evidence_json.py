@@ -30,7 +30,8 @@ Keys of ``sysid-harness/close-loop/2``, the same for every kind of model; what d
     ``before`` and ``after``: ``sensors`` (r by output) and ``forces`` (by port: s and tau of the latent force, its
     white part w; ``at_least`` where s lies on the upper bound of its search).
 ``candidates``
-    Every refit with the reason it was rejected; then what the score test alone set aside.
+    Every refit with the reason it was rejected; then what the score test alone set aside. ``main``: by name value, low
+    and high of the effect's size, limits null where ``parameters`` would have none.
 ``withdrawn``
     Effects that were accepted and taken back: something is left, and with them the model runs further from the
     validation records.
@@ -143,7 +144,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         },
         "ratios": ratios(answer.fit, together),
         "noise": {"before": _noise(found, found.nominal), "after": _noise(found, answer.fit)},
-        "candidates": _candidates(found),
+        "candidates": _candidates(found, together),
         "withdrawn": [_named([effect.placed]) for effect in found.outcome.withdrawn],
         "left_over": [axis.to_dict() for axis in found.leftover.axes],
         "tests": {"before": _tests(found, found.nominal), "after": _tests(found, answer.fit)},
@@ -301,7 +302,7 @@ def _other_horizons(found: Diagnosis) -> list[float]:
     return [float(f"{horizon:.2g}") for horizon in wanted if 20 * dt <= horizon < shortest]
 
 
-def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
+def _candidates(found: Diagnosis, together: Sequence[str]) -> list[dict[str, Any]]:
     """Return one row for each refit of each round, then what the score test set aside."""
     accepted = {str(effect.placed) for effect in answer_of(found).accepted}
     tied = {str(p) for effect in answer_of(found).accepted for member in effect.tie for p in member} - accepted
@@ -310,7 +311,7 @@ def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
         ranked = sorted(
             step.candidates, key=lambda judged: -np.inf if judged.comparison is None else -judged.comparison.total
         )
-        rows += [_row(judged, number, accepted, tied, fits=not found.misfit) for judged in ranked]
+        rows += [_row(judged, number, accepted, tied, together, fits=not found.misfit) for judged in ranked]
         refitted = {judged.name for judged in step.candidates}
         for lead in [*step.test.leads, *step.test.hidden]:
             if str(lead.placed) in refitted:
@@ -333,7 +334,9 @@ def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
     return rows
 
 
-def _row(one: Judged, number: int, accepted: set[str], tied: set[str], *, fits: bool = True) -> dict[str, Any]:
+def _row(
+    one: Judged, number: int, accepted: set[str], tied: set[str], together: Sequence[str] = (), *, fits: bool = True
+) -> dict[str, Any]:
     """Return the row of one refitted candidate."""
     reason = "; ".join(one.reasons)
     if one.passed and not fits:
@@ -356,7 +359,7 @@ def _row(one: Judged, number: int, accepted: set[str], tied: set[str], *, fits: 
         "main": {}
         if one.fit is None
         else {
-            name: [known(v) for v in (one.fit.values[name], *one.fit.interval(name))]
+            name: [estimate(one.fit, name, together)[key] for key in ("value", "low", "high")]
             for name in (p.main() for p in one.added)
             if name is not None and name in one.fit.free
         },
