@@ -530,6 +530,9 @@ class Likelihood:
                 moved = trial[entries] - z[entries]
                 promise = -float(gradient @ moved + 0.5 * moved @ matrix @ moved)
                 if 0 <= promise < _ENOUGH and first == np.inf:
+                    if damping > _DAMPING:  # of the step before: only a long one promises little where there is little
+                        damping = _DAMPING
+                        continue
                     first = promise
                     break
                 first = promise if first == np.inf and promise >= 0 else first
