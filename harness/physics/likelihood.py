@@ -521,7 +521,7 @@ class Likelihood:
             live = ~stuck
             size = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
             scaled = matrix / np.outer(size, size)
-            improved, first, more_damping = False, np.inf, 8.0
+            improved, first, more_damping, heavy = False, np.inf, 8.0, damping > _DAMPING
             while damping < _MOST_DAMPING:
                 step = _damped(scaled, gradient / size, damping, live, np.maximum(low - z, longest)[entries] * size,
                                np.minimum(high - z, -longest)[entries] * size) / size  # fmt: skip
@@ -529,12 +529,10 @@ class Likelihood:
                 trial[entries] = np.clip(z[entries] + step, low[entries], high[entries])
                 moved = trial[entries] - z[entries]
                 promise = -float(gradient @ moved + 0.5 * moved @ matrix @ moved)
-                if 0 <= promise < _ENOUGH and first == np.inf:
-                    if damping > _DAMPING:  # of the step before: only a long one promises little where there is little
-                        damping = _DAMPING
-                        continue
-                    first = promise
-                    break
+                if heavy and 0 <= promise < _ENOUGH:  # only a long step promises little where there is little
+                    damping, heavy = _DAMPING, False
+                    continue
+                heavy = False
                 first = promise if first == np.inf and promise >= 0 else first
                 new, passes = self._value(trial)
                 if passes is not None and new < value:
