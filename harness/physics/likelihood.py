@@ -45,8 +45,6 @@ _DAMPING = 1e-3
 """Of the first step, over the diagonal."""
 _LEAST_DAMPING = 1e-7
 _MOST_DAMPING = 1e9
-_AGREES, _DISAGREES = 0.75, 0.25
-"""Gains over their promises above which damping falls, and below which it grows (Nocedal & Wright 2006, sec. 4.1)."""
 _POSITIVE = 1e-12
 
 
@@ -546,10 +544,7 @@ class Likelihood:
                 if scaled_noise:
                     new, trial = self._concentrate(trial, passes, low, high)
                 gain, value, z, found = value - new, new, trial, passes
-                if gain > _AGREES * promise:
-                    damping = max(damping / 8.0, _LEAST_DAMPING)
-                elif gain < _DISAGREES * promise:
-                    damping *= 4.0
+                damping = max(damping / 8.0, _LEAST_DAMPING)
                 if count >= _SETTLED and value - (most - count) * gain > reach:
                     message, beyond = "its steps do not bring it within reach", True
                     break

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness.diagnosis.search.predictive import whitened
 
 from harness import registry
 from harness.blackbox.reader import fmu_system
 from harness.diagnosis import diagnose
 from harness.diagnosis.fmu.kind import BlackBox
+from harness.diagnosis.forms.predictive import whitened
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.export import export

@@ -76,5 +76,12 @@ def _apart(samples: int) -> int:
 
 def _ratio(part: Sequence[FloatArray], whole: Sequence[FloatArray]) -> float:
     """Return the largest rms of a column over that of the whole; 0 where nothing moves."""
-    sizes = [np.sqrt(np.nanmean(np.concatenate(list(records)) ** 2, axis=0)) for records in (part, whole)]
+    sizes = [_rms(np.concatenate(list(records))) for records in (part, whole)]
     return float(np.max(np.divide(sizes[0], sizes[1], out=np.zeros_like(sizes[0]), where=sizes[1] > 0), initial=0.0))
+
+
+def _rms(values: FloatArray) -> FloatArray:
+    """Return the rms of every column of what was measured; 0 where nothing was."""
+    known = np.isfinite(values)
+    squares = np.where(known, values, 0.0) ** 2
+    return np.asarray(np.sqrt(squares.sum(axis=0) / np.maximum(known.sum(axis=0), 1)))

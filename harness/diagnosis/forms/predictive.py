@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from harness.errors import FitError
 from harness.physics.kalman_pass import Filtered
 from harness.physics.likelihood import Likelihood, LikelihoodFit, Point
 from harness.signals import FloatArray
@@ -92,6 +93,11 @@ def predictive(
         Parameters (count of them).
     spread : array (count, k)
         A square root of the covariance.
+
+    Raises
+    ------
+    FitError
+        If the derivatives are not finite.
     """
     system = likelihood.system
     places = np.array([system.parameter_names.index(name) for name in free], dtype=np.intp)
@@ -113,8 +119,16 @@ def predictive(
         paths = likelihood.filtered(point, columns=columns)
         if paths is None:
             break
-        parts = [_outside_starts(passed, len(places), spread) for passed in paths]
-        matrix = np.eye(len(moved)) + sum(part.along.T @ part.along for part in parts)
+        with np.errstate(all="ignore"):  # of a motion that a deviation takes out of all bounds
+            parts = [_outside_starts(passed, len(places), spread) for passed in paths]
+            matrix = np.eye(len(moved)) + sum(part.along.T @ part.along for part in parts)
+        if not np.isfinite(matrix).all():
+            raise FitError(
+                "prediction of the validation records",
+                expected="derivatives that are finite",
+                got="a motion that amplifies everything",
+                remedy="refit the model",
+            )
         price = 0.5 * float(moved @ moved + np.linalg.slogdet(matrix)[1])
         gradient = moved + sum(part.along.T @ part.left for part in parts)
         step: FloatArray = np.asarray(-np.linalg.solve(matrix, gradient), dtype=float)
