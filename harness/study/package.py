@@ -47,7 +47,7 @@ TRUTH_COLUMNS = (
     "sizes",
     "structure",
 )
-SECRET_FROM = 200_000
+SECRET_FROM = 300_000
 """Secret bases begin here: what lies below is for tuning and for the project's own judged records."""
 README = """# Records for a tool that says what a model lacks
 
