@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from harness.study.outcome import has_double
 from harness.study.statistics import clopper_pearson
 
 __all__ = ["alone", "figures", "share"]
@@ -31,6 +32,11 @@ def figures(rows: Sequence[Row]) -> str:
         if here:
             words = "with" if shaken else "without"
             lines.append(f"| **right, no rival tied**, {words} disturbance | {goal} | {_of(alone, here)} |")
+            able = [row for row in here if not has_double(row["truth"].split(" + "), row["plant"], row["engine"])]
+            if able and len(able) < len(here):
+                lines.append(
+                    f"| the same where nothing is exactly like the truth, {words} | 95 % | {_of(alone, able)} |"
+                )
             lines.append(f"| sizes of the tie sets of right or tied answers, {words} disturbance | | {_sizes(here)} |")
     for level, goals in (("nominal", ("97 %", "95 %")), ("quarter", ("95 %", "90 %"))):
         for shaken, goal in zip((False, True), goals, strict=True):

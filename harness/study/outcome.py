@@ -8,7 +8,7 @@ from itertools import product
 
 from harness.study.disturbances import named
 
-__all__ = ["STAND_IN", "Answer", "Outcome", "judge_answer"]
+__all__ = ["STAND_IN", "Answer", "Outcome", "has_double", "judge_answer"]
 
 Group = frozenset[str]
 STAND_IN = "said to be a stand-in"
@@ -37,6 +37,23 @@ _DAHL: dict[str, tuple[tuple[Group, ...], ...]] = {
     for plant, places in (("pendulum", ("theta",)), ("cart-pole", ("x", "theta")))
 }
 """The dry friction of hardware is Dahl's, which is the dictionary's hysteresis with beta = 1, term by term."""
+
+
+_SCALES = frozenset({"input_gain@u"})
+"""Exactly the same as a common factor on all nominal parameters, which are free."""
+
+
+def has_double(truth: Collection[str], plant: str, engine: str = "") -> bool:
+    """Return whether something else is exactly the same as the truth on a plant: no experiment tells it apart.
+
+    Examples
+    --------
+    >>> has_double({"gravity_tilt@base"}, "pendulum"), has_double({"gravity_tilt@base"}, "cart-pole")
+    (True, False)
+    """
+    wanted = frozenset(truth)
+    same = (*_SAME[plant], *(_DAHL[plant] if engine == "hardware" else ()))
+    return bool(wanted & _SCALES) or any(member <= wanted for family in same for member in family)
 
 
 @dataclass(frozen=True)
