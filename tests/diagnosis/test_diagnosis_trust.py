@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
+from harness.diagnosis.forms.suspects import piled_up
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.misfit import carried_away
 from harness.diagnosis.policy import POLICY
@@ -243,3 +244,14 @@ def test_a_drive_that_would_pull_back_at_its_peak_is_no_compression() -> None:
     assert any("lies on its bound" in text for text in impossible(placed, fit))
     fit.on_bound = ()
     assert impossible(placed, fit) == []
+
+
+def test_peaks_of_a_swing_are_no_ceiling_of_the_sensor() -> None:
+    """A smooth peak is a parabola; readings at a ceiling stay there, however far below it others lie."""
+    first, second = swing(seed=1), swing(seed=2)
+    ceiling = 0.8 * float(np.abs(first.y).max())
+    sensor = [Placed(builtin()["sensor_saturation"], "theta")]
+    for cut, expected in ((np.inf, 0), (ceiling, 1)):
+        flat = [replace(one, y=np.clip(one.y, -cut, cut)) for one in (first, second)]
+        found = closed(*flat, "viscous_friction")
+        assert len(piled_up(found.form, found.nominal, sensor)) == expected

@@ -403,3 +403,41 @@ def test_a_free_swing_has_no_interval_of_what_only_ratios_tell() -> None:
     held = likelihood.maximise(start, free=["J", "b", "x0[0].theta"])
     assert held.undetermined == ()
     assert 0.0 < held.deviation("J") < 0.05
+
+
+@pytest.mark.parametrize("damping", [None, 1e8])
+def test_a_search_that_goes_on_comes_to_the_same_maximum(damping) -> None:
+    """However heavily the step before was damped: what it promised is no measure of what is left."""
+    system = pendulum().system()
+    data = record(system, [0.1, 0.05, 1.0], [0.3, 0.0], force=0.05)
+    likelihood = Likelihood(system, [data], noise_model(system))
+    start = Point(1.3 * np.array([0.1, 0.05, 1.0]), [np.array([0.3, 0.0])], some_noise(system, s=0.2))
+    whole = likelihood.maximise(start)
+    begun = likelihood.maximise(start, most=2, exact=False)
+    assert begun.nll > whole.nll + 1.0, "there is a way to go"
+    ended = likelihood.maximise(begun if damping is None else replace(begun, damping=damping))
+    assert ended.converged
+    assert ended.nll == pytest.approx(whole.nll, abs=0.05)
+
+
+def test_gradients_of_several_records_are_the_sum_over_records() -> None:
+    system = pendulum().system()
+    records = [record(system, [0.1, 0.05, 1.0], [0.3, 0.0], n=300, seed=seed) for seed in (1, 2)]
+    point = Point(np.array([0.11, 0.05, 1.0]), [np.array([0.3, 0.0])] * 2, some_noise(system))
+    both = Likelihood(system, records, noise_model(system))
+
+    def derivatives(likelihood, point) -> tuple[np.ndarray, np.ndarray]:
+        z = likelihood._pack(point)
+        return likelihood._derivatives(z, likelihood.filtered(point), np.arange(len(z)), False)
+
+    gradient, matrix = derivatives(both, point)
+    for number, one in enumerate(records):
+        alone = Likelihood(system, [one], noise_model(system))
+        part, square = derivatives(alone, replace(point, x0=point.x0[:1]))
+        n, m = system.np, 2
+        own = [*range(n), *range(n + number * m, n + (number + 1) * m), *range(n + 2 * m, len(gradient))]
+        gradient[own] -= part
+        matrix[np.ix_(own, own)] -= square
+    scale = np.abs(derivatives(both, point)[1]).max()
+    np.testing.assert_allclose(gradient, 0.0, atol=1e-9 * scale**0.5)
+    np.testing.assert_allclose(matrix, 0.0, atol=1e-12 * scale)
