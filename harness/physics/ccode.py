@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
-import contextlib
 import ctypes
 import functools
 import hashlib
@@ -12,7 +10,6 @@ import platform
 import re
 import subprocess
 import tempfile
-import weakref
 from pathlib import Path
 from typing import Any
 
@@ -261,17 +258,6 @@ static void PREFIX_step(double *x, const double *u, const double *p, double t, d
 # ---- compilation -------------------------------------------------------------------------------------------------
 
 
-_under_way: weakref.WeakSet[Compilation] = weakref.WeakSet()
-
-
-@atexit.register
-def _give_up() -> None:
-    """End the compilers that nobody waits for, and remove their unfinished files, when the process ends."""
-    for compilation in list(_under_way):
-        with contextlib.suppress(OSError):
-            compilation.close()
-
-
 class Compilation:
     """A shared library in the making: ``start`` does not wait, ``library`` does.
 
@@ -315,7 +301,6 @@ class Compilation:
                 stderr=subprocess.DEVNULL,
             )
             assert self._process.stdin is not None
-            _under_way.add(self)
             self._process.stdin.write(self.source.encode())
             self._process.stdin.close()
         except OSError:
@@ -358,8 +343,7 @@ class Compilation:
             self._draft.unlink(missing_ok=True)
             self._draft = None
 
-    def close(self) -> None:
-        """End a compiler that is under way."""
+    def __del__(self) -> None:
         if getattr(self, "_owner", None) != os.getpid():
             return
         process = getattr(self, "_process", None)
@@ -368,6 +352,3 @@ class Compilation:
             process.wait()
         if getattr(self, "_draft", None) is not None:
             self._discard()
-
-    def __del__(self) -> None:
-        self.close()
