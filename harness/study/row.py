@@ -126,7 +126,7 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
         "stand_in": "; ".join(imitates),
         "accepted": " + ".join(accepted),
         "ties": "; ".join(" / ".join(sorted(" & ".join(sorted(one)) for one in tie)) for tie in ties if len(tie) > 1),
-        "tie_size": max(map(len, ties), default=0),
+        "tie_size": max((len(tie) for name, tie in zip(accepted, ties, strict=True) if name != beside), default=0),
         "validation_before": _short(before),
         "validation_after": _short(after),
         "improvement": _short(before / after),

@@ -13,8 +13,9 @@ from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.compare import compared, judged
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.leftover import left_over
-from harness.diagnosis.search.rounds import Accepted, Outcome, _pruned, search
+from harness.diagnosis.search.rounds import Outcome, _pruned, search
 from harness.diagnosis.search.score_test import score_test
+from harness.diagnosis.search.ties import Accepted, tied
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
@@ -326,6 +327,44 @@ def test_rivals_that_the_data_tell_apart_are_no_tie() -> None:
     outcome = search(form, form.fit((), [], None), ALL)
     assert accepted(outcome) == {"linear_spring"}
     assert tie_of(outcome, "linear_spring") == {"linear_spring"}
+
+
+def test_a_rival_that_a_later_effect_tells_apart_is_no_longer_tied() -> None:
+    """Alone, the cubic spring is as likely as the linear one, as it takes up some of the drag; beside the drag not."""
+    records = linear_records(16, {"linear_spring": 0.4, "quadratic_drag": 0.3})
+    for use in USES:
+        own = records.x[use]
+        own["cubic_spring"] = own["linear_spring"] + 0.3 * own["quadratic_drag"] + 0.64 * own["cubic_spring"]
+    form = LinearForm(records)
+    nominal = form.fit((), [], None)
+    rivals = [judged([placed(name)], form.fit([placed(name)], [], None), nominal, nominal) for name in NAMES]
+    alone = {row.name for row in rivals if tied(rivals[0], row)}
+    assert alone == {"linear_spring@theta", "cubic_spring@theta"}, "tied at first"
+    outcome = search(form, nominal, ALL)
+    assert accepted(outcome) == {"linear_spring", "quadratic_drag"}
+    assert tie_of(outcome, "linear_spring") == {"linear_spring"}
+
+
+def test_a_rival_that_is_part_of_the_answer_is_not_tied_with_the_rest_of_it() -> None:
+    records = linear_records(17, {"linear_spring": 0.3, "quadratic_drag": 0.3})
+    form = LinearForm(records)
+    nominal = form.fit((), [], None)
+    first, second = (
+        judged([placed(name)], form.fit([placed(name)], [], None), nominal, nominal)
+        for name in ("linear_spring", "quadratic_drag")
+    )
+    assert tied(first, second), "each alone is as likely"
+    outcome = search(form, nominal, ALL)
+    assert accepted(outcome) == {"linear_spring", "quadratic_drag"}
+    assert [len(one.tie) for one in outcome.accepted] == [1, 1]
+
+
+def test_what_stays_tied_beside_a_later_effect_is_told() -> None:
+    hidden = {"linear_spring": 0.4, "quadratic_drag": 0.3}
+    outcome = found_in(hidden, 18, alike={"cubic_spring": "linear_spring"})
+    assert len(outcome.accepted) == 2
+    assert tie_of(outcome, "linear_spring") == {"linear_spring", "cubic_spring"}
+    assert tie_of(outcome, "quadratic_drag") == {"quadratic_drag"}
 
 
 def test_a_law_that_stood_in_for_two_is_taken_back() -> None:

@@ -39,7 +39,8 @@ from harness.diagnosis.report.words import SAME, change_text
 from harness.diagnosis.runs.closed_loop_bias import BiasTest
 from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.fit import Fit
-from harness.diagnosis.search.rounds import Accepted, Outcome
+from harness.diagnosis.search.rounds import Outcome
+from harness.diagnosis.search.ties import Accepted
 from harness.diagnosis.stand_in import stand_in_reasons
 
 __all__ = ["arm_report"]

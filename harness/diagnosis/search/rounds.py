@@ -1,4 +1,4 @@
-"""The rounds of the search: score test, refits of the leaders, the best one that passes, its ties, and so on."""
+"""The rounds of the search: score test, refits of the leaders, the best one that passes, and so on."""
 
 from __future__ import annotations
 
@@ -20,14 +20,13 @@ from harness.diagnosis.search.compare import (
 )
 from harness.diagnosis.search.fit import Begun, Fit, Form
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
+from harness.diagnosis.search.ties import WANTS, Accepted, asked_again, physical, tie_set, tied, total, value
 from harness.effects import family, nested
 from harness.effects.effect import Placed
 
-__all__ = ["Accepted", "Outcome", "Round", "in_its_place", "search"]
+__all__ = ["Outcome", "Round", "in_its_place", "search"]
 
 Say = Callable[[str], None]
-WANTS = ("evidence", "validation", "it brings", "it changes")
-"""How reasons begin that are a want of evidence and nothing against the candidate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,16 +36,6 @@ class Round:
     base: Fit
     test: ScoreTest
     candidates: tuple[Judged, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Accepted:
-    """One accepted effect with all that these data cannot tell from it, itself first, and its evidence."""
-
-    placed: Placed
-    tie: tuple[tuple[Placed, ...], ...]
-    evidence: float
-    validation: float
 
 
 @dataclass(eq=False)
@@ -89,7 +78,7 @@ class Outcome:
         asked = (*WANTS, "amplitude and phase", "beside it")
         rows = [row for row in self.rounds[-1].candidates if row.fit is not None and row.reasons]
         held = [row for row in rows if not any(text.startswith(asked) for text in row.reasons)]
-        best = max(held, key=_total, default=None)
+        best = max(held, key=total, default=None)
         if best is None or best.fit is None or best.fit.change(best.added[0]) < policy.least:
             return None
         return best
@@ -147,7 +136,7 @@ def search(
         passed = [row for row in rows if row.passed]
         if passed:
             best = _answer(passed, policy)
-            _accept(outcome, best, _ties(best, rows, policy))
+            _accept(outcome, best, tie_set(best, rows, policy))
         if len(outcome.accepted) > 1 and passed:
             _exchange(form, outcome, nominal, policy)
             _pruned(form, outcome, policy)
@@ -157,6 +146,8 @@ def search(
         if not passed:
             break
     outcome.nominal = nominal
+    rows = [row for past in outcome.rounds for row in past.candidates]
+    outcome.accepted = asked_again(form, outcome.model, outcome.accepted, rows, nominal, policy)
     return outcome
 
 
@@ -178,7 +169,8 @@ def _accept(outcome: Outcome, best: Judged, tie: tuple[tuple[Placed, ...], ...])
     assert best.fit is not None
     assert best.comparison is not None
     outcome.model = best.fit
-    outcome.accepted.append(Accepted(best.added[-1], tie, best.comparison.evidence, best.comparison.validation))
+    beside = frozenset(str(accepted.placed) for accepted in outcome.accepted)
+    outcome.accepted.append(Accepted(best.added[-1], tie, best.comparison.evidence, best.comparison.validation, beside))
 
 
 def _refitted(
@@ -307,7 +299,7 @@ def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None
                 elif fit is not None:
                     start[mine.name(parameter.name)] = fit.values[mine.name(parameter.name)]
             again = form.fit([*base.effects, mine], [start], other, _best(fits, mine))
-            if again is not None and (fit is None or _value(again) > _value(fit)):
+            if again is not None and (fit is None or value(again) > value(fit)):
                 fits[mine] = again
 
 
@@ -315,7 +307,7 @@ def _as_good(fit: Fit, other: Fit, *, contains: bool) -> bool:
     """Return True if a fit has nothing to learn from where another ended; a law that contains it may not be worse."""
     if contains:
         return fit.log_likelihood("estimation") > other.log_likelihood("estimation") - 1.0
-    return _value(fit) > _value(other) - 1.0
+    return value(fit) > value(other) - 1.0
 
 
 def _lawful(form: Form, fits: dict[Placed, Fit | None], base: Fit, starts: Mapping[Placed, dict[str, float]]) -> None:
@@ -350,43 +342,12 @@ def _polished(form: Form, base: Fit, fits: Sequence[Fit]) -> Fit:
 
 def _answer(passed: Sequence[Judged], policy: Policy) -> Judged:
     """Return the best candidate, or a simpler one that ties with it and is a special case of it."""
-    best = max(passed, key=_total)
+    best = max(passed, key=total)
     for row in sorted(passed, key=lambda row: row.fit.count if row.fit else 0):
         special = row.added[0].effect.name in best.added[0].effect.nests and row.added[0].at == best.added[0].at
-        if special and _tied(best, row, policy):
+        if special and tied(best, row, policy):
             return row
     return best
-
-
-def _total(row: Judged) -> float:
-    return -np.inf if row.comparison is None else row.comparison.total
-
-
-def _tied(best: Judged, other: Judged, policy: Policy) -> bool:
-    """Return True if the data do not tell two candidates apart."""
-    assert best.fit is not None
-    if other.fit is None or other.comparison is None:
-        return False
-    gap = _total(best) - _total(other)
-    _, error = difference(best.fit, other.fit, ("estimation", "validation"), policy)
-    return gap < max(policy.tie, policy.tie_z * error)
-
-
-def _ties(best: Judged, rows: Sequence[Judged], policy: Policy) -> tuple[tuple[Placed, ...], ...]:
-    """Return the tie set of an answer: what passes, or fails only for a want of evidence, and is as likely.
-
-    A more general law that is as likely stays in it though its values ended outside its own physics: within it, it is
-    the answer itself or something beside it.
-    """
-    tied = [best.added]
-    for row in sorted(rows, key=lambda row: -_total(row)):
-        if row is best or row.comparison is None or row.comparison.evidence < 0 or row.comparison.total < 0:
-            continue
-        general = best.added[-1].effect.name in row.added[0].effect.nests and row.added[0].at == best.added[-1].at
-        lawless = general and all(text.startswith(("not so", *WANTS)) for text in row.reasons)
-        if (_physical(row) or lawless) and _tied(best, row, policy):
-            tied.append(row.added)
-    return tuple(tied)
 
 
 def _pairs(form: Form, outcome: Outcome, nominal: Fit, candidates: Sequence[Placed], policy: Policy, say: Say) -> None:
@@ -395,7 +356,7 @@ def _pairs(form: Form, outcome: Outcome, nominal: Fit, candidates: Sequence[Plac
     What was tried beside the answer and is impossible there is not tried beside what is like it.
     """
     so_far = compared(outcome.model, nominal, policy).total
-    ruled_out = {str(row.added[0]) for past in outcome.rounds[1:] for row in past.candidates if not _physical(row)}
+    ruled_out = {str(row.added[0]) for past in outcome.rounds[1:] for row in past.candidates if not physical(row)}
     present = {str(placed) for placed in outcome.model.effects}
     rivals = [
         row
@@ -403,42 +364,44 @@ def _pairs(form: Form, outcome: Outcome, nominal: Fit, candidates: Sequence[Plac
         if row.comparison is not None
         and row.comparison.evidence >= policy.evidence
         and str(row.added[0]) not in present
-        and (_physical(row) or row.reasons == (BEYOND,))
-        and (not outcome.accepted or _total(row) >= policy.reach * so_far)
+        and (physical(row) or row.reasons == (BEYOND,))
+        and (not outcome.accepted or total(row) >= policy.reach * so_far)
     ]
     best: Judged | None = None
-    for rival in sorted(rivals, key=lambda row: -_total(row))[: EFFORT.pairs]:
+    for rival in sorted(rivals, key=lambda row: -total(row))[: EFFORT.pairs]:
         fit = rival.fit
         if fit is not None and fit.beyond:  # alone it had no hope: beside another it may
             fit = form.fit(fit.effects, [fit.values], fit)
             alone = judged(rival.added, fit, nominal, nominal, policy)
-            if alone.passed and (best is None or _total(alone) > _total(best)):
+            if alone.passed and (best is None or total(alone) > total(best)):
                 best = alone
         if fit is None:
             continue
         others = [placed for placed in candidates if str(placed) not in {str(rival.added[0]), *ruled_out}]
         leads = [lead for lead in score_test(form, fit, others, policy).leads if lead.share >= policy.clear]
         for lead in leads[:2]:
-            if outcome.accepted and _total(rival) + 2 * lead.penalised < so_far + policy.tie:  # both uses gain alike
+            if outcome.accepted and total(rival) + 2 * lead.penalised < so_far + policy.tie:  # both uses gain alike
                 continue
             say(f"{rival.added[0]} + {lead.placed}")
             pair = form.fit([*fit.effects, lead.placed], [{**fit.values, **start} for start in lead.starts], fit)
             whole = judged([rival.added[0], lead.placed], pair, nominal, nominal, policy)
             second = judged([lead.placed], pair, fit, nominal, policy)
-            if whole.passed and second.passed and (best is None or _total(whole) > _total(best)):
+            if whole.passed and second.passed and (best is None or total(whole) > total(best)):
                 best = whole
-    if best is None or _total(best) < so_far + policy.tie:
+    if best is None or total(best) < so_far + policy.tie:
         return
     assert best.fit is not None
     assert best.comparison is not None
     each = best.comparison.evidence / len(best.added), best.comparison.validation / len(best.added)
     outcome.model = best.fit
-    outcome.accepted = [Accepted(placed, ((placed,),), *each) for placed in best.added]
+    outcome.accepted = [Accepted(placed, _alike(placed, outcome.rounds[0]), *each) for placed in best.added]
 
 
-def _physical(row: Judged) -> bool:
-    """Return True if nothing but a want of evidence speaks against a candidate."""
-    return all(text.startswith(WANTS) for text in row.reasons)
+def _alike(placed: Placed, past: Round) -> tuple[tuple[Placed, ...], ...]:
+    """Return an effect and what may be tied with it: what is like it, at its place, and was refitted in a round."""
+    names = {placed.effect.name, *family(placed.effect).near}
+    near = [row.added[0] for row in past.candidates if row.added[0].effect.name in names and physical(row)]
+    return ((placed,), *((other,) for other in near if other.at == placed.at and other != placed))
 
 
 def _exchange(form: Form, outcome: Outcome, nominal: Fit, policy: Policy) -> None:
@@ -453,7 +416,7 @@ def _exchange(form: Form, outcome: Outcome, nominal: Fit, policy: Policy) -> Non
             if row.fit is not None and row.comparison is not None and row.comparison.evidence > policy.evidence
         ]
         best, placed = outcome.model, earlier.placed
-        for row in sorted(rivals, key=lambda row: -_total(row))[: EFFORT.pairs + 1]:
+        for row in sorted(rivals, key=lambda row: -total(row))[: EFFORT.pairs + 1]:
             new = row.added[0]
             if str(new) in {str(placed) for placed in outcome.model.effects}:
                 continue
@@ -464,11 +427,12 @@ def _exchange(form: Form, outcome: Outcome, nominal: Fit, policy: Policy) -> Non
                 continue
             fit = form.finish(begun, outcome.model)
             trial = judged([new], fit, nominal, nominal, policy)
-            if fit is not None and trial.passed and _value(fit) > _value(best) + policy.tie:
+            if fit is not None and trial.passed and value(fit) > value(best) + policy.tie:
                 best, placed = fit, new
         if best is not outcome.model:
             outcome.model = best
-            outcome.accepted[number] = Accepted(placed, ((placed,),), earlier.evidence, earlier.validation)
+            tie = tuple(dict.fromkeys([(placed,), *earlier.tie, *_alike(placed, outcome.rounds[number])]))
+            outcome.accepted[number] = Accepted(placed, tie, earlier.evidence, earlier.validation)
 
 
 def _pruned(form: Form, outcome: Outcome, policy: Policy) -> None:
@@ -479,7 +443,7 @@ def _pruned(form: Form, outcome: Outcome, policy: Policy) -> None:
         without = form.fit(left, starts, outcome.model)
         if without is None or not without.converged or any(impossible(placed, without) for placed in left):
             continue
-        if _value(without) > _value(outcome.model) - policy.tie:
+        if value(without) > value(outcome.model) - policy.tie:
             outcome.model = without
             outcome.accepted = [accepted for accepted in outcome.accepted if accepted is not earlier]
 
@@ -493,7 +457,3 @@ def in_its_place(values: Mapping[str, float], gone: Placed, left: Sequence[Place
             if other.at == gone.at and a.unit == b.unit:
                 starts.append({**values, other.name(b.name): values[other.name(b.name)] + values[gone.name(a.name)]})
     return starts
-
-
-def _value(fit: Fit) -> float:
-    return fit.penalised + fit.log_likelihood("validation")

@@ -1,0 +1,144 @@
+"""What the data do not tell from an answer: its tie set, as it was accepted and beside what was accepted later."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from harness.diagnosis.policy import EFFORT, POLICY, Policy
+from harness.diagnosis.search.compare import Judged, difference, judged
+from harness.diagnosis.search.fit import Fit, Form
+from harness.effects.effect import Placed
+
+__all__ = ["WANTS", "Accepted", "asked_again", "physical", "tie_set", "tied", "total", "value"]
+
+WANTS = ("evidence", "validation", "it brings", "it changes")
+"""How reasons begin that are a want of evidence and nothing against the candidate."""
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """One accepted effect with all that these data cannot tell from it, itself first, and its evidence.
+
+    ``beside`` names the effects beside which the tie set was asked for, None where it was not asked for yet.
+    """
+
+    placed: Placed
+    tie: tuple[tuple[Placed, ...], ...]
+    evidence: float
+    validation: float
+    beside: frozenset[str] | None = None
+
+
+def total(row: Judged) -> float:
+    """Return what decides between rivals: the gain of both uses together."""
+    return -np.inf if row.comparison is None else row.comparison.total
+
+
+def value(fit: Fit) -> float:
+    """Return the same of a fit itself."""
+    return fit.penalised + fit.log_likelihood("validation")
+
+
+def physical(row: Judged) -> bool:
+    """Return True if nothing but a want of evidence speaks against a candidate."""
+    return all(text.startswith(WANTS) for text in row.reasons)
+
+
+def tied(best: Judged, other: Judged, policy: Policy = POLICY) -> bool:
+    """Return True if the data do not tell two candidates apart."""
+    assert best.fit is not None
+    if other.fit is None or other.comparison is None:
+        return False
+    return _close(best.fit, other.fit, total(best) - total(other), policy)
+
+
+def tie_set(best: Judged, rows: Sequence[Judged], policy: Policy = POLICY) -> tuple[tuple[Placed, ...], ...]:
+    """Return the tie set of an answer: what passes, or fails only for a want of evidence, and is as likely.
+
+    A more general law that is as likely stays in it though its values ended outside its own physics: within it, it is
+    the answer itself or something beside it.
+    """
+    found = [best.added]
+    for row in sorted(rows, key=lambda row: -total(row)):
+        if row is best or row.comparison is None or row.comparison.evidence < 0 or row.comparison.total < 0:
+            continue
+        general = best.added[-1].effect.name in row.added[0].effect.nests and row.added[0].at == best.added[-1].at
+        lawless = general and all(text.startswith(("not so", *WANTS)) for text in row.reasons)
+        if (physical(row) or lawless) and tied(best, row, policy):
+            found.append(row.added)
+    return tuple(found)
+
+
+def asked_again(
+    form: Form,
+    model: Fit,
+    accepted: Sequence[Accepted],
+    rows: Sequence[Judged],
+    nominal: Fit,
+    policy: Policy = POLICY,
+) -> list[Accepted]:
+    """Return the accepted effects with the rivals that stay tied beside all that was accepted.
+
+    A tie of the first effect was found when it stood alone: what was accepted later may tell them apart, or be the
+    rival itself.
+
+    Parameters
+    ----------
+    form : Form
+    model : Fit
+        With all accepted effects.
+    accepted : sequence of Accepted
+    rows : sequence of Judged
+        Earlier fits of the rivals, to start from.
+    nominal : Fit
+    policy : Policy
+    """
+    present = frozenset(str(placed) for placed in model.effects)
+    found = []
+    for effect in accepted:
+        others = present - {str(effect.placed)}
+        if effect.beside == others:
+            found.append(effect)
+            continue
+        kept: list[tuple[Placed, ...]] = [(effect.placed,)]
+        for member in effect.tie:
+            new = {str(placed) for placed in member} & present  # without the effect, its rival in the answer lost
+            if not new and _still_tied(form, model, effect.placed, member, rows, nominal, policy):
+                kept.append(member)
+        found.append(replace(effect, tie=tuple(kept), beside=others))
+    return found
+
+
+def _still_tied(
+    form: Form,
+    model: Fit,
+    placed: Placed,
+    member: tuple[Placed, ...],
+    rows: Sequence[Judged],
+    nominal: Fit,
+    policy: Policy,
+) -> bool:
+    """Return whether a model with a rival in the place of an effect is as likely."""
+    others = [effect for effect in model.effects if str(effect) != str(placed)]
+    mine = tuple(f"{rival}." for rival in member)
+    start = dict(model.values)
+    for row in rows:
+        if row.fit is not None and row.added == member:
+            start |= {name: number for name, number in row.fit.values.items() if name.startswith(mine)}
+    begun = form.begin([*others, *member], [start], model)
+    if begun is None or begun.log_likelihood < model.log_likelihood("estimation") - EFFORT.margin:
+        return False
+    fit = form.finish(begun, model, model)
+    row = judged(member, fit, nominal, nominal, policy)
+    if fit is None or fit.beyond or not physical(row):
+        return False
+    return _close(model, fit, value(model) - value(fit), policy)
+
+
+def _close(best: Fit, other: Fit, gap: float, policy: Policy) -> bool:
+    """Return whether a gap of the log-likelihoods is within what does not tell two fits apart."""
+    _, error = difference(best, other, ("estimation", "validation"), policy)
+    return gap < max(policy.tie, policy.tie_z * error)
