@@ -252,7 +252,9 @@ class ArmPolicy:
         "a sine spends 5 % of its time there, a sum of many 8 %; a joint that sticks far more",
     )
     sensor: float = _number(
-        0.005, "less than this share of a joint's torque is blamed on nothing", "no torque sensor is more exact"
+        0.005,
+        "an effect must change this share of a joint's torque, and what is left less: below it nothing is blamed",
+        "no torque sensor is more exact",
     )
     detail: float = _number(
         0.02,

@@ -23,6 +23,10 @@ _SAME: dict[str, tuple[tuple[Group, ...], ...]] = {
             frozenset({"asymmetric_friction@theta"}),
             frozenset({"coulomb_friction@theta", "force_bias@theta"}),
         ),
+        (
+            frozenset({"input_delay@u"}),
+            frozenset({"sensor_delay@theta"}),
+        ),  # nothing but the input before the record tells a late input from a late reading of all there is
     ),
     "cart-pole": tuple(
         (
@@ -39,8 +43,8 @@ _DAHL: dict[str, tuple[tuple[Group, ...], ...]] = {
 """The dry friction of hardware is Dahl's, which is the dictionary's hysteresis with beta = 1, term by term."""
 
 
-_SCALES = frozenset({"input_gain@u"})
-"""Exactly the same as a common factor on all nominal parameters, which are free."""
+_ABSORBED = {"pendulum": frozenset({"input_gain@u"}), "cart-pole": frozenset({"input_gain@u", "sensor_offset@x"})}
+"""Exactly the same as a common factor on all nominal parameters, which are free, or as another start."""
 
 
 def has_double(truth: Collection[str], plant: str, engine: str = "") -> bool:
@@ -48,12 +52,14 @@ def has_double(truth: Collection[str], plant: str, engine: str = "") -> bool:
 
     Examples
     --------
-    >>> has_double({"gravity_tilt@base"}, "pendulum"), has_double({"gravity_tilt@base"}, "cart-pole")
+    >>> has_double({"sensor_delay@theta"}, "pendulum"), has_double({"sensor_delay@theta"}, "cart-pole")
     (True, False)
     """
     wanted = frozenset(truth)
+    if engine == "hardware" and "input_delay@u" in wanted:
+        return False  # a command held by a slower clock
     same = (*_SAME[plant], *(_DAHL[plant] if engine == "hardware" else ()))
-    return bool(wanted & _SCALES) or any(member <= wanted for family in same for member in family)
+    return bool(wanted & _ABSORBED[plant]) or any(member <= wanted for family in same for member in family)
 
 
 @dataclass(frozen=True)

@@ -112,6 +112,16 @@ def test_a_simulated_arm_goes_into_the_loop_with_its_rates(tmp_path: Path) -> No
     assert not any("swapped" in one for one in report.data["warnings"])
 
 
+def test_one_file_of_a_simulated_arm_lacks_nothing(tmp_path: Path) -> None:
+    """The engine's own steps looked like a viscous friction of a thousandth of a joint's torque."""
+    path = tmp_path / "run.csv"
+    with pytest.raises(SystemExit):
+        main(["simulate", "iiwa-bullet", "--scenario", "arm-computed-torque", "-S", "noise=1e-4", "-o", str(path)])
+    report = close_loop_file(path, model="iiwa", out=tmp_path / "out")
+    assert report.verdict == "nothing_missing", report.data["summary"]
+    assert report.data["adequacy"] == "explained"
+
+
 def test_a_flexible_joint_is_named_with_its_compliance() -> None:
     # the motor of a flexible joint stands at the link's position plus torque over stiffness
     stiff = record(11)

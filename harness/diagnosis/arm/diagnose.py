@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -197,7 +198,7 @@ def _joint(
             remedy="check units and spikes of the positions",
         )
     candidates, noisy = joint_dictionary(arm, k, balance, runs["estimation"][0], dictionary)
-    outcome = search(form, nominal, candidates, policy=policy)
+    outcome = search(form, nominal, candidates, policy=replace(policy, least=arm_policy.sensor))
     factor = runs["validation"][0].motion.factor
     passed = 0.8 / factor if factor > 1 else 1.0  # of the power of white noise, by the decimation
     noise = max(white_noise(run.u[:, k]) for run in dataset.validation) * float(np.sqrt(passed))

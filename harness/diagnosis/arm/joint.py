@@ -114,6 +114,7 @@ class JointBalance:
             self.motions[use] = tuple(made)
         self.counts = {use: [moving_rows(motion) for motion in parts] for use, parts in self.motions.items()}
         self.sizes = _sizes(self.nominal, self.motions["estimation"][0])
+        self.size = np.sqrt(np.mean(np.concatenate(self.torque("estimation")) ** 2, keepdims=True))
         self._equations: dict[tuple[str, ...], JointEquation] = {}
 
     def equation(self, effects: Sequence[Placed]) -> JointEquation:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
-from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy
+from harness.diagnosis.policy import ARM_POLICY, EFFORT, POLICY, ArmPolicy
 from harness.diagnosis.search.coloured import Before, Coloured, fitted_error
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.systems import Parametrised
@@ -67,6 +68,11 @@ class Balance(Protocol):
     @property
     def counts(self) -> Mapping[str, list[FloatArray]]:
         """By use, for every record 1 for the rows (rows, n) that are judged, else 0."""
+        ...
+
+    @property
+    def size(self) -> FloatArray:
+        """The rms of the torque of every joint that is judged (n,)."""
         ...
 
     @property
@@ -137,9 +143,10 @@ class RegressionForm:
             equation = self.balance.equation(effects)
         except HarnessError:  # two blocks that exclude each other
             return None
-        errors = self._rough if base is None else base.detail.errors
+        plain = None if base is None else self.forgetful(base)
+        known_errors = [self._rough if fit is None else fit.detail.errors for fit in (base, plain) if fit or not base]
         best: tuple[float, FloatArray, tuple[Coloured, ...], bool] | None = None
-        for start in starts:
+        for start, errors in itertools.product(starts, known_errors):
             known = {**equation.system.values(), **start}
             p = np.array([known[name] for name in equation.system.parameter_names])
             trial = self._step(equation, p, errors)
@@ -270,6 +277,10 @@ class RegressionForm:
             if np.isfinite(side) and abs(p[k] - side) <= 2 * NEAR * max(abs(side), 1.0)
         ]
         relative = [abs(p[k]) if log else 1.0 for k, log in zip(free, logs, strict=True)]
+
+        def change(placed: Placed) -> float:
+            return self.changed_share(effects, values, residual["estimation"], placed)
+
         return Fit(
             tuple(effects), system, values, tuple(names[k] for k in free),
             len(free) + len(errors) * (POLICY.order + 1),
@@ -278,8 +289,26 @@ class RegressionForm:
             frozenset(names[k] for k, log in zip(free, logs, strict=True) if log),
             converged, tuple(dict.fromkeys(bound)),
             {names[free[k]]: values[names[free[k]]] + change for k, change in zip(own, refitted, strict=True)},
-            detail=Detail(errors, residual, jacobian),
+            detail=Detail(errors, residual, jacobian), change=change,
         )  # fmt: skip
+
+    def changed_share(
+        self, effects: Sequence[Placed], values: Mapping[str, float], residual: Sequence[FloatArray], placed: Placed
+    ) -> float:
+        """Return what an effect changes of the torque, at the joint where it weighs most: rms over the torque's rms.
+
+        ``residual`` holds the residual torques (rows, n) of the estimation records with all effects.
+        """
+        less = self.balance.equation([effect for effect in effects if str(effect) != str(placed)])
+        p = np.array([values[name] for name in less.system.parameter_names])
+        bare = [r for r, _ in less.residual(p, "estimation")]
+        squares = [
+            np.sum((a - b) ** 2 * counts, axis=0)
+            for a, b, counts in zip(bare, residual, self.balance.counts["estimation"], strict=True)
+        ]
+        rows = np.sum([counts.sum(axis=0) for counts in self.balance.counts["estimation"]], axis=0)
+        rms = np.sqrt(np.sum(squares, axis=0) / np.maximum(rows, 1))
+        return float(np.max(rms / np.maximum(self.balance.size, 1e-300), initial=0.0))
 
     def _own(self, free: Sequence[str]) -> list[int]:
         """Return the places of the parameters that every use of the records fits for itself."""
@@ -337,8 +366,27 @@ class RegressionForm:
         return [self._answered(fit, change) for change in self.balance.changes(fit.values, candidates)]
 
     def forgetful(self, fit: Fit) -> Fit | None:
-        """No force of a joint remembers."""
-        return None
+        """Return the fit with white errors of the same size at joints whose error remembers much of a record.
+
+        An error with lines in its spectrum takes up whatever is left of a motion of a few sines, and no promise is left
+        of an effect along that motion.
+        """
+        detail: Detail = fit.detail
+        rows = max(len(part) for part in detail.residual["estimation"])
+        long = [error.memory > EFFORT.memory * rows for error in detail.errors]
+        if not any(long):
+            return None
+        squares = sum(
+            np.sum(part**2 * counts, axis=0)
+            for part, counts in zip(detail.residual["estimation"], self.balance.counts["estimation"], strict=True)
+        )
+        count = sum(counts.sum(axis=0) for counts in self.balance.counts["estimation"])
+        sizes = np.maximum(np.sqrt(squares / np.maximum(count, 1)), self._floor)
+        errors = tuple(
+            Coloured(np.zeros(POLICY.order), float(size)) if remembers else error
+            for error, size, remembers in zip(detail.errors, sizes, long, strict=True)
+        )
+        return replace(fit, detail=replace(detail, errors=errors))
 
     def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
         """Return nothing: every effect on measured motion shows at first order."""

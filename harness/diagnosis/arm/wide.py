@@ -122,6 +122,7 @@ class WideBalance:
         names += [f"inertia{k + 1}" for k in range(len(calibrated))]
         self.nominal = Linear(tuple(Parameter(name, "1", 0.0) for name in names))
         torques = np.sqrt(np.mean(np.concatenate([run.calm.u for run in runs["estimation"]]) ** 2, axis=0))
+        self.size = torques[self.joints]
         self.effects = {str(effect): effect for effect in wide_effects(arm, torques, policy)}
         self._columns: dict[str, dict[str, list[FloatArray]]] = {}
 
@@ -285,7 +286,8 @@ def wide_search(
             remedy="check units and spikes of the positions",
         )
     candidates = [effect.placed for effect in balance.effects.values()]
-    outcome = search(form, nominal, candidates, policy=replace(policy, most=arm_policy.wide), say=say)
+    own = replace(policy, most=arm_policy.wide, least=arm_policy.sensor)
+    outcome = search(form, nominal, candidates, policy=own, say=say)
     small = [
         accepted
         for accepted in outcome.accepted

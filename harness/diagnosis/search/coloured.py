@@ -80,6 +80,18 @@ class Coloured:
             phi = np.append(phi - partial * phi[::-1], partial)
         return phi
 
+    @property
+    def memory(self) -> float:
+        """Rows after which the slowest part of the error has fallen to 1/e.
+
+        Examples
+        --------
+        >>> round(Coloured(np.array([0.99]), 1.0).memory)
+        99
+        """
+        radius = float(np.max(np.abs(np.roots([1.0, *-self.coefficients])), initial=0.0))
+        return -1.0 / np.log(radius) if radius > 0 else 0.0
+
     def correlation(self, most: int) -> FloatArray:
         """Return the autocorrelation up to a lag (most + 1,)."""
         order, phi = len(self.partial), self.coefficients
