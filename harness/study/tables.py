@@ -19,9 +19,10 @@ LEGEND = """Each row of a table counts pairs of records (estimation and validati
 *right*: the accepted set is the truth, effect and place. *tied*: the truth is in the tie set; or it is exactly the
 same on this plant as what was accepted (gravity tilt, encoder offset and eccentric load on one joint; a late input and
 a late reading of the only sensor; asymmetric Coulomb friction, and Coulomb friction with a bias; Coulomb friction of
-hardware, which is Dahl's law, and hysteresis, which is that law where beta is 1); or nothing was accepted, and the report says that the truth cannot
-be told from the nominal parameters (input gain: a common scale of all of them; an offset of a position without
-reference). *wrong*: another set was accepted. *flagged*: the report says that something is missing, and names no cause:
+hardware, which is Dahl's law, and hysteresis, which is that law where beta is 1); or nothing was accepted, and the
+report says that the truth cannot be told from the nominal parameters (input gain: a common scale of all of them; an
+offset of a position without reference).
+*wrong*: another set was accepted. *flagged*: the report says that something is missing, and names no cause:
 no effect accepted, or those accepted called a stand-in. *missed*: nothing said.
 Truths: `bullet` and `pymunk` (their bodies and joints; what they do not have, actuators, sensors and forces on the
 driven coordinate, is put around them in steps of 0.2 ms; `balanced`: pymunk upright under LQR), `hardware` (C, laws of
