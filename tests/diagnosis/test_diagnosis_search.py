@@ -15,7 +15,7 @@ from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.rounds import Outcome, _pruned, search
 from harness.diagnosis.search.score_test import score_test
-from harness.diagnosis.search.ties import Accepted, tied
+from harness.diagnosis.search.ties import Accepted, tied, total
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
@@ -357,6 +357,23 @@ def test_a_rival_that_is_part_of_the_answer_is_not_tied_with_the_rest_of_it() ->
     outcome = search(form, nominal, ALL)
     assert accepted(outcome) == {"linear_spring", "quadratic_drag"}
     assert [len(one.tie) for one in outcome.accepted] == [1, 1]
+
+
+def test_a_general_law_gives_way_to_its_special_case_beside_a_later_effect() -> None:
+    """Alone, the general law takes up some of the drag that is missing as well; beside the drag it need not."""
+    records = linear_records(19, {"linear_spring": 0.5, "quadratic_drag": 0.4})
+    for use in USES:
+        own = records.x[use]
+        own["cubic_spring"] = own["linear_spring"] + 0.5 * own["quadratic_drag"] + 0.02 * own["cubic_spring"]
+    form = LinearForm(records)
+    nominal = form.fit((), [], None)
+    general = Placed(replace(placed("cubic_spring").effect, nests=("linear_spring",)), "theta")
+    others = [one for one in ALL if one.effect.name != "cubic_spring"]
+    outcome = search(form, nominal, [*others, general])
+    first = max(outcome.rounds[0].candidates, key=total)
+    assert first.added == (general,), "the first answer"
+    assert accepted(outcome) == {"linear_spring", "quadratic_drag"}
+    assert {one.effect.name for one in outcome.model.effects} == accepted(outcome)
 
 
 def test_what_stays_tied_beside_a_later_effect_is_told() -> None:

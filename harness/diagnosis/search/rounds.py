@@ -20,7 +20,7 @@ from harness.diagnosis.search.compare import (
 )
 from harness.diagnosis.search.fit import Begun, Fit, Form
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
-from harness.diagnosis.search.ties import WANTS, Accepted, asked_again, physical, tie_set, tied, total, value
+from harness.diagnosis.search.ties import WANTS, Accepted, asked_again, close, physical, tie_set, tied, total, value
 from harness.effects import family, nested
 from harness.effects.effect import Placed
 
@@ -147,6 +147,7 @@ def search(
             break
     outcome.nominal = nominal
     rows = [row for past in outcome.rounds for row in past.candidates]
+    _simplified(form, outcome, rows, policy)
     outcome.accepted = asked_again(form, outcome.model, outcome.accepted, rows, nominal, policy)
     return outcome
 
@@ -446,6 +447,31 @@ def _pruned(form: Form, outcome: Outcome, policy: Policy) -> None:
         if value(without) > value(outcome.model) - policy.tie:
             outcome.model = without
             outcome.accepted = [accepted for accepted in outcome.accepted if accepted is not earlier]
+
+
+def _simplified(form: Form, outcome: Outcome, rows: Sequence[Judged], policy: Policy) -> None:
+    """Take a special case of an earlier law where it ties beside what was accepted later, as among the first answers.
+
+    What was general alone may have been so for what a later effect explains.
+    """
+    for number, earlier in enumerate(outcome.accepted[:-1]):
+        rich, model = earlier.placed, outcome.model
+        others = [placed for placed in model.effects if str(placed) != str(rich)]
+        special = {
+            row.added[0]: row.fit
+            for row in rows
+            if row.fit is not None and row.added[0].effect.name in rich.effect.nests and row.added[0].at == rich.at
+        }
+        for simple, alone in special.items():
+            own = {name: number for name, number in alone.values.items() if name.startswith(f"{simple}.")}
+            fit = form.fit([*others, simple], [{**model.values, **own}], model, model)
+            if fit is None or not fit.converged or any(impossible(placed, fit) for placed in fit.effects):
+                continue
+            if close(model, fit, value(model) - value(fit), policy):
+                outcome.model = fit
+                tie = ((simple,), *earlier.tie)
+                outcome.accepted[number] = Accepted(simple, tie, earlier.evidence, earlier.validation)
+                break
 
 
 def in_its_place(values: Mapping[str, float], gone: Placed, left: Sequence[Placed]) -> list[dict[str, float]]:

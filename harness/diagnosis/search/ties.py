@@ -12,7 +12,7 @@ from harness.diagnosis.search.compare import Judged, difference, judged
 from harness.diagnosis.search.fit import Fit, Form
 from harness.effects.effect import Placed
 
-__all__ = ["WANTS", "Accepted", "asked_again", "physical", "tie_set", "tied", "total", "value"]
+__all__ = ["WANTS", "Accepted", "asked_again", "close", "physical", "tie_set", "tied", "total", "value"]
 
 WANTS = ("evidence", "validation", "it brings", "it changes")
 """How reasons begin that are a want of evidence and nothing against the candidate."""
@@ -52,7 +52,7 @@ def tied(best: Judged, other: Judged, policy: Policy = POLICY) -> bool:
     assert best.fit is not None
     if other.fit is None or other.comparison is None:
         return False
-    return _close(best.fit, other.fit, total(best) - total(other), policy)
+    return close(best.fit, other.fit, total(best) - total(other), policy)
 
 
 def tie_set(best: Judged, rows: Sequence[Judged], policy: Policy = POLICY) -> tuple[tuple[Placed, ...], ...]:
@@ -135,10 +135,10 @@ def _still_tied(
     row = judged(member, fit, nominal, nominal, policy)
     if fit is None or fit.beyond or not physical(row):
         return False
-    return _close(model, fit, value(model) - value(fit), policy)
+    return close(model, fit, value(model) - value(fit), policy)
 
 
-def _close(best: Fit, other: Fit, gap: float, policy: Policy) -> bool:
+def close(best: Fit, other: Fit, gap: float, policy: Policy) -> bool:
     """Return whether a gap of the log-likelihoods is within what does not tell two fits apart."""
     _, error = difference(best, other, ("estimation", "validation"), policy)
     return gap < max(policy.tie, policy.tie_z * error)
