@@ -361,10 +361,10 @@ def test_a_rival_that_is_part_of_the_answer_is_not_tied_with_the_rest_of_it() ->
 
 def test_a_general_law_gives_way_to_its_special_case_beside_a_later_effect() -> None:
     """Alone, the general law takes up some of the drag that is missing as well; beside the drag it need not."""
-    records = linear_records(19, {"linear_spring": 0.5, "quadratic_drag": 0.4})
+    records = linear_records(19, {"linear_spring": 0.5, "quadratic_drag": 0.8})
     for use in USES:
         own = records.x[use]
-        own["cubic_spring"] = own["linear_spring"] + 0.5 * own["quadratic_drag"] + 0.02 * own["cubic_spring"]
+        own["cubic_spring"] = own["linear_spring"] + 0.8 * own["quadratic_drag"] + 0.02 * own["cubic_spring"]
     form = LinearForm(records)
     nominal = form.fit((), [], None)
     general = Placed(replace(placed("cubic_spring").effect, nests=("linear_spring",)), "theta")
