@@ -1,13 +1,14 @@
-"""The low-pass filters without delay, and the spectrum behind their cutoff, against those of SciPy."""
+"""What a diagnosis does without SciPy against SciPy: low-pass filters, the spectrum behind them, p-values."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import signal, special
 
 from harness.diagnosis.records.low_pass import LowPass, butterworth, chebyshev, without_line
 from harness.diagnosis.records.motion import _spectrum
+from harness.diagnosis.runs.residual_tests import chi2_beyond, kolmogorov_beyond
 
 
 def walk(rows: int, columns: int) -> np.ndarray:
@@ -40,3 +41,19 @@ def test_the_spectrum_is_that_of_welch(rows: int, length: int) -> None:
     frequencies, density = signal.welch(x, 100.0, "blackman", nperseg=length)
     np.testing.assert_allclose(f, frequencies)
     np.testing.assert_allclose(power / power.sum(), density / density.sum(), rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3, 25, 26, 60, 301])
+def test_chi_square_beyond(dof: int) -> None:
+    x = np.concatenate([[0.0, 1e-8], dof * np.geomspace(0.01, 30, 40), [1e5, np.inf]])
+    ours = [chi2_beyond(float(one), dof) for one in x]
+    np.testing.assert_allclose(ours, special.chdtrc(dof, x), rtol=1e-10, atol=1e-300)
+    assert np.isnan(chi2_beyond(np.nan, dof))
+
+
+def test_kolmogorov() -> None:
+    x = np.concatenate([[0.0, 0.01], np.geomspace(0.05, 12.0, 200), [50.0, np.inf]])
+    np.testing.assert_allclose(
+        [kolmogorov_beyond(float(one)) for one in x], special.kolmogorov(x), rtol=1e-10, atol=1e-14
+    )
+    assert np.isnan(kolmogorov_beyond(np.nan))
