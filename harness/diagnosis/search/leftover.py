@@ -101,7 +101,8 @@ def _axis(column: Column, basis: FloatArray, residual: FloatArray, linear: Linea
     unit = column.estimation[:, use] / size[use]
     left = unit - basis @ (basis.T @ unit)
     # of what is orthonormal only the products with the residual are wanted: they stand beside R in a QR factorisation
-    corner = np.linalg.qr(np.column_stack([left, residual]), mode="r")[: left.shape[1]]
+    whole = np.asarray(np.linalg.qr(np.column_stack([left, residual]), mode="r"))
+    corner = whole[: left.shape[1]]
     u, s, vt = np.linalg.svd(corner[:, :-1], full_matrices=False)
     along = -(u.T @ corner[:, -1])
     evidence, prior = largest_evidence(along, s)
