@@ -103,8 +103,13 @@ def innovation_response(
             push[:, : nx - nl] = path.transition[:, : nx - nl, nx - nl :]
         else:  # the mean of a push at the beginning of a sample and one at its end
             push = 0.5 * rates_over * (path.transition[:, :, :nl] + np.eye(nx)[:, :nl])
-        mean = 0.5 * (forces + np.concatenate([forces[1:], forces[-1:]]))
-        forces = mean if held is None else np.where(held, forces, mean)
+        mean = forces.copy()
+        mean[:-1] += forces[1:]
+        mean[-1] += forces[-1]
+        mean *= 0.5
+        if held is not None and held.any():
+            mean[..., held] = forces[..., held]
+        forces = mean
     compiled = kernels(nx, ny, 0)
     if compiled is not None:
         response = np.zeros((n, ny, m)) if readings is None else np.negative(readings)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from harness.errors import HarnessError
 from harness.physics.levenberg import log_scaled
+from harness.physics.vectorised import OnRecords
 from harness.physics.windows import data_states
 from harness.signals import FloatArray, Trajectory
 
@@ -94,8 +95,9 @@ def _matched(
     dt = records[0].spec.sample_time
     simulator = system.simulator(dt, intersample="zoh", substeps=1, backend="casadi")
     first = len(system.coordinates)
-    function = ca.Function("f", [system.x, system.u, system.p, system.t], [system.f[first:]])
-    slope = ca.Function("fp", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f[first:], system.p)])
+    symbols, rates = [system.x, system.u, system.p, system.t], system.f[first:]
+    function = OnRecords(ca.Function("f", symbols, [rates]))
+    slope = OnRecords(ca.Function("fp", symbols, [ca.jacobian(rates, system.p)]))
     parts: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]] = []
     budget = _SAMPLES
     for record in records:
@@ -123,13 +125,11 @@ def _matched(
     def residual(p: FloatArray, jacobian: bool) -> tuple[FloatArray, FloatArray]:
         rows, columns = [], []
         for (x, u, t, bump, target), hop in zip(parts, hops, strict=True):
-            n = x.shape[0]
-            f = function.map(n)(x.T, u.T, np.tile(p[:, None], n), t).full().T
+            f = function(x, u, p, t[:, None])[0]
             rows.append(((target - _averaged(f, bump, hop)) / size).ravel())
             if jacobian:
-                j = slope.map(n)(x.T, u.T, np.tile(p[:, None], n), t).full()
-                j = j.reshape(f.shape[1], n, p.shape[0])
-                averaged = np.stack([_averaged(j[row], bump, hop) for row in range(f.shape[1])], axis=1)
+                averaged = _averaged(slope(x, u, p, t[:, None])[0], bump, hop)  # of a Jacobian, column by column
+                averaged = averaged.reshape(-1, p.shape[0], f.shape[1]).transpose(0, 2, 1)
                 columns.append((averaged / size[:, None]).reshape(-1, p.shape[0]))
         return np.concatenate(rows), np.vstack(columns) if jacobian else np.zeros((0, 0))
 
@@ -166,8 +166,8 @@ def _bump(record: Trajectory, dt: float) -> tuple[FloatArray, FloatArray, int]:
 
 
 def _averaged(signal: FloatArray, bump: FloatArray, hop: int) -> FloatArray:
-    """Return each column convolved with the bump, every hop-th sample."""
-    return np.column_stack([np.convolve(signal[:, c], bump, "valid")[::hop] for c in range(signal.shape[1])])
+    """Return each column averaged under the bump, which is even, at every hop-th sample."""
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(signal, len(bump), axis=0)[::hop] @ bump)
 
 
 def _small_fit(

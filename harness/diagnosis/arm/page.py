@@ -148,7 +148,7 @@ def _levels(data: dict[str, Any]) -> str:
         for k, name in enumerate(names)
     )
     words = f"Torque and its residual of every joint in {data['joints'][0]['unit']}. {words}."
-    with drawing("levels", 10.5, 2.7, words) as (figure, svg):
+    with drawing("levels", 10.5, 2.7, words, measured=True) as (figure, svg):
         axis = figure.subplots()
         width = 0.8 / len(rows)
         for number, (label, values, colour) in enumerate(rows):

@@ -516,9 +516,13 @@ def _at_every_port(
     nothing = {use: [np.zeros((*part.shape, len(labels))) for part in parts] for use, parts in readings.items()}
     directions = []
     for row, port in enumerate(ports):
-        forces = {
-            use: [np.stack([part * float(k == row) for k in range(len(ports))], axis=1) for part in made]
-            for use, made in basis.items()
-        }
+        forces = {use: [_at_port(part, row, len(ports)) for part in made] for use, made in basis.items()}
         directions.append(Direction(None, {}, (f"{port} over {axis}", *labels[1:]), forces, nothing))
     return directions
+
+
+def _at_port(part: FloatArray, row: int, ports: int) -> FloatArray:
+    """Return forces (K, k) at one of several ports (K, ports, k)."""
+    whole = np.zeros((len(part), ports, part.shape[1]))
+    whole[:, row] = part
+    return whole

@@ -183,5 +183,6 @@ def _outside_starts(passed: Filtered, count: int, spread: FloatArray) -> _Part:
 
 def whitened(values: FloatArray, variance: FloatArray) -> FloatArray:
     """Return values (N, ny, ...) over their standard deviation, flat; what was not measured is 0."""
-    scaled = np.where(np.isfinite(values), values, 0.0) / np.sqrt(variance)
+    scaled = np.where(np.isfinite(values), values, 0.0)
+    scaled /= np.sqrt(variance)
     return np.asarray(scaled.reshape(scaled.shape[0] * scaled.shape[1], *scaled.shape[2:]))

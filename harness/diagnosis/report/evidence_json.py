@@ -48,6 +48,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -120,6 +121,8 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         found.runs.output, answer.runs, list(found.dataset.estimation), _used(found, references)
     ) if answer.runs is not None else None  # fmt: skip
     stand_in = () if found.misfit else found.stand_in
+    errors, tests = _errors(found, found.nominal, found.runs.before), _tests(found, found.nominal)
+    unchanged = answer.fit is found.nominal and answer.runs is found.runs.before
     data: dict[str, Any] = {
         **blank(),
         "dataset": found.dataset.name,
@@ -135,8 +138,8 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "separating_experiments": [separating([p for member in effect.tie for p in member]) for effect in accepted],
         "separate_with": [separate_with(bench, effect.tie) for effect in accepted],
         "errors": {
-            "before": _errors(found, found.nominal, found.runs.before),
-            "after": _errors(found, answer.fit, answer.runs),
+            "before": errors,
+            "after": deepcopy(errors) if unchanged else _errors(found, answer.fit, answer.runs),
         },
         "parameters": {
             "before": _parameters(found.nominal, together),
@@ -147,7 +150,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "candidates": _candidates(found, together),
         "withdrawn": [_named([effect.placed]) for effect in found.outcome.withdrawn],
         "left_over": [axis.to_dict() for axis in found.leftover.axes],
-        "tests": {"before": _tests(found, found.nominal), "after": _tests(found, answer.fit)},
+        "tests": {"before": tests, "after": deepcopy(tests) if unchanged else _tests(found, answer.fit)},
         "isolability": {"effects": list(names), "cosine": np.round(cosines, 4).tolist()},
         "not_visible": [
             {"name": hidden.placed.effect.name, "at": hidden.placed.at,

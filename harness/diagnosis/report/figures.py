@@ -23,6 +23,9 @@ __all__ = ["Overlay", "Pictures", "ResidualView", "draw", "drawing", "legend"]
 
 INK, GREY, GRID = "#1d2733", "#8a94a0", "#e3e7ec"
 BEFORE, AFTER, DATA = "#d9622b", "#1769aa", "#9aa5b1"
+NUMBER, LABEL, BESIDE, BELOW, TITLE, RIGHT = 9.0, 15.0, 9.5, 35.0, 20.0, 9.0
+"""Points: of a number on an axis; what a label takes beside the numbers, tick and gap left of a panel, numbers and
+label below it, its title, and the last number that stands out to its right."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +92,13 @@ def draw(pictures: Pictures) -> dict[str, str]:
 
 
 @contextmanager
-def drawing(name: str, width: float, height: float, words: str) -> Iterator[tuple[Figure, list[str]]]:
+def drawing(
+    name: str, width: float, height: float, words: str, *, measured: bool = False
+) -> Iterator[tuple[Figure, list[str]]]:
     """Make a figure without any global state; its SVG text is appended to the list when the block ends.
 
-    ``words`` say what it shows to those who cannot see it.
+    ``words`` say what it shows to those who cannot see it. Panels get the room that numbers on their axes, a label and
+    a title take; with ``measured`` every text is measured for it, which takes half as long again.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -125,13 +131,14 @@ def drawing(name: str, width: float, height: float, words: str) -> Iterator[tupl
     }
     svg: list[str] = []
     with mpl.rc_context(style):
-        figure = MakeFigure(figsize=(width, height), layout="constrained")
+        figure = MakeFigure(figsize=(width, height), layout="constrained" if measured else None)
         canvas: Any = FigureCanvasSVG(figure)
         yield figure, svg
-        layout = figure.get_layout_engine()
-        assert layout is not None
-        layout.execute(figure)
-        figure.set_layout_engine("none")
+        if (layout := figure.get_layout_engine()) is not None:
+            layout.execute(figure)
+            figure.set_layout_engine("none")
+        else:
+            _place(figure)
         figure.set_dpi(110)
         for patch in (figure.patch, *(axis.patch for axis in figure.axes)):
             patch.set(facecolor="none", edgecolor="none")
@@ -145,7 +152,47 @@ def drawing(name: str, width: float, height: float, words: str) -> Iterator[tupl
 def legend(figure: Figure, markers: float = 2.0) -> None:
     """Put one legend of all that is drawn above the panels, where it covers nothing."""
     lines = {name: line for axis in figure.axes for line, name in zip(*axis.get_legend_handles_labels(), strict=True)}
-    figure.legend(lines.values(), lines.keys(), loc="outside upper left", ncols=min(len(lines), 6), markerscale=markers)
+    figure.legend(
+        lines.values(), lines.keys(), loc="upper left", borderaxespad=0.0, ncols=min(len(lines), 6), markerscale=markers
+    )
+
+
+def _place(figure: Figure) -> None:
+    """Put the panels of a grid under the legend, with the room that their labels take; all sizes in points."""
+    panels = [(axis, spec) for axis in figure.axes if (spec := axis.get_subplotspec()) is not None]
+    width, whole = 72 * figure.get_size_inches()
+    height = whole - sum(key.get_window_extent().height for key in figure.legends) * 72 / figure.dpi
+    grid = panels[0][1].get_gridspec()
+    rows, columns = grid.get_geometry()
+    left, above = np.zeros(columns), np.full(rows, TITLE)
+    for axis, _ in panels:  # how many numbers an axis shows depends on its height
+        axis.set_position((0.0, 0.0, 1.0 / columns, (height / rows - TITLE - BELOW) / whole))
+    for axis, spec in panels:
+        numbers, offset = _numbers(axis)
+        room = max((sum(map(_em, text)) for text in numbers), default=0.0) * NUMBER + BESIDE
+        left[spec.colspan.start] = max(left[spec.colspan.start], room + LABEL * bool(axis.get_ylabel()))
+        above[spec.rowspan.start] = max(above[spec.rowspan.start], TITLE + NUMBER * bool(offset))
+    shares = np.asarray(grid.get_width_ratios(), dtype=float)
+    wide = (width - left.sum() - columns * RIGHT) * shares / shares.sum()
+    high = (height - above.sum() - rows * BELOW) / rows
+    for axis, spec in panels:
+        row, column = spec.rowspan.start, spec.colspan.start
+        x = left[: column + 1].sum() + wide[:column].sum() + column * RIGHT
+        y = height - above[: row + 1].sum() - row * BELOW - (row + 1) * high
+        axis.set_position((x / width, y / whole, wide[column] / width, high / whole))
+
+
+def _numbers(axis: Axes) -> tuple[list[str], str]:
+    """Return the numbers along the ordinate and the power of ten above them."""
+    low, high = sorted(axis.get_ylim())
+    shown = [place for place in axis.yaxis.get_majorticklocs() if low <= place <= high]
+    form = axis.yaxis.get_major_formatter()
+    return form.format_ticks(shown), form.get_offset()
+
+
+def _em(letter: str) -> float:
+    """Return the width of a letter of a number in DejaVu Sans over its size."""
+    return {".": 0.318, "\N{MINUS SIGN}": 0.838}.get(letter, 0.637)
 
 
 def _rms(values: FloatArray | None, unit: str) -> str:
@@ -364,7 +411,7 @@ def _isolability(names: Sequence[str], cosines: FloatArray) -> str:
         f"Nearly the same: {', '.join(alike[:12])}{' and more' if len(alike) > 12 else ''}." if alike
         else "No two are nearly the same."
     )  # fmt: skip
-    with drawing("isolability", size, size * 0.86, words) as (figure, svg):
+    with drawing("isolability", size, size * 0.86, words, measured=True) as (figure, svg):
         axis = figure.subplots()
         image = axis.imshow(np.abs(cosines), vmin=0, vmax=1, cmap="Blues", interpolation="nearest")
         axis.set_xticks(range(n), names, rotation=60, ha="right", rotation_mode="anchor", fontsize=7.5)

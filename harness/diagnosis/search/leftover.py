@@ -100,8 +100,11 @@ def _axis(column: Column, basis: FloatArray, residual: FloatArray, linear: Linea
     use = size > 0
     unit = column.estimation[:, use] / size[use]
     left = unit - basis @ (basis.T @ unit)
-    u, s, vt = np.linalg.svd(left, full_matrices=False)
-    along = -(u.T @ residual)
+    # of what is orthonormal only the products with the residual are wanted: they stand beside R in a QR factorisation
+    whole = np.asarray(np.linalg.qr(np.column_stack([left, residual]), mode="r"))
+    corner = whole[: left.shape[1]]
+    u, s, vt = np.linalg.svd(corner[:, :-1], full_matrices=False)
+    along = -(u.T @ corner[:, -1])
     evidence, prior = largest_evidence(along, s)
     values = np.zeros(len(size))
     values[use] = vt.T @ (s * prior * along / (1.0 + prior * s**2)) / size[use]
