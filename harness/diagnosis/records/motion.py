@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from harness.diagnosis.records.low_pass import butterworth, without_line
 from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects import Signals
 from harness.signals import FloatArray, Trajectory
@@ -85,9 +84,11 @@ def motion_band(position: FloatArray, sample_time: float) -> tuple[float, float]
     clear : float
         Highest frequency [Hz] up to which the position stands ten times above its noise.
     """
+    from scipy import signal
+
     n = position.size
-    x = without_line(np.asarray(position, dtype=float))
-    f, power = _spectrum(x, sample_time, min(n, max(256, n // 4)))
+    x = signal.detrend(np.asarray(position, dtype=float))
+    f, power = signal.welch(x, 1 / sample_time, "blackman", nperseg=min(n, max(256, n // 4)))
     # beyond the point where the noise takes over, the power of a differentiated signal only grows
     noise = float(np.median(power[-max(power.size // 4, 1) :]))
     above = power > 10 * noise
@@ -97,20 +98,6 @@ def motion_band(position: FloatArray, sample_time: float) -> tuple[float, float]
     if total[-1] <= 0:
         return 0.05 / sample_time, 0.05 / sample_time
     return float(f[min(int(np.searchsorted(total, 0.95 * total[-1])), f.size - 1)]), float(f[last])
-
-
-def _spectrum(x: FloatArray, sample_time: float, length: int) -> tuple[FloatArray, FloatArray]:
-    """Return frequencies [Hz] and the power there of values (N,), to a factor (Welch 1967, IEEE Trans. AU 15:70).
-
-    The mean over half overlapping stretches of this length, each without its mean and under a Blackman window.
-    """
-    turn = 2 * np.pi * np.arange(length) / length
-    window = 0.42 - 0.5 * np.cos(turn) + 0.08 * np.cos(2 * turn)
-    stretches = np.lib.stride_tricks.sliding_window_view(x, length)[:: length - length // 2]
-    seen = np.fft.rfft((stretches - stretches.mean(axis=1, keepdims=True)) * window)
-    power: FloatArray = np.mean(np.abs(seen) ** 2, axis=0)
-    power[1 : None if length % 2 else -1] *= 2  # both signs of a frequency
-    return np.asarray(np.fft.rfftfreq(length, sample_time), dtype=np.float64), power
 
 
 def smooth_motion(
@@ -132,6 +119,8 @@ def smooth_motion(
         every balance of forces would see half a sample of delay. Smooth signals are interpolated where the motion
         reaches beyond a fifth of the sample rate.
     """
+    from scipy import signal
+
     if intersample == "smooth":
         run = _interpolated(run, [position for position, _ in columns.values() if position is not None])
     dt, n = run.spec.sample_time, len(run)
@@ -139,7 +128,7 @@ def smooth_motion(
     band = max(width for width, _ in bands)
     highest = (SMOOTH if intersample == "smooth" else HELD) / dt
     cutoff = float(np.clip(max(clear for _, clear in bands), min(5 * band, highest), highest))
-    low_pass = butterworth(ORDER, 2 * cutoff * dt)
+    sos = signal.butter(ORDER, 2 * cutoff * dt, output="sos")
     edge = int(np.clip(round(1.5 / (cutoff * dt)), 4, max(n // 8, 4)))
 
     def slope(x: FloatArray) -> FloatArray:
@@ -155,8 +144,8 @@ def smooth_motion(
         if channel.period is not None:
             raw = np.unwrap(raw, period=channel.period)
         pad = min(3 * edge, n - 1)
-        smooth = low_pass.both_ways(raw, pad)
-        speed = slope(smooth) if rate is None else low_pass.both_ways(run.y[:, rate], pad)
+        smooth = signal.sosfiltfilt(sos, raw, padlen=pad)
+        speed = slope(smooth) if rate is None else signal.sosfiltfilt(sos, run.y[:, rate], padlen=pad)
         q.append(smooth)
         v.append(speed)
         a.append(slope(speed))
@@ -168,7 +157,7 @@ def smooth_motion(
     if intersample == "zoh" and n > 1:
         u = 0.5 * (u + np.concatenate([u[:1], u[:-1]]))
     elif intersample == "smooth" and u.size:  # the balance of forces is linear in them: both sides take one filter
-        u = low_pass.both_ways(u, min(3 * edge, n - 1))
+        u = signal.sosfiltfilt(sos, u, axis=0, padlen=min(3 * edge, n - 1))
     return Motion(run.t, position_of, speed_of, acceleration_of, u, slice(edge, n - edge), factor, dt)
 
 

@@ -8,13 +8,13 @@ Effects with hidden states or on samples cannot be judged here; see :func:`expre
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
-from harness.diagnosis.records.low_pass import chebyshev
 from harness.diagnosis.records.motion import Motion
 from harness.effects.effect import Placed
 from harness.physics.system import System
@@ -138,13 +138,24 @@ def equations_of(system: System) -> Equations:
     return Equations(system, strong, weak, ca.Function("drive", [q, v, u, p, t], [driving]))
 
 
+@functools.cache
+def _low_pass(factor: int) -> FloatArray:
+    """Return the filter of a decimation, as second-order sections."""
+    from scipy import signal
+
+    return np.asarray(signal.cheby1(8, 0.05, 0.8 / factor, output="sos"))
+
+
 def decimated(rows: FloatArray, motion: Motion) -> FloatArray:
     """Return rows (N, k), low-passed without delay, decimated, the touched ends cut off."""
+    from scipy import signal
+
     factor = motion.factor
     if factor == 1:
         return rows[motion.inside]
+    sos = _low_pass(factor)
     inner = rows[motion.inside]
-    smooth = chebyshev(8, 0.05, 0.8 / factor).both_ways(inner, min(6 * factor, inner.shape[0] - 1))
+    smooth = signal.sosfiltfilt(sos, inner, axis=0, padlen=min(6 * factor, inner.shape[0] - 1))
     result = smooth[::factor]
     cut = 10 if result.shape[0] > 200 else 2
     return np.asarray(result[cut:-cut])

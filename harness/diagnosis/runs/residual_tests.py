@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,13 +12,11 @@ from harness.signals import FloatArray
 __all__ = [
     "Outcome",
     "autocorrelation",
-    "chi2_beyond",
     "correlation_band",
     "cross_correlation",
     "cusum_of_squares",
     "effective_samples",
     "input_correlation",
-    "kolmogorov_beyond",
     "ljung_box",
     "max_autocorrelation",
 ]
@@ -118,13 +115,15 @@ def cusum_of_squares(r: FloatArray) -> tuple[FloatArray, float, Outcome]:
 
     The half width is 2.58 / sqrt(N); the p-value is Kolmogorov's, with the spread of r^2 taken from the data.
     """
+    from scipy import special
+
     squares = np.asarray(r, dtype=float) ** 2
     n = squares.size
     total = float(squares.sum())
     path = np.cumsum(squares) / total - np.arange(1, n + 1) / n if total > 0 else np.zeros(n)
     largest = float(np.abs(path).max())
     spread = float(squares.std()) / (total / n) if total > 0 else 0.0
-    p = kolmogorov_beyond(largest * np.sqrt(n) / spread) if spread > 0 else float("nan")
+    p = float(special.kolmogorov(largest * np.sqrt(n) / spread)) if spread > 0 else float("nan")
     return path, correlation_band(n), Outcome("CUSUM of squares", largest, n, p)
 
 
@@ -149,36 +148,9 @@ def _known(value: float) -> float | None:
 
 def _chi2(name: str, statistic: float, dof: int) -> Outcome:
     """Return a chi-square outcome."""
-    return Outcome(name, statistic, dof, chi2_beyond(statistic, dof))
+    from scipy import special
 
-
-def chi2_beyond(x: float, dof: int) -> float:
-    """Return the probability that chi-square exceeds ``x`` (Abramowitz & Stegun, eqs. 26.4.4 and 26.4.5).
-
-    Like the next function, of a few lines that spare a diagnosis the import of ``scipy.special``.
-
-    Examples
-    --------
-    >>> round(chi2_beyond(3.841, 1), 3), round(chi2_beyond(18.307, 10), 3)
-    (0.05, 0.05)
-    """
-    half = x / 2
-    if not 0 < half < math.inf:
-        return math.nan if math.isnan(half) else float(half <= 0)
-    odd = dof % 2
-    powers = np.arange(odd / 2, dof / 2)
-    terms = np.exp(powers * math.log(half) - half - np.array([math.lgamma(k + 1) for k in powers]))
-    return min(float(terms.sum()) + odd * math.erfc(math.sqrt(half)), 1.0)
-
-
-def kolmogorov_beyond(x: float) -> float:
-    """Return the probability that Kolmogorov's statistic exceeds ``x`` (Marsaglia et al. 2003, J. Stat. Softw. 8)."""
-    k = np.arange(1, 20)
-    if x > 1:
-        return 2 * float(np.sum((-1.0) ** (k - 1) * np.exp(-2 * (k * x) ** 2)))
-    if x < 0.05:
-        return 1.0
-    return 1 - math.sqrt(2 * math.pi) / x * float(np.sum(np.exp(-(((2 * k - 1) * math.pi / x) ** 2) / 8)))
+    return Outcome(name, statistic, dof, float(special.chdtrc(dof, statistic)))
 
 
 def _lagged(u: FloatArray, lags: int) -> FloatArray:
