@@ -241,7 +241,13 @@ def position_dependent_damping(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
             meaning="presliding length",
         ),
         par(
-            "beta", "1", scale="0.5", minimum=0.0, maximum=1.0, nuisance=True, meaning="1: Dahl; 1/2: elastic unloading"
+            "beta",
+            "1",
+            scale="0.75",
+            minimum=0.5,  # a smaller one gives energy, and runs away (Erlicher & Point 2004, C. R. Mecanique 332:51)
+            maximum=1.0,
+            nuisance=True,
+            meaning="1: Dahl; 1/2: elastic unloading",
         ),
     ],
     states={"z": "1"},

@@ -19,7 +19,7 @@ try:
     main(sys.argv[1:])
 except SystemExit as end:
     print("status", end.code)
-print("loaded", *(name for name in ("pandas", "control", "cvxpy", "torch", "scipy.stats") if name in sys.modules))
+print("loaded", *(name for name in ("pandas", "control", "cvxpy", "torch") if name in sys.modules))
 """
 
 

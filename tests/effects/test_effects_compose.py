@@ -260,6 +260,17 @@ def test_hysteresis_is_a_spring_first_and_dry_friction_later():
     assert force == pytest.approx(-2.0, rel=1e-3)  # -Fh
 
 
+def test_hysteresis_comes_back_from_any_deflection():
+    """A loop that gave energy would run away from a start beyond its level, as a fitted one may be."""
+    block = builtin()["hysteresis"]
+    (shape,) = (parameter for parameter in block.parameters if parameter.name == "beta")
+    for beta in np.linspace(shape.minimum, shape.maximum, 6):
+        for speed in (1.0, -1.0):
+            for z in (-5.0, -1.5, 1.5, 5.0):
+                _, (rate,) = block.evaluate(0.0, [z], {"Fh": 2.0, "xs": 0.01, "beta": beta}, 0.0, speed)
+                assert rate * z < 0.0
+
+
 def test_a_payload_adds_its_inertia_and_weight_from_its_instant():
     u = excitation(PENDULUM, 400)
     loaded = compose(PENDULUM, [put("payload_step", "theta", dJ=0.05, dG=0.4, t0=0.0, w=1e-6)])

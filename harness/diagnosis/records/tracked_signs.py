@@ -38,8 +38,8 @@ class Path:
     gain: float
 
 
-def tracked(y: FloatArray) -> Path | None:
-    """Return the signs of a folded record; None where following it decides nothing.
+def tracked(y: FloatArray) -> tuple[Path, ...]:
+    """Return the signs of a folded record, likeliest first; empty where following it decides nothing.
 
     Parameters
     ----------
@@ -48,8 +48,9 @@ def tracked(y: FloatArray) -> Path | None:
 
     Returns
     -------
-    Path or None
-        None if another path, or one that changes its sign less often, explains the record nearly as well.
+    tuple of Path
+        More than one if the record does not tell: where the motion lingers at zero, another path explains it nearly as
+        well. Empty if a path that never changes its sign does so.
 
     Notes
     -----
@@ -63,14 +64,14 @@ def tracked(y: FloatArray) -> Path | None:
     >>> t = 0.01 * np.arange(3000)
     >>> y = np.sin(2.0 * t) + 0.4 * np.cos(5.1 * t)
     >>> folded = np.abs(y) + 1e-3 * np.random.default_rng(0).normal(size=3000)
-    >>> path = tracked(folded)
-    >>> bool(np.all((path.signs == np.sign(y))[np.abs(y) > 5e-3])), tracked(2.0 + y).gain
+    >>> path = tracked(folded)[0]
+    >>> bool(np.all((path.signs == np.sign(y))[np.abs(y) > 5e-3])), tracked(2.0 + y)[0].gain
     (True, 0.0)
     """
     record = np.asarray(y, dtype=float)[:LONGEST]
     size = float(np.sqrt(np.mean(record**2))) if len(record) else 0.0
     if len(record) < 50 or size == 0.0:
-        return None
+        return ()
     noise = max(fourth_difference(record), 1e-6 * size)
     scaled = record / noise
     # the intensity of the likeliest walk, by decades
@@ -85,11 +86,12 @@ def tracked(y: FloatArray) -> Path | None:
     turns = np.count_nonzero(np.diff(signs))
     straight = likely if turns == 0 else _followed(scaled, walk, folds=False)[0][0]
     if likely - straight < DATA_POLICY.turn * turns:
-        return None
+        return ()
+    paths = [Path(signs, float(likely - straight))]
     for rival, others in best[1:]:
-        if likely - rival < DATA_POLICY.rival and np.mean(others != signs) > 0.01:
-            return None
-    return Path(signs, float(likely - straight))
+        if likely - rival < DATA_POLICY.rival and all(np.mean(others != path.signs) > 0.01 for path in paths):
+            paths.append(Path(others, float(rival - straight)))
+    return tuple(paths)
 
 
 def _gains(walk: float, count: int) -> Iterator[tuple[float, FloatArray, FloatArray]]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from harness.diagnosis.policy import DATA_POLICY
-from harness.diagnosis.records.tracked_signs import Path, fourth_difference, tracked
+from harness.diagnosis.records.tracked_signs import BEAM, Path, fourth_difference, tracked
 from harness.signals import FloatArray, Trajectory
 
 __all__ = ["HIDING", "Unfolding", "followed", "unfoldings"]
@@ -26,7 +26,7 @@ SLOW = np.geomspace(1.5, 60.0, 6)  # samples
 TRIES = 8
 _TURNS = 15
 _LONGEST = 3000
-"""Samples of each record that are unfolded: signs found so far start the fit, the model tells the others."""
+"""Samples of a record up to which signs are looked for where its motion cannot be followed."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,7 @@ def unfoldings(runs: Sequence[Trajectory], column: int, *, most: int = 3) -> lis
     -----
     Where the sampling is fine enough the motion is followed through its zeros, see
     :func:`harness.diagnosis.records.tracked_signs.tracked`; there are two answers then: nobody knows the first sign.
+    Of several paths through the zeros those are taken that answer the input alike in all records.
     Elsewhere, over a grid of poles (a real one and a complex pair) the free run of a linear model is linear in
     everything else, so the signs follow by turns with a least-squares fit, from several starts: error reduction by
     alternating projections (Fienup 1982, *Phase retrieval algorithms*, section II), here with a sign as the phase.
@@ -105,20 +106,20 @@ def _unfolded(runs: Sequence[Trajectory], column: int) -> list[Unfolding]:
         return []
     if not any(_low_turns(y, DATA_POLICY.near_zero * size) for y in whole):
         return []
-    paths = [path for path in (followed(y) for y in whole) if path is not None]
-    if len(paths) == len(whole) and any(path.gain > 0 for path in paths):
+    paths = [followed(y) for y in whole]
+    if all(paths) and any(first.gain > 0 for first, *_ in paths):
         return _both_ways(runs, column, paths)
-    records = tuple(run[: min(len(run), _LONGEST)] for run in runs)
-    folded = [y[:_LONGEST] for y in whole]
+    if max(map(len, whole)) > _LONGEST:
+        return []
     # records of different amplitude count alike
-    weight = np.concatenate([np.full(len(y), 1.0 / max(np.sqrt(np.mean(y**2)), 1e-12 * size)) for y in folded])
-    z = np.concatenate(folded) * weight
+    weight = np.concatenate([np.full(len(y), 1.0 / max(np.sqrt(np.mean(y**2)), 1e-12 * size)) for y in whole])
+    z = np.concatenate(whole) * weight
     rng = np.random.default_rng(0)
     tried: list[tuple[float, FloatArray]] = []
     for period in PERIODS:
         for damping in DAMPING:
             for slow in SLOW:
-                columns = _responses(records, 2 * np.pi / period, damping, slow) * weight[:, None]
+                columns = _responses(runs, 2 * np.pi / period, damping, slow) * weight[:, None]
                 basis = np.linalg.qr(columns)[0]
                 guess = rng.standard_normal((basis.shape[1], TRIES))
                 signs = np.where(basis @ guess >= 0, 1.0, -1.0)
@@ -132,7 +133,7 @@ def _unfolded(runs: Sequence[Trajectory], column: int) -> list[Unfolding]:
                 best = int(np.argmin(errors))
                 tried.append((float(errors[best]), signs[:, best]))
     tried.sort(key=lambda trial: trial[0])
-    cuts = np.cumsum([len(y) for y in folded])[:-1]
+    cuts = np.cumsum([len(y) for y in whole])[:-1]
     likeliest = [tuple(np.split(signs, cuts)) for _, signs in tried[:3]]
     return [Unfolding(signs, 2.0 ** -min(_turns(signs), 1000)) for signs in likeliest]
 
@@ -142,38 +143,68 @@ def _turns(signs: Sequence[FloatArray]) -> int:
     return sum(int(np.count_nonzero(np.diff(part))) for part in signs)
 
 
-def followed(y: FloatArray) -> Path | None:
-    """Return the path of an output (N,) that could be followed through its zeros, made once; else None."""
+def followed(y: FloatArray) -> tuple[Path, ...]:
+    """Return the paths of an output (N,) that could be followed through its zeros, likeliest first, made once."""
     return _followed(y.tobytes())
 
 
 @functools.lru_cache(maxsize=32)
-def _followed(y: bytes) -> Path | None:
+def _followed(y: bytes) -> tuple[Path, ...]:
     return tracked(np.frombuffer(y))
 
 
-def _both_ways(runs: Sequence[Trajectory], column: int, paths: Sequence[Path]) -> list[Unfolding]:
-    """Return the signs of followed records and their opposite; records are turned to answer the input alike."""
-    signs = [path.signs for path in paths]
-    first = _regression(runs[0], column, signs[0])
-    coefficients = np.linalg.lstsq(*first, rcond=None)[0]
-    for number in range(1, len(signs)):
-        errors = []
-        for sense in (1.0, -1.0):
-            columns, after = _regression(runs[number], column, sense * signs[number])
-            errors.append(float(np.sum((after - columns @ coefficients) ** 2)))
-        if errors[1] < errors[0]:
-            signs[number] = -signs[number]
-    chance = float(np.exp(-min(sum(path.gain for path in paths), 700.0)))
-    return [Unfolding(tuple(sense * part for part in signs), chance) for sense in (1.0, -1.0)]
+def _both_ways(runs: Sequence[Trajectory], column: int, paths: Sequence[Sequence[Path]]) -> list[Unfolding]:
+    """Return the signs of followed records and their opposite; all are turned to answer the input alike.
+
+    Of their paths and senses the likeliest are taken, by the motion itself and by one ARX model of all records.
+    """
+    chosen = [_Choice((), 0.0, np.zeros((0, 0)), 0)]
+    for number, (run, ways) in enumerate(zip(runs, paths, strict=True)):
+        more = [
+            choice.beside(sense * path.signs, path.gain, _regression(run, column, sense * path.signs))
+            for path in ways
+            for sense in ((1.0, -1.0) if number else (1.0,))
+            for choice in chosen
+        ]
+        chosen = sorted(more, key=lambda choice: -choice.log_likelihood)[:BEAM]
+    best = chosen[0]
+    chance = float(np.exp(-min(best.gain, 700.0)))
+    return [Unfolding(tuple(sense * part for part in best.signs), chance) for sense in (1.0, -1.0)]
 
 
-def _regression(run: Trajectory, column: int, signs: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return regressors (4 outputs and 4 of each input before) and outputs of an ARX model of an unfolded record."""
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """Signs of some records, how much likelier their motion makes them, and the products of their regression."""
+
+    signs: tuple[FloatArray, ...]
+    gain: float
+    products: FloatArray
+    samples: int
+
+    def beside(self, signs: FloatArray, gain: float, regression: FloatArray) -> _Choice:
+        """Return the choice with those of one more record."""
+        products = regression.T @ regression + (self.products if self.samples else 0.0)
+        return _Choice((*self.signs, signs), self.gain + gain, products, self.samples + len(regression))
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of the paths, and of the outputs under an ARX model with the noise that fits them best."""
+        size = np.sqrt(np.maximum(np.diag(self.products), 1e-300))  # in any unit
+        scaled = self.products / np.outer(size, size)
+        told = scaled[:-1, -1] @ np.linalg.pinv(scaled[:-1, :-1], hermitian=True) @ scaled[:-1, -1]
+        left = self.products[-1, -1] * (1.0 - told)
+        return self.gain - 0.5 * self.samples * float(np.log(max(left, 1e-300)))
+
+
+def _regression(run: Trajectory, column: int, signs: FloatArray) -> FloatArray:
+    """Return regressors (4 outputs and 4 of each input before) of an ARX model of an unfolded record, and its output.
+
+    Outputs before the last one enter by their differences, which are small beside it: their products stay exact.
+    """
     y, n = np.asarray(run.y[: len(signs), column]) * signs, len(signs)
-    past = [y[4 - lag : n - lag] for lag in range(1, 5)]
+    past = [np.diff(y, order)[3 - order : n - 1 - order] for order in range(4)]
     past += [run.u[4 - lag : n - lag, port] for lag in range(1, 5) for port in range(run.u.shape[1])]
-    return np.column_stack(past), y[4:]
+    return np.column_stack([*past, y[4:] - past[0]])
 
 
 def _low_turns(y: FloatArray, level: float) -> int:

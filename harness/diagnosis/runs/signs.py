@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,9 +20,10 @@ __all__ = ["signs_by_model"]
 def signs_by_model(form: WindowedForm, simulator: Simulator, record: Trajectory, p: FloatArray) -> FloatArray | None:
     """Return states (N, nx) of a record whose sensor hides the sign; None if the system has no such sensor.
 
-    Where the output could be followed through its zeros its signs are known but for the first, and the model without
-    the sensor decides about that. Elsewhere this model is run with the input from several states; its signs unfold the
-    output, its initial state follows from the unfolded output, and so on until the signs stay.
+    Where the output could be followed through its zeros its signs are known but for the first, or but for a few
+    choices, and the model without the sensor decides about them. Elsewhere this model is run with the input from
+    several states; its signs unfold the output, its initial state follows from the unfolded output, and so on until
+    the signs stay.
     """
     system = simulator.system
     effects = tuple(system.effects)
@@ -34,9 +36,9 @@ def signs_by_model(form: WindowedForm, simulator: Simulator, record: Trajectory,
     q = plain.vector({name: values[name] for name in plain.parameter_names})
     column = [channel.name for channel in plain.outputs].index(hiding[0].at)
     runner = form.simulator(plain, q)
-    path = followed(np.asarray(record.y[:, column], dtype=float)) if len(record) <= LONGEST else None
-    if path is not None:
-        return _states_of_path(form, runner, record, column, path, q)
+    paths = followed(np.asarray(record.y[:, column], dtype=float)) if len(record) <= LONGEST else ()
+    if paths:
+        return _states_of_paths(form, runner, record, column, paths, q)
     guess = data_states(runner, record, q)[0]
     tries = [guess, np.zeros_like(guess)]
     tries.append(data_states(runner, _signed(record, column, -np.ones(len(record))), q)[0])
@@ -62,13 +64,13 @@ def signs_by_model(form: WindowedForm, simulator: Simulator, record: Trajectory,
     return None if best is None else best[1]
 
 
-def _states_of_path(
-    form: WindowedForm, runner: Simulator, record: Trajectory, column: int, path: Path, q: FloatArray
+def _states_of_paths(
+    form: WindowedForm, runner: Simulator, record: Trajectory, column: int, paths: Sequence[Path], q: FloatArray
 ) -> FloatArray | None:
-    """Return the states (N, nx) by a model without the sensor, of the first sign that it explains better."""
+    """Return the states (N, nx) by a model without the sensor, of the signs that it explains best."""
     best: tuple[float, FloatArray] | None = None
-    for sense in (1.0, -1.0):
-        unfolded = _signed(record, column, sense * path.signs)
+    for signs in (sense * path.signs for path in paths for sense in (1.0, -1.0)):
+        unfolded = _signed(record, column, signs)
         windows = Windows(runner, [unfolded], form.horizon, form.weights)
         with np.errstate(all="ignore"):  # the wrong sign may diverge
             x0 = form.fit_states(windows, q, windows.starts_from([data_states(runner, unfolded, q)[0]]), 25)
