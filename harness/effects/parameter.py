@@ -55,7 +55,8 @@ class EffectParameter:
     ceiling : str
         Upper bound of the same kind: a constant so fast that nothing in these samples could show it.
     grid : tuple of float
-        Factors on the start value for several starts and for screens (local minima: gaps, change times, orders).
+        Factors on the start value for several starts and for screens (local minima: gaps, change times, orders). A
+        grid without 1 starts elsewhere than where the effect is simulated.
     meaning : str
         A few words for the report.
     """
@@ -111,8 +112,7 @@ class EffectParameter:
         """Return the start values worth trying, the usual one first."""
         first = self.start(sizes)
         low, high = self.lowest(sizes, np.inf), self.highest(sizes, -np.inf)
-        values = [float(np.clip(first * factor, low, high)) for factor in self.grid]
-        return tuple(dict.fromkeys([first, *values]))
+        return tuple(dict.fromkeys(float(np.clip(first * factor, low, high)) for factor in self.grid))
 
     def _default_scale(self) -> str:
         """Return 5 % of what the unit stands for; two samples for a time."""

@@ -14,15 +14,15 @@ from harness.effects.functions import dead_band, dead_band_slope, sin
 __all__ = ["backlash", "cogging", "elasticity"]
 
 
-def _inertia() -> EffectParameter:
+def _inertia(scale: str, grid: tuple[float, ...] = (1.0,)) -> EffectParameter:
     """Return the inertia of the motor's side."""
-    return par("Jm", "F/a", scale="0.4 F/a", sign="+", minimum=1e-12, nuisance=True, grid=(1.0, 0.2),
+    return par("Jm", "F/a", scale=scale, sign="+", minimum=1e-12, nuisance=True, grid=grid,
                meaning="inertia of the motor's side, no longer part of the load's")  # fmt: skip
 
 
-def _stiffness(scale: str, *, main: bool) -> EffectParameter:
+def _stiffness(scale: str, grid: tuple[float, ...] = (1.0,), *, main: bool) -> EffectParameter:
     """Return the stiffness of the transmission."""
-    return par("k", "F/q", scale=scale, sign="+", minimum=1e-12, main=main, nuisance=not main, grid=(1.0, 0.1, 10.0),
+    return par("k", "F/q", scale=scale, sign="+", minimum=1e-12, main=main, nuisance=not main, grid=grid,
                meaning="stiffness of the transmission")  # fmt: skip
 
 
@@ -34,7 +34,7 @@ def _damping(scale: str) -> EffectParameter:
 
 @effect(
     "coordinate",
-    [_stiffness("20 F/q", main=True), _inertia(), _damping("0.2 F/v")],
+    [_stiffness("20 F/q", (1.0, 0.1, 10.0), main=True), _inertia("0.4 F/a", (1.0, 0.2)), _damping("0.2 F/v")],
     states={"e": "q", "w": "v"},
     initial={"w": "v"},
     formula="force on the load = k e + d e' in place of f; e' = w - v, Jm w' = f - k e - d e'",
@@ -53,15 +53,18 @@ def elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
 @effect(
     "coordinate",
     [
-        par("gap", "q", scale="0.1 q", sign="+", minimum=0.0, main=True, grid=(1.0, 0.5, 0.2, 2.0, 0.1),
+        par("gap", "q", scale="0.1 q", sign="+", minimum=0.0, main=True, grid=(1.0, 2.0, 0.3),
             meaning="half of the play"),
         _stiffness("50 F/q", main=False),
-        _inertia(),
+        _inertia("0.1 F/a"),
         _damping("3 F/v"),  # gears hardly bounce: damping ratio near 1
+        # from a rounded corner a fit sees flanks that it does not touch yet; from a sharp one it ended where it began
+        par("c", "1", scale="0.01", sign="+", minimum=0.01, maximum=0.5, nuisance=True, grid=(20.0,),
+            meaning="length over which the flanks come into contact, over the gap"),
     ],
     states={"e": "q", "w": "v"},
     initial={"w": "v"},
-    formula="as elasticity, with k dz(e) + d dz'(e) e' passed on: nothing within |e| < gap (corner over gap/100)",
+    formula="as elasticity, with k dz(e) + d dz'(e) e' passed on: nothing within |e| < gap (corners of c gap)",
     family=("elasticity", "dead_zone", "hysteresis", "coulomb_friction"),
     nests=("elasticity",),
     limits={"elasticity": "for zero gap"},
@@ -71,7 +74,7 @@ def elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
 )  # fmt: skip
 def backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Play between a motor mass and the load, with an elastic contact."""
-    smoothing = 0.01 * p.gap + 1e-12
+    smoothing = p.c * p.gap + 1e-12
     passed = p.k * dead_band(s.e, p.gap, smoothing) + p.d * dead_band_slope(s.e, p.gap, smoothing) * (s.w - v)
     return passed - f, [s.w - v, (f - passed) / p.Jm]
 

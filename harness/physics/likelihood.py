@@ -29,6 +29,8 @@ _NOISE_STEP = 1e-5
 """Of the difference quotients by logarithms of the noise."""
 _ENOUGH = 0.02
 """A step that brings less than this much log-likelihood ends a fit: nothing is decided by a fiftieth."""
+_BROKEN = 1.0
+"""A promise that no step keeps ends a fit at its maximum up to here: rivals tie within three times as much."""
 _ROUGH = 0.3
 """Below this promise the derivatives of gains and variances count, and difference quotients are taken of all."""
 _STALE = 0.05
@@ -558,8 +560,9 @@ class Likelihood:
             elif last and more is not None and seen - value >= _STALE:
                 more, damping = None, _DAMPING
             elif last:
-                # where steps of the solver follow the motion, difference quotients may be rounding: without them then
-                converged = min(first, plain) < 5 * _ENOUGH
+                # where steps of the solver follow the motion, difference quotients may be rounding: without them then;
+                # where they pass over a corner of a law, the likelihood is as rough as that
+                converged = min(first, plain) < _BROKEN
                 message = "" if converged else "no step raises the likelihood"
                 break
             else:

@@ -441,6 +441,25 @@ def test_an_effect_whose_own_law_forbids_what_is_left_of_it_is_not_left_alone() 
     assert accepted(outcome) == {"quadratic_drag", "viscous_friction"}
 
 
+def test_what_no_score_test_sees_takes_its_first_steps_in_full() -> None:
+    """Its starts lie far from the base: that two steps come short of it tells nothing."""
+    hopes: dict[str, float] = {}
+
+    class Form(LinearForm):
+        def begin(self, effects: Any, starts: Any, base: Fit | None, hope: float = -np.inf) -> Begun:
+            for one in effects[-1:]:
+                hopes.setdefault(one.effect.name, hope)
+            return super().begin(effects, starts, base)
+
+        def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
+            return [Suspect(one, ({},)) for one in candidates if one.effect.name == "quadratic_drag"]
+
+    form = Form(linear_records(2, {"cubic_spring": 0.4}))
+    search(form, form.fit((), [], None), ALL)
+    assert hopes["quadratic_drag"] == -np.inf
+    assert hopes["cubic_spring"] > -np.inf
+
+
 def test_what_was_left_on_its_way_is_said_to_be_and_not_that_it_did_not_converge() -> None:
     form = LinearForm(linear_records(15, {"linear_spring": 0.4}))
     nominal = form.fit((), [], None)

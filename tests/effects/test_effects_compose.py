@@ -188,6 +188,23 @@ def test_backlash_lets_the_motor_turn_alone_within_the_gap():
     assert recommended_substeps(loose, None, 0.01) >= recommended_substeps(DRIVE, None, 0.01)
 
 
+def test_flanks_come_into_contact_over_a_corner():
+    backlash = builtin()["backlash"]
+
+    def force(e, c):
+        values = {"gap": 0.1, "k": 500.0, "Jm": 0.1, "d": 0.0, "c": c}
+        return backlash.evaluate(0.0, (e, 0.0), values, 0.0, 0.0)[0]
+
+    assert force(0.3, 0.5) == pytest.approx(500 * 0.2, rel=0.01)  # far beyond it, whatever the corner
+    assert force(0.3, 0.01) == pytest.approx(500 * 0.2, rel=1e-6)
+    assert abs(force(0.09, 0.01)) < 0.01
+    assert force(0.09, 0.5) > 10
+    corner = backlash.parameter("c")
+    assert not corner.fixed
+    assert corner.start({}) == corner.minimum  # sharp where nobody says otherwise
+    assert min(corner.starts({})) >= 10 * corner.minimum  # a fit begins round and may end sharp
+
+
 def test_inputs_act_in_the_order_given():
     u = excitation(PENDULUM, 200)
     first = simulate(compose(PENDULUM, [put("input_gain", "u", gain=2.0), put("saturation", "u", limit=0.5)]), u, 0.01)

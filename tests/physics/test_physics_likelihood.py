@@ -266,6 +266,21 @@ def test_a_fit_that_converged_gains_nothing_when_it_goes_on(make, start, s, seed
         assert again.nll <= first.nll
 
 
+@pytest.mark.parametrize(("rough", "converged"), [(1.0, True), (20.0, False)])
+def test_a_maximum_is_as_sharp_as_its_likelihood_is_smooth(rough, converged) -> None:
+    """A law with a corner has a likelihood in steps: a fit is at its end where next to nothing is left within one."""
+
+    class Stepped(Likelihood):
+        def _value(self, z):
+            value, found = super()._value(z)
+            return rough * np.ceil(value / rough), found
+
+    system = pendulum().system()
+    data = record(system, system.vector(), np.full(system.nx, 0.1), force=0.05, seed=3, n=400)
+    start = Point(1.1 * system.vector(), [np.full(system.nx, 0.1)], some_noise(system))
+    assert Stepped(system, [data], noise_model(system)).maximise(start).converged == converged
+
+
 def test_the_truth_is_recovered_with_its_noise() -> None:
     system = pendulum().system()
     truth = system.vector()

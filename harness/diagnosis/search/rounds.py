@@ -200,7 +200,8 @@ def _refitted(
         origin = base if suspect.base is None else suspect.base
         starts = [{**origin.values, **start} for start in suspect.starts]
         origins[suspect.placed] = origin
-        begun[suspect.placed] = form.begin([*base.effects, suspect.placed], starts, origin, before + enough())
+        # its starts lie far off: two steps tell nothing of where it leads
+        begun[suspect.placed] = form.begin([*base.effects, suspect.placed], starts, origin)
     gains = {placed: refit.log_likelihood - before for placed, refit in begun.items() if refit is not None}
     least = enough()
     penalty = 0.5 * float(np.log(base.samples))

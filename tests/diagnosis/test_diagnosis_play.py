@@ -1,0 +1,45 @@
+"""Play in a drive: found from wherever the dictionary starts, in records of other laws than the dictionary's."""
+
+from __future__ import annotations
+
+import pytest
+
+from harness.diagnosis.algorithm import diagnose
+from harness.diagnosis.kinds import Equations
+from harness.diagnosis.policy import POLICY
+from harness.diagnosis.records.prepare import checked
+from harness.diagnosis.steps import candidates_of, form_of, nominal_fit
+from harness.physics import load_model
+from harness.study.plan import Task
+from harness.study.records import make_records
+
+
+def task(engine: str, level: str, noise: str, disturbance: float, index: int) -> Task:
+    return Task("confusion", "pendulum", engine, ("backlash@theta",), level, noise, disturbance, index, 0)
+
+
+def test_play_is_found_from_every_start() -> None:
+    """With sharp flanks a fit ended where it began, or at elasticity alone (26 209 of 27 083)."""
+    records = make_records(task("laws", "nominal", "high", 0.02, 20))
+    system = load_model("pendulum")
+    dataset, doubts = Equations().prepared(checked(records.dataset, system), system)
+    form, _ = form_of(Equations(), system, dataset, POLICY)
+    nominal = nominal_fit(form, form, doubts)  # type: ignore[arg-type]
+    candidates, _ = candidates_of(form, None)
+    play = next(one for one in candidates if str(one) == "backlash@theta")
+    (suspect,) = form.suspects(nominal, None, [play])
+    for start in suspect.starts:
+        fit = form.fit([play], [{**nominal.values, **start}], nominal)
+        assert fit is not None
+        assert fit.converged
+        assert fit.log_likelihood("estimation") > nominal.log_likelihood("estimation") + 900
+        assert fit.values["backlash@theta.gap"] == pytest.approx(records.known[0].named["gap"], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "row", [("laws", "nominal", "high", 0.02, 20), ("hardware", "nominal", "high", 0.0, 2)], ids=lambda row: row[0]
+)
+def test_play_is_named_and_not_the_elasticity_that_it_contains(row: tuple[str, str, str, float, int]) -> None:
+    diagnosis = diagnose(make_records(task(*row)).dataset, load_model("pendulum"))
+    assert [str(one.placed) for one in diagnosis.outcome.accepted] == ["backlash@theta"]
+    assert diagnosis.grade == "explained"
