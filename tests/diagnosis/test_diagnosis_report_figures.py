@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from harness.diagnosis.policy import POLICY
 from harness.diagnosis.report import evidence_json
 from harness.diagnosis.report.html import environment
 from harness.diagnosis.search.compare import Comparison, Judged
@@ -87,8 +88,14 @@ def data(verdict: str, **more: Any) -> dict[str, Any]:
     return {
         "verdict": verdict, "model": "pendulum", "misfit": ["the sign is wrong"], "errors": errors,
         "explained_share": 0.99996, "effects": [effect], "tie_sets": [[effect]],
-        "stand_in": {"flagged": False, "reasons": []}, "left_over": [], "withdrawn": [], **more,
+        "stand_in": {"flagged": False, "reasons": []}, "left_over": [], "withdrawn": [], "noise": forces(1e-5), **more,
     }  # fmt: skip
+
+
+def forces(share: float) -> dict[str, Any]:
+    """Return the noise of a report: a force of 0.05 N m, which is this share of what moves the coordinate."""
+    force = {"s": 0.03, "w": 0.04, "tau_s": 4.0, "unit": "N m", "share": share, "at_least": False}
+    return {"after": {"sensors": {}, "forces": {"theta": force}}}
 
 
 @pytest.mark.parametrize(
@@ -102,12 +109,17 @@ def data(verdict: str, **more: Any) -> dict[str, Any]:
             "stands in for what pendulum lacks",
         ),
         ("nothing_missing", {}, "nothing is missing in pendulum: validation simulation error theta 0.1 rad"),
+        (
+            "nothing_missing",
+            {"noise": forces(0.054)},
+            "beside a force at theta that nobody measured (0.05 N m, 5.4 % of what moves it): validation",
+        ),
         ("unexplained", {}, "too large for a disturbance"),
         ("model_does_not_fit", {}, "pendulum does not fit these data: the sign is wrong"),
     ],
 )
 def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: dict[str, Any], words: str) -> None:
-    text = evidence_json._summary(data(verdict, **more))
+    text = evidence_json._summary(data(verdict, **more), POLICY.least)
     assert words in text
     assert "100 %" not in text
     if verdict != "model_does_not_fit":

@@ -180,6 +180,16 @@ def tie_of(outcome: Outcome, name: str) -> set[str]:
 # ---- the score test --------------------------------------------------------------------------------------------------
 
 
+def test_a_column_that_diverges_promises_nothing_and_warns_of_nothing() -> None:
+    records = linear_records(3, {"cubic_spring": 0.4})
+    for use in USES:
+        records.x[use]["quadratic_drag"] = 1e200 * records.x[use]["quadratic_drag"]
+    form = LinearForm(records)
+    test = score_test(form, form.fit((), [], None), ALL)
+    assert [lead.gain for lead in test.hidden] == [0.0]
+    assert test.leads[0].placed.effect.name == "cubic_spring"
+
+
 def test_a_promise_is_the_gain_where_everything_is_linear() -> None:
     form = LinearForm(linear_records(3, {"cubic_spring": 0.4, "quadratic_drag": 0.1}))
     nominal = form.fit((), [], None)

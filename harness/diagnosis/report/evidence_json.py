@@ -28,7 +28,8 @@ Keys of ``sysid-harness/close-loop/2``, the same for every kind of model; what d
     grow together, each over the first of them, with intervals.
 ``noise``
     ``before`` and ``after``: ``sensors`` (r by output) and ``forces`` (by port: s and tau of the latent force, its
-    white part w; ``at_least`` where s lies on the upper bound of its search).
+    white part w; ``share``, both over what typically moves that coordinate; ``at_least`` where s lies on the upper
+    bound of its search).
 ``candidates``
     Every refit with the reason it was rejected; then what the score test alone set aside. ``main``: by name value, low
     and high of the effect's size, limits null where ``parameters`` would have none.
@@ -169,7 +170,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "warnings": list(dict.fromkeys(warnings)),
         "seconds": round(found.seconds, 2),
     }  # fmt: skip
-    data["summary"] = _summary(data)
+    data["summary"] = _summary(data, found.policy.least)
     return data
 
 
@@ -239,6 +240,7 @@ def _noise(found: Diagnosis, fit: Fit) -> dict[str, Any]:
                 "s": known(float(s)),
                 "tau_s": known(float(tau)),
                 "w": known(float(w)),
+                "share": known(math.hypot(s, w) / scale),
                 "unit": force.unit,
                 "at_least": f"s@{force.port}" in fit.on_bound and bool(s > scale),
             }
@@ -413,8 +415,8 @@ def _closed_loop(found: Diagnosis, fit: Fit) -> dict[str, Any]:
     return result
 
 
-def _summary(data: dict[str, Any]) -> str:
-    """Return the verdict in one line."""
+def _summary(data: dict[str, Any], least: float) -> str:
+    """Return the verdict in one line; forces that nobody measured are told above the share ``least``."""
     before = data["errors"]["before"]["simulation_error"]["validation"]
     after = data["errors"]["after"]["simulation_error"]["validation"]
     if data["verdict"] == "model_does_not_fit":
@@ -448,7 +450,14 @@ def _summary(data: dict[str, Any]) -> str:
     plain = change.split(" -> ")[0] if ", " not in change else ", ".join(p.split(" -> ")[0] for p in change.split(", "))
     units = ", ".join(dict.fromkeys(figure["unit"] for figure in before.values()))
     if data["verdict"] == "nothing_missing":
-        return f"nothing is missing in {data['model']}: validation simulation error {plain} {units}; {words}"
+        forces = [
+            f"a force at {port} that nobody measured ({_short(math.hypot(force['s'], force['w']))} {force['unit']}, "
+            f"{_short(100 * force['share'])} % of what moves it)"
+            for port, force in data["noise"]["after"]["forces"].items()
+            if force["share"] is not None and force["share"] > least
+        ]
+        beside = f" beside {' and '.join(forces)}" if forces else ""
+        return f"nothing is missing in {data['model']}{beside}: validation simulation error {plain} {units}; {words}"
     best = data["left_over"][0] if data["left_over"] else None
     if best and best["evidence"] + best["validation"] > 0:
         cause = f"a force at {best['axis']} would"

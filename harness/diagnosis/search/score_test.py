@@ -132,7 +132,8 @@ def projected(form: Form, fit: Fit) -> tuple[FloatArray, FloatArray]:
 def _lead(column: Column, basis: FloatArray, residual: FloatArray, penalty: float) -> Lead:
     """Return what one choice of parameters promises."""
     assert column.placed is not None
-    size = np.linalg.norm(column.estimation, axis=0)
+    with np.errstate(over="ignore"):  # what diverges is as good as not seen: nothing is left of it over its size
+        size = np.linalg.norm(column.estimation, axis=0)
     use = size > 0
     coefficients = np.zeros(len(size))
     direction, span = np.zeros(len(residual)), np.zeros((len(residual), 0))
