@@ -79,7 +79,7 @@ class ArmModel:
     @property
     def states(self) -> tuple[Channel, ...]:
         """What can be measured: positions, then rates."""
-        rates = tuple(Channel(f"{one.name}_rate", f"{one.unit}/s") for one in self.positions)
+        rates = tuple(Channel(f"{channel.name}_rate", f"{channel.unit}/s") for channel in self.positions)
         return (*self.positions, *rates)
 
     @property
@@ -106,7 +106,7 @@ class ArmModel:
         parameters : array (10 * bodies,), optional
             Inertial parameters in the order of :attr:`Arm.parameters`; the torques are linear in them.
         """
-        rows = [np.ascontiguousarray(np.asarray(one, dtype=float).T) for one in (q, v, a)]
+        rows = [np.ascontiguousarray(np.asarray(values, dtype=float).T) for values in (q, v, a)]
         given = self.arm.parameters if parameters is None else np.asarray(parameters, dtype=float)
         return np.array(self._function(*rows, np.array(gravity), given), dtype=float).T
 
@@ -122,10 +122,10 @@ class ArmModel:
         InputError
             If a joint position is missing, or another thing is asked for.
         """
-        known = [one.name for one in self.positions]
+        known = [channel.name for channel in self.positions]
         rate_of = {(f"{name}_rate", 0): (name, 1) for name in known}
-        plain = [(one, 0) if isinstance(one, str) else (one[0], one[1]) for one in chosen]
-        plain = [rate_of.get(one, one) for one in plain]
+        plain = [(item, 0) if isinstance(item, str) else (item[0], item[1]) for item in chosen]
+        plain = [rate_of.get(item, item) for item in plain]
         wrong = [name for name, order in plain if name not in known or order not in (0, 1)]
         missing = [name for name in known if (name, 0) not in plain]
         if wrong or missing:
@@ -135,7 +135,7 @@ class ArmModel:
                 got=f"{', '.join(missing)} missing" if missing else ", ".join(wrong),
                 remedy="record all joints of the arm" if missing else "leave these columns out",
             )
-        channels = {one.name: one for one in self.states}
+        channels = {channel.name: channel for channel in self.states}
         rates = [f"{name}_rate" for name in known if (name, 1) in plain]
         return replace(self, outputs=tuple(channels[name] for name in (*known, *rates)))
 
@@ -183,10 +183,12 @@ def load_arm(name: str | Path, *, inertia: str = "fixed", locked: Sequence[str] 
     path = _installed(str(name)) if str(name) in ARMS else Path(name)
     arm = load_urdf(path)
     names = [joint.name for joint in arm.joints]
-    for one in locked:
-        if one not in names:
-            raise InputError("locked joint", expected=f"one of {', '.join(names)}", got=repr(one), remedy="correct it")
-    arm = Arm(arm.name, tuple(replace(one, kind="fixed") if one.name in locked else one for one in arm.joints))
+    for joint_name in locked:
+        if joint_name not in names:
+            raise InputError(
+                "locked joint", expected=f"one of {', '.join(names)}", got=repr(joint_name), remedy="correct it"
+            )
+    arm = Arm(arm.name, tuple(replace(joint, kind="fixed") if joint.name in locked else joint for joint in arm.joints))
     if not arm.n:
         raise InputError(
             "arm without joints", expected="a joint that moves", got="none", remedy="choose another URDF", file=path
@@ -200,8 +202,8 @@ def load_arm(name: str | Path, *, inertia: str = "fixed", locked: Sequence[str] 
     return ArmModel(
         name=str(name) if str(name) in ARMS else arm.name,
         arm=arm,
-        damping=np.array([dynamics.get(one.name, (0.0, 0.0))[0] for one in arm.moving]),
-        friction=np.array([dynamics.get(one.name, (0.0, 0.0))[1] for one in arm.moving]),
+        damping=np.array([dynamics.get(joint.name, (0.0, 0.0))[0] for joint in arm.moving]),
+        friction=np.array([dynamics.get(joint.name, (0.0, 0.0))[1] for joint in arm.moving]),
         inputs=tuple(inputs),
         outputs=tuple(outputs),
         inertia=inertia,  # type: ignore[arg-type]

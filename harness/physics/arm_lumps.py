@@ -142,9 +142,9 @@ class ArmLumps:
         return [self._flat(only), self._driven(u) + only @ self.value]
 
     def _known(self, q: FloatArray, v: FloatArray, u: FloatArray, t: FloatArray) -> list[FloatArray]:
-        rest = np.zeros_like(q)
-        energy = self.wide("energy", q, v, rest) @ self.value
-        return [energy, self.wide("momentum", q, v, rest) @ self.value]
+        no_acceleration = np.zeros_like(q)
+        energy = self.wide("energy", q, v, no_acceleration) @ self.value
+        return [energy, self.wide("momentum", q, v, no_acceleration) @ self.value]
 
 
 def _number(value: float) -> sp.Number:

@@ -69,8 +69,8 @@ class ArmMechanism(Mechanism):
         driven = [channel.name for channel, joint in zip(arm.inputs, moving, strict=True) if joint.name not in idle]
         inertial = [f"{name}{body + 1}" for body in range(len(joints)) for name in TEN]
         at_joints = [f"{kind}{joint + 1}" for kind in ("damping", "friction") for joint in range(arm.n)]
-        positions = [one.name for one in arm.positions]
-        units = {one.name: one.unit for one in (*arm.positions, *arm.inputs)}
+        positions = [channel.name for channel in arm.positions]
+        units = {channel.name: channel.unit for channel in (*arm.positions, *arm.inputs)}
         super().__init__(
             arm.name,
             " ".join(positions),
@@ -117,14 +117,14 @@ class ArmMechanism(Mechanism):
             alone[10 * number : 10 * number + 10] = p[10 * number : 10 * number + 10]
             moved = tuple(_movers(arm.arm.joints, number))
             bodies.append(BodyTerm(moved, ca.substitute(matrix, p, alone), ca.substitute(-bias, p, alone)))
-        rates = [f"{one.unit}/s" for one in arm.positions]
+        rates = [f"{channel.unit}/s" for channel in arm.positions]
         return System(
             name=self.name,
-            inputs=tuple(one for one in arm.inputs if one.name in known),
+            inputs=tuple(channel for channel in arm.inputs if channel.name in known),
             outputs=arm.positions,
             states=(
                 *arm.positions,
-                *(Channel(f"{one.name}_rate", unit) for one, unit in zip(arm.positions, rates, strict=True)),
+                *(Channel(f"{channel.name}_rate", unit) for channel, unit in zip(arm.positions, rates, strict=True)),
             ),
             parameters=self.parameter_list(),
             x=x,
@@ -137,8 +137,8 @@ class ArmMechanism(Mechanism):
             rates=ca.SX(0, 1),
             h=q,
             coordinates=tuple(
-                Coordinate(one.name, one.unit, push_on.unit, row, n + row, row)
-                for row, (one, push_on) in enumerate(zip(arm.positions, arm.inputs, strict=True))
+                Coordinate(position.name, position.unit, push_on.unit, row, n + row, row)
+                for row, (position, push_on) in enumerate(zip(arm.positions, arm.inputs, strict=True))
             ),
             bodies=tuple(bodies),
             mechanism=self,
@@ -148,7 +148,7 @@ class ArmMechanism(Mechanism):
         """Return unit, value and bounds of every parameter: masses, damping and friction are not negative."""
         arm, n = self.arm, self.arm.n
         values = [*arm.arm.parameters, *arm.damping, *arm.friction]
-        turns = [one.unit == "rad" for one in arm.positions]
+        turns = [channel.unit == "rad" for channel in arm.positions]
         units = [*UNITS * len(arm.arm.joints)]
         units += ["N m s/rad" if turn else "N s/m" for turn in turns] + ["N m" if turn else "N" for turn in turns]
         found = {}

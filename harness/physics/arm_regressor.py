@@ -63,7 +63,7 @@ class ArmRegressor:
         self._sparsity = matrix.sparsity()
         entries = ca.vertcat(*matrix.nonzeros()) if matrix.nnz() else ca.SX(0, 1)
         self._entries = dense("entries", [ca.vertcat(*arguments)], [entries])
-        rows, columns = (np.asarray(one, dtype=np.int64) for one in self._sparsity.get_triplet())
+        rows, columns = (np.asarray(indices, dtype=np.int64) for indices in self._sparsity.get_triplet())
         self._places = np.ascontiguousarray(rows * self.columns + columns, dtype=np.int32)
         self._turning = np.array([joint.kind != "prismatic" for joint in moving])
 
@@ -71,7 +71,7 @@ class ArmRegressor:
         self, q: FloatArray, v: FloatArray, a: FloatArray, gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     ) -> FloatArray:
         """Return W (N * rows, columns), the rows of a sample together; of joint motions (N, n)."""
-        q, v, a = (np.asarray(one, dtype=float).reshape(-1, self._n) for one in (q, v, a))
+        q, v, a = (np.asarray(values, dtype=float).reshape(-1, self._n) for values in (q, v, a))
         count = len(q)
         # calloc: entries that are always 0 are never touched
         found = np.zeros((count * self.rows, self.columns))
@@ -188,7 +188,7 @@ def symbolic_regressor(joints: Sequence[Joint]) -> tuple[list[Any], Any]:
             j: (ca.mtimes(pose.T, angular), ca.mtimes(pose.T, linear + ca.cross(angular, place)))
             for j, (angular, linear) in motions.items()
         }
-        spin, turning, pull = (ca.mtimes(pose.T, one) for one in (spin, turning, pull))
+        spin, turning, pull = (ca.mtimes(pose.T, vector) for vector in (spin, turning, pull))
         if joint.kind == "prismatic":
             pull = pull + axis * a[index] + 2 * ca.cross(spin, axis * v[index])
             own[index] = (zero, axis)
@@ -264,8 +264,8 @@ def _ten(angular: Any, linear: Any, spin: Any, turning: Any, pull: Any) -> Any:
     second = []
     for i in range(3):
         for j in range(i, 3):
-            one = angular[i] * turning[j] + twist[i] * spin[j]
-            second.append(one if i == j else one + angular[j] * turning[i] + twist[j] * spin[i])
+            term = angular[i] * turning[j] + twist[i] * spin[j]
+            second.append(term if i == j else term + angular[j] * turning[i] + twist[j] * spin[i])
     return ca.vertcat(ca.dot(linear, pull), first, *second)
 
 

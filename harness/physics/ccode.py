@@ -138,12 +138,14 @@ def c_function(name: str, function: Any) -> str:
         elif operation == ca.OP_OUTPUT:
             lines.append(f"o{out[0]}[{out[1]}] = w{into[0]};")
         elif operation in formats:
-            lines.append(f"w{out[0]} = {formats[operation].format(*(f'w{one}' for one in into))};")
+            lines.append(f"w{out[0]} = {formats[operation].format(*(f'w{operand}' for operand in into))};")
         else:
             raise ValueError(f"no C text for CasADi operation {operation} in {name}")
     inputs = [f"const double *i{row}" for row in range(function.n_in())]
     outputs = [f"double *o{row}" for row in range(function.n_out())]
-    unused = "".join(f"(void)i{row}; " for row in range(function.n_in()) if not any(f"i{row}[" in one for one in lines))
+    unused = "".join(
+        f"(void)i{row}; " for row in range(function.n_in()) if not any(f"i{row}[" in line for line in lines)
+    )
     work = [f"w{row}" for row in range(function.sz_w())]
     head = f"static void {name}({', '.join(inputs + outputs)}) {{"
     declare = [f"double {', '.join(work)};"] if work else []
@@ -163,7 +165,7 @@ def _number(value: float) -> str:
 
 def dense(name: str, inputs: list[Any], outputs: list[Any]) -> Any:
     """Return a CasADi function whose outputs are dense columns."""
-    flat = [ca.densify(ca.SX(one)) for one in outputs]
+    flat = [ca.densify(ca.SX(output)) for output in outputs]
     return ca.Function(name, inputs, flat, {"cse": True})
 
 

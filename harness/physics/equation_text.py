@@ -41,7 +41,7 @@ def equations(model: Mechanism | Ode, form: Literal["text", "latex"] = "text") -
     else:
         rows = [(sp.Symbol(f"v_{state}"), sp.sympify(rhs)) for state, rhs in zip(model.x, model.rhs, strict=True)]
         names, plain = {}, [str(symbol) for symbol in model.x]
-    symbols = _Names({**names, **{f"v_{one}": 1 for one in plain}, **{f"a_{one}": 2 for one in plain}})
+    symbols = _Names({**names, **{f"v_{name}": 1 for name in plain}, **{f"a_{name}": 2 for name in plain}})
     lines = [f"{symbols.write(left, form)} = {symbols.write(right, form)}" for left, right in rows]
     for name, given in model.outputs.items():
         expression = sp.sympify(given[0] if isinstance(given, tuple) else given)

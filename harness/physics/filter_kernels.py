@@ -58,7 +58,7 @@ class Kernels:
 
     def smooth(self, n: int, given: Sequence[FloatArray], into: Sequence[FloatArray]) -> None:
         """Smooth a pass of n samples: e, s, transition, gain, row, x_before, p_before into x and its variance."""
-        self._smooth(ctypes.c_long(n), *(_address(one) for one in (*given, *into)))
+        self._smooth(ctypes.c_long(n), *(_address(array) for array in (*given, *into)))
 
     def respond(self, n: int, m: int, given: Sequence[FloatArray], push: Sequence[Any], into: FloatArray) -> None:
         """Respond to m cases: transition, gain, row; pushes (n, NX, width) and forces (n, width, m), readings."""
@@ -67,7 +67,7 @@ class Kernels:
             ctypes.c_long(n),
             ctypes.c_long(m),
             ctypes.c_long(width),
-            *(_address(one) for one in (*given, *push, into)),
+            *(_address(array) for array in (*given, *push, into)),
         )
 
 

@@ -102,7 +102,7 @@ class OutputErrorFit:
     def __str__(self) -> str:
         deviations = self.deviations
         values = ", ".join(f"{name} = {self.parameters[name]:.5g} +- {deviations[name]:.2g}" for name in self.names)
-        return f"{values}; rms {', '.join(f'{one:.4g}' for one in self.rms)}; {self.message}"
+        return f"{values}; rms {', '.join(f'{value:.4g}' for value in self.rms)}; {self.message}"
 
 
 @dataclass(eq=False)
@@ -130,7 +130,7 @@ def finish(
     """Return the public result: covariance, residuals, one line of words."""
     solution, windows = best.solution, best.windows
     final = windows.evaluate(solution.p, solution.x0, keep=True)
-    names = tuple(one.name for one, is_free in zip(system.parameters, free, strict=True) if is_free)
+    names = tuple(parameter.name for parameter, is_free in zip(system.parameters, free, strict=True) if is_free)
     n_states = solution.x0.size if solution.states_free else 0
     k = len(names)
     freedom = max(windows.n_data - k - n_states, 1)
@@ -196,9 +196,9 @@ def _covariance(
 
 
 def _on_bound(system: System, name: str, p: FloatArray) -> bool:
-    one = system.parameter(name)
+    parameter = system.parameter(name)
     value = p[system.parameter_names.index(name)]
     width = 1e-6 * max(abs(value), 1e-12)
-    if one.positive and one.minimum == 0.0:
-        return bool(value < 1e-9 * max(abs(one.value), 1e-9)) or bool(value >= one.maximum - width)
-    return bool(value <= one.minimum + width or value >= one.maximum - width)
+    if parameter.positive and parameter.minimum == 0.0:
+        return bool(value < 1e-9 * max(abs(parameter.value), 1e-9)) or bool(value >= parameter.maximum - width)
+    return bool(value <= parameter.minimum + width or value >= parameter.maximum - width)

@@ -109,7 +109,7 @@ def identifiability(rows: FloatArray, names: Sequence[str], *, tolerance: float 
     rank = int(np.sum(sizes > tolerance))
     gap = float(sizes[rank - 1] / sizes[rank]) if 0 < rank < len(sizes) and sizes[rank] > 0 else np.inf
     order = np.argsort(pivots[:rank])
-    kept = [int(pivots[one]) for one in order]
+    kept = [int(pivots[index]) for index in order]
     dropped = [k for k in range(len(seen)) if k not in kept]
     share = np.zeros((len(kept), len(dropped)))
     if dropped:
@@ -187,7 +187,7 @@ def determined(
         int(np.sum(~weak)),
         len(names),
         null_words(names, null, lengths),
-        tuple(name for name, one in zip(names, touched, strict=True) if one),
+        tuple(name for name, is_touched in zip(names, touched, strict=True) if is_touched),
         rule,
     )
     return decision, kept, condition

@@ -146,8 +146,8 @@ def divergence(parameters: FloatArray, prior: FloatArray) -> FloatArray:
 
     Examples
     --------
-    >>> one = from_log_cholesky(np.zeros(10))
-    >>> float(divergence(one, one)), round(float(divergence(1.1 * one, one)), 4)
+    >>> body = from_log_cholesky(np.zeros(10))
+    >>> float(divergence(body, body)), round(float(divergence(1.1 * body, body)), 4)
     (0.0, 0.0188)
     """
     J, J0 = pseudo_inertia(parameters), pseudo_inertia(prior)

@@ -149,7 +149,9 @@ def by_semidefinite_program(problem: Problem, *, objective: FloatArray | None = 
     except cp.error.SolverError as error:
         raise _unsolved(str(error)) from error
     if objective is not None and task.status in ("unbounded", "unbounded_inaccurate"):
-        return np.array([-np.inf if one > 0 else np.inf if one < 0 else 0.0 for one in objective])
+        return np.array(
+            [-np.inf if coefficient > 0 else np.inf if coefficient < 0 else 0.0 for coefficient in objective]
+        )
     if x.value is None or task.status not in ("optimal", "optimal_inaccurate"):
         raise _unsolved(str(task.status))
     return np.asarray(x.value, dtype=float).ravel()
@@ -177,26 +179,26 @@ def by_log_cholesky(problem: Problem) -> FloatArray:
         """Return U, x, the misfit, and by how much each body's K changes the data's part (symmetric)."""
         U = _factor(z[: 10 * count].reshape(count, 10))
         own = np.einsum("bij,bj->bi", problem.bodies.maps, (U @ np.swapaxes(U, 1, 2)).reshape(count, 16))
-        rest = z[10 * count :]
-        x = np.concatenate([own.ravel(), np.where(positive, np.exp(np.minimum(rest, 50.0)), rest)])
+        friction = z[10 * count :]
+        x = np.concatenate([own.ravel(), np.where(positive, np.exp(np.minimum(friction, 50.0)), friction)])
         miss = root @ x - known
         by_own = (root.T @ miss)[: 10 * count].reshape(count, 10)
         by_K = np.einsum("bij,bi->bj", problem.bodies.maps, by_own).reshape(count, 4, 4)
         return U, x, miss, 0.5 * (by_K + np.swapaxes(by_K, 1, 2)) + problem.weight * np.eye(4)
 
-    def value_and_slope(z: FloatArray) -> tuple[float, FloatArray]:
+    def value_and_gradient(z: FloatArray) -> tuple[float, FloatArray]:
         U, x, miss, B = at(z)
         theta = z[: 10 * count].reshape(count, 10)
         prior = float(np.sum(U**2)) - 2 * float(np.sum(theta[:, _DIAGONAL])) - 4 * count
-        slope = 2 * (B @ U)[:, _ROWS, _COLUMNS]
-        slope[:, _DIAGONAL] *= U[:, range(4), range(4)]
-        slope[:, _DIAGONAL] -= 2 * problem.weight
-        rest = (root.T @ miss)[10 * count :] * np.where(positive, x[10 * count :], 1.0)
-        return 0.5 * float(miss @ miss) + problem.weight * prior, np.concatenate([slope.ravel(), rest])
+        gradient = 2 * (B @ U)[:, _ROWS, _COLUMNS]
+        gradient[:, _DIAGONAL] *= U[:, range(4), range(4)]
+        gradient[:, _DIAGONAL] -= 2 * problem.weight
+        by_friction = (root.T @ miss)[10 * count :] * np.where(positive, x[10 * count :], 1.0)
+        return 0.5 * float(miss @ miss) + problem.weight * prior, np.concatenate([gradient.ravel(), by_friction])
 
     def curvature(z: FloatArray) -> FloatArray:
         U, x, miss, B = at(z)
-        slopes = np.zeros((x.size, x.size))
+        jacobian = np.zeros((x.size, x.size))
         local = np.zeros((x.size, x.size))
         for b in range(count):
             part = slice(10 * b, 10 * b + 10)
@@ -206,16 +208,16 @@ def by_log_cholesky(problem: Problem) -> FloatArray:
                 unit = np.zeros((4, 4))
                 unit[_ROWS[row], _COLUMNS[row]] = chain[row]
                 moved = unit @ U[b].T
-                slopes[part, 10 * b + row] = problem.bodies.maps[b] @ (moved + moved.T).ravel()
+                jacobian[part, 10 * b + row] = problem.bodies.maps[b] @ (moved + moved.T).ravel()
             same = _COLUMNS[:, None] == _COLUMNS[None, :]
             block = 2 * B[b][np.ix_(_ROWS, _ROWS)] * same * np.outer(chain, chain)
             block[_DIAGONAL, _DIAGONAL] += 2 * (B[b] @ U[b]).diagonal() * U[b].diagonal()
             local[part, part] = block
         tail = np.arange(10 * count, x.size)
         chain = np.where(positive, x[tail], 1.0)
-        slopes[tail, tail] = chain
+        jacobian[tail, tail] = chain
         local[tail, tail] = np.where(positive, (root.T @ miss)[tail] * x[tail], 0.0)
-        rows = root @ slopes
+        rows = root @ jacobian
         return np.asarray(rows.T @ rows + local)
 
     start = np.zeros(10 * count + others)
@@ -224,12 +226,12 @@ def by_log_cholesky(problem: Problem) -> FloatArray:
         left = problem.side[10 * count :] - problem.gram[10 * count :, : 10 * count] @ problem.bodies.prior.ravel()
         guess = np.linalg.lstsq(problem.gram[10 * count :, 10 * count :], left, rcond=None)[0]
         start[10 * count :] = np.where(positive, np.log(np.maximum(guess, 1e-6)), guess)
-    scale = max(abs(value_and_slope(start)[0]), 1.0)
+    scale = max(abs(value_and_gradient(start)[0]), 1.0)
     search: Any = minimize  # its stubs do not know this method's arguments
     found = search(
-        lambda z: value_and_slope(z)[0] / scale,
+        lambda z: value_and_gradient(z)[0] / scale,
         start,
-        jac=lambda z: value_and_slope(z)[1] / scale,
+        jac=lambda z: value_and_gradient(z)[1] / scale,
         hess=lambda z: curvature(z) / scale,
         method="trust-exact",
         options={"maxiter": ITERATIONS, "gtol": 1e-3 / scale},

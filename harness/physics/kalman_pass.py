@@ -246,7 +246,7 @@ class KalmanPass:
         start, variance = np.zeros(self.nx), np.zeros((self.nx, self.nx))
         start[: self.start_size] = x0
         variance[range(self.start_size, self.nx), range(self.start_size, self.nx)] = noise.s**2
-        u, slope, every = self._inputs(record, p)
+        u, input_jacobian, every = self._inputs(record, p)
         step = self.dt / every
         decay = np.exp(-step / noise.tau)
         gained = noise.s**2 * -np.expm1(-2 * step / noise.tau)
@@ -268,7 +268,8 @@ class KalmanPass:
             how = start, variance, decay, gained, noise, every
             return self._in_python(record, p, u, made, columns, how)
         given = {
-            "p": p, "x0": start, "p0": variance, "u": u, "d": slope, "measured": np.ascontiguousarray(record.y),
+            "p": p, "x0": start, "p0": variance, "u": u, "d": input_jacobian,
+            "measured": np.ascontiguousarray(record.y),
             "columns": np.ascontiguousarray([] if columns is None else columns, dtype=np.intc),
             "r": noise.r**2, "period": self._period, "a": decay, "q": gained, "w": noise.w**2,
             "fade": fade, "q_tau": -2 * noise.s**2 * fade * np.exp(-2 * fade),
@@ -288,17 +289,17 @@ class KalmanPass:
     def _inputs(self, record: Trajectory, p: FloatArray) -> tuple[FloatArray, FloatArray | None, int]:
         """Return the inputs that the equations see, their derivatives by the delays, and rows for each sample."""
         key = tuple(p[list(self.sampled.delay_columns)])
-        for known, delays, u, slope in self._seen:
+        for known, delays, u, input_jacobian in self._seen:
             if known is record and delays == key:
-                return u, slope, self.substeps if self.intersample == "smooth" else 1
-        seen, slopes = self.sampled.inputs(np.ascontiguousarray(record.u)[None], p[None], True)
+                return u, input_jacobian, self.substeps if self.intersample == "smooth" else 1
+        seen, input_jacobians = self.sampled.inputs(np.ascontiguousarray(record.u)[None], p[None], True)
         if self.intersample == "smooth":
             seen = self.simulator.refined(seen)
-            slopes = None if slopes is None else self.simulator.refined(slopes)
+            input_jacobians = None if input_jacobians is None else self.simulator.refined(input_jacobians)
         u = np.ascontiguousarray(seen[0])
-        slope = None if slopes is None else np.ascontiguousarray(slopes[0])
-        self._seen = [*self._seen[-7:], (record, key, u, slope)]
-        return u, slope, self.substeps if self.intersample == "smooth" else 1
+        input_jacobian = None if input_jacobians is None else np.ascontiguousarray(input_jacobians[0])
+        self._seen = [*self._seen[-7:], (record, key, u, input_jacobian)]
+        return u, input_jacobian, self.substeps if self.intersample == "smooth" else 1
 
     def _in_python(
         self, record: Trajectory, p: FloatArray, u: FloatArray, made: Filtered, columns: Any, how: Any
@@ -315,7 +316,7 @@ class KalmanPass:
                 return None
             time = record.t[0] + k * self.dt / every
             if k % every == 0:
-                y, c, by_p = (one.full() for one in look(x, u[k], p, time))
+                y, c, by_p = (result.full() for result in look(x, u[k], p, time))
                 if made.path is not None:
                     made.path.x_before[row], made.path.p_before[row] = x, variance
                 prior = x.copy()
@@ -346,7 +347,7 @@ class KalmanPass:
                 row += 1
             if k + 1 == len(u):
                 break
-            x, f, by_p = (one.full() for one in step(x, u[k], u[k + 1], p, time))
+            x, f, by_p = (result.full() for result in step(x, u[k], u[k + 1], p, time))
             x = x[:, 0] * fade
             white = f[:, nx - nl :] * np.concatenate([np.ones(nx - nl), np.zeros(nl)])[:, None]
             s = fade[:, None] * (f @ s)
@@ -365,7 +366,7 @@ class KalmanPass:
         if key not in known:
             functions, substeps = self.simulator.functions, 1 if every > 1 else self.substeps
             foh = self.intersample != "zoh"
-            x, u, p, t = (ca.SX.sym("a", one.shape) for one in functions.arguments)
+            x, u, p, t = (ca.SX.sym("a", argument.shape) for argument in functions.arguments)
             later = ca.SX.sym("b", u.shape)
             advance, _ = functions.sample(self.dt / every, substeps, foh)
             after = advance(x, ca.vertcat(u, later), p, t)

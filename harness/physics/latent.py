@@ -66,11 +66,11 @@ def with_latent_forces(system: System) -> Disturbed:
     forces: dict[str, Any] = {}
     rates: dict[str, Any] = {}
     if system.coordinates:
-        for one in system.coordinates:
-            symbol = ca.SX.sym(PREFIX + one.name)
-            ports.append(LatentForce(one.name, one.force_unit))
-            forces[one.name] = symbol
-            made.append(Hidden(Channel(PREFIX + one.name, one.force_unit), symbol, ca.SX(0.0)))
+        for coordinate in system.coordinates:
+            symbol = ca.SX.sym(PREFIX + coordinate.name)
+            ports.append(LatentForce(coordinate.name, coordinate.force_unit))
+            forces[coordinate.name] = symbol
+            made.append(Hidden(Channel(PREFIX + coordinate.name, coordinate.force_unit), symbol, ca.SX(0.0)))
     else:
         for channel in system.states[: system.nx - system.hidden_count]:
             symbol = ca.SX.sym(PREFIX + channel.name)

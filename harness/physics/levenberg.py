@@ -25,7 +25,7 @@ _DECREASE = 1e-7
 _PROMISE = 0.1
 # Relative decrease of the cost that a step must promise to be tried.
 _NOTHING = 1e-10
-# A simulation is given up at so many times the cost from which a step starts; rounding is far below.
+# A simulation is pruned at so many times the cost from which a step starts; rounding is far below.
 _MORE = 1 + 1e-9
 
 
@@ -44,17 +44,17 @@ class Solution:
 
 def log_scaled(system: Equations) -> npt.NDArray[np.bool_]:
     """Return which parameters are fitted through their logarithm (np,)."""
-    return np.array([one.positive for one in system.parameters], dtype=bool)
+    return np.array([parameter.positive for parameter in system.parameters], dtype=bool)
 
 
 def eliminated(
-    gram: FloatArray, slope: FloatArray, count: int, damping: float, states_free: bool
+    gram: FloatArray, gradient: FloatArray, count: int, damping: float, states_free: bool
 ) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray] | None]:
     """Return the normal equations of the parameters with the states of the windows eliminated.
 
     Parameters
     ----------
-    gram, slope : array (W, ns, ns), (W, ns)
+    gram, gradient : array (W, ns, ns), (W, ns)
         J'J and J'r of each window by (p, x0).
     count : int
         Number of parameters.
@@ -67,7 +67,7 @@ def eliminated(
     (array (np, np), array (np,), back)
         ``back`` = (C^-1 B' (W, nx, np), C^-1 g (W, nx)): dx0 = back[1] - back[0] dp.
     """
-    a, g = gram[:, :count, :count].sum(axis=0), slope[:, :count].sum(axis=0)
+    a, g = gram[:, :count, :count].sum(axis=0), gradient[:, :count].sum(axis=0)
     nx = gram.shape[1] - count
     if not states_free or nx == 0:
         return a, g, None
@@ -78,7 +78,7 @@ def eliminated(
     # Scaled to a unit diagonal: states of very different size (angle, rate, micrometre) keep their digits.
     size = np.sqrt(c[:, rows, rows])
     scaled = c / (size[:, :, None] * size[:, None, :])
-    right = np.concatenate([b.transpose(0, 2, 1), slope[:, count:, None]], axis=2) / size[:, :, None]
+    right = np.concatenate([b.transpose(0, 2, 1), gradient[:, count:, None]], axis=2) / size[:, :, None]
     solved = np.linalg.solve(scaled, right) / size[:, :, None]
     by_p, by_r = solved[:, :, :count], solved[:, :, count]
     a = a - np.einsum("wij,wjk->ik", b, by_p)
@@ -119,9 +119,9 @@ def minimise(
     """
     system = windows.simulator.system
     logarithmic = log_scaled(system)
-    low = np.array([one.minimum for one in system.parameters])
-    high = np.array([one.maximum for one in system.parameters])
-    floor = _TINY * np.maximum(np.abs([one.value for one in system.parameters]), 1e-3)
+    low = np.array([parameter.minimum for parameter in system.parameters])
+    high = np.array([parameter.maximum for parameter in system.parameters])
+    floor = _TINY * np.maximum(np.abs([parameter.value for parameter in system.parameters]), 1e-3)
     p = np.where(logarithmic, np.maximum(p, np.maximum(low, floor)), p)
     columns = np.flatnonzero(np.concatenate([free, np.ones(windows.simulator.nx, dtype=bool)]))
     now = windows.trial(p, x0, columns=columns, keep=True)
@@ -134,10 +134,10 @@ def minimise(
         scale = np.where(logarithmic, p, 1.0)
         by = np.concatenate([scale, np.ones(windows.simulator.nx)])
         gram = now.gram * (by[:, None] * by[None, :])
-        slope = now.slope * by
+        gradient = now.gradient * by
         accepted = False
         for _ in range(12):
-            a, g, back = eliminated(gram, slope, count, damping, states_free)
+            a, g, back = eliminated(gram, gradient, count, damping, states_free)
             step = _step(a, g, free, p, low, high, scale, logarithmic, damping)
             if step is None:
                 damping *= growth
@@ -147,7 +147,7 @@ def minimise(
             moved = trial - p
             moved[logarithmic] = np.log(trial[logarithmic] / p[logarithmic])
             change = np.zeros_like(x0) if back is None else back[1] - back[0] @ moved
-            expected = float(moved @ slope[:, :count].sum(axis=0) + np.sum(change * slope[:, count:]))
+            expected = float(moved @ gradient[:, :count].sum(axis=0) + np.sum(change * gradient[:, count:]))
             expected -= 0.5 * _quadratic(gram, moved, change)
             if 0 <= expected <= _PROMISE * decrease * now.cost and damping < 1.0:
                 return Solution(p, x0, now, True, iteration, f"converged in {iteration} iterations", states_free)
@@ -204,7 +204,7 @@ def minimise_states(
         if not active.any():
             break
         c = now.gram[:, count:, count:].copy()
-        g = now.slope[:, count:]
+        g = now.gradient[:, count:]
         c[~active], g = np.eye(nx), np.where(active[:, None], g, 0.0)
         diagonal = np.maximum(c[:, rows, rows], 1e-12 * c[:, rows, rows].max(axis=1, keepdims=True) + 1e-200)
         c[:, rows, rows] += damping[:, None] * diagonal + 1e-11 * diagonal
@@ -230,8 +230,8 @@ def _chosen(old: Evaluation, new: Evaluation, which: npt.NDArray[np.bool_]) -> E
     """Return the evaluation with some windows of the new one."""
     costs = np.where(which, new.costs, old.costs)
     gram = np.where(which[:, None, None], new.gram, old.gram)
-    slope = np.where(which[:, None], new.slope, old.slope)
-    return Evaluation(float(np.sum(costs)), costs, gram, slope, new.squares)
+    gradient = np.where(which[:, None], new.gradient, old.gradient)
+    return Evaluation(float(np.sum(costs)), costs, gram, gradient, new.squares)
 
 
 def _step(
@@ -268,10 +268,10 @@ def _step(
         # What the data hardly tell (the width of a sign) wants long steps. It goes as far as it may and the others
         # follow it; shortening the whole step would hold back all of them.
         found[long] = np.sign(found[long]) * _LARGEST_LOG_STEP
-        rest = ~long
+        others = ~long
         right = (g[use] - part[:, long] @ found[long]) / size
-        if rest.any():
-            found[rest] = np.linalg.solve(scaled[np.ix_(rest, rest)], right[rest]) / size[rest]
+        if others.any():
+            found[others] = np.linalg.solve(scaled[np.ix_(others, others)], right[others]) / size[others]
         found = np.where(logarithmic[use], np.clip(found, -_LARGEST_LOG_STEP, _LARGEST_LOG_STEP), found)
     step[use] = found
     return step

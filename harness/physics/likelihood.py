@@ -147,7 +147,7 @@ class LikelihoodFit:
     @property
     def parameters(self) -> dict[str, float]:
         """Values of all parameters by name."""
-        return dict(zip(self.system.parameter_names, (float(one) for one in self.point.p), strict=True))
+        return dict(zip(self.system.parameter_names, (float(value) for value in self.point.p), strict=True))
 
     def deviation(self, name: str) -> float:
         """Return the standard deviation of an estimate, from the curvature; of its logarithm where that was fitted.
@@ -206,9 +206,11 @@ class Likelihood:
             with_latent_forces(system), dt, intersample=intersample, substeps=substeps, compiled=compiled
         )
         self._log = log_scaled(system)
-        self._free = np.array([not (one.fixed or one.name in fixed) for one in system.parameters], dtype=bool)
-        low = np.array([one.minimum for one in system.parameters])
-        high = np.array([one.maximum for one in system.parameters])
+        self._free = np.array(
+            [not (parameter.fixed or parameter.name in fixed) for parameter in system.parameters], dtype=bool
+        )
+        low = np.array([parameter.minimum for parameter in system.parameters])
+        high = np.array([parameter.maximum for parameter in system.parameters])
         self._bounds = low, high
         self._low = np.where(self._log, np.log(np.maximum(low, _POSITIVE)), low)
         self._high = np.where(self._log, np.log(np.maximum(high, _POSITIVE)), high)
@@ -237,12 +239,13 @@ class Likelihood:
         n, m, nl, ny = self.filter.parameter_count, self.filter.start_size, self.filter.nl, self.filter.ny
         p = np.clip(np.where(self._log, np.exp(np.where(self._log, z[:n], 0.0)), z[:n]), *self._bounds)
         x0 = [z[n + k * m : n + (k + 1) * m] for k in range(len(self.records))]
-        rest = z[n + len(self.records) * m :]
+        log_noise = z[n + len(self.records) * m :]
         nothing, fast = np.zeros(nl), np.full(nl, self.noise_model.shortest)
         if not self.noise_model.latent:
-            return Point(p, x0, Noise(np.exp(rest), nothing, fast, nothing))
-        white = np.exp(rest[2 * nl : 3 * nl]) if self.noise_model.white else nothing
-        return Point(p, x0, Noise(np.exp(rest[-ny:]), np.exp(rest[:nl]), np.exp(rest[nl : 2 * nl]), white))
+            return Point(p, x0, Noise(np.exp(log_noise), nothing, fast, nothing))
+        white = np.exp(log_noise[2 * nl : 3 * nl]) if self.noise_model.white else nothing
+        noise = Noise(np.exp(log_noise[-ny:]), np.exp(log_noise[:nl]), np.exp(log_noise[nl : 2 * nl]), white)
+        return Point(p, x0, noise)
 
     def _layout(self) -> tuple[list[str], npt.NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
         """Return names, whether logarithmic, lower and upper bounds, and scales of the vector."""
@@ -254,7 +257,7 @@ class Likelihood:
             log += [False] * len(states)
             low += [-np.inf] * len(states)
             high += [np.inf] * len(states)
-        model, ports = self.noise_model, [one.port for one in self.filter.forces]
+        model, ports = self.noise_model, [latent_force.port for latent_force in self.filter.forces]
         if model.latent:
             force = np.log(model.force_scale)
             names += [f"s@{port}" for port in ports] + [f"tau@{port}" for port in ports]
@@ -284,17 +287,17 @@ class Likelihood:
         """Return the pass over every record; None if one diverges."""
         found = []
         for record, x0 in zip(self.records, point.x0, strict=True):
-            one = self.filter(record, point.p, x0, point.noise, columns=columns, keep=keep, by_noise=by_noise)
-            if one is None:
+            passed = self.filter(record, point.p, x0, point.noise, columns=columns, keep=keep, by_noise=by_noise)
+            if passed is None:
                 return None
-            found.append(one)
+            found.append(passed)
         return found
 
     def nll(self, point: Point) -> float:
         """Return minus the log-likelihood of all records; infinite where the filter diverges."""
         with np.errstate(all="ignore"):
             found = self.filtered(point)
-        total = np.inf if found is None else sum(one.nll for one in found)
+        total = np.inf if found is None else sum(passed.nll for passed in found)
         return float(total) if np.isfinite(total) else np.inf
 
     def concentrated(self, point: Point) -> Point:
@@ -308,7 +311,7 @@ class Likelihood:
         if found is None:
             return point
         with np.errstate(over="ignore"):  # far off its data
-            rms = np.sqrt(np.nanmean(np.concatenate([one.e for one in found]) ** 2, axis=0))
+            rms = np.sqrt(np.nanmean(np.concatenate([passed.e for passed in found]) ** 2, axis=0))
         if not np.isfinite(rms).all():
             return point
         r = np.clip(rms, 1e-7 * self.noise_model.output_scale, 10.0 * self.noise_model.output_scale)
@@ -319,16 +322,16 @@ class Likelihood:
     ) -> tuple[float, FloatArray]:
         """Put the sensor noise of a free run to its maximum, in the passes too; return the value and the vector."""
         ny, z = self.filter.ny, z.copy()
-        rms = np.sqrt(np.nanmean(np.concatenate([one.e for one in passes]) ** 2, axis=0))
+        rms = np.sqrt(np.nanmean(np.concatenate([passed.e for passed in passes]) ** 2, axis=0))
         z[-ny:] = np.clip(np.log(np.maximum(rms, 1e-300)), low[-ny:], high[-ny:])
-        for one in passes:
-            one.s = np.broadcast_to(np.exp(2 * z[-ny:]), one.s.shape).copy()
-        return float(sum(one.nll for one in passes)), z
+        for passed in passes:
+            passed.s = np.broadcast_to(np.exp(2 * z[-ny:]), passed.s.shape).copy()
+        return float(sum(passed.nll for passed in passes)), z
 
     def _value(self, z: FloatArray) -> tuple[float, list[Filtered] | None]:
         with np.errstate(all="ignore"):
             found = self.filtered(self._unpack(z))
-        total = np.inf if found is None else sum(one.nll for one in found)
+        total = np.inf if found is None else sum(passed.nll for passed in found)
         return (float(total), found) if np.isfinite(total) else (np.inf, None)
 
     def _derivatives(
@@ -362,22 +365,22 @@ class Likelihood:
                 told |= which < limit
                 shared = np.flatnonzero(which < n)
                 scale[shared] = np.where(self._log, point.p, 1.0)[which[shared]]
-            lanes_known = all(one.e_noise is not None for one in passes)
+            lanes_known = all(passed.e_noise is not None for passed in passes)
             noisy = np.flatnonzero((which >= limit) & lanes_known)
             told[noisy] = True
             lanes = np.array(self._noise_lanes(), dtype=np.intp)[which[noisy] - limit]
-            edges = np.cumsum([0, *(one.e.size for one in passes)])
-            for number, (one, first, last) in enumerate(zip(passes, edges[:-1], edges[1:], strict=True)):
+            edges = np.cumsum([0, *(passed.e.size for passed in passes)])
+            for number, (passed, first, last) in enumerate(zip(passes, edges[:-1], edges[1:], strict=True)):
                 here = root[first:last]  # what is not known is 0 in all derivatives
                 if len(chosen):
-                    j = np.asarray(one.j).reshape(-1, len(chosen))
+                    j = np.asarray(passed.j).reshape(-1, len(chosen))
                     mine = np.flatnonzero((which >= n + number * m) & (which < n + (number + 1) * m))
                     places = [*range(len(columns)), *(len(columns) + which[mine] - n - number * m)]
                     for column, row in zip(places, [*shared, *mine], strict=True):
                         np.multiply(j[:, column], here, out=by_e[row, first:last])
                 if len(noisy):
-                    e_noise = np.asarray(one.e_noise).reshape(last - first, -1)
-                    s_noise = np.asarray(one.s_noise).reshape(last - first, -1)
+                    e_noise = np.asarray(passed.e_noise).reshape(last - first, -1)
+                    s_noise = np.asarray(passed.s_noise).reshape(last - first, -1)
                     for row, lane in zip(noisy, lanes, strict=True):
                         np.multiply(e_noise[:, lane], here, out=by_e[row, first:last])
                         by_s[row, first:last] = s_noise[:, lane]
@@ -598,7 +601,7 @@ class Likelihood:
             self.system,
             self._unpack(z),
             value,
-            [one.terms for one in found],
+            [passed.terms for passed in found],
             tuple(names[k] for k in entries),
             covariance,
             log[entries],
@@ -667,4 +670,5 @@ def _log(values: FloatArray, least: FloatArray) -> FloatArray:
 
 def _joined(found: list[Filtered]) -> tuple[FloatArray, FloatArray]:
     """Return innovations and variances of all records, one after the other."""
-    return np.concatenate([one.e.ravel() for one in found]), np.concatenate([one.s.ravel() for one in found])
+    e = np.concatenate([passed.e.ravel() for passed in found])
+    return e, np.concatenate([passed.s.ravel() for passed in found])

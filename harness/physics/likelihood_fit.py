@@ -89,16 +89,16 @@ def fit_likelihood(
     records = list(trajectories)
     dt = records[0].spec.sample_time
     given = dict(start or {})
-    free = np.array([not (one.fixed or one.name in fixed) for one in system.parameters], dtype=bool)
+    free = np.array([not (parameter.fixed or parameter.name in fixed) for parameter in system.parameters], dtype=bool)
     vectors = first_values(system, records, {**system.values(), **given}, free, set(given), intersample)
     scale = force_scale(system, records, intersample)
-    spread = np.concatenate([one.y for one in records]).std(axis=0)
-    longest = max(len(one) for one in records) * dt / LONGEST
+    spread = np.concatenate([record.y for record in records]).std(axis=0)
+    longest = max(len(record) for record in records) * dt / LONGEST
     model = NoiseModel(scale, np.maximum(spread, 1e-12), latent, white, shortest=dt, longest=max(longest, 2 * dt))
     likelihood = Likelihood(system, records, model, fixed=fixed, intersample=intersample)
     best: LikelihoodFit | None = None
     for p in vectors:
-        x0 = [first_state(system, one, p, intersample) for one in records]
+        x0 = [first_state(system, record, p, intersample) for record in records]
         for noise in first_noises(model, sensor_noise(records), dt):
             try:
                 found = likelihood.maximise(Point(p, x0, noise))
@@ -140,19 +140,19 @@ def force_scale(
     p = system.vector(values)
     dt = records[0].spec.sample_time
     simulator = system.simulator(dt, intersample=intersample)
-    states = [data_states(simulator, one, p)[0] for one in records]
+    states = [data_states(simulator, record, p)[0] for record in records]
     rates = np.concatenate([np.gradient(x, dt, axis=0) for x in states])
     if system.coordinates:
         a = ca.SX.sym("a", len(system.coordinates))
         parts = [ca.mtimes(system.mass_matrix, a), system.input_forces]
         arguments = [system.x, system.u, system.p, system.t, a]
-        function = ca.Function("forces", arguments, [system.upright(one) for one in parts])
+        function = ca.Function("forces", arguments, [system.upright(part) for part in parts])
         n = sum(map(len, records))
-        x, u = np.concatenate(states), np.concatenate([one.u for one in records])
-        t = np.concatenate([one.t for one in records])
-        moved = rates[:, [one.v for one in system.coordinates]]
+        x, u = np.concatenate(states), np.concatenate([record.u for record in records])
+        t = np.concatenate([record.t for record in records])
+        moved = rates[:, [coordinate.v for coordinate in system.coordinates]]
         found = function.map(n)(x.T, u.T, np.tile(p[:, None], n), t, moved.T)
-        sizes = [np.sqrt(np.mean(one.full() ** 2, axis=1)) for one in found]
+        sizes = [np.sqrt(np.mean(force.full() ** 2, axis=1)) for force in found]
         size = np.maximum(*sizes)
     else:
         size = np.sqrt(np.mean(rates**2, axis=0))[: system.nx - system.hidden_count]
@@ -163,8 +163,8 @@ def force_scale(
 def sensor_noise(records: Sequence[Trajectory]) -> FloatArray:
     """Return a first guess of the sensor noise (ny,): 4th differences, but at least a millionth of the signal."""
     weight = np.sqrt(70.0)
-    y = [np.diff(one.y, n=4, axis=0) for one in records if len(one) > 4]
-    spread = np.concatenate([one.y for one in records]).std(axis=0)
+    y = [np.diff(record.y, n=4, axis=0) for record in records if len(record) > 4]
+    spread = np.concatenate([record.y for record in records]).std(axis=0)
     if not y:
         return np.asarray(0.01 * spread + 1e-15)
     found = 1.4826 * np.median(np.abs(np.concatenate(y)), axis=0) / weight

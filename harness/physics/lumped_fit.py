@@ -64,13 +64,13 @@ def least_squares(
     part = rows[:, kept]
     size = np.linalg.norm(part, axis=0)
     solution, *_ = np.linalg.lstsq(part / size, target, rcond=None)
-    rest = target - part / size @ solution
+    residual = target - part / size @ solution
     freedom = max(len(target) - len(kept), 1)
     _, r = np.linalg.qr(part / size)
     inverse = np.linalg.inv(r) / size[:, None]
     covariance = np.zeros((len(names), len(names)))
-    covariance[np.ix_(kept, kept)] = inverse @ inverse.T * float(rest @ rest) / freedom
+    covariance[np.ix_(kept, kept)] = inverse @ inverse.T * float(residual @ residual) / freedom
     values = np.zeros(len(names))
     values[kept] = solution / size
-    rms = float(np.sqrt(np.mean(rest**2)))
+    rms = float(np.sqrt(np.mean(residual**2)))
     return LumpedFit(dict(zip(names, values.tolist(), strict=True)), covariance, found, rms)

@@ -1,4 +1,4 @@
-"""The functions of the motion behind a lumped model, and the bumps of its weak form."""
+"""The functions of the motion behind a lumped model, and the test functions of its weak form."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from harness.physics.mechanism import Mechanism
 from harness.physics.vectorised import Vectorised
 from harness.signals import FloatArray
 
-__all__ = ["bump_on", "jumping_mean", "motion_functions"]
+__all__ = ["jumping_mean", "motion_functions", "test_function_on"]
 
 
-def bump_on(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return a bump on a stretch of time, its derivative, and the weights of the trapezoidal rule."""
+def test_function_on(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return a test function on a stretch of time, its derivative, and the weights of the trapezoidal rule."""
     width = t[-1] - t[0]
     s = 2 * (t - t[0]) / width - 1
     weight = np.zeros_like(t)
@@ -29,12 +29,14 @@ def bump_on(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     return (1 - s**2) ** 3, -12 * s * (1 - s**2) ** 2 / width, weight
 
 
-def jumping_mean(bump: FloatArray, sides: tuple[FloatArray, FloatArray], part: slice, t: FloatArray) -> FloatArray:
-    """Return the integral of a bump times something that may jump at the samples, (after, before) given."""
+def jumping_mean(
+    test_function: FloatArray, sides: tuple[FloatArray, FloatArray], part: slice, t: FloatArray
+) -> FloatArray:
+    """Return the integral of a test function times something that may jump at the samples, (after, before) given."""
     step = np.diff(t[part])
     after, before = sides[0][part], sides[1][part]
-    forward = np.concatenate([step, [0.0]]) * bump / 2
-    backward = np.concatenate([[0.0], step]) * bump / 2
+    forward = np.concatenate([step, [0.0]]) * test_function / 2
+    backward = np.concatenate([[0.0], step]) * test_function / 2
     return np.tensordot(forward, after, axes=1) + np.tensordot(backward, before, axes=1)
 
 

@@ -13,7 +13,7 @@ from harness.errors import FitError, InputError
 from harness.physics.arm_lumps import ArmLumps
 from harness.physics.arm_mechanism import ArmMechanism
 from harness.physics.lumped_fit import LumpedFit, least_squares
-from harness.physics.lumped_functions import bump_on, jumping_mean, motion_functions
+from harness.physics.lumped_functions import jumping_mean, motion_functions, test_function_on
 from harness.physics.lumping import Split, split
 from harness.physics.mechanism import Mechanism
 from harness.signals import FloatArray
@@ -60,8 +60,8 @@ class LumpedModel:
       (Atkeson, An & Hollerbach 1986);
     - energy form, one row for an interval: ``Delta(v dL_k/dv - L_k) - int Q_k v dt`` against the work of ``Q_0``
       (Gautier & Khalil 1988): no acceleration is needed;
-    - momentum form, for every coordinate, averaged with a bump phi: ``-int phi' dL_k/dv dt - int phi (dL_k/dq +
-      Q_k) dt`` against ``int phi Q_0 dt``: the weak form, no acceleration either.
+    - momentum form, for every coordinate, averaged with a test function phi: ``-int phi' dL_k/dv dt - int phi (dL_k/dq
+      + Q_k) dt`` against ``int phi Q_0 dt``: the weak form, no acceleration either.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class LumpedModel:
         self.mechanism, self.parts, self.known, self._extra = mechanism, parts, dict(known), extra
         self.combinations = parts.combinations
         self.n = len(mechanism.q)
-        own = tuple(str(one) for one in parts.combinations) if generated is None else generated.names
+        own = tuple(str(combination) for combination in parts.combinations) if generated is None else generated.names
         self.names = own + tuple(name for names, _ in extra for name in names)
         self.k = len(self.names)
         self._functions: dict[str, Callable[..., list[FloatArray]]] = {}
@@ -143,18 +143,24 @@ class LumpedModel:
         """
         from scipy.optimize import least_squares
 
-        parameters = {one.name: one for one in self.mechanism.parameter_list()}
-        result = {name: one.value for name, one in parameters.items()}
+        parameters = {parameter.name: parameter for parameter in self.mechanism.parameter_list()}
+        result = {name: parameter.value for name, parameter in parameters.items()}
         result.update(self.known)
         result.update(start or {})
         symbols = {str(symbol): symbol for symbol in self.mechanism.p}
-        used = {str(symbol) for one in self.combinations for symbol in one.free_symbols}
+        used = {str(symbol) for combination in self.combinations for symbol in combination.free_symbols}
         free = [n for n in symbols if n in used and n not in fixed and not parameters[n].fixed and n not in self.known]
-        rows = [(one, values[name]) for one, name in zip(self.combinations, self.names, strict=False) if name in values]
+        rows = [
+            (combination, values[name])
+            for combination, name in zip(self.combinations, self.names, strict=False)
+            if name in values
+        ]
         if not free or not rows:
             return result
         held = {symbols[name]: result[name] for name in symbols if name not in free}
-        function = _evaluated(tuple(symbols[name] for name in free), tuple(one.subs(held) for one, _ in rows))
+        function = _evaluated(
+            tuple(symbols[name] for name in free), tuple(combination.subs(held) for combination, _ in rows)
+        )
         wanted = np.array([value for _, value in rows])
         size = np.maximum(np.abs(wanted), 1e-9 * np.abs(wanted).max(initial=1e-300))
         # A lumped value of the wrong sign cannot be reached by positive parameters: then none is forced to be.
@@ -275,16 +281,16 @@ class LumpedModel:
         hop: int | None = None,
         intersample: Literal["zoh", "smooth"] = "zoh",
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the weak form: for every coordinate one equation for each bump, (M n, k) and (M n,).
+        """Return the weak form: for every coordinate one equation for each test function, (M n, k) and (M n,).
 
         Parameters
         ----------
         t, q, v, u, intersample
             As in :meth:`energy_rows`.
         samples : int
-            Width of a bump. With 1 the plain balance of momentum from sample to sample is returned.
+            Width of a test function. With 1 the plain momentum equation from sample to sample is returned.
         hop : int, optional
-            Samples from a bump to the next; by default bumps overlap by three quarters.
+            Samples from a test function to the next; by default they overlap by three quarters.
         """
         momentum = self.momentum(q, v, t)
         known_momentum = self._known_momentum(q, v, t)
@@ -298,10 +304,13 @@ class LumpedModel:
         hop = hop or max(1, samples // 4)
         for first in range(0, t.shape[0] - samples + 1, hop):
             part = slice(first, first + samples)
-            bump, steep, weight = bump_on(t[part])
-            rows.append(-np.einsum("s,sik->ik", steep * weight, momentum[part]) - jumping_mean(bump, pushes, part, t))
-            pushed = jumping_mean(bump, pushed_known, part, t) + np.einsum(
-                "s,si->i", steep * weight, known_momentum[part]
+            test_function, derivative, weight = test_function_on(t[part])
+            rows.append(
+                -np.einsum("s,sik->ik", derivative * weight, momentum[part])
+                - jumping_mean(test_function, pushes, part, t)
+            )
+            pushed = jumping_mean(test_function, pushed_known, part, t) + np.einsum(
+                "s,si->i", derivative * weight, known_momentum[part]
             )
             targets.append(pushed)
         if not rows:
@@ -309,7 +318,7 @@ class LumpedModel:
                 "record too short for the weak form",
                 expected=f"at least {samples} samples",
                 got=str(t.shape[0]),
-                remedy="shorten the bumps (samples=...) or record longer",
+                remedy="shorten the test functions (samples=...) or record longer",
             )
         return np.concatenate(rows), np.concatenate(targets)
 
@@ -340,7 +349,7 @@ class LumpedModel:
     @cached_property
     def _values(self) -> tuple[tuple[str, ...], Callable[..., list[Any]]]:
         """Return the names that the combinations need, and the function from their values to the combinations'."""
-        symbols = sorted({symbol for one in self.combinations for symbol in one.free_symbols}, key=str)
+        symbols = sorted({symbol for combination in self.combinations for symbol in combination.free_symbols}, key=str)
         return tuple(map(str, symbols)), sp.lambdify(symbols, list(self.combinations), "math")
 
     def __getstate__(self) -> dict[str, Any]:

@@ -61,7 +61,7 @@ def split(mechanism: Mechanism, known: Mapping[str, float] | None = None) -> Spl
     Examples
     --------
     >>> from harness.physics.models import double_pendulum
-    >>> [str(one) for one in split(double_pendulum()).combinations][:3]
+    >>> [str(combination) for combination in split(double_pendulum()).combinations][:3]
     ['I1 + l1**2*m2 + lc1**2*m1', 'I2 + lc2**2*m2', 'l1*m2 + lc1*m1']
     """
     if not mechanism.symbolic:
@@ -161,14 +161,14 @@ class _Table:
 
     def split(self, n: int) -> Split:
         """Return the combinations and what multiplies them."""
-        unknown = [one for one in self.monomials if one != 1]
+        unknown = [monomial for monomial in self.monomials if monomial != 1]
         places = list(self.entries)
-        rows = [[self.entries[place].get(one, 0) for one in unknown] for place in places]
+        rows = [[self.entries[place].get(monomial, 0) for monomial in unknown] for place in places]
         reduced, pivots = sp.Matrix(rows).rref() if unknown and rows else (sp.zeros(0, 0), ())
         combinations, lagrangians, forces = [], [], []
         for number, pivot in enumerate(pivots):
             shares = [self._shown(reduced[number, c]) for c in range(len(unknown))]
-            combinations.append(sum(share * one for share, one in zip(shares, unknown, strict=True)))
+            combinations.append(sum(share * monomial for share, monomial in zip(shares, unknown, strict=True)))
             energy, force = sp.Integer(0), [sp.Integer(0)] * n
             for place, row in zip(places, rows, strict=True):
                 share = row[pivot] * place[1]

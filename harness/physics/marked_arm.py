@@ -71,7 +71,7 @@ class MarkedArm:
                 self.parameters[f"length{number + 1}"] = float(np.linalg.norm(joint.offset))
         if np.any(self.marker):
             self.parameters["length_marker"] = float(np.linalg.norm(self.marker))
-        self.units = (*(one.unit for one in arm.positions), *("m" for _ in range(len(self.parameters) - arm.n)))
+        self.units = (*(channel.unit for channel in arm.positions), *("m" for _ in range(len(self.parameters) - arm.n)))
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -102,7 +102,7 @@ class MarkedArm:
 
     def slopes(self, q: FloatArray, parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the marker (N, 3), and its derivatives by parameters (N, 3, k) and by readings (N, 3, n)."""
-        place, own, turned = self._slopes(np.asarray(q, dtype=float), parameters)
+        place, own, turned = self._jacobians(np.asarray(q, dtype=float), parameters)
         n, k = self.arm.n, len(self.parameters)
         return place, own.reshape(-1, k, 3).transpose(0, 2, 1), turned.reshape(-1, n, 3).transpose(0, 2, 1)
 
@@ -145,9 +145,9 @@ class MarkedArm:
         return OnRecords(ca.Function("marker", [q, p], [place]))
 
     @cached_property
-    def _slopes(self) -> OnRecords:
+    def _jacobians(self) -> OnRecords:
         import casadi as ca
 
         q, p, place = self._symbols
-        by = [ca.densify(ca.jacobian(place, one)) for one in (p, q)]
-        return OnRecords(ca.Function("marker_slopes", [q, p], [place, *by]))
+        by = [ca.densify(ca.jacobian(place, argument)) for argument in (p, q)]
+        return OnRecords(ca.Function("marker_jacobians", [q, p], [place, *by]))

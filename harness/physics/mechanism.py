@@ -104,10 +104,10 @@ class Mechanism:
                 f"mechanism {name!r}", expected="at least one coordinate", got="none", remedy='write q="theta"'
             )
         # Symbols are made from the names, never parsed: a parameter may be called S, N or lambda_1.
-        self.q = tuple(sp.Symbol(one, real=True) for one in coordinates)
-        self.v = tuple(sp.Symbol(f"v_{one}", real=True) for one in coordinates)
-        self.u = tuple(sp.Symbol(one, real=True) for one in inputs)
-        self.p = tuple(sp.Symbol(one, real=True) for one in constants)
+        self.q = tuple(sp.Symbol(coordinate, real=True) for coordinate in coordinates)
+        self.v = tuple(sp.Symbol(f"v_{coordinate}", real=True) for coordinate in coordinates)
+        self.u = tuple(sp.Symbol(channel, real=True) for channel in inputs)
+        self.p = tuple(sp.Symbol(constant, real=True) for constant in constants)
         self.t = sp.Symbol("t", real=True)
         self.Q: Sequence[Any] = [0] * len(coordinates)
         self.T: Any = sp.Integer(0)
@@ -195,7 +195,7 @@ class Mechanism:
                 got=str(len(given)),
                 remedy="give Q one expression for each coordinate",
             )
-        return [sp.sympify(one, strict=True) for one in given]
+        return [sp.sympify(force, strict=True) for force in given]
 
     def coordinate_units(self) -> tuple[str, ...]:
         """Return the units of the coordinates."""
@@ -206,7 +206,7 @@ class Mechanism:
             for node in expression.atoms(*_TRIGONOMETRIC)
             for symbol in node.free_symbols
         } | {symbol for body in self.bodies for symbol in body.angle.free_symbols}
-        return tuple(self.units.get(str(one), "rad" if one in turning else "m") for one in self.q)
+        return tuple(self.units.get(str(coordinate), "rad" if coordinate in turning else "m") for coordinate in self.q)
 
     def input_units(self) -> tuple[str, ...]:
         """Return the units of the inputs."""

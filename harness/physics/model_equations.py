@@ -106,7 +106,7 @@ class Equations(Dimensions):
     def ports(self) -> tuple[Port, ...]:
         """Where effects can act: inputs, coordinates, outputs, the base (gravity), process states."""
         found = [Port("input", channel.name, channel.unit) for channel in self.inputs]
-        found += [Port("coordinate", one.name, one.unit) for one in self.coordinates]
+        found += [Port("coordinate", coordinate.name, coordinate.unit) for coordinate in self.coordinates]
         found += [Port("output", channel.name, channel.unit) for channel in self.outputs]
         if self.coordinates and ca.depends_on(self.generalized_forces, self.gravity):
             found.append(Port("base", "base", "rad"))
@@ -125,7 +125,7 @@ class Equations(Dimensions):
 
     def coordinate(self, name: str) -> Coordinate:
         """Return one coordinate by name, or refuse the name."""
-        return self.coordinates[index_of(name, [one.name for one in self.coordinates], "coordinate")]
+        return self.coordinates[index_of(name, [coordinate.name for coordinate in self.coordinates], "coordinate")]
 
     def values(self, given: Mapping[str, float] | None = None) -> dict[str, float]:
         """Return the value of every parameter by name, those in ``given`` replaced."""
@@ -158,17 +158,17 @@ class Equations(Dimensions):
         """The part of the generalized forces that comes from the inputs: Q(u) - Q(0), SX (n,)."""
         if not self.nu:
             return ca.SX.zeros(len(self.coordinates))
-        slope = ca.jacobian(self.generalized_forces, self.u)
-        if not ca.depends_on(slope, self.u):
-            return ca.mtimes(slope, self.u)
+        jacobian = ca.jacobian(self.generalized_forces, self.u)
+        if not ca.depends_on(jacobian, self.u):
+            return ca.mtimes(jacobian, self.u)
         return self.generalized_forces - ca.substitute(self.generalized_forces, self.u, ca.DM.zeros(self.nu))
 
     def driven_by(self, name: str) -> int | None:
         """Return the index of the first coordinate on which an input's force acts; None if there is none."""
         column = self.u[index_of(name, [channel.name for channel in self.inputs], "input")]
-        for one in self.coordinates:
-            if ca.depends_on(self.generalized_forces[one.force], column):
-                return one.force
+        for coordinate in self.coordinates:
+            if ca.depends_on(self.generalized_forces[coordinate.force], column):
+                return coordinate.force
         return None
 
     def __str__(self) -> str:

@@ -66,9 +66,9 @@ class Ode:
     ) -> None:
         self.name = name
         _check_names(name, [*x.split(), *u.split(), *p.split()])
-        self.x = tuple(sp.Symbol(one, real=True) for one in x.split())
-        self.u = tuple(sp.Symbol(one, real=True) for one in u.split())
-        self.p = tuple(sp.Symbol(one, real=True) for one in p.split())
+        self.x = tuple(sp.Symbol(state, real=True) for state in x.split())
+        self.u = tuple(sp.Symbol(channel, real=True) for channel in u.split())
+        self.p = tuple(sp.Symbol(parameter, real=True) for parameter in p.split())
         self.t = sp.Symbol("t", real=True)
         self.rhs: Sequence[Any] = []
         self.outputs: dict[str, Any] = {}
@@ -115,9 +115,9 @@ class Ode:
             rows.append(convert(expression))
         return System(
             name=self.name,
-            inputs=tuple(Channel(str(one), self.units.get(str(one), "1")) for one in self.u),
+            inputs=tuple(Channel(str(symbol), self.units.get(str(symbol), "1")) for symbol in self.u),
             outputs=tuple(channels),
-            states=tuple(Channel(str(one), self.units.get(str(one), "1")) for one in self.x),
+            states=tuple(Channel(str(symbol), self.units.get(str(symbol), "1")) for symbol in self.x),
             parameters=self.parameter_list(),
             x=x,
             u=u,

@@ -124,7 +124,9 @@ def fit_output_error(
     values = system.values(given)
     for name in fixed:
         system.parameter(name)
-    free = np.array([not one.fixed and one.name not in fixed for one in system.parameters], dtype=bool)
+    free = np.array(
+        [not parameter.fixed and parameter.name not in fixed for parameter in system.parameters], dtype=bool
+    )
     scale = np.maximum(np.std(np.vstack([record.y for record in records]), axis=0), 1e-12)
     known = np.array([float((noise or {}).get(channel.name, np.nan)) for channel in system.outputs])
     guesses = first_values(system, records, values, free, set(given), intersample)
@@ -137,7 +139,7 @@ def fit_output_error(
     results = []
     for guess in [first, *_scattered(system, first, free, starts - 1, rng)]:
         results.append(_follow(simulator, records, guess, free, path, sigma, known, scale, max_iterations, x0))
-    finite = [one for one in results if np.isfinite(one.objective)]
+    finite = [result for result in results if np.isfinite(result.objective)]
     if not finite:
         raise FitError(
             f"output-error fit of {system.name}",
@@ -145,8 +147,8 @@ def fit_output_error(
             got=f"{len(results)} starts that all diverge",
             remedy="give start values nearer to the plant, or a shorter horizon",
         )
-    best = min(finite, key=lambda one: one.objective)
-    alike = sum(abs(one.objective - best.objective) <= _SAME_MINIMUM * best.n_data for one in finite)
+    best = min(finite, key=lambda result: result.objective)
+    alike = sum(abs(result.objective - best.objective) <= _SAME_MINIMUM * best.n_data for result in finite)
     return finish(system, best, free, alike if starts > 1 else None, len(results), intersample)
 
 
@@ -318,7 +320,7 @@ def _better(
                 break
             p = solution.p
         found.append((cost, p))
-    return min(found, key=lambda one: one[0])[1]
+    return min(found, key=lambda candidate: candidate[0])[1]
 
 
 def _few_swings(simulator: Simulator, p: FloatArray, horizon: float | None) -> float | None:
@@ -326,8 +328,8 @@ def _few_swings(simulator: Simulator, p: FloatArray, horizon: float | None) -> f
     import casadi as ca
 
     system = simulator.system
-    slope = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
-    a = slope(np.zeros(system.nx), np.zeros(system.nu), p, 0.0).full()
+    jacobian = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
+    a = jacobian(np.zeros(system.nx), np.zeros(system.nu), p, 0.0).full()
     speed = np.abs(np.linalg.eigvals(a)).max(initial=0.0) if np.isfinite(a).all() else 0.0
     if speed == 0.0:
         return horizon
@@ -345,11 +347,12 @@ def _checked(system: System, trajectories: Sequence[Trajectory]) -> list[Traject
         raise InputError("no records", expected="at least one trajectory", got="none", remedy="give the records")
     spec = records[0].spec
     for what, ours, theirs in (("inputs", system.inputs, spec.inputs), ("outputs", system.outputs, spec.outputs)):
-        if [one.name for one in ours] != [one.name for one in theirs]:
+        if [channel.name for channel in ours] != [channel.name for channel in theirs]:
             raise InputError(
                 f"{what} of the record",
-                expected=f"{', '.join(one.name for one in ours) or 'none'}, the {what} of {system.name}, in this order",
-                got=", ".join(one.name for one in theirs) or "none",
+                expected=f"{', '.join(channel.name for channel in ours) or 'none'}, "
+                f"the {what} of {system.name}, in this order",
+                got=", ".join(channel.name for channel in theirs) or "none",
                 remedy="rename the signals, or choose the system's outputs with with_outputs",
             )
     for record in records:
@@ -371,10 +374,10 @@ def _path(horizon: float | None, continuation: Sequence[float | None], dt: float
     """Return the horizons in their order, the last one that asked for (None where it is the whole record)."""
     record = longest * dt
     target = None if horizon is None or horizon >= record else max(float(horizon), 2 * dt)
-    steps = [float(one) for one in continuation if one is not None]
+    steps = [float(length) for length in continuation if length is not None]
     stretch = max(1.0, 2 * _SHORTEST * dt / min(steps)) if steps else 1.0
     end = record if target is None else target
-    path: list[float | None] = [one * stretch for one in steps if one * stretch < 0.75 * end]
+    path: list[float | None] = [length * stretch for length in steps if length * stretch < 0.75 * end]
     return [*path, target]
 
 
@@ -391,8 +394,8 @@ def _scattered(
     for _ in range(count):
         draw = rng.normal(size=guess.shape)
         moved = np.where(logarithmic, guess * np.exp(0.5 * draw), guess + 0.3 * np.abs(guess) * draw)
-        low = np.array([one.minimum for one in system.parameters])
-        high = np.array([one.maximum for one in system.parameters])
+        low = np.array([parameter.minimum for parameter in system.parameters])
+        high = np.array([parameter.maximum for parameter in system.parameters])
         found.append(np.where(free, np.clip(moved, low, high), guess))
     return found
 

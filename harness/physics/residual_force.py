@@ -84,7 +84,7 @@ class Hull:
 class ResidualForce:
     """``F = sum_i w_i exp(-|(z - c_i) / width|^2 / 2)`` added to the force on one coordinate; not physical.
 
-    Far from the data the bumps, and with them the force, are 0: there the model is the named one alone.
+    Far from the data the basis functions, and with them the force, are 0: there the model is the named one alone.
 
     Parameters
     ----------
@@ -120,7 +120,8 @@ class ResidualForce:
             f"{name} in [{low:.3g}, {high:.3g}]"
             for name, low, high in zip(self.arguments, self.hull.low, self.hull.high, strict=True)
         )
-        return f"force on {self.coordinate} [{self.unit}] of {len(self.weights)} bumps, {LABEL}; known for {sides}"
+        size = f"{len(self.weights)} basis functions"
+        return f"force on {self.coordinate} [{self.unit}] of {size}, {LABEL}; known for {sides}"
 
     def __call__(self, rows: FloatArray) -> FloatArray:
         """Return the force (n,) at arguments (n, d)."""

@@ -20,13 +20,15 @@ if TYPE_CHECKING:
 __all__ = ["LearnedForce", "learn_residual_force"]
 
 SIZES = (6, 12, 24)
-"""Numbers of bumps that are tried: a smooth curve, one with corners, a surface. The validation records choose. Curves
-(one argument) are not tried with more than 12: their bumps would be closer than what data with noise tell apart."""
+"""Numbers of basis functions that are tried: a smooth curve, one with corners, a surface. The validation records
+choose. Curves (one argument) are not tried with more than 12: their basis functions would be closer than what data with
+noise tell apart."""
 
 _MOST_ON_A_LINE = 12
 
 _WIDTH = 1.5
-"""Width of a bump in distances to its nearest neighbour: less leaves gaps, more makes weights large and opposite."""
+"""Width of a basis function in distances to its nearest neighbour: less leaves gaps, more makes weights large and of
+opposite signs."""
 
 _BLOCKS = 20
 """Stretches of the validation records whose gains are compared: long against the correlation of free-run errors."""
@@ -94,10 +96,10 @@ def learn_residual_force(
     """Learn the force that a system lacks, by free runs of the system with the force in it.
 
     The named parameters stay what they are, unless ``refit`` lets them move too: an effect that they have already
-    taken up in part (dry friction as viscous) is otherwise not the force's to find. Bumps lie where the data lie
-    (k-means); their weights are fitted by output error; their number, and coordinate and arguments unless given, are
-    those with the least error on the validation records. For a loop that ends ``unexplained``: ``system`` and
-    ``values`` are those of its final model.
+    taken up in part (dry friction as viscous) is otherwise not the force's to find. Radial basis functions lie where
+    the data lie (k-means); their weights are fitted by output error; their number, and coordinate and arguments unless
+    given, are those with the least error on the validation records. For a loop that ends ``unexplained``: ``system``
+    and ``values`` are those of its final model.
 
     Parameters
     ----------
@@ -114,11 +116,11 @@ def learn_residual_force(
         Length of the windows of free runs [s]; whole records if None.
     intersample : {"zoh", "foh", "smooth"}
     sizes : sequence of int
-        Numbers of bumps that are tried.
+        Numbers of basis functions that are tried.
     refit : bool
         Fit the named parameters beside the force.
     rng : numpy.random.Generator
-        For the places of the bumps.
+        For the centres of the basis functions.
     progress : callable, optional
         Called as ``progress(fraction_done, what)`` before every fit.
 
@@ -141,7 +143,7 @@ def learn_residual_force(
             got=f"{len(system.coordinates)} coordinates, {len(validation)} validation records",
             remedy="give a mechanical model and a validation run",
         )
-    names = [one.name for one in system.coordinates]
+    names = [candidate.name for candidate in system.coordinates]
     if coordinate is not None and coordinate not in names:
         raise InputError(
             "coordinate of a residual force",
@@ -149,7 +151,7 @@ def learn_residual_force(
             got=repr(coordinate),
             remedy="correct",
         )
-    known = {one.name: float(values.get(one.name, one.value)) for one in system.parameters}
+    known = {parameter.name: float(values.get(parameter.name, parameter.value)) for parameter in system.parameters}
     base = _at(system, known)
     how: dict[str, Any] = {"horizon": horizon, "intersample": intersample}
     missed = np.concatenate(simulate_error(base, known, validation, **how))
@@ -157,7 +159,7 @@ def learn_residual_force(
     best: LearnedForce | None = None
     problems: list[str] = []
     for number, draft in enumerate(drafts):
-        what = f"{draft.coordinate} by {', '.join(draft.arguments)}, {len(draft.centres)} bumps"
+        what = f"{draft.coordinate} by {', '.join(draft.arguments)}, {len(draft.centres)} basis functions"
         if progress is not None:
             progress(number / len(drafts), what)
         try:
@@ -190,21 +192,28 @@ def _drafts(
     sizes: Sequence[int],
     rng: np.random.Generator,
 ) -> list[ResidualForce]:
-    """Return the forces that are tried, their bumps placed where the data lie, their weights 0."""
+    """Return the forces that are tried, their basis functions placed where the data lie, their weights 0."""
     drafts = []
-    for one in base.coordinates:
-        if coordinate not in (None, one.name):
+    for candidate in base.coordinates:
+        if coordinate not in (None, candidate.name):
             continue
-        place, speed = base.states[one.q].name, base.states[one.v].name
+        place, speed = base.states[candidate.q].name, base.states[candidate.v].name
         choices = [tuple(arguments)] if arguments is not None else [(speed,), (place,), (place, speed)]
         for wanted in choices:
             shown = _arguments(base, known, estimation, wanted)
             hull = Hull.of(shown)
             for size in sorted({min(size, _MOST_ON_A_LINE) if len(wanted) == 1 else size for size in sizes}):
-                centres, width = _bumps(shown, min(size, len(shown) // 5), rng)
+                centres, width = _basis(shown, min(size, len(shown) // 5), rng)
                 drafts.append(
                     ResidualForce(
-                        one.name, one.force_unit, wanted, centres, width, np.zeros(len(centres)), hull, len(shown)
+                        candidate.name,
+                        candidate.force_unit,
+                        wanted,
+                        centres,
+                        width,
+                        np.zeros(len(centres)),
+                        hull,
+                        len(shown),
                     )
                 )
     return drafts
@@ -212,7 +221,7 @@ def _drafts(
 
 def _at(system: System, values: Mapping[str, float]) -> System:
     """Return the system with its parameters at values by name."""
-    names = [one.name for one in system.parameters]
+    names = [parameter.name for parameter in system.parameters]
     return system.with_parameters({name: replace(system.parameter(name), value=values[name]) for name in names})
 
 
@@ -229,8 +238,8 @@ def _arguments(
     return np.concatenate(parts)
 
 
-def _bumps(rows: FloatArray, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Return centres (M, d) where the rows lie, and the width (d,) of the bumps."""
+def _basis(rows: FloatArray, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return centres (M, d) where the rows lie, and the width (d,) of the basis functions."""
     from scipy.cluster.vq import kmeans2
     from scipy.spatial.distance import cdist
 

@@ -17,7 +17,7 @@ __all__ = ["Sums", "all_columns", "call_rollout", "repeated_rollout"]
 _COUNTS = ("m", "n", "substeps", "every", "chosen")
 _INPUTS = ("p", "x0", "u", "d", "t0", "columns")
 _ROWS = ("x", "y", "s")
-_SUMS = ("measured", "sigma", "period", "limit", "cost", "squares", "gram", "slope")
+_SUMS = ("measured", "sigma", "period", "limit", "cost", "squares", "gram", "gradient")
 
 
 @dataclass(eq=False)
@@ -27,7 +27,7 @@ class Sums:
     costs: FloatArray
     squares: FloatArray
     gram: FloatArray
-    slope: FloatArray
+    gradient: FloatArray
     budget: float
     """What the costs have left of it; negative once it is used up or a window diverged, if it was finite."""
     states: FloatArray | None
@@ -73,7 +73,7 @@ def call_rollout(
         C-contiguous or None: ``p`` (M, np), ``x0`` (M, nx), ``u`` (M, N, nu), ``d`` (M, N, nu, delays), ``t0`` (M,),
         ``columns`` of C int, the chosen ones of (p, x0); results ``x`` (M, K, nx), ``y`` (M, K, ny), ``s`` (M, K, ny,
         chosen). With ``measured`` (M, K, ny), ``sigma`` (ny,), ``period`` (ny,) (0: none) and ``limit`` (M,) or None,
-        ``y`` are residuals and the sums go to ``cost`` (M,), ``squares`` (ny,), ``gram`` (M, ns, ns) and ``slope``
+        ``y`` are residuals and the sums go to ``cost`` (M,), ``squares`` (ny,), ``gram`` (M, ns, ns) and ``gradient``
         (M, ns): entries of columns that are not chosen, and squares, are added to or left as they are.
     """
     job = _job(dt, substeps, foh, every, budget, arrays)
@@ -102,7 +102,7 @@ def _job(
     """Return the arguments as C sees them; the arrays must live as long as it is used."""
     m, n = arrays["u"].shape[:2]
     columns = arrays.get("columns")
-    pointers = {name: one.ctypes.data for name, one in arrays.items() if one is not None}
+    pointers = {name: array.ctypes.data for name, array in arrays.items() if array is not None}
     chosen = 0 if columns is None else len(columns)
     return _Job(m=m, n=n, substeps=substeps, every=every, chosen=chosen, dt=dt, budget=budget, foh=int(foh), **pointers)
 

@@ -47,9 +47,9 @@ class Linear:
 
     def function(self, name: str) -> Any:
         """Return the CasADi function (x, u, p, t) -> (value, entries by x, by p, by u)."""
-        parts = [ca.vertcat(*[one for _, _, one in self.entries(kind)]) for kind in ("by_x", "by_p", "by_u")]
+        parts = [ca.vertcat(*[entry for _, _, entry in self.entries(kind)]) for kind in ("by_x", "by_p", "by_u")]
         with _literally():
-            return dense(name, self.arguments, [self.value, *(ca.SX(one) for one in parts)])
+            return dense(name, self.arguments, [self.value, *(ca.SX(part) for part in parts)])
 
 
 def _without_quotients(arguments: list[Any], outputs: list[Any]) -> list[Any]:
@@ -95,8 +95,8 @@ def _without_quotients(arguments: list[Any], outputs: list[Any]) -> list[Any]:
             else:
                 work[target[0]] = ca.SX.binary(operation, work[source[0]], work[source[1]])
         return [
-            ca.SX(one.sparsity(), ca.vertcat(*found)) if found else one
-            for one, found in zip(outputs, entries, strict=True)
+            ca.SX(output.sparsity(), ca.vertcat(*found)) if found else output
+            for output, found in zip(outputs, entries, strict=True)
         ]
 
 
@@ -120,9 +120,9 @@ class Functions:
         self._machines: dict[Any, Any] = {}
 
     @functools.cached_property
-    def output_slope(self) -> Any:
+    def output_jacobian(self) -> Any:
         """The function (x, u, p, t) -> derivative of the output by the state (ny, nx)."""
-        return ca.Function("output_slope", self.arguments, [ca.jacobian(self.h, self.system.x)])
+        return ca.Function("output_jacobian", self.arguments, [ca.jacobian(self.h, self.system.x)])
 
     def rates(self, delay_columns: tuple[int, ...]) -> Linear:
         """Return dx/dt with its derivatives; those by u only if the inputs depend on parameters."""
@@ -172,13 +172,13 @@ class Functions:
             for (row, column), entry in source.items():
                 change[row][column] = change[row][column] + entry
             x, u, p, t = self.arguments
-            return dense(name, [x, s, u, d, p, t], [parts.value, ca.vertcat(*(one.T for one in change))])
+            return dense(name, [x, s, u, d, p, t], [parts.value, ca.vertcat(*(row.T for row in change))])
 
     def step(self, h: float, substeps: int) -> Any:
         """Return the function (x, u, p, t) -> x one sample later, input held."""
         key = ("step", h, substeps)
         if key not in self._machines:
-            x, u, p, t = (ca.SX.sym("a", one.shape) for one in self.arguments)
+            x, u, p, t = (ca.SX.sym("a", argument.shape) for argument in self.arguments)
             state = x
             for count in range(substeps):
                 state = self._advance(
@@ -192,7 +192,7 @@ class Functions:
         p: FloatArray,
         x0: FloatArray,
         u: FloatArray,
-        slope: FloatArray | None,
+        input_jacobian: FloatArray | None,
         t0: FloatArray,
         how: tuple[float, int, bool, bool, tuple[int, ...]],
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
@@ -206,8 +206,8 @@ class Functions:
             held = u[window]
             after = np.vstack([held[1:], held[-1:]]) if foh else held
             d_held = d_after = None
-            if slope is not None:
-                d_held = slope[window].reshape(n, -1)
+            if input_jacobian is not None:
+                d_held = input_jacobian[window].reshape(n, -1)
                 d_after = np.vstack([d_held[1:], d_held[-1:]]) if foh else d_held
             start = p[window], x0[window]
             k = self.virtual_machine(*how, *start, held, after, d_held, d_after, float(t0[window]))
@@ -285,7 +285,7 @@ class Functions:
         d_next = moving[2 * nu + nu * nd :]
         stage = self.stage(delay_columns) if sensitivities else None
 
-        def slope(z: Any, w: tuple[Any, Any], s: Any) -> Any:
+        def derivative(z: Any, w: tuple[Any, Any], s: Any) -> Any:
             if stage is None:
                 return self.derivative(z, w[0], p, s)
             return ca.vertcat(*stage(z[:nx], z[nx:], w[0], w[1], p, s))
@@ -301,7 +301,7 @@ class Functions:
                 # The end of the sample is the next input itself, to the last bit, as in the C code.
                 return (u_next, d_next) if share == 1.0 else (u + (u_next - u) * share, d + (d_next - d) * share)
 
-            new = self._advance(slope, new, seen, t + count * h, h)
+            new = self._advance(derivative, new, seen, t + count * h, h)
         step = ca.Function("sample", [state, moving, p, t], [new], {"cse": False})
         if sensitivities:
             outputs = list(self.measure(delay_columns)(state[:nx], state[nx:], u, d, p, t))
@@ -310,12 +310,12 @@ class Functions:
         look = ca.Function("look", [state, moving, p, t], outputs)
         return step, look
 
-    def _advance(self, slope: Any, x: Any, inputs: Any, t: Any, h: float) -> Any:
+    def _advance(self, derivative: Any, x: Any, inputs: Any, t: Any, h: float) -> Any:
         """Return the state one step later; in finer steps where a force changes its sign.
 
-        ``inputs(part)`` is what the slope sees at a part (0 to 1) of the step.
+        ``inputs(part)`` is what the derivative sees at a part (0 to 1) of the step.
         """
-        new = _runge_kutta(slope, x, [inputs(part) for part in (0.0, 0.5, 1.0)], t, h)
+        new = _runge_kutta(derivative, x, [inputs(part) for part in (0.0, 0.5, 1.0)], t, h)
         places = list(dict.fromkeys(k for k, _ in self.system.switches))
         if not places:
             return new
@@ -324,14 +324,14 @@ class Functions:
             near = ca.logic_or(near, ca.fmin(ca.fabs(x[k]), ca.fabs(new[k])) < ca.fabs(new[k] - x[k]))
         for part in range(FINE):
             seen = [inputs((part + share) / FINE) for share in (0.0, 0.5, 1.0)]
-            fine = _runge_kutta(slope, fine, seen, t + part * (h / FINE), h / FINE)
+            fine = _runge_kutta(derivative, fine, seen, t + part * (h / FINE), h / FINE)
         return ca.if_else(near, fine, new)
 
 
-def _runge_kutta(slope: Any, x: Any, inputs: list[Any], t: Any, h: float) -> Any:
+def _runge_kutta(derivative: Any, x: Any, inputs: list[Any], t: Any, h: float) -> Any:
     """Return one step of the classical method; the order of operations is that of the C code."""
-    k1 = slope(x, inputs[0], t)
-    k2 = slope(x + 0.5 * h * k1, inputs[1], t + 0.5 * h)
-    k3 = slope(x + 0.5 * h * k2, inputs[1], t + 0.5 * h)
-    k4 = slope(x + h * k3, inputs[2], t + h)
+    k1 = derivative(x, inputs[0], t)
+    k2 = derivative(x + 0.5 * h * k1, inputs[1], t + 0.5 * h)
+    k3 = derivative(x + 0.5 * h * k2, inputs[1], t + 0.5 * h)
+    k4 = derivative(x + h * k3, inputs[2], t + h)
     return x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)

@@ -176,7 +176,7 @@ typedef struct {
   const int *columns;
   double *x, *y, *s;
   const double *measured, *sigma, *period, *limit;
-  double *cost, *squares, *gram, *slope;
+  double *cost, *squares, *gram, *gradient;
 } job;
 
 typedef struct { const double *u, *u_next, *d, *d_next, *p; const int *place; long foh, sources; } sample;
@@ -228,7 +228,7 @@ _SENSITIVE = """\
 typedef struct {
   int blocks, chosen;
   block s[(BLOCKS + 1)*ROOM(NX)], y[ROOM(BLOCKS)][NY], b[(BLOCKS + 1)*NY];
-  block slope[ROOM(BLOCKS)], gram[ROOM(NS)][ROOM(BLOCKS)];
+  block gradient[ROOM(BLOCKS)], gram[ROOM(NS)][ROOM(BLOCKS)];
   double squares[NY];
 } columns;
 
@@ -255,7 +255,7 @@ static void begin(columns *s, const int *place) {
   int i, k;
   for (i = 0; i < (BLOCKS + 1)*NX; i++) s->s[i] = none;
   for (i = 0; i < NX; i++) ((double *)s->s)[place[NP + i] + 4*i] = 1.0;
-  for (k = 0; k < BLOCKS; k++) s->slope[k] = none;
+  for (k = 0; k < BLOCKS; k++) s->gradient[k] = none;
   for (i = 0; i < NS; i++) for (k = 0; k < BLOCKS; k++) s->gram[i][k] = none;
   for (i = 0; i < NY; i++) s->squares[i] = 0.0;
 }
@@ -295,7 +295,7 @@ static void add(columns *s, const job *in, const double *y, const double *measur
     s->squares[i] += r*r;
     r *= weight;
     *cost += 0.5*r*r;
-    for (c = 0; c < s->blocks; c++) { s->y[c][i] *= weight; s->slope[c] += r*s->y[c][i]; }
+    for (c = 0; c < s->blocks; c++) { s->y[c][i] *= weight; s->gradient[c] += r*s->y[c][i]; }
   }
   for (k = 0; k < s->chosen; k++) {
     for (c = k/4; c < s->blocks; c++) s->gram[k][c] += product(s->y[k/4], k & 3, s->y[c]);
@@ -304,13 +304,13 @@ static void add(columns *s, const job *in, const double *y, const double *measur
 
 /* Give the sums of a window; what diverged has an infinite cost. */
 static void total(columns *s, const job *in, long window, int whole, double cost) {
-  double *gram = in->gram + window*NS*NS, *slope = in->slope + window*NS;
+  double *gram = in->gram + window*NS*NS, *gradient = in->gradient + window*NS;
   int i, k;
   whole = whole && isfinite(cost);
   for (k = 0; k < s->chosen; k++)
     for (i = k; i < s->chosen; i++) whole = whole && isfinite(s->gram[k][i/4][i & 3]);
   for (k = 0; k < s->chosen; k++) {
-    slope[in->columns[k]] = whole ? s->slope[k/4][k & 3] : NAN;
+    gradient[in->columns[k]] = whole ? s->gradient[k/4][k & 3] : NAN;
     for (i = k; i < s->chosen; i++) {
       const double value = whole ? s->gram[k][i/4][i & 3] : NAN;
       gram[in->columns[k]*NS + in->columns[i]] = gram[in->columns[i]*NS + in->columns[k]] = value;

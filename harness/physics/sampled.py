@@ -53,8 +53,8 @@ def _delayed_output(signal: FloatArray, delay: float, dt: float) -> tuple[FloatA
     if signal.shape[0] < 3:
         return delayed(signal, delay, dt)
     back = np.arange(_BACKWARDS, 0, -1, dtype=float).reshape(-1, *[1] * (signal.ndim - 1))
-    slope, bend = signal[1] - signal[0], signal[2] - 2 * signal[1] + signal[0]
-    longer = np.concatenate([signal[0] - back * slope + 0.5 * back * (back + 1.0) * bend, signal])
+    difference, bend = signal[1] - signal[0], signal[2] - 2 * signal[1] + signal[0]
+    longer = np.concatenate([signal[0] - back * difference + 0.5 * back * (back + 1.0) * bend, signal])
     late, change = delayed(longer, delay, dt)
     return late[_BACKWARDS:], change[_BACKWARDS:]
 
@@ -82,23 +82,23 @@ class SampledBlocks:
         ]
         self.delay_columns = tuple(dict.fromkeys(column for _, column in self.input_delays))
 
-    def inputs(self, u: FloatArray, p: FloatArray, slopes: bool) -> tuple[FloatArray, FloatArray | None]:
-        """Return the inputs that the equations see (M, N, nu), and their slopes (M, N, nu, delays) if wanted."""
+    def inputs(self, u: FloatArray, p: FloatArray, jacobian: bool) -> tuple[FloatArray, FloatArray | None]:
+        """Return the inputs that the equations see (M, N, nu), and if wanted their Jacobian (M, N, nu, delays)."""
         if not self.input_delays:
             return u, None
         seen = u.copy()
-        slope = np.zeros((*u.shape, len(self.delay_columns)))
+        input_jacobian = np.zeros((*u.shape, len(self.delay_columns)))
         for window in range(u.shape[0]):
             for column, parameter in self.input_delays:
                 place = self.delay_columns.index(parameter)
                 for other in range(len(self.delay_columns)):
-                    slope[window, :, column, other] = delayed(
-                        slope[window, :, column, other], p[window, parameter], self.dt
+                    input_jacobian[window, :, column, other] = delayed(
+                        input_jacobian[window, :, column, other], p[window, parameter], self.dt
                     )[0]
                 late, change = delayed(seen[window, :, column], p[window, parameter], self.dt)
                 seen[window, :, column] = late
-                slope[window, :, column, place] += change
-        return seen, (np.ascontiguousarray(slope) if slopes else None)
+                input_jacobian[window, :, column, place] += change
+        return seen, (np.ascontiguousarray(input_jacobian) if jacobian else None)
 
     def outputs(self, y: FloatArray, s: FloatArray | None, p: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Return the outputs (M, N, ny) and sensitivities (M, N, ny, np + nx) that the sensors tell."""

@@ -218,8 +218,8 @@ class Simulator:
         start = self._fit(x0, "initial state", m, self.nx, batch)
         values = self._fit(p, "parameters", m, self.np, np.ndim(p) == 2)
         times = np.ascontiguousarray(np.broadcast_to(np.asarray(t0, dtype=float), (m,)))
-        seen, slope = self.sampled.inputs(inputs, values, sensitivities)
-        x, y, s = self.windows(values, start, seen, slope, times, sensitivities=sensitivities)
+        seen, input_jacobian = self.sampled.inputs(inputs, values, sensitivities)
+        x, y, s = self.windows(values, start, seen, input_jacobian, times, sensitivities=sensitivities)
         return (x, y, s) if batch else (x[0], y[0], None if s is None else s[0])
 
     def windows(
@@ -227,7 +227,7 @@ class Simulator:
         p: FloatArray,
         x0: FloatArray,
         u: FloatArray,
-        slope: FloatArray | None,
+        input_jacobian: FloatArray | None,
         t0: FloatArray,
         *,
         sensitivities: bool = True,
@@ -240,7 +240,7 @@ class Simulator:
         x0 : array (M, nx)
         u : array (M, N, nu)
             As the equations see them, see :class:`harness.physics.sampled.SampledBlocks`.
-        slope : array (M, N, nu, delays) or None
+        input_jacobian : array (M, N, nu, delays) or None
             Derivatives of u by the delays.
         t0 : array (M,)
         sensitivities : bool
@@ -251,17 +251,17 @@ class Simulator:
             All contiguous; shapes are not checked.
         """
         seen = np.ascontiguousarray(u)
-        slope = None if slope is None else np.ascontiguousarray(slope)
+        input_jacobian = None if input_jacobian is None else np.ascontiguousarray(input_jacobian)
         values, start, times = p, x0, t0
         m, n = seen.shape[:2]
         library = self._library(sensitivities, m * n)
         run = self._in_casadi if library is None else functools.partial(self._in_c, library)
         if self.intersample != "smooth":
-            x, y, s = run(values, start, seen, slope, times, sensitivities, self.dt, self.substeps)
+            x, y, s = run(values, start, seen, input_jacobian, times, sensitivities, self.dt, self.substeps)
         else:
             pieces = self.substeps
-            seen, slope = self.refined(seen), None if slope is None else self.refined(slope)
-            x, y, s = run(values, start, seen, slope, times, sensitivities, self.dt / pieces, 1)
+            seen, input_jacobian = self.refined(seen), None if input_jacobian is None else self.refined(input_jacobian)
+            x, y, s = run(values, start, seen, input_jacobian, times, sensitivities, self.dt / pieces, 1)
             x, y = np.ascontiguousarray(x[:, ::pieces]), np.ascontiguousarray(y[:, ::pieces])
             s = None if s is None else np.ascontiguousarray(s[:, ::pieces])
         y, s = self.sampled.outputs(y, s, values)
@@ -272,7 +272,7 @@ class Simulator:
         p: FloatArray,
         x0: FloatArray,
         u: FloatArray,
-        slope: FloatArray | None,
+        input_jacobian: FloatArray | None,
         t0: FloatArray,
         data: tuple[FloatArray, FloatArray, FloatArray],
         *,
@@ -286,13 +286,13 @@ class Simulator:
 
         Parameters
         ----------
-        p, x0, u, slope, t0 : as for :meth:`windows`
+        p, x0, u, input_jacobian, t0 : as for :meth:`windows`
         data : tuple
             Measured outputs (M, N, ny), sigma (ny,), periods (ny,), 0 for an output that does not wrap.
         columns : array of int, optional
             Which of (p, x0) are asked for; the sums of the others are 0. All of them by default.
         limits, budget : array (M,), float
-            A window whose cost exceeds its limit is given up, its cost infinite (negative: not simulated); all of them
+            A window whose cost exceeds its limit is pruned, its cost infinite (negative: not simulated); all of them
             once they together exceed the budget.
         keep, sensitivities : bool
             Give states and residuals, and the sensitivities by all columns, too.
@@ -310,17 +310,17 @@ class Simulator:
         smooth = self.intersample == "smooth"
         substeps, every = (1, self.substeps) if smooth else (self.substeps, 1)
         if smooth:
-            u, slope = self.refined(u), None if slope is None else self.refined(slope)
+            u, input_jacobian = self.refined(u), None if input_jacobian is None else self.refined(input_jacobian)
         found = Sums(np.zeros(m), np.zeros(ny), np.zeros((m, ns, ns)), np.zeros((m, ns)), budget, None, None, None)
         if keep:
             found.states, found.residuals = np.empty((m, n, self.nx)), np.empty((m, n, ny))
         if sensitivities:
             columns, found.sensitivities = None, np.empty((m, n, ny, ns))
         chosen = all_columns(ns) if columns is None else np.ascontiguousarray(columns, dtype=np.intc)
-        arrays = {"p": p, "x0": x0, "u": u, "d": slope, "t0": t0, "columns": chosen, "limit": limits}
+        arrays = {"p": p, "x0": x0, "u": u, "d": input_jacobian, "t0": t0, "columns": chosen, "limit": limits}
         arrays |= {"measured": measured, "sigma": sigma, "period": period}
         arrays |= {"x": found.states, "y": found.residuals, "s": found.sensitivities}
-        arrays |= {"cost": found.costs, "squares": found.squares, "gram": found.gram, "slope": found.slope}
+        arrays |= {"cost": found.costs, "squares": found.squares, "gram": found.gram, "gradient": found.gradient}
         foh = self.intersample != "zoh"
         found.budget = call_rollout(library, self.dt / every, substeps, foh, every, budget, **arrays)
         return found
@@ -396,7 +396,7 @@ class Simulator:
         p: FloatArray,
         x0: FloatArray,
         u: FloatArray,
-        slope: FloatArray | None,
+        input_jacobian: FloatArray | None,
         t0: FloatArray,
         sensitivities: bool,
         dt: float,
@@ -408,7 +408,7 @@ class Simulator:
         s = np.empty((m, n, ny, ns)) if sensitivities else None
         columns = all_columns(ns) if sensitivities else None
         foh = self.intersample != "zoh"
-        arrays = {"p": p, "x0": x0, "u": u, "d": slope, "t0": t0, "columns": columns, "x": x, "y": y, "s": s}
+        arrays = {"p": p, "x0": x0, "u": u, "d": input_jacobian, "t0": t0, "columns": columns, "x": x, "y": y, "s": s}
         call_rollout(library, dt, substeps, foh, 1, np.inf, **arrays)
         return x, y, s
 
@@ -417,14 +417,14 @@ class Simulator:
         p: FloatArray,
         x0: FloatArray,
         u: FloatArray,
-        slope: FloatArray | None,
+        input_jacobian: FloatArray | None,
         t0: FloatArray,
         sensitivities: bool,
         dt: float,
         substeps: int,
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
         how = dt, substeps, self.intersample != "zoh", sensitivities, self.sampled.delay_columns
-        return self.functions.windows(p, x0, u, slope, t0, how)
+        return self.functions.windows(p, x0, u, input_jacobian, t0, how)
 
 
 def _rebuilt(system: Equations, dt: float, intersample: Intersample, substeps: int, backend: Backend) -> Simulator:

@@ -40,7 +40,7 @@ def smoothed(passed: Filtered) -> Smoothed:
     compiled = kernels(nx, passed.e.shape[1], 0)
     if compiled is not None:
         given = (passed.e, passed.s, path.transition, path.gain, path.row, path.x_before, path.p_before)
-        compiled.smooth(n, [np.ascontiguousarray(one) for one in given], [x, variance])
+        compiled.smooth(n, [np.ascontiguousarray(array) for array in given], [x, variance])
         return Smoothed(x, np.sqrt(np.maximum(variance, 0.0)))
     known = np.isfinite(passed.e)
     e, s = np.where(known, passed.e, 0.0), passed.s
@@ -113,8 +113,8 @@ def innovation_response(
     compiled = kernels(nx, ny, 0)
     if compiled is not None:
         response = np.zeros((n, ny, m)) if readings is None else np.negative(readings)
-        given_path = [np.ascontiguousarray(one) for one in (path.transition, path.gain, path.row)]
-        pushes = [None, None] if forces is None else [np.ascontiguousarray(one) for one in (push, forces)]
+        given_path = [np.ascontiguousarray(array) for array in (path.transition, path.gain, path.row)]
+        pushes = [None, None] if forces is None else [np.ascontiguousarray(array) for array in (push, forces)]
         compiled.respond(n, m, given_path, [*pushes, np.empty((2, nx, m))], response)
         return response
     for k in range(n):

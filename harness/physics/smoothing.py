@@ -123,13 +123,13 @@ def local_taps(width: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     at = np.arange(-half, half + 1) / max(half, 1)
     fit = np.linalg.pinv(np.vander(at, 4, increasing=True))
     powers = [np.polynomial.Polynomial(row).deriv(order) for order in range(3) for row in np.eye(4)]
-    every = np.array([[one(at) for one in powers[4 * order : 4 * order + 4]] for order in range(3)])
+    every = np.array([[polynomial(at) for polynomial in powers[4 * order : 4 * order + 4]] for order in range(3)])
     weights = np.einsum("opn,pw->onw", every, fit) / np.array([1.0, max(half, 1), max(half, 1) ** 2])[:, None, None]
     return weights[:, half].copy(), weights[:, :half].copy(), weights[:, half + 1 :].copy()
 
 
 def _closed(found: Smoothed) -> Smoothed:
     """Make the arrays of an answer that several share read-only."""
-    for one in (found.value, found.rate, found.acceleration):
-        one.flags.writeable = False
+    for array in (found.value, found.rate, found.acceleration):
+        array.flags.writeable = False
     return found

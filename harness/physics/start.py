@@ -53,10 +53,10 @@ def first_values(
         One or two: if nothing is left open, or the records do not tell all states, only the first.
     """
     plain = np.array([values[name] for name in system.parameter_names], dtype=float)
-    open_ones = np.array(
+    open_parameters = np.array(
         [bool(is_free) and name not in given for name, is_free in zip(system.parameter_names, free, strict=True)]
     )
-    if not open_ones.any():
+    if not open_parameters.any():
         return [plain]
     if system.starts is not None:
         try:
@@ -65,7 +65,7 @@ def first_values(
             return [plain]
         proposed = plain.copy()
         for row, name in enumerate(system.parameter_names):
-            if open_ones[row] and np.isfinite(values_found.get(name, np.nan)):
+            if open_parameters[row] and np.isfinite(values_found.get(name, np.nan)):
                 proposed[row] = values_found[name]
         return [plain, proposed]
     if system.nx == 0:
@@ -74,13 +74,17 @@ def first_values(
         # Effects start small: where the nominal model alone would start is a good place for the common parameters.
         base = system.nominal
         rows = [system.parameter_names.index(name) for name in base.parameter_names]
-        found = _matched(base, records, plain[rows], open_ones[rows], intersample) if open_ones[rows].any() else None
+        found = (
+            _matched(base, records, plain[rows], open_parameters[rows], intersample)
+            if open_parameters[rows].any()
+            else None
+        )
         if found is None:
             return [plain]
         proposed = plain.copy()
         proposed[rows] = found
         return [plain, proposed]
-    found = _matched(system, records, plain, open_ones, intersample)
+    found = _matched(system, records, plain, open_parameters, intersample)
     return [plain] if found is None else [plain, found]
 
 
@@ -89,15 +93,15 @@ def _matched(
 ) -> FloatArray | None:
     """Return the parameters that match the derivatives of smoothed states, in the weak form.
 
-    Both sides of x' = f are averaged with a smooth bump, the derivative moved onto the bump by parts: less noise than
-    differentiating (Messenger & Bortz 2021, *Weak SINDy*, without their library).
+    Both sides of x' = f are averaged with a smooth test function, the derivative moved onto it by parts: less noise
+    than differentiating (Messenger & Bortz 2021, *Weak SINDy*, without their library).
     """
     dt = records[0].spec.sample_time
     simulator = system.simulator(dt, intersample="zoh", substeps=1, backend="casadi")
     first = len(system.coordinates)
     symbols, rates = [system.x, system.u, system.p, system.t], system.f[first:]
     function = OnRecords(ca.Function("f", symbols, [rates]))
-    slope = OnRecords(ca.Function("fp", symbols, [ca.jacobian(rates, system.p)]))
+    parameter_jacobian = OnRecords(ca.Function("fp", symbols, [ca.jacobian(rates, system.p)]))
     parts: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]] = []
     budget = _SAMPLES
     for record in records:
@@ -111,9 +115,9 @@ def _matched(
         if intersample == "zoh" and u.shape[1]:
             # A held input acts on average half a sample late at the instants of the states.
             u = 0.5 * (u + np.vstack([u[:1], u[:-1]]))
-        bump, steep, hop = _bump(use, dt)
-        target = -np.column_stack([np.convolve(x[:, c], steep, "valid")[::hop] for c in range(first, system.nx)])
-        parts.append((x, u, use.t, bump, target))
+        test_function, derivative, hop = _test_function(use, dt)
+        target = -np.column_stack([np.convolve(x[:, c], derivative, "valid")[::hop] for c in range(first, system.nx)])
+        parts.append((x, u, use.t, test_function, target))
         budget -= len(use)
         if budget < 30:
             break
@@ -124,11 +128,12 @@ def _matched(
 
     def residual(p: FloatArray, jacobian: bool) -> tuple[FloatArray, FloatArray]:
         rows, columns = [], []
-        for (x, u, t, bump, target), hop in zip(parts, hops, strict=True):
+        for (x, u, t, test_function, target), hop in zip(parts, hops, strict=True):
             f = function(x, u, p, t[:, None])[0]
-            rows.append(((target - _averaged(f, bump, hop)) / size).ravel())
+            rows.append(((target - _averaged(f, test_function, hop)) / size).ravel())
             if jacobian:
-                averaged = _averaged(slope(x, u, p, t[:, None])[0], bump, hop)  # of a Jacobian, column by column
+                by_p = parameter_jacobian(x, u, p, t[:, None])[0]  # column by column
+                averaged = _averaged(by_p, test_function, hop)
                 averaged = averaged.reshape(-1, p.shape[0], f.shape[1]).transpose(0, 2, 1)
                 columns.append((averaged / size[:, None]).reshape(-1, p.shape[0]))
         return np.concatenate(rows), np.vstack(columns) if jacobian else np.zeros((0, 0))
@@ -151,31 +156,33 @@ def _matched(
     return None if best is None else best[1]
 
 
-def _bump(record: Trajectory, dt: float) -> tuple[FloatArray, FloatArray, int]:
-    """Return a bump of unit sum, its derivative as np.convolve wants it, and the hop between two bumps."""
+def _test_function(record: Trajectory, dt: float) -> tuple[FloatArray, FloatArray, int]:
+    """Return a test function of unit sum, its derivative as np.convolve wants it, and the hop between two of them."""
     from harness.physics.smoothing import smooth
 
     width = smooth(record.y[:, 0], dt, period=record.spec.outputs[0].period).width
     half = int(np.clip(width, 5, max(5, len(record) // 10)))
     s = np.arange(-half, half + 1) / (half + 1)
-    bump = (1 - s**2) ** 2
-    area = bump.sum()
-    steep = -4 * s * (1 - s**2) / ((half + 1) * dt)
-    # np.convolve mirrors its second argument: the odd derivative changes its sign, the even bump does not.
-    return bump / area, -steep / area, max(1, bump.shape[0] // 4)
+    test_function = (1 - s**2) ** 2
+    area = test_function.sum()
+    derivative = -4 * s * (1 - s**2) / ((half + 1) * dt)
+    # np.convolve mirrors its second argument: the odd derivative changes its sign, the even test function does not.
+    return test_function / area, -derivative / area, max(1, test_function.shape[0] // 4)
 
 
-def _averaged(signal: FloatArray, bump: FloatArray, hop: int) -> FloatArray:
-    """Return each column averaged under the bump, which is even, at every hop-th sample."""
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(signal, len(bump), axis=0)[::hop] @ bump)
+def _averaged(signal: FloatArray, test_function: FloatArray, hop: int) -> FloatArray:
+    """Return each column averaged under the test function, which is even, at every hop-th sample."""
+    return np.asarray(
+        np.lib.stride_tricks.sliding_window_view(signal, len(test_function), axis=0)[::hop] @ test_function
+    )
 
 
 def _small_fit(
     system: System, residual: Any, p: FloatArray, free: npt.NDArray[np.bool_], logarithmic: npt.NDArray[np.bool_]
 ) -> tuple[FloatArray, float]:
     """Return the parameters of least squared residual, and that sum."""
-    low = np.array([one.minimum for one in system.parameters])
-    high = np.array([one.maximum for one in system.parameters])
+    low = np.array([parameter.minimum for parameter in system.parameters])
+    high = np.array([parameter.maximum for parameter in system.parameters])
     p = np.where(logarithmic, np.maximum(p, 1e-12), p)
     r, j = residual(p, True)
     cost, damping = float(r @ r), 1e-3

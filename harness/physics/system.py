@@ -135,9 +135,9 @@ class System(Equations):
             h[index_of(key, [channel.name for channel in self.outputs], "output")] = value
         matrix = swapped(self.mass_matrix)
         start = self.initial if self.initial is not None else ca.SX.zeros(self.hidden_count)
-        added = [one.initial if one.initial is not None else ca.SX(0.0) for one in states]
+        added = [state.initial if state.initial is not None else ca.SX(0.0) for state in states]
         known = {*self.parameter_names, *(channel.name for channel in self.states)}
-        for fresh in [one.channel.name for one in states] + [one.name for one, _ in parameters]:
+        for fresh in [state.channel.name for state in states] + [parameter.name for parameter, _ in parameters]:
             if fresh in known:
                 raise InputError(
                     f"{fresh!r} is there twice in {self.name}",
@@ -152,13 +152,13 @@ class System(Equations):
         return replace(
             self,
             name=self.name if name is None else name,
-            states=(*self.states, *(one.channel for one in states)),
-            parameters=(*self.parameters, *(one for one, _ in parameters)),
-            x=ca.vertcat(self.x, *(one.symbol for one in states)),
+            states=(*self.states, *(state.channel for state in states)),
+            parameters=(*self.parameters, *(parameter for parameter, _ in parameters)),
+            x=ca.vertcat(self.x, *(state.symbol for state in states)),
             p=ca.vertcat(self.p, *(symbol for _, symbol in parameters)),
             mass_matrix=matrix if mass is None else matrix + mass,
             generalized_forces=total,
-            rates=ca.vertcat(change, *(one.derivative for one in states)),
+            rates=ca.vertcat(change, *(state.derivative for state in states)),
             h=h,
             loads=swapped(self.loads),
             bodies=bodies,

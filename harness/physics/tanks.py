@@ -68,10 +68,10 @@ def two_tanks(pump_offset: bool = False, upper_outlet: str = "orifice", sensor_z
         process="upper lower",
     )
     (upper, lower), (u,), (k_pump, k_upper, k_lower) = o.x, o.u, o.p[:3]
-    named = {str(one): one for one in o.p}
+    named = {str(symbol): symbol for symbol in o.p}
 
     def root(level: Any) -> Any:
-        # Rounded off below 1e-4 V: the slope of the square root at an empty tank is infinite.
+        # Rounded off below 1e-4 V: the derivative of the square root at an empty tank is infinite.
         return sp.sqrt(sp.Max(level, 0) + 1e-4) - 1e-2
 
     q = k_upper * (sp.Max(upper, 0) if linear else root(upper))

@@ -76,7 +76,7 @@ def _write_body(link: ElementTree.Element, row: FloatArray) -> None:
     inertia = about_frame - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
     inertial = _child(link, "inertial")
     origin = _child(inertial, "origin")
-    origin.set("xyz", " ".join(repr(float(one)) for one in centre))
+    origin.set("xyz", " ".join(repr(float(component)) for component in centre))
     origin.set("rpy", "0 0 0")
     _child(inertial, "mass").set("value", repr(mass))
     element = _child(inertial, "inertia")

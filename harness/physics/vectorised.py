@@ -73,7 +73,7 @@ class Vectorised:
     --------
     >>> x = ca.SX.sym("x", 2)
     >>> f = Vectorised([x], [x[0] * x[1], ca.vertcat(x[0], 3)])
-    >>> [one.tolist() for one in f(np.array([[1.0, 2.0], [3.0, 4.0]]))]
+    >>> [output.tolist() for output in f(np.array([[1.0, 2.0], [3.0, 4.0]]))]
     [[[2.0], [12.0]], [[1.0, 3.0], [3.0, 3.0]]]
     """
 
@@ -102,13 +102,13 @@ class Vectorised:
         An argument (size,) is the same in every sample, the first one excepted.
         """
         n = arguments[0].shape[0]
-        columns = [np.ascontiguousarray(one.T) for one in arguments]
+        columns = [np.ascontiguousarray(argument.T) for argument in arguments]
         results = [np.empty((n, size)) for size in self._sizes]
         work: dict[int, Any] = {}
         with np.errstate(all="ignore"):
             for kind, what, into, out in self._program:
                 if kind == "call":
-                    work[out[0]] = what(*(work[one] for one in into))
+                    work[out[0]] = what(*(work[operand] for operand in into))
                 elif kind == "input":
                     work[out[0]] = columns[into[0]][into[1]]
                 elif kind == "const":
@@ -130,14 +130,14 @@ class OnRecords:
     --------
     >>> x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
     >>> f = OnRecords(ca.Function("f", [x, p], [p * x, ca.erf(x[0])]))
-    >>> [one.round(3).tolist() for one in f(np.array([[1.0, 2.0], [0.0, 4.0]]), np.array([3.0]))]
+    >>> [output.round(3).tolist() for output in f(np.array([[1.0, 2.0], [0.0, 4.0]]), np.array([3.0]))]
     [[[3.0, 6.0], [0.0, 12.0]], [[0.843], [0.0]]]
     """
 
     def __init__(self, function: Any) -> None:
         self.function = function
         symbols = function.sx_in()
-        columns = [ca.vec(one) for one in function.call(symbols)]
+        columns = [ca.vec(output) for output in function.call(symbols)]
         self._arrays: Vectorised | None
         try:
             self._arrays = Vectorised(symbols, columns)
@@ -153,5 +153,5 @@ class OnRecords:
         if self._arrays is not None:
             return self._arrays(*arguments)
         n = arguments[0].shape[0]
-        rows = [one.T if one.ndim == 2 else np.tile(one[:, None], (1, n)) for one in arguments]
-        return [np.array(one, dtype=float).T for one in self._flat.map(n).call(rows)]
+        rows = [argument.T if argument.ndim == 2 else np.tile(argument[:, None], (1, n)) for argument in arguments]
+        return [np.array(output, dtype=float).T for output in self._flat.map(n).call(rows)]

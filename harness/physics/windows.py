@@ -35,14 +35,14 @@ class Evaluation:
     """What one simulation of all windows gave.
 
     ``cost`` is half the sum of squared weighted residuals, infinite where a window diverged; ``costs`` (W,) by window.
-    ``gram`` (W, ns, ns) and ``slope`` (W, ns) are J'J and J'r of the weighted outputs by (p, x0), r = measured minus
-    predicted.
+    ``gram`` (W, ns, ns) and ``gradient`` (W, ns) are J'J and J'r of the weighted outputs by (p, x0), r = measured minus
+    predicted, so that J'r is minus the gradient of the cost.
     """
 
     cost: float
     costs: FloatArray
     gram: FloatArray
-    slope: FloatArray
+    gradient: FloatArray
     squares: FloatArray
     """Sum of squared unweighted residuals by output (ny,)."""
     residuals: list[FloatArray] = field(default_factory=list)
@@ -108,13 +108,14 @@ class Windows:
         """Return the inputs that the equations see; delays reach back beyond the window into the record."""
         if self._u is not None:
             return self._u, [None] * len(self.groups)
-        seen, slopes = [], []
+        seen, input_jacobians = [], []
         for record in self.trajectories:
-            u, slope = self.simulator.sampled.inputs(record.u[None], p[None], True)
-            assert slope is not None
+            u, input_jacobian = self.simulator.sampled.inputs(record.u[None], p[None], True)
+            assert input_jacobian is not None
             seen.append(u[0])
-            slopes.append(slope[0])
-        return [self._cut(group, seen) for group in self.groups], [self._cut(group, slopes) for group in self.groups]
+            input_jacobians.append(input_jacobian[0])
+        inputs = [self._cut(group, seen) for group in self.groups]
+        return inputs, [self._cut(group, input_jacobians) for group in self.groups]
 
     def evaluate(self, p: FloatArray, x0: FloatArray, *, keep: bool = False, jacobian: bool = False) -> Evaluation:
         """Simulate all windows.
@@ -147,12 +148,12 @@ class Windows:
         p, x0, keep
             As for :meth:`evaluate`.
         columns : array of int, optional
-            Which of (p, x0) are asked for; the rest of ``gram`` and ``slope`` need not hold.
+            Which of (p, x0) are asked for; the rest of ``gram`` and ``gradient`` need not hold.
         limits : array (W,), optional
-            A window whose cost exceeds its limit may be given up, with an infinite cost; one with a negative limit is
+            A window whose cost exceeds its limit may be pruned, with an infinite cost; one with a negative limit is
             not simulated.
         budget : float
-            All windows may be given up, with infinite costs, once their costs together exceed it.
+            All windows may be pruned, with infinite costs, once their costs together exceed it.
         """
         if not self._summing:
             return self.evaluate(p, x0, keep=keep)
@@ -183,10 +184,16 @@ class Windows:
         rows: list[FloatArray] = [np.zeros(0)] * count
         if jacobian:
             result.starts = [np.zeros(0)] * count
-        inputs, slopes = self._inputs(p)
+        inputs, input_jacobians = self._inputs(p)
         for number, group in enumerate(self.groups):
             values = np.ascontiguousarray(np.broadcast_to(p, (len(group.order), p.shape[0])))
-            given = values, np.ascontiguousarray(x0[group.order]), inputs[number], slopes[number], self._t[number]
+            given = (
+                values,
+                np.ascontiguousarray(x0[group.order]),
+                inputs[number],
+                input_jacobians[number],
+                self._t[number],
+            )
             found = None
             if self._summing:
                 found = self.simulator.sums(
@@ -202,7 +209,7 @@ class Windows:
                 found = self._summed(number, *given)
             budget = min(budget, found.budget)
             result.costs[group.order], result.squares = found.costs, result.squares + found.squares
-            result.gram[group.order], result.slope[group.order] = found.gram, found.slope
+            result.gram[group.order], result.gradient[group.order] = found.gram, found.gradient
             if keep and found.residuals is not None and found.states is not None:
                 for row, order in enumerate(group.order):
                     result.residuals[order], result.states[order] = found.residuals[row], found.states[row]
@@ -221,11 +228,11 @@ class Windows:
         p: FloatArray,
         x0: FloatArray,
         u: FloatArray,
-        slope: FloatArray | None,
+        input_jacobian: FloatArray | None,
         t0: FloatArray,
     ) -> Sums:
         """Return the sums of a group of windows from their sensitivities."""
-        x, y, s = self.simulator.windows(p, x0, u, slope, t0)
+        x, y, s = self.simulator.windows(p, x0, u, input_jacobian, t0)
         assert s is not None
         m = y.shape[0]
         r = self._y[number] - y
@@ -249,11 +256,11 @@ class Windows:
         """
         simulator = self.simulator
         rows: list[FloatArray] = [np.zeros(0)] * len(self.places)
-        inputs, slopes = self._inputs(p)
+        inputs, input_jacobians = self._inputs(p)
         for number, group in enumerate(self.groups):
             values = np.ascontiguousarray(np.broadcast_to(p, (len(group.order), p.shape[0])))
             _, _, s = simulator.windows(
-                values, np.ascontiguousarray(x0[group.order]), inputs[number], slopes[number], self._t[number]
+                values, np.ascontiguousarray(x0[group.order]), inputs[number], input_jacobians[number], self._t[number]
             )
             assert s is not None
             for row, order in enumerate(group.order):
@@ -275,7 +282,7 @@ class Windows:
         joined: list[list[FloatArray]] = [[] for _ in self.trajectories]
         for (record, _, _), part in zip(self.places, parts, strict=True):
             joined[record].append(part)
-        return [np.vstack(one) for one in joined]
+        return [np.vstack(pieces) for pieces in joined]
 
     def starts_from(self, states: list[FloatArray]) -> FloatArray:
         """Return x0 (W, nx) of these windows from states by record (N_i, nx)."""
@@ -306,22 +313,22 @@ def data_states(simulator: Simulator, record: Trajectory, p: FloatArray) -> tupl
     x, known = np.zeros((n, system.nx)), [False] * system.nx
     values: dict[int, FloatArray] = {}
     rates: dict[int, FloatArray] = {}
-    slope = simulator.functions.output_slope(np.full(system.nx, 0.1), np.zeros(system.nu), p, 0.0).full()
+    output_jacobian = simulator.functions.output_jacobian(np.full(system.nx, 0.1), np.zeros(system.nu), p, 0.0).full()
     for row, channel in enumerate(system.outputs):
-        where = np.flatnonzero(np.abs(slope[row]) > 1e-12)
-        if len(where) != 1 or not np.isfinite(slope[row]).all():
+        where = np.flatnonzero(np.abs(output_jacobian[row]) > 1e-12)
+        if len(where) != 1 or not np.isfinite(output_jacobian[row]).all():
             continue
         state = int(where[0])
         # The output is c x + d (a gain or an offset of the sensor): undo it.
         zero = simulator.functions.output(np.zeros(system.nx), np.zeros(system.nu), p, 0.0).full()[row, 0]
         found = smooth(record.y[:, row], simulator.dt, period=channel.period)
-        values[state] = (found.value - zero) / slope[row, state]
-        rates[state] = found.rate / slope[row, state]
+        values[state] = (found.value - zero) / output_jacobian[row, state]
+        rates[state] = found.rate / output_jacobian[row, state]
     for state, value in values.items():
         x[:, state], known[state] = value, True
-    for one in system.coordinates:
-        if known[one.q] and not known[one.v]:
-            x[:, one.v], known[one.v] = rates[one.q], True
+    for coordinate in system.coordinates:
+        if known[coordinate.q] and not known[coordinate.v]:
+            x[:, coordinate.v], known[coordinate.v] = rates[coordinate.q], True
     base = system.nx - system.hidden_count
     for state in range(base):
         if known[state]:

@@ -66,13 +66,13 @@ def made(system, intersample="zoh", backend="auto", horizon=0.5):
 
 
 def reference(windows, p, x0):
-    """Return costs, squares, gram, slope, residuals and states by window from the full sensitivities."""
+    """Return costs, squares, gram, gradient, residuals and states by window from the full sensitivities."""
     simulator = windows.simulator
     rows = []
     for row, (number, first, last) in enumerate(windows.places):
         run = windows.trajectories[number]
-        u, slope = simulator.sampled.inputs(run.u[None], p[None], True)
-        cut = None if slope is None else slope[:, first:last]
+        u, input_jacobian = simulator.sampled.inputs(run.u[None], p[None], True)
+        cut = None if input_jacobian is None else input_jacobian[:, first:last]
         x, y, s = simulator.windows(p[None], x0[row][None], u[:, first:last], cut, run.t[first : first + 1])
         r = run.y[first:last] - y[0]
         for column, channel in enumerate(simulator.spec.outputs):
@@ -92,12 +92,12 @@ def test_sums_of_the_rollout_are_those_of_the_sensitivities(make, intersample):
     found = windows.evaluate(p, x0, keep=True, jacobian=True)
     wanted = reference(windows, p, x0)
     assert windows.simulator.spec.outputs[1].period == pytest.approx(2 * np.pi)
-    for row, (cost, _, gram, slope, r, x) in enumerate(wanted):
+    for row, (cost, _, gram, gradient, r, x) in enumerate(wanted):
         assert found.costs[row] == pytest.approx(cost, rel=1e-12)
         size = np.sqrt(np.diag(gram))
         assert np.abs(found.gram[row] - gram).max(initial=0.0, where=gram == 0) == 0
         assert found.gram[row] == pytest.approx(gram, rel=1e-12, abs=1e-12 * np.outer(size, size).max())
-        assert found.slope[row] == pytest.approx(slope, rel=1e-12, abs=1e-12 * np.sqrt(2 * cost) * size.max())
+        assert found.gradient[row] == pytest.approx(gradient, rel=1e-12, abs=1e-12 * np.sqrt(2 * cost) * size.max())
         assert found.residuals[row] == pytest.approx(r, rel=0, abs=1e-12)
         assert np.array_equal(found.states[row], x)
     assert found.squares == pytest.approx(sum(one[1] for one in wanted), rel=1e-12)
@@ -124,7 +124,7 @@ def test_chosen_columns_are_those_of_the_whole():
         some = windows.trial(p, x0, columns=np.array(columns))
         place = np.ix_(range(len(windows)), columns, columns)
         assert np.array_equal(some.gram[place], whole.gram[place])
-        assert np.array_equal(some.slope[:, columns], whole.slope[:, columns])
+        assert np.array_equal(some.gradient[:, columns], whole.gradient[:, columns])
         assert np.array_equal(some.costs, whole.costs)
         rest = np.setdiff1d(np.arange(ns), columns)
         assert not some.gram[:, rest].any()
