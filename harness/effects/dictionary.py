@@ -72,7 +72,7 @@ def nested(effect: Effect, known: Mapping[str, Effect] | None = None) -> tuple[E
 
     Examples
     --------
-    >>> [one.name for one in nested(builtin()["stribeck_friction"])]
+    >>> [effect.name for effect in nested(builtin()["stribeck_friction"])]
     ['coulomb_friction']
     """
     effects = builtin() if known is None else known

@@ -109,7 +109,7 @@ def softplus(x: Any) -> Any:
 
 
 def sigmoid(x: Any) -> Any:
-    """Return ``1 / (1 + exp(-x))``, a smooth step and the slope of :func:`softplus`; does not overflow.
+    """Return ``1 / (1 + exp(-x))``, a smooth step and the derivative of :func:`softplus`; does not overflow.
 
     Examples
     --------

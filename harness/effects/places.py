@@ -26,7 +26,7 @@ def place_all(system: System, effects: Iterable[Effect] | None = None) -> list[P
     Examples
     --------
     >>> from harness.physics.models import pendulum
-    >>> [str(one) for one in place_all(pendulum().system()) if one.at == "base"]
+    >>> [str(placed) for placed in place_all(pendulum().system()) if placed.at == "base"]
     ['gravity_tilt@base']
     """
     if effects is None:

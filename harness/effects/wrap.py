@@ -275,16 +275,16 @@ class _Stage:
         count = 0 if fresh and not mean else self._substeps(start, state, q, v, t)
         h, total, value = self.dt / max(count, 1), 0.0, 0.0
 
-        def slope(share: float, z: FloatArray) -> FloatArray:
+        def derivative(share: float, z: FloatArray) -> FloatArray:
             return np.array(self._block(start + share * (stop - start), z, q, v, t + share * self.dt)[1], dtype=float)
 
         before = float(self._block(start, state, q, v, t)[0])
         for step in range(count):
             share, half, end = step / count, (step + 0.5) / count, (step + 1) / count
-            k1 = slope(share, state)
-            k2 = slope(half, state + 0.5 * h * k1)
-            k3 = slope(half, state + 0.5 * h * k2)
-            k4 = slope(end, state + h * k3)
+            k1 = derivative(share, state)
+            k2 = derivative(half, state + 0.5 * h * k1)
+            k3 = derivative(half, state + 0.5 * h * k2)
+            k4 = derivative(end, state + h * k3)
             state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
             value = float(self._block(start + end * (stop - start), state, q, v, t + end * self.dt)[0])
             total += 0.5 * (before + value)
