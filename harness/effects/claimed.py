@@ -148,9 +148,9 @@ class ClaimedForce:
         """
         known = dict(parameters or {})
         own = {**self.start, **values}
-        for parameter in self.placed.effect.parameters if self.placed.effect.states else ():
-            if parameter.unit == "s" and parameter.minimum >= 0:
-                own[parameter.name] = max(own[parameter.name], SHORTEST * signals.dt)
+        for declared in self.placed.effect.parameters if self.placed.effect.states else ():
+            if declared.unit == "s" and declared.minimum >= 0:
+                own[declared.name] = max(own[declared.name], SHORTEST * signals.dt)
         nominal = self.system.vector(known)
         base = _base(self.system, signals, nominal)
         if self.undo is not None:
