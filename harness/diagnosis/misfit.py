@@ -231,9 +231,9 @@ def _moved(record: Trajectory, column: int, shift: int) -> Trajectory:
 def _changed(dataset: Dataset, kind: str, columns: Sequence[int], factor: float) -> Dataset:
     """Return the data with some columns scaled."""
 
-    def one(run: Run) -> Run:
+    def scaled(run: Run) -> Run:
         values = getattr(run.trajectory, kind).copy()
         values[:, list(columns)] *= factor
         return replace(run, trajectory=replace(run.trajectory, **{kind: values}))
 
-    return replace(dataset, runs=tuple(one(run) for run in dataset.runs))
+    return replace(dataset, runs=tuple(scaled(run) for run in dataset.runs))

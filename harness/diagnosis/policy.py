@@ -440,7 +440,7 @@ def described(
     """
     values = asdict(policy)
     found = {}
-    for one in fields(policy):
-        number: Number = one.metadata["number"]
-        found[one.name] = {"value": values[one.name], **asdict(number)}
+    for entry in fields(policy):
+        number: Number = entry.metadata["number"]
+        found[entry.name] = {"value": values[entry.name], **asdict(number)}
     return found

@@ -177,17 +177,17 @@ def _hidden_step(system: System, dt: float, substeps: int) -> tuple[Any, Any]:
     parameters = ca.SX.sym("p", system.np)
     h = dt / substeps
 
-    def slope(state: Any, share: float) -> Any:
+    def derivative(state: Any, share: float) -> Any:
         x = (1.0 - share) * here + share * there
         return rates(ca.vertcat(x, state), (1.0 - share) * u + share * end, parameters, t + share * dt)
 
     state = z
     for step in range(substeps):
         first, middle, last = (step / substeps, (step + 0.5) / substeps, (step + 1) / substeps)
-        k1 = slope(state, first)
-        k2 = slope(state + 0.5 * h * k1, middle)
-        k3 = slope(state + 0.5 * h * k2, middle)
-        k4 = slope(state + h * k3, last)
+        k1 = derivative(state, first)
+        k2 = derivative(state + 0.5 * h * k1, middle)
+        k3 = derivative(state + 0.5 * h * k2, middle)
+        k4 = derivative(state + h * k3, last)
         state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     step_function = ca.Function("step", [z, here, there, u, end, parameters, t], [state])
     return step_function, ca.Function("z0", arguments(system), [system.initial])

@@ -75,7 +75,7 @@ def claimable(system: System, placed: Placed) -> bool:
     if not effect.linearises or not system.coordinates or port.kind == "process" or effect.sampled == "quantise":
         return False
     if port.kind == "output":
-        return effect.name in SENSORS and placed.at in {one.name for one in system.coordinates}
+        return effect.name in SENSORS and placed.at in {coordinate.name for coordinate in system.coordinates}
     return True
 
 
@@ -125,7 +125,9 @@ class ClaimedForce:
     def __init__(self, system: System, placed: Placed, sizes: Mapping[str, float]) -> None:
         self.system, self.placed = system, placed
         self.start = placed.effect.complete(placed.values, sizes)
-        self.sensor = next((row for row, one in enumerate(system.coordinates) if one.name == placed.at), None)
+        self.sensor = next(
+            (row for row, coordinate in enumerate(system.coordinates) if coordinate.name == placed.at), None
+        )
         self.undo = SENSORS.get(placed.effect.name)
         self._known: dict[tuple[float, ...], tuple[FloatArray | None, FloatArray]] = {}
         self.whole = system if self.undo else _whole(system, placed.with_values(self.start), sizes)
@@ -146,9 +148,9 @@ class ClaimedForce:
         """
         known = dict(parameters or {})
         own = {**self.start, **values}
-        for one in self.placed.effect.parameters if self.placed.effect.states else ():
-            if one.unit == "s" and one.minimum >= 0:
-                own[one.name] = max(own[one.name], SHORTEST * signals.dt)
+        for declared in self.placed.effect.parameters if self.placed.effect.states else ():
+            if declared.unit == "s" and declared.minimum >= 0:
+                own[declared.name] = max(own[declared.name], SHORTEST * signals.dt)
         nominal = self.system.vector(known)
         base = _base(self.system, signals, nominal)
         if self.undo is not None:

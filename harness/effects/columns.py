@@ -79,9 +79,9 @@ def motion_sizes(
     for column, channel in enumerate(system.inputs):
         size = float(rms(signals.u)[column])
         result.setdefault(channel.name, dict(common)).update(u=size, F=size)
-    for row, one in enumerate(system.coordinates):
+    for row, coordinate in enumerate(system.coordinates):
         sizes = {name: float(rms(getattr(signals, name))[row]) for name in ("q", "v", "a")}
-        result.setdefault(one.name, dict(common)).update(F=float(forces[row]), **sizes)
+        result.setdefault(coordinate.name, dict(common)).update(F=float(forces[row]), **sizes)
     outputs = ca.Function("h", arguments(system), [down(system, system.h)])
     values = rms(along(outputs, system, signals, p, None))
     for row, channel in enumerate(system.outputs):
@@ -135,13 +135,16 @@ def column_blocks(
         small = unit[effect.name]
         column = claimed(signals, {name: neutral + small}, parameters) / small
         return [ColumnBlock(placed, {}, (name,), column[..., None])]
-    linear = [one.name for one in effect.parameters if one.linear and not one.fixed]
-    nonlinear = [one for one in effect.parameters if one.name not in linear and not one.fixed]
-    grids = [one.starts(at) if one.name not in placed.values else (claimed.start[one.name],) for one in nonlinear]
+    linear = [parameter.name for parameter in effect.parameters if parameter.linear and not parameter.fixed]
+    nonlinear = [parameter for parameter in effect.parameters if parameter.name not in linear and not parameter.fixed]
+    grids = [
+        parameter.starts(at) if parameter.name not in placed.values else (claimed.start[parameter.name],)
+        for parameter in nonlinear
+    ]
     combinations = list(itertools.islice(itertools.product(*grids), _LARGEST_GRID))
     blocks = []
     for choice in combinations:
-        given = dict(zip((one.name for one in nonlinear), choice, strict=True))
+        given = dict(zip((parameter.name for parameter in nonlinear), choice, strict=True))
         if linear:
             nothing = {**given, **dict.fromkeys(linear, 0.0)}
             zero = claimed(signals, nothing, parameters)
@@ -190,10 +193,10 @@ def regression_columns(
     known = sizes if sizes is not None else motion_sizes(system, signals, parameters)
     names: list[str] = []
     columns: list[FloatArray] = []
-    for one in placed:
-        for block in column_blocks(system, one, signals, parameters=parameters, sizes=known):
+    for effect in placed:
+        for block in column_blocks(system, effect, signals, parameters=parameters, sizes=known):
             at = ",".join(f"{key}={value:.4g}" for key, value in block.given.items())
-            names += [f"{one.name(name)}[{at}]" if at else one.name(name) for name in block.names]
+            names += [f"{effect.name(name)}[{at}]" if at else effect.name(name) for name in block.names]
             columns.append(block.columns)
     empty = np.zeros((len(signals.t), len(system.coordinates), 0))
     return tuple(names), np.concatenate(columns, axis=2) if columns else empty

@@ -63,11 +63,11 @@ def compose(
     wanted = [*system.effects, *placed]
     _refuse_twice(wanted)
     nominal = system if system.nominal is None else system.nominal
-    known = {one.name: one for one in system.parameters}
-    result = nominal.with_parameters({one.name: known[one.name] for one in nominal.parameters})
-    for one in _placing_order(result, wanted):
-        result = _place(result, one, _sizes(one, sizes))
-    kept = {one.name: known[one.name] for one in result.parameters if one.name in known}
+    known = {parameter.name: parameter for parameter in system.parameters}
+    result = nominal.with_parameters({parameter.name: known[parameter.name] for parameter in nominal.parameters})
+    for effect in _placing_order(result, wanted):
+        result = _place(result, effect, _sizes(effect, sizes))
+    kept = {parameter.name: known[parameter.name] for parameter in result.parameters if parameter.name in known}
     return replace(result.with_parameters(kept), effects=tuple(wanted), nominal=nominal)
 
 
@@ -137,8 +137,8 @@ def moving(system: System, sizes: Mapping[str, Mapping[str, float]]) -> FloatArr
         Port name to rms sizes, of which ``v`` is taken, see :func:`harness.effects.columns.motion_sizes`.
     """
     x = np.zeros(system.nx)
-    for one in system.coordinates:
-        x[one.v] = 3.0 * sizes.get(one.name, {}).get("v", 0.0)
+    for coordinate in system.coordinates:
+        x[coordinate.v] = 3.0 * sizes.get(coordinate.name, {}).get("v", 0.0)
     return x
 
 
@@ -178,15 +178,15 @@ def _symbols(system: System, placed: Placed, port: Port, sizes: Mapping[str, flo
     units = _units(system, port)
     values = placed.effect.complete(placed.values, sizes)
     declared, named = [], {}
-    for one in placed.effect.parameters:
-        symbol = ca.SX.sym(placed.name(one.name))
-        fixed, value = one.fixed, values[one.name]
-        if one.angle_only and port.unit != "rad":
-            fixed, value = True, one.neutral or 0.0
-        name, unit = placed.name(one.name), unit_of(one.unit, units)
-        low, high = one.lowest(sizes, value), one.highest(sizes, value)
+    for parameter in placed.effect.parameters:
+        symbol = ca.SX.sym(placed.name(parameter.name))
+        fixed, value = parameter.fixed, values[parameter.name]
+        if parameter.angle_only and port.unit != "rad":
+            fixed, value = True, parameter.neutral or 0.0
+        name, unit = placed.name(parameter.name), unit_of(parameter.unit, units)
+        low, high = parameter.lowest(sizes, value), parameter.highest(sizes, value)
         declared.append((Parameter(name, unit, value, low, high, fixed), symbol))
-        named[one.name] = symbol
+        named[parameter.name] = symbol
     return _Symbols(declared, named, [ca.SX.sym(placed.name(name)) for name in placed.effect.states])
 
 
@@ -242,7 +242,11 @@ def _place_force(system: System, placed: Placed, port: Port, made: _Symbols) -> 
         value = ca.substitute(value, a, 0.0)
     hidden = _hidden(system, placed, port, made, derivatives, {"signal": signal, "q": q, "v": v})
     # a nuisance parameter that is a speed is the width over which a sign of v is smoothed
-    widths = [placed.name(one.name) for one in placed.effect.parameters if one.nuisance and one.unit == "v"]
+    widths = [
+        placed.name(parameter.name)
+        for parameter in placed.effect.parameters
+        if parameter.nuisance and parameter.unit == "v"
+    ]
     switches = [(system.coordinate(port.name).v, name) for name in widths]
     return system.rebuild(
         forces={port.name: value}, mass=mass, states=hidden, parameters=made.declared, switches=switches
@@ -252,7 +256,7 @@ def _place_force(system: System, placed: Placed, port: Port, made: _Symbols) -> 
 def _place_output(system: System, placed: Placed, port: Port, made: _Symbols) -> System:
     """Put a block behind an output."""
     signal = system.h[[channel.name for channel in system.outputs].index(port.name)]
-    coordinate = any(one.name == port.name for one in system.coordinates)
+    coordinate = any(candidate.name == port.name for candidate in system.coordinates)
     q, v = _motion(system, port.name) if coordinate else (signal, 0.0)
     value, derivatives = placed.effect.evaluate(signal, made.states, made.values, q, v, t=system.t, a=0.0, load=0.0)
     hidden = _hidden(system, placed, port, made, derivatives, {"signal": signal, "q": q, "v": v})
@@ -302,19 +306,19 @@ def _placing_order(system: System, placed: Sequence[Placed]) -> list[Placed]:
     An input effect reaches into all that was there before, so the one that acts first is placed last. Tanks are placed
     from the first one down, so that what spills counts in the next level.
     """
-    kinds = [port_of(system, one).kind for one in placed]
+    kinds = [port_of(system, effect).kind for effect in placed]
 
     def those(kind: str) -> list[Placed]:
-        return [one for one, its_kind in zip(placed, kinds, strict=True) if its_kind == kind]
+        return [effect for effect, its_kind in zip(placed, kinds, strict=True) if its_kind == kind]
 
-    forces = sorted(those("coordinate"), key=lambda one: one.effect.drives)
-    tanks = sorted(those("process"), key=lambda one: system.process.index(one.at))
+    forces = sorted(those("coordinate"), key=lambda force: force.effect.drives)
+    tanks = sorted(those("process"), key=lambda tank: system.process.index(tank.at))
     return [*forces, *those("base"), *tanks, *reversed(those("input")), *those("output")]
 
 
 def _refuse_twice(placed: Sequence[Placed]) -> None:
     """Raise if an effect stands twice at one port."""
-    names = [str(one) for one in placed]
+    names = [str(effect) for effect in placed]
     for name in names:
         if names.count(name) > 1:
             raise InputError(
@@ -341,5 +345,5 @@ def _units(system: System, port: Port) -> dict[str, str]:
 
 def _motion(system: System, name: str) -> tuple[Any, Any]:
     """Return the symbols of a coordinate and its rate."""
-    one = system.coordinate(name)
-    return system.x[one.q], system.x[one.v]
+    coordinate = system.coordinate(name)
+    return system.x[coordinate.q], system.x[coordinate.v]

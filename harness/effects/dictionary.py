@@ -19,7 +19,10 @@ _FILES = (friction, stiffness, actuator, transmission, sensor, external, process
 def _all() -> tuple[Effect, ...]:
     """Return the built-in effects, file by file, in the order they are listed there."""
     return tuple(
-        one for module in _FILES for one in (getattr(module, name) for name in dir(module)) if isinstance(one, Effect)
+        member
+        for module in _FILES
+        for member in (getattr(module, name) for name in dir(module))
+        if isinstance(member, Effect)
     )
 
 
@@ -31,7 +34,7 @@ def builtin() -> dict[str, Effect]:
     >>> builtin()["dead_zone"].main.unit
     'u'
     """
-    return {one.name: one for one in _all()}
+    return {effect.name: effect for effect in _all()}
 
 
 def find(name: str | Effect, known: Mapping[str, Effect] | None = None) -> Effect:
@@ -69,7 +72,7 @@ def nested(effect: Effect, known: Mapping[str, Effect] | None = None) -> tuple[E
 
     Examples
     --------
-    >>> [one.name for one in nested(builtin()["stribeck_friction"])]
+    >>> [effect.name for effect in nested(builtin()["stribeck_friction"])]
     ['coulomb_friction']
     """
     effects = builtin() if known is None else known
@@ -80,7 +83,7 @@ def nested(effect: Effect, known: Mapping[str, Effect] | None = None) -> tuple[E
         if name in effects and name not in found:
             found[name] = effects[name]
             waiting.extend(effects[name].nests)
-    return tuple(sorted(found.values(), key=lambda one: -len(one.parameters)))
+    return tuple(sorted(found.values(), key=lambda effect: -len(effect.parameters)))
 
 
 @dataclass(frozen=True)

@@ -107,18 +107,18 @@ class Effect:
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters, in order."""
-        return tuple(one.name for one in self.parameters)
+        return tuple(parameter.name for parameter in self.parameters)
 
     @property
     def main(self) -> EffectParameter | None:
         """The parameter that decides about acceptance; None for an effect without parameters."""
-        return next((one for one in self.parameters if one.main), None)
+        return next((parameter for parameter in self.parameters if parameter.main), None)
 
     def parameter(self, name: str) -> EffectParameter:
         """Return one parameter by name, or refuse the name."""
-        for one in self.parameters:
-            if one.name == name:
-                return one
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
         raise InputError(
             f"parameter of effect {self.name}",
             expected=f"one of {', '.join(self.parameter_names) or 'none'}",
@@ -143,30 +143,33 @@ class Effect:
             If a name is unknown or a value is not a number within the bounds.
         """
         for name, value in values.items():
-            one = self.parameter(name)
-            if not (np.isfinite(value) and one.minimum <= value <= one.maximum):
+            parameter = self.parameter(name)
+            if not (np.isfinite(value) and parameter.minimum <= value <= parameter.maximum):
                 raise InputError(
                     f"parameter {name} of effect {self.name}",
-                    expected=f"a number in [{one.minimum:g}, {one.maximum:g}]",
+                    expected=f"a number in [{parameter.minimum:g}, {parameter.maximum:g}]",
                     got=repr(value),
                     remedy="choose a value within the bounds",
                 )
         return {
-            one.name: float(values[one.name]) if one.name in values else one.start(sizes or {})
-            for one in self.parameters
+            parameter.name: float(values[parameter.name]) if parameter.name in values else parameter.start(sizes or {})
+            for parameter in self.parameters
         }
 
     @property
     def vanishes(self) -> bool:
         """True if there are values at which the effect is not there, see :meth:`neutral`."""
-        return any(one.neutral is not None for one in self.parameters)
+        return any(parameter.neutral is not None for parameter in self.parameters)
 
     def neutral(self, values: Mapping[str, float] | None = None) -> dict[str, float] | None:
         """Return parameters at which the effect vanishes (the neutral ones replaced), None where there are none."""
         if not self.vanishes:
             return None
         given = self.complete(values or {})
-        return {one.name: given[one.name] if one.neutral is None else one.neutral for one in self.parameters}
+        return {
+            parameter.name: given[parameter.name] if parameter.neutral is None else parameter.neutral
+            for parameter in self.parameters
+        }
 
     def evaluate(
         self,
@@ -318,7 +321,7 @@ def effect(
     ('my_lag', ('tau',), ('z',))
     """
     kinds = (kind,) if isinstance(kind, str) else tuple(kind)
-    if not kinds or any(one not in KINDS for one in kinds):
+    if not kinds or any(port_kind not in KINDS for port_kind in kinds):
         raise InputError(
             "kind of an effect", expected=f"among {', '.join(KINDS)}", got=repr(kind), remedy="name the ports it fits"
         )
@@ -328,7 +331,7 @@ def effect(
     def decorate(function: Callable[..., Any]) -> Effect:
         arguments = tuple(inspect.signature(function).parameters)
         extras = arguments[_FIXED_ARGUMENTS:]
-        if len(arguments) < _FIXED_ARGUMENTS or any(one not in _EXTRA_ARGUMENTS for one in extras):
+        if len(arguments) < _FIXED_ARGUMENTS or any(extra not in _EXTRA_ARGUMENTS for extra in extras):
             raise InputError(
                 f"arguments of effect {function.__name__}",
                 expected=f"(signal, s, p, q, v) and then any of {', '.join(_EXTRA_ARGUMENTS)}",
@@ -390,14 +393,14 @@ def _parameters(params: Mapping[str, str | EffectParameter] | Sequence[EffectPar
     """Return the parameters with exactly one main one (none if there are none)."""
     if isinstance(params, Mapping):
         made = [
-            replace(one, name=name)
-            if isinstance(one, EffectParameter)
-            else EffectParameter(name, one, minimum=0.0 if one == "s" else -np.inf)
-            for name, one in params.items()
+            replace(declared, name=name)
+            if isinstance(declared, EffectParameter)
+            else EffectParameter(name, declared, minimum=0.0 if declared == "s" else -np.inf)
+            for name, declared in params.items()
         ]
     else:
         made = list(params)
-    if made and not any(one.main for one in made):
+    if made and not any(parameter.main for parameter in made):
         made[0] = replace(made[0], main=True)
     return tuple(made)
 

@@ -34,7 +34,7 @@ __all__ = [
 def _casadi(*arguments: Any) -> Any:
     """Return the casadi module if one of the arguments is one of its symbols, else None (it is not loaded for that)."""
     module = sys.modules.get("casadi")
-    if module is not None and any(isinstance(one, module.SX | module.MX | module.DM) for one in arguments):
+    if module is not None and any(isinstance(argument, module.SX | module.MX | module.DM) for argument in arguments):
         return module
     return None
 
@@ -109,7 +109,7 @@ def softplus(x: Any) -> Any:
 
 
 def sigmoid(x: Any) -> Any:
-    """Return ``1 / (1 + exp(-x))``, a smooth step and the slope of :func:`softplus`; does not overflow.
+    """Return ``1 / (1 + exp(-x))``, a smooth step and the derivative of :func:`softplus`; does not overflow.
 
     Examples
     --------

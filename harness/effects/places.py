@@ -26,7 +26,7 @@ def place_all(system: System, effects: Iterable[Effect] | None = None) -> list[P
     Examples
     --------
     >>> from harness.physics.models import pendulum
-    >>> [str(one) for one in place_all(pendulum().system()) if one.at == "base"]
+    >>> [str(placed) for placed in place_all(pendulum().system()) if placed.at == "base"]
     ['gravity_tilt@base']
     """
     if effects is None:
@@ -34,10 +34,10 @@ def place_all(system: System, effects: Iterable[Effect] | None = None) -> list[P
 
         effects = builtin().values()
     found = []
-    for one in effects:
+    for effect in effects:
         for port in system.ports:
-            if port.kind in one.kinds and obstacle(system, one, port) is None:
-                found.append(Placed(one, port.name))
+            if port.kind in effect.kinds and obstacle(system, effect, port) is None:
+                found.append(Placed(effect, port.name))
     return found
 
 
@@ -66,7 +66,8 @@ def port_of(system: System, placed: Placed) -> Port:
             reasons.append(reason)
     where = [port.name for port in system.ports if fits(system, Placed(placed.effect, port.name))]
     raise InputError(
-        f"{placed.effect.name} does not fit {placed.at!r} of {system.name}" + "".join(f" ({one})" for one in reasons),
+        f"{placed.effect.name} does not fit {placed.at!r} of {system.name}"
+        + "".join(f" ({reason})" for reason in reasons),
         expected=f"one of {', '.join(dict.fromkeys(where))}" if where else "a model with such a port",
         got=repr(placed.at),
         remedy=f"this effect acts on: {', '.join(placed.effect.kinds)}",

@@ -133,8 +133,8 @@ class WrappedPlant:
         inside, y, rates, self._k, stages = state
         cast(Snapshots, self.plant).set_state(inside)
         self._y, self._rates = y.copy(), rates.copy()
-        for stage, one in zip(self._stages(), stages, strict=True):
-            stage.set_state(one)
+        for stage, saved in zip(self._stages(), stages, strict=True):
+            stage.set_state(saved)
 
     def close(self) -> None:
         """Release the engine."""
@@ -275,16 +275,16 @@ class _Stage:
         count = 0 if fresh and not mean else self._substeps(start, state, q, v, t)
         h, total, value = self.dt / max(count, 1), 0.0, 0.0
 
-        def slope(share: float, z: FloatArray) -> FloatArray:
+        def derivative(share: float, z: FloatArray) -> FloatArray:
             return np.array(self._block(start + share * (stop - start), z, q, v, t + share * self.dt)[1], dtype=float)
 
         before = float(self._block(start, state, q, v, t)[0])
         for step in range(count):
             share, half, end = step / count, (step + 0.5) / count, (step + 1) / count
-            k1 = slope(share, state)
-            k2 = slope(half, state + 0.5 * h * k1)
-            k3 = slope(half, state + 0.5 * h * k2)
-            k4 = slope(end, state + h * k3)
+            k1 = derivative(share, state)
+            k2 = derivative(half, state + 0.5 * h * k1)
+            k3 = derivative(half, state + 0.5 * h * k2)
+            k4 = derivative(end, state + h * k3)
             state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
             value = float(self._block(start + end * (stop - start), state, q, v, t + end * self.dt)[0])
             total += 0.5 * (before + value)
@@ -335,11 +335,11 @@ def _rate_of(spec: PlantSpec, row: int, channels: Sequence[Channel]) -> int | No
     """Return which channel is the rate of an output: by its name, or because no other can be."""
     output = spec.outputs[row]
     names = [output.name + suffix for suffix in _RATE_SUFFIXES] + [prefix + output.name for prefix in _RATE_PREFIXES]
-    rates = [place for place, one in enumerate(channels) if one.unit == f"{output.unit}/s"]
-    named = [place for place, one in enumerate(channels) if one.name in names]
+    rates = [place for place, channel in enumerate(channels) if channel.unit == f"{output.unit}/s"]
+    named = [place for place, channel in enumerate(channels) if channel.name in names]
     if named:
         return named[0]
-    alone = sum(one.unit == output.unit for one in spec.outputs) == 1
+    alone = sum(channel.unit == output.unit for channel in spec.outputs) == 1
     return rates[0] if alone and len(rates) == 1 else None
 
 
@@ -348,11 +348,15 @@ def _driver(spec: PlantSpec, row: int) -> str | None:
 
     def forces(output: Channel) -> list[Channel]:
         wanted = {"rad": (["N", "m"], ["Nm"]), "m": (["N"],)}.get(output.unit, ())
-        return [one for one in spec.inputs if sorted(one.unit.replace(".", " ").replace("*", " ").split()) in wanted]
+        return [
+            channel
+            for channel in spec.inputs
+            if sorted(channel.unit.replace(".", " ").replace("*", " ").split()) in wanted
+        ]
 
     output = spec.outputs[row]
     candidates = forces(output)
-    same = [one for one in spec.outputs if one.unit == output.unit]
+    same = [channel for channel in spec.outputs if channel.unit == output.unit]
     if len(candidates) == 1 and len(same) == 1:
         return candidates[0].name
     if len(candidates) == len(same) and candidates:  # one motor for each joint, in the same order

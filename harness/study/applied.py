@@ -119,56 +119,56 @@ def _tilt(alpha: float, values: Mapping[str, float], plant: str) -> Law:
     raise KeyError("gravity_tilt of a cart-pole pulls at two coordinates")
 
 
-def _stop(one: Mapping[str, float], plant: str) -> Law:
+def _stop(values: Mapping[str, float], plant: str) -> Law:
     def law(q: float, v: float, t: float, u: float) -> float:
-        if abs(q) <= one["stop"]:
+        if abs(q) <= values["stop"]:
             return 0.0
-        return -one["ks"] * (q - math.copysign(one["stop"], q)) - one["ds"] * v
+        return -values["ks"] * (q - math.copysign(values["stop"], q)) - values["ds"] * v
 
     return law
 
 
-def _bouc_wen(one: Mapping[str, float], plant: str) -> Law:
+def _bouc_wen(values: Mapping[str, float], plant: str) -> Law:
     z = 0.0
 
     def law(q: float, v: float, t: float, u: float) -> float:
         nonlocal z
-        z += STEP * (v - 0.5 * abs(v) * z - 0.5 * v * abs(z)) / one["xs"]
-        return -one["Fh"] * z
+        z += STEP * (v - 0.5 * abs(v) * z - 0.5 * v * abs(z)) / values["xs"]
+        return -values["Fh"] * z
 
     return law
 
 
-def _maxwell(one: Mapping[str, float], plant: str) -> Law:
+def _maxwell(values: Mapping[str, float], plant: str) -> Law:
     m = 0.0
 
     def law(q: float, v: float, t: float, u: float) -> float:
         nonlocal m
-        m += STEP * (v - m / one["taum"])
-        return -one["km"] * m
+        m += STEP * (v - m / values["taum"])
+        return -values["km"] * m
 
     return law
 
 
 _TERMS: dict[str, Callable[[Mapping[str, float], str], Law]] = {
-    "F0": lambda one, plant: lambda q, v, t, u: one["F0"],
-    "c": lambda one, plant: lambda q, v, t, u: -one["c"] * abs(v) * v,
-    "k": lambda one, plant: lambda q, v, t, u: -one["k"] * q,
-    "k2": lambda one, plant: lambda q, v, t, u: -one["k2"] * q * q,
-    "k3": lambda one, plant: lambda q, v, t, u: -one["k3"] * q**3,
-    "A": lambda one, plant: lambda q, v, t, u: -one["A"] * math.cos(q),
-    "cog": lambda one, plant: lambda q, v, t, u: one["cog"] * math.sin(one["cogk"] * q + one["cogphi"]),
-    "per": lambda one, plant: lambda q, v, t, u: one["per"] * math.sin(one["perw"] * t + one["perphi"]),
+    "F0": lambda values, plant: lambda q, v, t, u: values["F0"],
+    "c": lambda values, plant: lambda q, v, t, u: -values["c"] * abs(v) * v,
+    "k": lambda values, plant: lambda q, v, t, u: -values["k"] * q,
+    "k2": lambda values, plant: lambda q, v, t, u: -values["k2"] * q * q,
+    "k3": lambda values, plant: lambda q, v, t, u: -values["k3"] * q**3,
+    "A": lambda values, plant: lambda q, v, t, u: -values["A"] * math.cos(q),
+    "cog": lambda values, plant: lambda q, v, t, u: values["cog"] * math.sin(values["cogk"] * q + values["cogphi"]),
+    "per": lambda values, plant: lambda q, v, t, u: values["per"] * math.sin(values["perw"] * t + values["perphi"]),
     "stop": _stop,
     "Fh": _bouc_wen,
     "km": _maxwell,
-    "root": lambda one, plant: lambda q, v, t, u: -one["root"] * math.copysign(math.sqrt(abs(v)), v),
-    "even": lambda one, plant: lambda q, v, t, u: -one["even"] * v * v,
-    "vdp": lambda one, plant: lambda q, v, t, u: -one["vdp"] * q * q * v,
-    "ripple": lambda one, plant: lambda q, v, t, u: one["ripple"] * u * math.cos(5 * q),
-    "stepf": lambda one, plant: lambda q, v, t, u: one["stepf"] if t >= one["stept"] else 0.0,
-    "drag3": lambda one, plant: lambda q, v, t, u: -one["drag3"] * v**3,
-    "warm": lambda one, plant: lambda q, v, t, u: -one["warm"] * (1 - t / one["warmt"]) * v,
-    "tire": lambda one, plant: lambda q, v, t, u: -one["tire"] * u * abs(v),
-    "und": lambda one, plant: lambda q, v, t, u: -one["und"] * math.cos(q) * v,
+    "root": lambda values, plant: lambda q, v, t, u: -values["root"] * math.copysign(math.sqrt(abs(v)), v),
+    "even": lambda values, plant: lambda q, v, t, u: -values["even"] * v * v,
+    "vdp": lambda values, plant: lambda q, v, t, u: -values["vdp"] * q * q * v,
+    "ripple": lambda values, plant: lambda q, v, t, u: values["ripple"] * u * math.cos(5 * q),
+    "stepf": lambda values, plant: lambda q, v, t, u: values["stepf"] if t >= values["stept"] else 0.0,
+    "drag3": lambda values, plant: lambda q, v, t, u: -values["drag3"] * v**3,
+    "warm": lambda values, plant: lambda q, v, t, u: -values["warm"] * (1 - t / values["warmt"]) * v,
+    "tire": lambda values, plant: lambda q, v, t, u: -values["tire"] * u * abs(v),
+    "und": lambda values, plant: lambda q, v, t, u: -values["und"] * math.cos(q) * v,
 }

@@ -63,25 +63,25 @@ class Context:
     @property
     def gravity(self) -> float:
         """Return the amplitude of gravity on the angle."""
-        one = self.values
-        return one["mgl"] if self.plant == "pendulum" else one["mp"] * one["l"] * GRAVITY
+        values = self.values
+        return values["mgl"] if self.plant == "pendulum" else values["mp"] * values["l"] * GRAVITY
 
     def inertia(self, at: str) -> float:
         """Return the inertia of a coordinate with the others held."""
-        one = self.values
+        values = self.values
         if self.plant == "pendulum":
-            return one["J"]
-        return one["mc"] + one["mp"] if self.coordinate(at) == 0 else one["mp"] * one["l"] ** 2
+            return values["J"]
+        return values["mc"] + values["mp"] if self.coordinate(at) == 0 else values["mp"] * values["l"] ** 2
 
     def load(self, at: str) -> float:
         """Return the rms of what the joint carries."""
-        one, q, v = self.values, self.q("theta"), self.v("theta")
+        values, q, v = self.values, self.q("theta"), self.v("theta")
         if self.plant == "pendulum":
-            return rms(one["mgl"] * np.cos(q) + one["J"] * v**2)
-        ml = one["mp"] * one["l"]
+            return rms(values["mgl"] * np.cos(q) + values["J"] * v**2)
+        ml = values["mp"] * values["l"]
         if self.coordinate(at) == 0:
-            return rms((one["mc"] + one["mp"]) * GRAVITY + ml * v**2 * np.cos(q))
-        return rms(ml * GRAVITY * np.cos(q) + ml * one["l"] * v**2)
+            return rms((values["mc"] + values["mp"]) * GRAVITY + ml * v**2 * np.cos(q))
+        return rms(ml * GRAVITY * np.cos(q) + ml * values["l"] * v**2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ __all__ = ["timed_command"]
 
 _COMMAND = "import sys; from harness.command import main; sys.exit(main(sys.argv[1:]))"
 LIMIT = 600.0
-"""Seconds after which the command is given up."""
+"""Seconds after which the command is abandoned."""
 
 
 def timed_command(task: Task, records: Records) -> dict[str, Any]:

@@ -130,8 +130,8 @@ def balanced_run(
     from harness.rollout import run
 
     own: dict[str, Any] = {}
-    for one in hidden:
-        own.update({name: one.engine[name] for name in OPTIONS["pymunk", "cart-pole"] if name in one.engine})
+    for effect in hidden:
+        own.update({name: effect.engine[name] for name in OPTIONS["pymunk", "cart-pole"] if name in effect.engine})
     known = {name: 1.1 * value for name, value in parameters.items()}
     scenario: Any = registry.create(
         "scenarios",

@@ -236,14 +236,14 @@ def _two_masses(context: Context, share: float, hertz: float, ratio: float) -> d
 
 
 def _elasticity(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
-    one = _two_masses(context, 0.25, 6.0 if scale == 1.0 else 12.0, 0.05)
-    return Hidden("elasticity", at, {"kt": one["k"], "Jm": one["Jm"], "dt": one["d"]}, one)
+    two_masses = _two_masses(context, 0.25, 6.0 if scale == 1.0 else 12.0, 0.05)
+    return Hidden("elasticity", at, {"kt": two_masses["k"], "Jm": two_masses["Jm"], "dt": two_masses["d"]}, two_masses)
 
 
 def _backlash(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
-    one = _two_masses(context, 0.15, 15.0, 1.0) | {"gap": size * rms(context.q(at))}
-    truth = {"kt": one["k"], "Jm": one["Jm"], "dt": one["d"], "gap": one["gap"]}
-    return Hidden("backlash", at, truth, one)
+    two_masses = _two_masses(context, 0.15, 15.0, 1.0) | {"gap": size * rms(context.q(at))}
+    truth = {"kt": two_masses["k"], "Jm": two_masses["Jm"], "dt": two_masses["d"], "gap": two_masses["gap"]}
+    return Hidden("backlash", at, truth, two_masses)
 
 
 def _cogging(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:

@@ -174,7 +174,7 @@ def answers_of_fleet(folder: str | Path) -> dict[str, Answer]:
         ties = tuple(
             (frozenset({effect.name}), *(frozenset(_members(tie)) for tie in effect.ties)) for effect in row.effects
         )
-        hidden = frozenset(f"{one['name']}@{one['at']}" for one in report.get("not_visible", ()))
+        hidden = frozenset(f"{effect['name']}@{effect['at']}" for effect in report.get("not_visible", ()))
         imitates = bool(row.stand_in) or bool(report.get("misfit"))
         answers[Path(row.record).name] = Answer(
             row.verdict, accepted, ties, hidden if not accepted else frozenset(), imitates
@@ -185,7 +185,7 @@ def answers_of_fleet(folder: str | Path) -> dict[str, Answer]:
 def answers_of_rows(path: str | Path) -> dict[str, Answer]:
     """Return the answers behind the rows of a study (``rows.csv``) that has run on the records of its plan.
 
-    What a row says to be invisible is what was hidden: rows do not keep the rest of that list.
+    What a row says to be invisible is what was hidden: rows do not keep the others of that list.
     """
     answers = {}
     for row in read_rows(Path(path)).values():

@@ -96,11 +96,11 @@ class Answer:
         """
         if name not in self.accepted:
             return self
-        kept = [(one, tie) for one, tie in zip(self.accepted, _padded(self), strict=True) if one != name]
+        kept = [(effect, tie) for effect, tie in zip(self.accepted, _padded(self), strict=True) if effect != name]
         left = self.verdict if kept or self.verdict != "effects_found" else "nothing_missing"
         verdict = "unexplained" if left == "nothing_missing" and self.stand_in else left
         return replace(
-            self, verdict=verdict, accepted=tuple(one for one, _ in kept), ties=tuple(tie for _, tie in kept)
+            self, verdict=verdict, accepted=tuple(effect for effect, _ in kept), ties=tuple(tie for _, tie in kept)
         )
 
 
@@ -186,7 +186,7 @@ def _reaches(wanted: Group, choices: Iterable[Sequence[Group]], same: Sequence[S
     """Return True if one choice for each accepted effect gives the truth, up to what is exactly the same."""
     for chosen in product(*choices):
         union: Group = frozenset().union(*chosen)
-        if union == wanted or any(one == wanted for one in _equal(union, same)):
+        if union == wanted or any(group == wanted for group in _equal(union, same)):
             return True
     return False
 
@@ -195,6 +195,6 @@ def _equal(names: Group, same: Sequence[Sequence[Group]]) -> Iterable[Group]:
     """Yield sets that are exactly the same as this one, one exchange in each family."""
     found = {names}
     for family in same:
-        for one in tuple(found):
-            found |= {(one - old) | new for old in family if old <= one for new in family}
+        for group in tuple(found):
+            found |= {(group - old) | new for old in family if old <= group for new in family}
     return found

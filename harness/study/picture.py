@@ -43,8 +43,8 @@ def confusion_picture(rows: Sequence[dict[str, str]], path: Path) -> bool:
             if count:
                 shade = "white" if share[i, j] > 0.5 else "black"
                 axes.text(j, i, f"{count:.0f}", ha="center", va="center", color=shade, fontsize=7)
-        axes.set_xticks(range(len(answers)), [_words(one) for one in answers], rotation=90, fontsize=7)
-        axes.set_yticks(range(len(truths)), [_words(one) for one in truths], fontsize=7)
+        axes.set_xticks(range(len(answers)), [_words(answer) for answer in answers], rotation=90, fontsize=7)
+        axes.set_yticks(range(len(truths)), [_words(truth) for truth in truths], fontsize=7)
         axes.set_title(f"{plant}: {len(here)} records", fontsize=10)
         axes.set_xlabel("answer (tied counts as the truth)", fontsize=9)
         if place == 0:

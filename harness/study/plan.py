@@ -326,8 +326,8 @@ def _in_shares(strata: dict[str, list[Task]]) -> list[Task]:
 
 def _spread(*rows: Sequence[Task]) -> list[Task]:
     """Merge lists so that each is spread evenly over the whole, in its own order."""
-    rows = tuple(one for one in rows if one)
-    if len({len(one) for one in rows}) == 1:
-        return [one for one in chain.from_iterable(zip_longest(*rows)) if one is not None]
-    marked = [((k + 0.5) / len(one), n, task) for n, one in enumerate(rows) for k, task in enumerate(one)]
+    rows = tuple(row for row in rows if row)
+    if len({len(row) for row in rows}) == 1:
+        return [task for task in chain.from_iterable(zip_longest(*rows)) if task is not None]
+    marked = [((k + 0.5) / len(row), n, task) for n, row in enumerate(rows) for k, task in enumerate(row)]
     return [task for _, _, task in sorted(marked, key=lambda item: item[:2])]

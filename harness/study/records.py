@@ -90,7 +90,7 @@ def make_records(task: Task, *, samples: int = SAMPLES) -> Records:
                       commands["estimation"])  # fmt: skip
     hidden = _hidden(task, context, stream(*key, "effects"))
     wrong = _structure(task, context)
-    values = values | {name: value for one in wrong for name, value in one.truth.items()}
+    values = values | {name: value for effect in wrong for name, value in effect.truth.items()}
     runs, peak = [], 0.0
     for use in USES:
         u = commands[use]
@@ -167,10 +167,10 @@ def _scaled(values: Mapping[str, float], wave: FloatArray, start: FloatArray, ta
 def _hidden(task: Task, context: Context, rng: np.random.Generator) -> tuple[Hidden, ...]:
     """Return what is hidden, with its sizes."""
     make = hide_outside if task.study == "outside" else hide
-    found = tuple(make(*_split(one), task.level, context, rng) for one in task.effects)
+    found = tuple(make(*_split(name), task.level, context, rng) for name in task.effects)
     if task.engine != "hardware":
         return found
-    return tuple(as_hardware(one, context, force_size(task.level, context, one.at)) for one in found)
+    return tuple(as_hardware(effect, context, force_size(task.level, context, effect.at)) for effect in found)
 
 
 def _structure(task: Task, context: Context) -> tuple[Hidden, ...]:
@@ -219,9 +219,9 @@ def _simulated(
     if task.engine in ("bullet", "pymunk", "fmu"):
         return _by_engine(task, parameters, values, hidden, use, u, disturbance, start)
     full = dict(values)
-    for one in hidden:
-        full.update(one.truth)
-        full.update(one.own.get(use, {}))
+    for effect in hidden:
+        full.update(effect.truth)
+        full.update(effect.own.get(use, {}))
     motion: Motion = simulate(full, u, start=start, disturbance=disturbance)
     return motion.reading
 
@@ -236,15 +236,15 @@ def _by_engine(
     disturbance: FloatArray,
     start: FloatArray,
 ) -> FloatArray:
-    """Return the same by an engine with what it has itself; the rest is put around it in fine steps."""
+    """Return the same by an engine with what it has itself; the others are put around it in fine steps."""
     options: dict[str, Any] = {}
     applied = dict(values)
-    for one in hidden:
-        if one.engine.keys() & set(OPTIONS[task.engine, task.plant]):
-            options.update(one.engine)
+    for effect in hidden:
+        if effect.engine.keys() & set(OPTIONS[task.engine, task.plant]):
+            options.update(effect.engine)
         else:
-            applied.update(one.truth)
-            applied.update(one.own.get(use, {}))
+            applied.update(effect.truth)
+            applied.update(effect.own.get(use, {}))
     force = actuated(applied, u) + np.repeat(disturbance, SUBSTEPS)
     law = force_law(applied, task.plant)
     y = engine_run(task.engine, task.plant, parameters, options, force, start, law)
@@ -259,13 +259,13 @@ def _measured(
     """Return what is recorded: the sensors' errors, then noise; rounding comes last."""
     names = [channel.name for channel in SPECS[plant].outputs]
     y = reading.copy()
-    for one in hidden:
-        if one.sensor is not None and not one.late:
-            y[:, names.index(one.at)] = one.sensor(y[:, names.index(one.at)])
+    for effect in hidden:
+        if effect.sensor is not None and not effect.late:
+            y[:, names.index(effect.at)] = effect.sensor(y[:, names.index(effect.at)])
     y = y + noise * rng.standard_normal(y.shape)
-    for one in hidden:
-        if one.sensor is not None and one.late:
-            y[:, names.index(one.at)] = one.sensor(y[:, names.index(one.at)])
+    for effect in hidden:
+        if effect.sensor is not None and effect.late:
+            y[:, names.index(effect.at)] = effect.sensor(y[:, names.index(effect.at)])
     return y
 
 

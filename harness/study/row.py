@@ -105,12 +105,12 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
     cpu, wall = _cpu_of_tree(), time.monotonic()
     found = diagnose(records.dataset, _model(task, records))
     cpu, wall = _cpu_of_tree() - cpu, time.monotonic() - wall
-    accepted = tuple(str(one.placed) for one in found.outcome.accepted)
-    ties = tuple(tuple(frozenset(map(str, member)) for member in one.tie) for one in found.outcome.accepted)
+    accepted = tuple(str(effect.placed) for effect in found.outcome.accepted)
+    ties = tuple(tuple(frozenset(map(str, member)) for member in effect.tie) for effect in found.outcome.accepted)
     # what the report says this experiment cannot show matters only where nothing of what is hidden was found
     beside = named(task.structure, task.plant)
     silent = task.effects and not set(accepted) - {beside}
-    hidden = frozenset(str(one.placed) for one in found.not_visible) if silent else frozenset()
+    hidden = frozenset(str(lead.placed) for lead in found.not_visible) if silent else frozenset()
     imitates = [*found.stand_in, *found.misfit]
     answer = Answer(found.verdict, accepted, ties, hidden, bool(imitates))
     outcome = judge_answer(task.effects, answer, task.plant, task.engine, task.structure)
@@ -125,7 +125,9 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
         "adequacy": found.grade,
         "stand_in": "; ".join(imitates),
         "accepted": " + ".join(accepted),
-        "ties": "; ".join(" / ".join(sorted(" & ".join(sorted(one)) for one in tie)) for tie in ties if len(tie) > 1),
+        "ties": "; ".join(
+            " / ".join(sorted(" & ".join(sorted(member)) for member in tie)) for tie in ties if len(tie) > 1
+        ),
         "tie_size": max((len(tie) for name, tie in zip(accepted, ties, strict=True) if name != beside), default=0),
         "validation_before": _short(before),
         "validation_after": _short(after),
@@ -140,7 +142,7 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
         )
     strangers = set(accepted) - {*task.effects, beside} if outcome.word == "wrong" else set()
     row.update(_coverage(found.final, records, strangers))
-    row["holds_truth"] = "yes" if _holds(task, [one.placed for one in found.outcome.accepted], records) else "no"
+    row["holds_truth"] = "yes" if _holds(task, [effect.placed for effect in found.outcome.accepted], records) else "no"
     return row
 
 
@@ -151,12 +153,14 @@ def _holds(task: Task, accepted: Sequence[Placed], records: Records) -> bool:
     """
     from harness.effects import nested
 
-    if task.structure in UNNAMED or not all(one.exact for one in records.known):
+    if task.structure in UNNAMED or not all(effect.exact for effect in records.known):
         return False
-    if task.engine == "hardware" and any(one.name in LAWS for one in records.known):
+    if task.engine == "hardware" and any(effect.name in LAWS for effect in records.known):
         return False
-    names = {f"{name}@{one.at}" for one in accepted for name in (one.effect.name, *map(str, nested(one.effect)))}
-    return all(f"{one.name}@{one.at}" in names for one in records.known)
+    names = {
+        f"{name}@{placed.at}" for placed in accepted for name in (placed.effect.name, *map(str, nested(placed.effect)))
+    }
+    return all(f"{effect.name}@{effect.at}" in names for effect in records.known)
 
 
 def _command(task: Task, records: Records) -> dict[str, Any]:
@@ -175,7 +179,7 @@ def _diagnose_fmu(task: Task, records: Records) -> dict[str, Any]:
 
     cpu, wall = _cpu_of_tree(), time.monotonic()
     found = diagnose(records.dataset, _model(task, records), kind=BlackBox())
-    accepted = tuple(str(one.placed) for one in found.outcome.accepted)
+    accepted = tuple(str(effect.placed) for effect in found.outcome.accepted)
     outcome = judge_answer(task.effects, Answer(found.verdict, accepted), task.plant, task.engine)
     return {
         "outcome": outcome.word,
@@ -212,10 +216,10 @@ def _oracle(found: Any, records: Records) -> float | None:
     known = builtin()
     start: dict[str, float] = {**found.nominal.values, **_nominal_truth(found.nominal.values, records.parameters)}
     placed = []
-    for one in records.known:
-        here = Placed(known[one.name], one.at)
+    for effect in records.known:
+        here = Placed(known[effect.name], effect.at)
         placed.append(here)
-        values = here.effect.complete(one.named, found.form.sizes.get(one.at, found.form.sizes.get("base", {})))
+        values = here.effect.complete(effect.named, found.form.sizes.get(effect.at, found.form.sizes.get("base", {})))
         start.update({here.name(name): value for name, value in values.items()})
     fit = found.form.fit(placed, [start], found.nominal)
     if fit is None:
@@ -241,13 +245,13 @@ def _coverage(model: Any, records: Records, strangers: Collection[str] = ()) -> 
 
     truth = dict(records.parameters)
     known = builtin()
-    for one in records.known:
-        if one.name not in known or not one.exact:  # no parameter of the dictionary's law is exactly this one
+    for effect in records.known:
+        if effect.name not in known or not effect.exact:  # no parameter of the dictionary's law is exactly this one
             continue
-        here = Placed(known[one.name], one.at)
+        here = Placed(known[effect.name], effect.at)
         for parameter in here.effect.parameters:
-            if parameter.name in one.named and not parameter.nuisance and not parameter.per_record:
-                truth[here.name(parameter.name)] = one.named[parameter.name]
+            if parameter.name in effect.named and not parameter.nuisance and not parameter.per_record:
+                truth[here.name(parameter.name)] = effect.named[parameter.name]
     outside, count = [], 0
     for name in model.free:
         low, high = model.interval(name)

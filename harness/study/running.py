@@ -20,7 +20,7 @@ __all__ = ["PICTURE", "SUMMARY", "StudyResult", "study"]
 
 SUMMARY, PICTURE = "study.md", "confusion.png"
 LIMIT = 900.0
-"""Seconds after which a row is given up."""
+"""Seconds after which a row is abandoned."""
 Progress = Callable[[int, int, str], None]
 
 
@@ -128,11 +128,11 @@ def study(
 
     def told(task: Task | None) -> None:
         if progress is not None:
-            done = sum(one.key in store.rows for one in tasks)
+            done = sum(planned.key in store.rows for planned in tasks)
             progress(done, len(tasks), "" if task is None else task.key)
 
     def save() -> str:
-        text = summary(store.rows.values(), seeds=seeds, planned=len(tasks), keys={one.key for one in tasks})
+        text = summary(store.rows.values(), seeds=seeds, planned=len(tasks), keys={task.key for task in tasks})
         scratch = folder / (SUMMARY + ".part")
         scratch.write_text(text, encoding="utf-8")
         scratch.replace(folder / SUMMARY)
@@ -143,7 +143,7 @@ def study(
             if store.take(job):
                 told(by_job[job])
 
-    left = [StudyJob(one, samples, end) for one in tasks if one.key not in store.rows]
+    left = [StudyJob(task, samples, end) for task in tasks if task.key not in store.rows]
     by_job = {own.jobs[0]: own.task for own in left}
     told(None)
     try:
@@ -157,7 +157,7 @@ def study(
 
     rows = list(store.rows.values())
     confusion_picture(rows, folder / PICTURE)
-    return StudyResult(folder, rows, text, len(tasks), sum(one.key in store.rows for one in tasks))
+    return StudyResult(folder, rows, text, len(tasks), sum(task.key in store.rows for task in tasks))
 
 
 @dataclass(frozen=True)

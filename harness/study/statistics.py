@@ -47,7 +47,7 @@ def clopper_pearson(found: int, of: int, *, confidence: float = 0.95) -> tuple[f
 
     Examples
     --------
-    >>> [round(one, 3) for one in clopper_pearson(95, 100)]
+    >>> [round(limit, 3) for limit in clopper_pearson(95, 100)]
     [0.887, 0.984]
     """
     from scipy.stats import beta

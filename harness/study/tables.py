@@ -292,7 +292,7 @@ def _cost(rows: Sequence[Row]) -> str:
 def _misses(rows: Sequence[Row]) -> str:
     """Return every record that was not answered right or tied."""
     lines = ["| truth | record | answer | | error over oracle's |", "|---|---|---|---|---|"]
-    for row in sorted(rows, key=lambda one: (one["plant"], one["truth"], one["key"])):
+    for row in sorted(rows, key=lambda record: (record["plant"], record["truth"], record["key"])):
         if row["outcome"] not in ("right", "tied"):
             odd = [_value(row, "shape")] if float(row["disturbance"]) else []
             odd += [f"{row['structure']}"] if row["structure"] else []

@@ -52,7 +52,7 @@ def test_density_of_order_one_is_exact_with_gaps(phi: float, seed: int) -> None:
 
 
 class Line:
-    """A constant and a slope under a coloured error; see Balance."""
+    """A constant and a slope under a coloured error; see TorqueRegression."""
 
     def __init__(self, seed: int) -> None:
         self.nominal = Linear((Parameter("level", "1", 0.0), Parameter("slope", "1", 0.0)))

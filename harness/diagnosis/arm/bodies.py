@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from harness.diagnosis.arm.joint import CLOCK, JointBalance
+from harness.diagnosis.arm.joint import CLOCK, JointRegression
 from harness.diagnosis.arm.motion import ArmRun
 from harness.diagnosis.arm.regression import RegressionForm
 from harness.diagnosis.arm.rotor import ROTOR
-from harness.diagnosis.arm.wide import WideBalance, WideResult
+from harness.diagnosis.arm.wide import WideRegression, WideResult
 from harness.diagnosis.search.fit import Fit
 from harness.errors import FitError
 from harness.estimate import Estimate
@@ -99,15 +99,15 @@ def bodies_of_arm(
         Whose errors weigh the rows.
     """
     chosen = _free(arm)
-    balance = WideBalance(arm, runs, joints, _units(arm, chosen))
-    form = RegressionForm(balance)
-    equation = balance.equation(wide.fit.effects)
+    regression = WideRegression(arm, runs, joints, _units(arm, chosen))
+    form = RegressionForm(regression)
+    equation = regression.equation(wide.fit.effects)
     p = np.zeros(len(equation.system.parameters))
     parts = equation.residual(p, "estimation")
     errors = wide.fit.detail.errors
     residual = form.whitened([r for r, _ in parts], "estimation", errors)
     rows = form.whitened([j for _, j in parts], "estimation", errors)
-    own = [k for k, name in enumerate(equation.system.parameter_names) if name in balance.own]
+    own = [k for k, name in enumerate(equation.system.parameter_names) if name in regression.own]
     others = [k for k in range(rows.shape[1]) if k not in own]
     return _estimated(arm, chosen, [(rows[:, own], rows[:, others], -residual)])
 
@@ -125,14 +125,14 @@ def bodies_of_joints(
     for joint, fit in fits.items():
         known = {use: [wide.torque(run)[:, joint] for run in runs[use]] for use in runs}
         columns = {use: [part[:, joint] for part in parts] for use, parts in table.items()}
-        form = RegressionForm(JointBalance(arm, joint, runs, known, columns))
-        equation = form.balance.equation(fit.effects)
+        form = RegressionForm(JointRegression(arm, joint, runs, known, columns))
+        equation = form.regression.equation(fit.effects)
         names = equation.system.parameter_names
-        p = np.array([0.0 if name in form.balance.own else fit.values[name] for name in names])
+        p = np.array([0.0 if name in form.regression.own else fit.values[name] for name in names])
         parts = equation.residual(p, "estimation")
         errors = fit.detail.errors
         rows = form.whitened([j for _, j in parts], "estimation", errors)
-        free = [k for k, name in enumerate(names) if name in form.balance.own]
+        free = [k for k, name in enumerate(names) if name in form.regression.own]
         residual = form.whitened([r for r, _ in parts], "estimation", errors)
         beside = [names.index(CLOCK), *(k for k, name in enumerate(names) if name.startswith(f"{ROTOR}@"))]
         blocks.append((rows[:, free], rows[:, beside], -residual))

@@ -12,7 +12,7 @@ import numpy as np
 from harness.diagnosis.arm.bodies import SEEN, ArmBodies, bodies_of_arm, bodies_of_joints, unit_torques
 from harness.diagnosis.arm.checks import check_torques
 from harness.diagnosis.arm.found import ArmDiagnosis, JointDiagnosis
-from harness.diagnosis.arm.joint import JointBalance, joint_dictionary, white_noise
+from harness.diagnosis.arm.joint import JointRegression, joint_dictionary, white_noise
 from harness.diagnosis.arm.misfit import misfit_reasons
 from harness.diagnosis.arm.motion import ArmRun, arm_runs, standstill
 from harness.diagnosis.arm.regression import RegressionForm
@@ -150,11 +150,11 @@ def _with_bodies(
     own = bodies.runs(arm, runs)
     for joint in joints:
         known = {use: [wide.torque(run)[:, joint.joint] for run in parts] for use, parts in own.items()}
-        balance = JointBalance(arm, joint.joint, own, known)
-        fit = RegressionForm(balance, joint.policy).fit(joint.final.effects, [joint.final.values], joint.final)
+        regression = JointRegression(arm, joint.joint, own, known)
+        fit = RegressionForm(regression, joint.policy).fit(joint.final.effects, [joint.final.values], joint.final)
         if fit is not None:
-            joint.closed = balance, fit
-            joint.leftover = left_over(RegressionForm(balance, joint.policy), fit)
+            joint.closed = regression, fit
+            joint.leftover = left_over(RegressionForm(regression, joint.policy), fit)
     return wide, joints, bodies
 
 
@@ -187,8 +187,8 @@ def _joint(
     """Search one joint."""
     known = {use: [wide.torque(run)[:, k] for run in parts] for use, parts in runs.items()}
     free = _free_columns(calibrated, k) if calibrated else None
-    balance = JointBalance(arm, k, runs, known, free)
-    form = RegressionForm(balance, arm_policy)
+    regression = JointRegression(arm, k, runs, known, free)
+    form = RegressionForm(regression, arm_policy)
     nominal = form.fit((), [{}], None)
     if nominal is None:
         raise FitError(
@@ -197,12 +197,14 @@ def _joint(
             got="others",
             remedy="check units and spikes of the positions",
         )
-    candidates, noisy = joint_dictionary(arm, k, balance, runs["estimation"][0], dictionary)
+    candidates, noisy = joint_dictionary(arm, k, regression, runs["estimation"][0], dictionary)
     outcome = search(form, nominal, candidates, policy=replace(policy, least=arm_policy.sensor))
     factor = runs["validation"][0].motion.factor
     passed = 0.8 / factor if factor > 1 else 1.0  # of the power of white noise, by the decimation
     noise = max(white_noise(run.u[:, k]) for run in dataset.validation) * float(np.sqrt(passed))
-    return JointDiagnosis(k, balance, outcome, left_over(form, outcome.model, policy), tuple(noisy), noise, arm_policy)
+    return JointDiagnosis(
+        k, regression, outcome, left_over(form, outcome.model, policy), tuple(noisy), noise, arm_policy
+    )
 
 
 def _inertial_directions(arm: ArmModel, runs: Sequence[ArmRun]) -> list[FloatArray]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from harness.diagnosis.arm.bodies import ArmBodies
-from harness.diagnosis.arm.joint import JointBalance
+from harness.diagnosis.arm.joint import JointRegression
 from harness.diagnosis.arm.motion import ArmRun, moving_rows
 from harness.diagnosis.arm.wide import WideResult
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
@@ -30,7 +30,7 @@ class JointDiagnosis:
     ----------
     joint : int
         From 0.
-    balance : JointBalance
+    regression : JointRegression
     outcome : Outcome
         Its nominal model is that after effects on the whole arm, before its own.
     leftover : Leftover
@@ -39,19 +39,19 @@ class JointDiagnosis:
         Effects that were not tried because the torque is too noisy for them.
     noise : float
         Of the torque's samples, as it shows in the residual.
-    closed : (JointBalance, Fit), optional
-        The balance beside the bodies that were estimated, where inertial parameters are free, and the same effects
+    closed : (JointRegression, Fit), optional
+        The regression beside the bodies that were estimated, where inertial parameters are free, and the same effects
         there: what is left is left by bodies, not by directions of the search.
     """
 
     joint: int
-    balance: JointBalance
+    regression: JointRegression
     outcome: Outcome
     leftover: Leftover
     drowned: tuple[str, ...]
     noise: float
     policy: ArmPolicy = ARM_POLICY
-    closed: tuple[JointBalance, Fit] | None = None
+    closed: tuple[JointRegression, Fit] | None = None
 
     @property
     def nominal(self) -> Fit:
@@ -67,7 +67,7 @@ class JointDiagnosis:
     def torque(self) -> float:
         """Standard deviation of the joint's torque while it moves, filtered as the residual is (validation records)."""
         rows = []
-        for run, counts in zip(self.balance.torque("validation"), self.balance.counts["validation"], strict=True):
+        for run, counts in zip(self.regression.torque("validation"), self.regression.counts["validation"], strict=True):
             rows.append(run[counts[:, 0] > 0])
         return float(np.std(np.concatenate(rows)))
 
@@ -77,31 +77,31 @@ class JointDiagnosis:
 
     def residual(self, use: str) -> list[FloatArray]:
         """Return the residual torque (rows, 1) of the final model for every record."""
-        return self._residual(*(self.closed or (self.balance, self.final)), use)
+        return self._residual(*(self.closed or (self.regression, self.final)), use)
 
     def before(self, use: str) -> float:
         """Return the same before the joint's own effects."""
-        return self._rms(self._residual(self.balance, self.nominal, use), use)
+        return self._rms(self._residual(self.regression, self.nominal, use), use)
 
-    def _residual(self, balance: JointBalance, fit: Fit, use: str) -> list[FloatArray]:
+    def _residual(self, regression: JointRegression, fit: Fit, use: str) -> list[FloatArray]:
         """Return the residual torque (rows, 1) of a fit for every record."""
         known = fit.detail.residual.get(use)
         if known is not None:
             return list(known)
-        equation = balance.equation(fit.effects)
+        equation = regression.equation(fit.effects)
         p = np.array([fit.values[name] for name in equation.system.parameter_names])
         return [r for r, _ in equation.residual(p, use)]
 
     def _rms(self, residual: Sequence[FloatArray], use: str) -> float:
         if not residual:
             return float("nan")
-        rows = [r[c[:, 0] > 0] for r, c in zip(residual, self.balance.counts[use], strict=True)]
+        rows = [r[c[:, 0] > 0] for r, c in zip(residual, self.regression.counts[use], strict=True)]
         return float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
 
     @functools.cached_property
     def share(self) -> float:
         """Part of the torque that stays unexplained and is no noise of its samples, on the validation records."""
-        count = sum(float(rows.sum()) for rows in self.balance.counts["validation"])
+        count = sum(float(rows.sum()) for rows in self.regression.counts["validation"])
         noise = self.noise**2 * (
             1.0 + ARM_POLICY.sure * np.sqrt(2.0 / max(count, 1.0))
         )  # as large as chance may make it
@@ -113,9 +113,9 @@ class JointDiagnosis:
         best = self.leftover.best
         if best is None:
             return None
-        change = next(change for change in self.balance.free_torques() if change.names[0] == best.name)
+        change = next(change for change in self.regression.free_torques() if change.names[0] == best.name)
         force = np.concatenate(change.torque["validation"])[:, 0] @ best.values
-        moving = np.concatenate(self.balance.counts["validation"])[:, 0] > 0
+        moving = np.concatenate(self.regression.counts["validation"])[:, 0] > 0
         return best if float(np.std(force[moving])) > self.policy.sensor * self.torque else None
 
 

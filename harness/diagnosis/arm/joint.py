@@ -1,4 +1,4 @@
-"""One joint of an arm as a balance of its own: given the measured motion, inverse dynamics decouples the joints."""
+"""One joint of an arm as a regression of its own: given the measured motion, inverse dynamics decouples the joints."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from harness.physics.arm import ArmModel
 from harness.physics.system import System
 from harness.signals import Channel, FloatArray
 
-__all__ = ["JOINT_EFFECTS", "JointBalance", "joint_dictionary", "joint_system", "white_noise"]
+__all__ = ["JOINT_EFFECTS", "JointRegression", "joint_dictionary", "joint_system", "white_noise"]
 
 JOINT_EFFECTS = (
     "viscous_friction",
@@ -47,7 +47,7 @@ ON_TORQUE = ("input_gain", "load_dependent_friction")
 
 @dataclass(frozen=True, eq=False)
 class JointEquation:
-    """The torque balance of a joint with some effects; see :class:`harness.diagnosis.arm.regression.Equation`."""
+    """The equation of torques of a joint with some effects; see :class:`harness.diagnosis.arm.regression.Equation`."""
 
     equations: Equations
     motions: Mapping[str, Sequence[Motion]]
@@ -62,10 +62,10 @@ class JointEquation:
         return [self.equations.residual(motion, p) for motion in self.motions[use]]
 
 
-class JointBalance:
+class JointRegression:
     """Residual torque of one joint: what the rigid bodies need there, plus effects, minus the measured torque.
 
-    See :class:`harness.diagnosis.arm.regression.Balance`.
+    See :class:`harness.diagnosis.arm.regression.TorqueRegression`.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class JointBalance:
         self._equations: dict[tuple[str, ...], JointEquation] = {}
 
     def equation(self, effects: Sequence[Placed]) -> JointEquation:
-        """Return the balance with effects, made once; inputs beyond the torque are known columns."""
+        """Return the equation with effects, made once; inputs beyond the torque are known columns."""
         key = tuple(str(placed) for placed in effects)
         if key not in self._equations:
             system = compose(self.nominal, list(effects), sizes=self.sizes) if effects else self.nominal
@@ -286,7 +286,7 @@ def joint_system(arm: ArmModel, joint: int, free: int = 0) -> System:
 
 
 def joint_dictionary(
-    arm: ArmModel, joint: int, balance: JointBalance, run: ArmRun, dictionary: Sequence[Effect] | None = None
+    arm: ArmModel, joint: int, regression: JointRegression, run: ArmRun, dictionary: Sequence[Effect] | None = None
 ) -> tuple[list[Placed], list[str]]:
     """Return the effects at a joint that can be judged, and the names of those that the torque's noise hides.
 
@@ -307,7 +307,7 @@ def joint_dictionary(
     # inertia is known on an absolute scale here, so a factor on the torque shows
     placed = [
         candidate
-        for candidate in place_all(balance.nominal, effects)
+        for candidate in place_all(regression.nominal, effects)
         if expressible(candidate) or candidate.effect.name == "input_gain"
     ]
     loud = noise > ARM_POLICY.noisy * float(np.std(torque))

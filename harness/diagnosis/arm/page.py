@@ -95,17 +95,17 @@ def _figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
         alone = found.bodies is None and not found.wide.accepted
         if joint is not None and (own_effects or alone):
             # the joint by itself, the delay of its torque taken out; residuals are needed minus measured
-            balance, final = joint.balance, joint.final
-            longest = int(np.argmax([motion.q.shape[0] for motion in balance.motions["validation"]]))
-            motion = balance.motions["validation"][longest]
-            inside = balance.counts["validation"][longest][:, 0] > 0
+            regression, final = joint.regression, joint.final
+            longest = int(np.argmax([motion.q.shape[0] for motion in regression.motions["validation"]]))
+            motion = regression.motions["validation"][longest]
+            inside = regression.counts["validation"][longest][:, 0] > 0
             speed, rate = True, decimated(motion.v, motion)[inside, 0]
             before = after = -joint.nominal.detail.residual["validation"][longest][inside, 0]
             fitted = None
         if joint is not None and own_effects:
             effects = [accepted.placed for accepted in joint.outcome.accepted]
             # the torque that overcomes a force has the other sign
-            own = -balance.force(final.values, effects, "validation")[longest][:, 0]
+            own = -regression.force(final.values, effects, "validation")[longest][:, 0]
             after = -joint.residual("validation")[longest][inside, 0]
             fitted = own[inside]
         changed = not found.misfit and (

@@ -17,7 +17,7 @@ from harness.effects.effect import Placed
 from harness.errors import HarnessError
 from harness.signals import FloatArray
 
-__all__ = ["USES", "Balance", "Change", "Detail", "Equation", "RegressionForm"]
+__all__ = ["USES", "Change", "Detail", "Equation", "RegressionForm", "TorqueRegression"]
 
 USES = ("estimation", "validation")
 ROUNDS = 12
@@ -35,7 +35,7 @@ FARTHEST = 200.0
 
 
 class Equation(Protocol):
-    """The torque balance with some effects."""
+    """The equation of torques with some effects."""
 
     @property
     def system(self) -> Parametrised:
@@ -57,7 +57,7 @@ class Change:
     torque: dict[str, list[FloatArray]]
 
 
-class Balance(Protocol):
+class TorqueRegression(Protocol):
     """What a regression is about: a model, which rows count, and what effects would change."""
 
     @property
@@ -81,7 +81,7 @@ class Balance(Protocol):
         ...
 
     def equation(self, effects: Sequence[Placed]) -> Equation:
-        """Return the balance with effects."""
+        """Return the equation with effects."""
         ...
 
     def changes(self, values: Mapping[str, float], candidates: Sequence[Placed]) -> list[Change]:
@@ -103,7 +103,7 @@ class Detail:
 
 
 class RegressionForm:
-    """Fits a torque balance by maximum likelihood; see :class:`harness.diagnosis.search.fit.Form`.
+    """Fits an equation of torques by maximum likelihood; see :class:`harness.diagnosis.search.fit.Form`.
 
     The error of every joint is Gaussian, stationary and autoregressive; its coefficients are estimated with the
     parameters, in turn (Cochrane & Orcutt 1949, J. Am. Stat. Assoc. 44:32, with the exact density of the first rows and
@@ -111,18 +111,18 @@ class RegressionForm:
 
     Parameters
     ----------
-    balance : Balance
+    regression : TorqueRegression
     policy : ArmPolicy
     """
 
-    def __init__(self, balance: Balance, policy: ArmPolicy = ARM_POLICY) -> None:
-        self.balance, self.policy = balance, policy
-        self.nominal = balance.nominal
+    def __init__(self, regression: TorqueRegression, policy: ArmPolicy = ARM_POLICY) -> None:
+        self.regression, self.policy = regression, policy
+        self.nominal = regression.nominal
         self._before = {
             use: [[Before.of(part[:, k], POLICY.order) for k in range(part.shape[1])] for part in parts]
-            for use, parts in balance.counts.items()
+            for use, parts in regression.counts.items()
         }
-        equation = balance.equation(())
+        equation = regression.equation(())
         first = equation.residual(equation.system.vector(), "estimation")
         spread = np.sqrt(np.mean(np.concatenate([r for r, _ in first]) ** 2, axis=0))
         self._floor = EXACT * np.maximum(spread, 1e-12)
@@ -140,7 +140,7 @@ class RegressionForm:
         """See :class:`harness.diagnosis.search.fit.Form`; the steps of a regression are cheap."""
         del hope
         try:
-            equation = self.balance.equation(effects)
+            equation = self.regression.equation(effects)
         except HarnessError:  # two blocks that exclude each other
             return None
         plain = None if base is None else self.forgetful(base)
@@ -299,20 +299,20 @@ class RegressionForm:
 
         ``residual`` holds the residual torques (rows, n) of the estimation records with all effects.
         """
-        less = self.balance.equation([effect for effect in effects if str(effect) != str(placed)])
+        less = self.regression.equation([effect for effect in effects if str(effect) != str(placed)])
         p = np.array([values[name] for name in less.system.parameter_names])
         bare = [r for r, _ in less.residual(p, "estimation")]
         squares = [
             np.sum((a - b) ** 2 * counts, axis=0)
-            for a, b, counts in zip(bare, residual, self.balance.counts["estimation"], strict=True)
+            for a, b, counts in zip(bare, residual, self.regression.counts["estimation"], strict=True)
         ]
-        rows = np.sum([counts.sum(axis=0) for counts in self.balance.counts["estimation"]], axis=0)
+        rows = np.sum([counts.sum(axis=0) for counts in self.regression.counts["estimation"]], axis=0)
         rms = np.sqrt(np.sum(squares, axis=0) / np.maximum(rows, 1))
-        return float(np.max(rms / np.maximum(self.balance.size, 1e-300), initial=0.0))
+        return float(np.max(rms / np.maximum(self.regression.size, 1e-300), initial=0.0))
 
     def _own(self, free: Sequence[str]) -> list[int]:
         """Return the places of the parameters that every use of the records fits for itself."""
-        return [k for k, name in enumerate(free) if name in self.balance.own]
+        return [k for k, name in enumerate(free) if name in self.regression.own]
 
     def _refitted(
         self, residual: Sequence[FloatArray], jacobian: Sequence[FloatArray], own: Sequence[int],
@@ -363,7 +363,7 @@ class RegressionForm:
 
     def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
         """See :class:`harness.diagnosis.search.fit.Form`."""
-        return [self._answered(fit, change) for change in self.balance.changes(fit.values, candidates)]
+        return [self._answered(fit, change) for change in self.regression.changes(fit.values, candidates)]
 
     def forgetful(self, fit: Fit) -> Fit | None:
         """Return the fit with white errors of the same size at joints whose error remembers much of a record.
@@ -378,9 +378,9 @@ class RegressionForm:
             return None
         squares = sum(
             np.sum(part**2 * counts, axis=0)
-            for part, counts in zip(detail.residual["estimation"], self.balance.counts["estimation"], strict=True)
+            for part, counts in zip(detail.residual["estimation"], self.regression.counts["estimation"], strict=True)
         )
-        count = sum(counts.sum(axis=0) for counts in self.balance.counts["estimation"])
+        count = sum(counts.sum(axis=0) for counts in self.regression.counts["estimation"])
         sizes = np.maximum(np.sqrt(squares / np.maximum(count, 1)), self._floor)
         errors = tuple(
             Coloured(np.zeros(POLICY.order), float(size)) if remembers else error
@@ -395,7 +395,7 @@ class RegressionForm:
 
     def test_functions(self, fit: Fit) -> list[Column]:
         """See :class:`harness.diagnosis.search.fit.Form`."""
-        return [self._answered(fit, change) for change in self.balance.free_torques()]
+        return [self._answered(fit, change) for change in self.regression.free_torques()]
 
     def _answered(self, fit: Fit, change: Change) -> Column:
         """Return what a change does to the whitened residual."""

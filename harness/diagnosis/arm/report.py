@@ -182,11 +182,11 @@ def _effects(found: ArmDiagnosis) -> tuple[list[dict[str, Any]], list[list[dict[
     return effects, ties, apart
 
 
-def _members(one: Accepted) -> list[dict[str, str]]:
+def _members(accepted: Accepted) -> list[dict[str, str]]:
     """Return the tie set of an effect, itself first."""
     return [
         {"name": " + ".join(p.effect.name for p in group), "at": ", ".join(dict.fromkeys(p.at for p in group))}
-        for group in one.tie
+        for group in accepted.tie
     ]
 
 
@@ -282,21 +282,21 @@ def _rows(outcome: Outcome) -> list[dict[str, Any]]:
     return rows
 
 
-def _total(one: Judged) -> float:
-    return -np.inf if one.comparison is None else one.comparison.total
+def _total(judged: Judged) -> float:
+    return -np.inf if judged.comparison is None else judged.comparison.total
 
 
-def _row(one: Judged, number: int, accepted: set[str]) -> dict[str, Any]:
+def _row(judged: Judged, number: int, accepted: set[str]) -> dict[str, Any]:
     """Return the row of one refit."""
-    answer = one.name in accepted and one.passed
-    compared = one.comparison
+    answer = judged.name in accepted and judged.passed
+    compared = judged.comparison
     return {
-        "name": " + ".join(p.effect.name for p in one.added),
-        "at": ", ".join(p.at for p in one.added),
+        "name": " + ".join(p.effect.name for p in judged.added),
+        "at": ", ".join(p.at for p in judged.added),
         "round": number,
         "refitted": True,
         "accepted": answer,
-        "reason": "; ".join(one.reasons) or ("" if answer else "another one explains more, or is simpler"),
+        "reason": "; ".join(judged.reasons) or ("" if answer else "another one explains more, or is simpler"),
         "evidence": None if compared is None else known(compared.evidence),
         "delta_bic": None if compared is None else known(2 * compared.evidence),
         "validation_gain": None if compared is None else known(compared.validation),

@@ -26,7 +26,7 @@ from harness.physics.arm import ArmModel
 from harness.physics.parameters import Parameter
 from harness.signals import FloatArray
 
-__all__ = ["WideBalance", "WideResult", "own_columns", "wide_search"]
+__all__ = ["WideRegression", "WideResult", "own_columns", "wide_search"]
 
 ROTOR = "rotor"
 OWN = ("dry", "viscous", "constant", "load", "clock", ROTOR)
@@ -38,7 +38,7 @@ LEVEL = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """What has the parameters of a linear balance."""
+    """What has the parameters of a linear regression."""
 
     parameters: tuple[Parameter, ...]
 
@@ -73,8 +73,8 @@ class LinearEquation:
         return [(x @ p - y, x) for x, y in zip(self.columns[use], self.target[use], strict=True)]
 
 
-class WideBalance:
-    """Residual torques of the joints that move; see :class:`harness.diagnosis.arm.regression.Balance`.
+class WideRegression:
+    """Residual torques of the joints that move; see :class:`harness.diagnosis.arm.regression.TorqueRegression`.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class WideBalance:
         return self._columns[key]
 
     def equation(self, effects: Sequence[Placed]) -> LinearEquation:
-        """Return the balance with effects, the parameters of the effects last."""
+        """Return the equation with effects, the parameters of the effects last."""
         parameters = list(self.nominal.parameters)
         columns = {use: [[part] for part in parts] for use, parts in self._base.items()}
         for placed in effects:
@@ -275,8 +275,8 @@ def wide_search(
     FitError
         If the torques are not finite.
     """
-    balance = WideBalance(arm, runs, joints, calibrated, arm_policy)
-    form = RegressionForm(balance, arm_policy)
+    regression = WideRegression(arm, runs, joints, calibrated, arm_policy)
+    form = RegressionForm(regression, arm_policy)
     nominal = form.fit((), [{}], None)
     if nominal is None:
         raise FitError(
@@ -285,14 +285,14 @@ def wide_search(
             got="others",
             remedy="check units and spikes of the positions",
         )
-    candidates = [effect.placed for effect in balance.effects.values()]
+    candidates = [effect.placed for effect in regression.effects.values()]
     own = replace(policy, most=arm_policy.wide, least=arm_policy.sensor)
     outcome = search(form, nominal, candidates, policy=own, say=say)
     small = [
         accepted
         for accepted in outcome.accepted
         if accepted.placed.effect.name != GAIN
-        and balance.beside_friction(accepted.placed, outcome.model) < arm_policy.detail
+        and regression.beside_friction(accepted.placed, outcome.model) < arm_policy.detail
     ]
     notes = []
     if small:
@@ -313,9 +313,9 @@ def wide_search(
     fit = outcome.model
     if outcome.accepted:  # a rotor that is not there would take a part of what is, a few grams of a payload
         there = [k for k in joints if _seen(outcome.model, f"{arm.positions[k].name} {ROTOR}", policy)]
-        lean = RegressionForm(WideBalance(arm, runs, joints, calibrated, arm_policy, there), arm_policy)
+        lean = RegressionForm(WideRegression(arm, runs, joints, calibrated, arm_policy, there), arm_policy)
         fit = lean.fit([accepted.placed for accepted in outcome.accepted], [fit.values], fit) or fit
-    return WideResult(fit, kept, outcome, gains, balance.effects, notes)
+    return WideResult(fit, kept, outcome, gains, regression.effects, notes)
 
 
 def _seen(fit: Fit, name: str, policy: Policy) -> bool:

@@ -165,23 +165,23 @@ def _tried(
     return lines
 
 
-def _added(nominal: FmuSystem, placed: Placed, one: Moved, values: Mapping[str, float]) -> FloatArray:
+def _added(nominal: FmuSystem, placed: Placed, moved: Moved, values: Mapping[str, float]) -> FloatArray:
     """Return what an effect adds to the command along a motion (K, nu); hidden states by Runge-Kutta steps."""
-    made, step = _compiled(nominal, placed, one.dt)
+    made, step = _compiled(nominal, placed, moved.dt)
     around = made.around
     assert around is not None
-    n = len(one.u)
+    n = len(moved.u)
     pairs = zip(placed.effect.parameters, made.parameters[made.inner_count :], strict=True)
     p = np.array([parameter.value if parameter.fixed else values[short.name] for short, parameter in pairs])
     functions, z = around.functions, np.zeros((around.z.shape[0], n))
-    motion = [one.u.T, one.q.T, one.v.T, one.record.t[None]]
+    motion = [moved.u.T, moved.q.T, moved.v.T, moved.record.t[None]]
     if around.z.shape[0]:
-        begun = np.array(functions["starts"](one.u[0], one.q[0], one.v[0], p)).ravel()
+        begun = np.array(functions["starts"](moved.u[0], moved.q[0], moved.v[0], p)).ravel()
         run = step.mapaccum(n - 1)(begun, *(part[:, :-1] for part in motion), *(part[:, 1:] for part in motion),
                                    np.tile(p[:, None], n - 1))  # fmt: skip
         z = np.concatenate([begun[:, None], run.full()], axis=1)
     command = functions["command"].map(n)(*motion, z, np.tile(p[:, None], n)).full().T
-    return np.asarray(command - one.u)
+    return np.asarray(command - moved.u)
 
 
 @functools.lru_cache(maxsize=64)
@@ -199,14 +199,14 @@ def _compiled(nominal: FmuSystem, placed: Placed, dt: float) -> tuple[FmuSystem,
     first, own = ca.SX.sym("z", around.z.shape[0]), ca.SX.sym("p", len(placed.effect.parameters))
     state, h = first, dt / PARTS
 
-    def slope(now: Any, share: float) -> Any:
+    def derivative(now: Any, share: float) -> Any:
         mixed = [start[0], *((1 - share) * a + share * b for a, b in zip(start[1:], end[1:], strict=True))]
         return around.functions["slopes"](*mixed, now, own)
 
     for part in range(PARTS):
-        k1 = slope(state, part / PARTS)
-        k2 = slope(state + 0.5 * h * k1, (part + 0.5) / PARTS)
-        k3 = slope(state + 0.5 * h * k2, (part + 0.5) / PARTS)
-        k4 = slope(state + h * k3, (part + 1) / PARTS)
+        k1 = derivative(state, part / PARTS)
+        k2 = derivative(state + 0.5 * h * k1, (part + 0.5) / PARTS)
+        k3 = derivative(state + 0.5 * h * k2, (part + 0.5) / PARTS)
+        k4 = derivative(state + h * k3, (part + 1) / PARTS)
         state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     return made, ca.Function("step", [first, *start, *end, own], [state])

@@ -387,8 +387,8 @@ class LikelihoodForm(SystemForm[SystemT]):
         tried = self._looked(likelihood, [point for value, point in points if value <= enough], free=free)
         before = -np.inf if base is None else base.log_likelihood("validation")
         if not tried or -tried[0].nll < before:  # worse than without what was added: a start may be the cause
-            rest = self._looked(likelihood, [point for value, point in points if value > enough], free=free)
-            tried = sorted([*tried, *rest], key=lambda fit: fit.nll)
+            others = self._looked(likelihood, [point for value, point in points if value > enough], free=free)
+            tried = sorted([*tried, *others], key=lambda fit: fit.nll)
         if not tried:
             raise FitError(
                 "validation", expected="a model that can be filtered", got="divergence", remedy="start elsewhere"

@@ -32,7 +32,7 @@ class HoldingForm(WholeForm, Protocol):
     """A form that can fit an effect with the nominal parameters held first."""
 
     def held_fit(self, placed: Placed, start: Mapping[str, float], plain: Fit) -> Fit | None:
-        """Return the fit with an effect that starts from a fit without, its parameters held until the rest is found."""
+        """Return the fit with an effect, from a fit without; its parameters are held until the others are found."""
         ...
 
 

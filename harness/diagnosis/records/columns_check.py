@@ -247,9 +247,9 @@ def _sentence(
 def _held(system: System, factor: float) -> System:
     """Return the system with its free parameters held within a factor of their declared values."""
 
-    def held(one: Parameter) -> Parameter:
-        low, high = sorted((one.value / factor, one.value * factor))
-        return replace(one, minimum=max(low, one.minimum), maximum=min(high, one.maximum))
+    def held(parameter: Parameter) -> Parameter:
+        low, high = sorted((parameter.value / factor, parameter.value * factor))
+        return replace(parameter, minimum=max(low, parameter.minimum), maximum=min(high, parameter.maximum))
 
     parts = tuple(
         held(parameter) if not parameter.fixed and parameter.value else parameter for parameter in system.parameters

@@ -131,7 +131,7 @@ def smooth_motion(
     sos = signal.butter(ORDER, 2 * cutoff * dt, output="sos")
     edge = int(np.clip(round(1.5 / (cutoff * dt)), 4, max(n // 8, 4)))
 
-    def slope(x: FloatArray) -> FloatArray:
+    def derivative(x: FloatArray) -> FloatArray:
         second = np.gradient(x, dt)
         return second if intersample != "smooth" else second - np.gradient(np.gradient(second)) / 6
 
@@ -145,10 +145,10 @@ def smooth_motion(
             raw = np.unwrap(raw, period=channel.period)
         pad = min(3 * edge, n - 1)
         smooth = signal.sosfiltfilt(sos, raw, padlen=pad)
-        speed = slope(smooth) if rate is None else signal.sosfiltfilt(sos, run.y[:, rate], padlen=pad)
+        speed = derivative(smooth) if rate is None else signal.sosfiltfilt(sos, run.y[:, rate], padlen=pad)
         q.append(smooth)
         v.append(speed)
-        a.append(slope(speed))
+        a.append(derivative(speed))
     factor = int(np.clip(1 / (10 * band * dt), 1, MOST))
     while factor > 1 and (n - 2 * edge) // factor < 100:
         factor -= 1

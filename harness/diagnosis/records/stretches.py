@@ -47,7 +47,7 @@ def stretched(
     >>> spec = PlantSpec((Channel("u", "N"),), (Channel("q", "m"),), 0.5)
     >>> record = Trajectory(np.arange(80) * 0.5, np.zeros((80, 1)), np.ones((80, 1)), spec)
     >>> short = stretched(Dataset("x", (Run(record),)), long=50, length=10, count=2)
-    >>> [(len(one), float(one.t[0])) for one in short.estimation]
+    >>> [(len(run), float(run.t[0])) for run in short.estimation]
     [(10, 7.5), (10, 27.5)]
     """
     whole = dataset.using(use)  # type: ignore[arg-type]
@@ -170,7 +170,7 @@ def uncut(dataset: Dataset, column: int, ceiling: float, *, count: int = DATA_PO
     >>> y = np.where(np.arange(200) // 20 == 3, 1.0, 0.5)[:, None]
     >>> record = Trajectory(np.arange(200) * 0.5, np.zeros((200, 1)), y, spec)
     >>> pieces = uncut(Dataset("x", (Run(record), Run(record, "validation"))), 0, 0.9)
-    >>> [(len(one), float(one.t[0])) for one in pieces.estimation]
+    >>> [(len(run), float(run.t[0])) for run in pieces.estimation]
     [(60, 0.0), (120, 40.0)]
     """
     runs: list[Run] = []

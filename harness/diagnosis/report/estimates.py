@@ -38,11 +38,11 @@ def estimate(fit: Fit, name: str, together: Sequence[str] = ()) -> dict[str, Any
     return entry
 
 
-def _limit(one: dict[str, Any], low: float, high: float, *, positive: bool) -> None:
+def _limit(entry: dict[str, Any], low: float, high: float, *, positive: bool) -> None:
     """Give an estimate its interval, if that determines anything."""
     if not np.isfinite([low, high]).all() or (positive and abs(high) > WIDEST * abs(low)):
         return
-    one.update(low=low, high=high, state="determined")
+    entry.update(low=low, high=high, state="determined")
 
 
 def scaled_together(system: AnySystem, fit: Fit, dataset: Dataset) -> list[str]:

@@ -193,21 +193,21 @@ def _named(member: Sequence[Placed]) -> dict[str, Any]:
     }
 
 
-def _effect(fit: Fit, one: Any, together: Sequence[str] = ()) -> dict[str, Any]:
+def _effect(fit: Fit, accepted: Any, together: Sequence[str] = ()) -> dict[str, Any]:
     """Return one accepted effect with its parameters."""
     parameters = {}
-    for parameter in one.placed.effect.parameters:
-        name = one.placed.name(parameter.name)
+    for parameter in accepted.placed.effect.parameters:
+        name = accepted.placed.name(parameter.name)
         parameters[parameter.name] = {**estimate(fit, name, together), "meaning": parameter.meaning}
     return {
-        "name": one.placed.effect.name,
-        "at": one.placed.at,
+        "name": accepted.placed.effect.name,
+        "at": accepted.placed.at,
         "parameters": parameters,
-        "evidence": known(one.evidence),
-        "validation_gain": known(one.validation),
-        "delta_bic": known(2 * one.evidence),
-        "formula": one.placed.effect.formula,
-        "summary": one.placed.effect.summary,
+        "evidence": known(accepted.evidence),
+        "validation_gain": known(accepted.validation),
+        "delta_bic": known(2 * accepted.evidence),
+        "formula": accepted.placed.effect.formula,
+        "summary": accepted.placed.effect.summary,
     }
 
 
@@ -340,33 +340,33 @@ def _candidates(found: Diagnosis, together: Sequence[str]) -> list[dict[str, Any
 
 
 def _row(
-    one: Judged, number: int, accepted: set[str], tied: set[str], together: Sequence[str] = (), *, fits: bool = True
+    judged: Judged, number: int, accepted: set[str], tied: set[str], together: Sequence[str] = (), *, fits: bool = True
 ) -> dict[str, Any]:
     """Return the row of one refitted candidate."""
-    reason = "; ".join(one.reasons)
-    if one.passed and not fits:
+    reason = "; ".join(judged.reasons)
+    if judged.passed and not fits:
         reason = NO_FINDING
-    elif one.passed and one.name not in accepted:
-        reason = "tied with the answer" if one.name in tied else "another candidate explains more"
-    compared = one.comparison
+    elif judged.passed and judged.name not in accepted:
+        reason = "tied with the answer" if judged.name in tied else "another candidate explains more"
+    compared = judged.comparison
     return {
-        "name": " + ".join(p.effect.name for p in one.added),
-        "at": ", ".join(p.at for p in one.added),
+        "name": " + ".join(p.effect.name for p in judged.added),
+        "at": ", ".join(p.at for p in judged.added),
         "round": number,
         "refitted": True,
-        "converged": bool(one.fit is not None and one.fit.converged),
-        "accepted": one.name in accepted and one.passed,
-        "passed": one.passed,
+        "converged": bool(judged.fit is not None and judged.fit.converged),
+        "accepted": judged.name in accepted and judged.passed,
+        "passed": judged.passed,
         "reason": reason,
         "evidence": known(None if compared is None else compared.evidence),
         "validation_gain": known(None if compared is None else compared.validation),
         "validation_error": known(None if compared is None else compared.error),
         "main": {}
-        if one.fit is None
+        if judged.fit is None
         else {
-            name: [estimate(one.fit, name, together)[key] for key in ("value", "low", "high")]
-            for name in (p.main() for p in one.added)
-            if name is not None and name in one.fit.free
+            name: [estimate(judged.fit, name, together)[key] for key in ("value", "low", "high")]
+            for name in (p.main() for p in judged.added)
+            if name is not None and name in judged.fit.free
         },
     }
 

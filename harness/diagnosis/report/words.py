@@ -39,7 +39,7 @@ def digits(value: float, count: int = 4) -> str:
     return f"{float(f'{value:.{count}g}'):.0f}" if 10.0**count <= abs(value) < 1e7 else f"{value:.{count}g}"
 
 
-def shown(one: Mapping[str, Any]) -> dict[str, str]:
+def shown(entry: Mapping[str, Any]) -> dict[str, str]:
     """Return value, interval, and the two together of an estimate of ``report.json``, as a reader needs them.
 
     Two digits of the half width count: the value and both ends have their decimals. Where there is no interval the
@@ -56,14 +56,14 @@ def shown(one: Mapping[str, Any]) -> dict[str, str]:
     >>> shown({"value": 0.018, "low": None, "high": None, "state": "not_determined"})["interval"]
     'not determined'
     """
-    value, low, high = one["value"], one["low"], one["high"]
+    value, low, high = entry["value"], entry["low"], entry["high"]
     if value is None:
         return {"value": "\N{EN DASH}", "interval": "\N{EN DASH}"}
     if low is None or high is None:
-        if one.get("state") == "on_bound" and abs(value) < NOTHING:
+        if entry.get("state") == "on_bound" and abs(value) < NOTHING:
             value = 0.0  # a logarithm never comes to 0
-        known = "{:.4g}" if one.get("state") != "not_determined" else "{:.2g}"
-        return {"value": known.format(value), "interval": one.get("state", "not_determined").replace("_", " ")}
+        known = "{:.4g}" if entry.get("state") != "not_determined" else "{:.2g}"
+        return {"value": known.format(value), "interval": entry.get("state", "not_determined").replace("_", " ")}
     ends = (value, low, high)
     half = min(high - value, value - low) if low < value < high else (high - low) / 2
     if half <= 0:

@@ -20,7 +20,7 @@ from harness.effects.effect import Placed
 from harness.physics.system import System
 from harness.signals import FloatArray
 
-__all__ = ["Equations", "bump_rows", "decimated", "equations_of", "expressible"]
+__all__ = ["Equations", "decimated", "equations_of", "expressible", "weak_rows"]
 
 Form = Literal["strong", "weak"]
 
@@ -61,10 +61,10 @@ class Equations:
         """Return the force (N, n) of inputs u (N, nu) along a motion."""
         return self._values("drive", motion.q, motion.v, u, np.asarray(p, dtype=float), motion.t[:, None])[0]
 
-    def balance(self, motion: Motion, p: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def momentum_residual(self, motion: Motion, p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual of the weak form and the change of momentum in it, both (rows, n), never filtered."""
         momentum = self._values("weak", motion.q, motion.v, motion.u, np.asarray(p, dtype=float), motion.t[:, None])[0]
-        return Equations.residual(self, motion, p, "weak", ())[0], bump_rows(momentum, motion, slope=True)
+        return Equations.residual(self, motion, p, "weak", ())[0], weak_rows(momentum, motion, derivative=True)
 
     def residual(
         self, motion: Motion, p: FloatArray, form: Form = "strong", columns: Sequence[int] | None = None
@@ -97,10 +97,10 @@ class Equations:
         (m, jm), (f, jf) = _unpack((momentum, dm), n, npar, rows), _unpack((force, df), n, npar, rows)
         shape = (rows, n * k)
         jm, jf = jm[:, :, wanted], jf[:, :, wanted]
-        r = bump_rows(m, motion, slope=True) - bump_rows(f, motion)
+        r = weak_rows(m, motion, derivative=True) - weak_rows(f, motion)
         if k == 0:
             return r, np.zeros((*r.shape, 0))
-        j = bump_rows(jm.reshape(shape), motion, slope=True) - bump_rows(jf.reshape(shape), motion)
+        j = weak_rows(jm.reshape(shape), motion, derivative=True) - weak_rows(jf.reshape(shape), motion)
         return r, j.reshape(-1, n, k)
 
 
@@ -161,11 +161,11 @@ def decimated(rows: FloatArray, motion: Motion) -> FloatArray:
     return np.asarray(result[cut:-cut])
 
 
-def bump_rows(rows: FloatArray, motion: Motion, *, slope: bool = False) -> FloatArray:
+def weak_rows(rows: FloatArray, motion: Motion, *, derivative: bool = False) -> FloatArray:
     """Return means of rows (N, k) over half overlapping test functions, or minus those over their derivatives.
 
     A test function is (1 - s^2)^2 on s in (-1, 1), so both it and its derivative vanish at its ends; it is as wide as
-    five decimated samples. With ``slope`` the result is the mean of the derivative of the rows, by parts.
+    five decimated samples. With ``derivative`` the result is the mean of the derivative of the rows, by parts.
     """
     dt = motion.sample_time
     width = max(5 * motion.factor, 8)
@@ -174,7 +174,7 @@ def bump_rows(rows: FloatArray, motion: Motion, *, slope: bool = False) -> Float
     s = (np.arange(width) + 0.5) / width * 2 - 1
     test = (1 - s**2) ** 2
     norm = test.sum()
-    weights = 4 * s * (1 - s**2) * (2 / (width * dt)) if slope else test
+    weights = 4 * s * (1 - s**2) * (2 / (width * dt)) if derivative else test
     starts = np.arange(0, rows.shape[0] - width + 1, max(width // 2, 1))
     windows = np.lib.stride_tricks.sliding_window_view(rows, width, axis=0)[starts]
     return np.asarray(windows @ (weights / norm))

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.diagnosis.records.motion import Motion, measured_coordinates, smooth_motion, thinned
-from harness.diagnosis.runs.equation import Equations, bump_rows, decimated, equations_of, expressible
+from harness.diagnosis.runs.equation import Equations, decimated, equations_of, expressible, weak_rows
 from harness.diagnosis.runs.fitted import Fitted
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
@@ -38,7 +38,7 @@ class EquationForm:
     sizes : mapping
         Sizes of the data by port, for start values.
     shape : {"strong", "weak"}
-        Decimated samples of M a - Q, or means over test functions of the momentum balance.
+        Decimated samples of M a - Q, or means over test functions of the momentum residual.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class EquationForm:
     def averaged(self, columns: FloatArray, motion: Motion) -> FloatArray:
         """Return columns (N, n, k) of forces along a motion as the residual is: decimated, or as means."""
         count, n, k = columns.shape
-        slim = decimated if self.shape == "strong" else bump_rows
+        slim = decimated if self.shape == "strong" else weak_rows
         return slim(columns.reshape(count, n * k), motion).reshape(-1, n, k)
 
     def force(self, placed: Sequence[Placed], fitted: Fitted, motion: Motion) -> FloatArray:
