@@ -135,7 +135,7 @@ def minimise(
         by = np.concatenate([scale, np.ones(windows.simulator.nx)])
         gram = now.gram * (by[:, None] * by[None, :])
         gradient = now.gradient * by
-        accepted = False
+        accepted, expected = False, np.inf  # where no step can be computed, nothing says that the cost is flat
         for _ in range(12):
             a, g, back = eliminated(gram, gradient, count, damping, states_free)
             step = _step(a, g, free, p, low, high, scale, logarithmic, damping)

@@ -247,8 +247,8 @@ class Likelihood:
         noise = Noise(np.exp(log_noise[-ny:]), np.exp(log_noise[:nl]), np.exp(log_noise[nl : 2 * nl]), white)
         return Point(p, x0, noise)
 
-    def _layout(self) -> tuple[list[str], npt.NDArray[np.bool_], FloatArray, FloatArray, FloatArray]:
-        """Return names, whether logarithmic, lower and upper bounds, and scales of the vector."""
+    def _layout(self) -> tuple[list[str], npt.NDArray[np.bool_], FloatArray, FloatArray]:
+        """Return names, whether logarithmic, lower and upper bounds of the vector."""
         states = self.filter.state_names
         names = list(self.system.parameter_names)
         log, low, high = list(self._log), list(self._low), list(self._high)
@@ -272,7 +272,7 @@ class Likelihood:
         low += list(outputs - np.log(1e7))
         high += list(outputs + np.log(10.0))
         log += [True] * (len(names) - len(log))
-        return names, np.array(log, dtype=bool), np.array(low), np.array(high), np.zeros(0)
+        return names, np.array(log, dtype=bool), np.array(low), np.array(high)
 
     # ---- evaluation ------------------------------------------------------------------------------------------------
 
@@ -471,7 +471,7 @@ class Likelihood:
         FitError
             If the filter diverges at the start.
         """
-        names, log, low, high, _ = self._layout()
+        names, log, low, high = self._layout()
         chosen = np.zeros(len(names), dtype=bool)
         if free is None:
             chosen[:] = True
@@ -580,7 +580,7 @@ class Likelihood:
         message: str,
     ) -> LikelihoodFit:  # fmt: skip
         """Return the fit with its covariance; what lies on a bound has none."""
-        names, log, low, high, _ = self._layout()
+        names, log, low, high = self._layout()
         size = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
         near = 1e-6
         free = entries < self.filter.parameter_count

@@ -61,11 +61,6 @@ class Equations:
         """Return the force (N, n) of inputs u (N, nu) along a motion."""
         return self._values("drive", motion.q, motion.v, u, np.asarray(p, dtype=float), motion.t[:, None])[0]
 
-    def momentum_residual(self, motion: Motion, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual of the weak form and the change of momentum in it, both (rows, n), never filtered."""
-        momentum = self._values("weak", motion.q, motion.v, motion.u, np.asarray(p, dtype=float), motion.t[:, None])[0]
-        return Equations.residual(self, motion, p, "weak", ())[0], weak_rows(momentum, motion, derivative=True)
-
     def residual(
         self, motion: Motion, p: FloatArray, form: Form = "strong", columns: Sequence[int] | None = None
     ) -> tuple[FloatArray, FloatArray]:

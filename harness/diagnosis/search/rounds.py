@@ -464,7 +464,7 @@ def _simplified(form: Form, outcome: Outcome, rows: Sequence[Judged], policy: Po
             if row.fit is not None and row.added[0].effect.name in rich.effect.nests and row.added[0].at == rich.at
         }
         for simple, alone in special.items():
-            own = {name: number for name, number in alone.values.items() if name.startswith(f"{simple}.")}
+            own = {name: value for name, value in alone.values.items() if name.startswith(f"{simple}.")}
             fit = form.fit([*others, simple], [{**model.values, **own}], model, model)
             if fit is None or not fit.converged or any(impossible(placed, fit) for placed in fit.effects):
                 continue
