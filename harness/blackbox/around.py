@@ -80,7 +80,7 @@ class Around:
             "NY": self.y.shape[0],
             "NE": self.points,
         }
-        told = ", ".join([*("01"[one] for one in self.rates), "0"])
+        told = ", ".join([*("01"[measured] for measured in self.rates), "0"])
         return "\n".join(
             [
                 "#include <math.h>",

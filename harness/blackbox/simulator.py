@@ -45,12 +45,13 @@ class FmuSimulator:
         self.sampled = SampledBlocks(cast(Any, system), self.dt)
         columns = list(system.variables)
         self._columns = columns
-        self._states = [columns.index(one.name) for one in system.inner_states]
-        self._q = np.array([columns.index(one.position) for one in system.coordinates], dtype=np.int64)
+        self._states = [columns.index(state.name) for state in system.inner_states]
+        self._q = np.array([columns.index(coordinate.position) for coordinate in system.coordinates], dtype=np.int64)
         self._v = np.array(
-            [columns.index(one.rate) if one.rate is not None else 0 for one in system.coordinates], dtype=np.int64
+            [columns.index(coordinate.rate) if coordinate.rate is not None else 0 for coordinate in system.coordinates],
+            dtype=np.int64,
         )
-        self._free = [k for k, one in enumerate(system.parameters) if not one.fixed]
+        self._free = [k for k, parameter in enumerate(system.parameters) if not parameter.fixed]
         self._compilation: Any = None
         self._library: Any = None
         self._memory: OrderedDict[bytes, tuple[FloatArray, FloatArray, FloatArray]] = OrderedDict()
@@ -82,14 +83,17 @@ class FmuSimulator:
         system, n = self.system, x.shape[0]
         if not system.hidden_count or system.around is None:
             return np.zeros((n, 0))
-        names = [one.name for one in system.inner_states]
+        names = [state.name for state in system.inner_states]
 
         def state(name: str | None) -> FloatArray:
             return x[:, names.index(name)] if name in names else np.zeros(n)
 
         q, v = (
             np.array([state(name) for name in which]).reshape(len(which), n)
-            for which in ([one.position for one in system.coordinates], [one.rate for one in system.coordinates])
+            for which in (
+                [coordinate.position for coordinate in system.coordinates],
+                [coordinate.rate for coordinate in system.coordinates],
+            )
         )
         many = np.repeat(np.asarray(p, dtype=float)[system.inner_count :, None], n, axis=1)
         found = system.around.functions["starts"](u.T, q, v, many)
@@ -154,7 +158,7 @@ class FmuSimulator:
         q = table[:, self._q]
         if self.system.around is None:
             v = np.gradient(q, self.dt, axis=0) if q.size else q
-            told = [one.rate is not None for one in self.system.coordinates]
+            told = [coordinate.rate is not None for coordinate in self.system.coordinates]
             rates = np.where(told, table[:, self._v], v)
         return q, rates, y
 
@@ -164,8 +168,8 @@ class FmuSimulator:
         """Return the FMU's variables, hidden states, rates of the coordinates and readings of one free run."""
         system, n = self.system, u.shape[0]
         inner = system.inner_count
-        values = {one.name: float(value) for one, value in zip(system.parameters[:inner], p, strict=False)}
-        start = {one.name: float(value) for one, value in zip(system.inner_states, x0, strict=False)}
+        values = {parameter.name: float(value) for parameter, value in zip(system.parameters[:inner], p, strict=False)}
+        start = {state.name: float(value) for state, value in zip(system.inner_states, x0, strict=False)}
         table = np.full((n, len(self._columns)), np.nan)
         hidden = np.full((n, system.hidden_count), np.nan)
         rates = np.zeros((n, len(system.coordinates)))
@@ -232,11 +236,11 @@ class FmuSimulator:
         A bound itself may be refused, as a mass of 0 is, and the common step be too long for a parameter that fell far
         below its declared value, as for damping on next to no inertia: then the difference is one-sided, or shorter.
         """
-        one = self.system.parameters[k]
-        h = STEP * max(abs(p[k]), 0.1 * abs(one.value), 1e-6)
+        parameter = self.system.parameters[k]
+        h = STEP * max(abs(p[k]), 0.1 * abs(parameter.value), 1e-6)
         for step in (h, 1e-3 * h, 1e-6 * h):
             for end in (p[k] + step, p[k] - step):
-                if one.minimum < end < one.maximum:
+                if parameter.minimum < end < parameter.maximum:
                     moved = p.copy()
                     moved[k] = end
                     there = self.run(moved, x0, u, t0)[1]

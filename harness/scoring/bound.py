@@ -166,15 +166,15 @@ def least_errors(truth: LinearTruth, runs: Sequence[Trajectory], held_out: Seque
         judged = [_Slopes(truth, run) for run in held_out]
     except np.linalg.LinAlgError:  # an output without noise
         return None
-    root = _root_covariance(truth, np.vstack([_without(one.white_start, one.white_slopes) for one in learned]))
+    root = _root_covariance(truth, np.vstack([_without(record.white_start, record.white_slopes) for record in learned]))
     totals, count = np.zeros(4), 0
-    for one, run in zip(judged, held_out, strict=True):
+    for own, run in zip(judged, held_out, strict=True):
         spread = np.std(run.y, axis=0)
         if not (spread > 0).all():
             return None
         weight = np.tile(1.0 / spread, len(run))
-        free = [weight[:, None] * part for part in (one.start, one.miss, one.slopes @ root)]
-        ahead = [weight[:, None] * part for part in (one.ahead_start, one.ahead_miss, one.ahead_slopes @ root)]
+        free = [weight[:, None] * part for part in (own.start, own.miss, own.slopes @ root)]
+        ahead = [weight[:, None] * part for part in (own.ahead_start, own.ahead_miss, own.ahead_slopes @ root)]
         for column, (start, miss, excess) in enumerate((free, ahead)):
             noise = float(np.sum(_without(start, miss) ** 2))
             totals[column] += noise + float(np.sum(_without(start, excess) ** 2))

@@ -130,7 +130,7 @@ def control_score(
     r = np.eye(shape[1]) if r is None else np.asarray(r, dtype=float)
     default = np.diag(_SENSOR * size[moved] ** 2)
     sensor = default if sensor is None else np.asarray(sensor, dtype=float)[np.ix_(moved, moved)]
-    plant, model = (_with_outputs(one, moved) for one in (plant, model))
+    plant, model = (_with_outputs(system, moved) for system in (plant, model))
     own = _regulator(plant, q, r, sensor)
     best = None if own is None else _cost(plant, own, q, r, sensor)
     if best is None or not np.isfinite(best[0]):
@@ -296,7 +296,7 @@ def control_regret(
     InputError
         If the plant has no LQR.
     """
-    a, b = (np.asarray(one, dtype=float) for one in plant)
+    a, b = (np.asarray(matrix, dtype=float) for matrix in plant)
     nx, nu = b.shape
     q = np.eye(nx) if q is None else q
     r = np.eye(nu) if r is None else r
