@@ -65,10 +65,12 @@ class ArmDynamics:
     def columns(self) -> tuple[list[int], list[int | None]]:
         """Which output is the position of each joint, and which its rate."""
         names = [channel.name for channel in self.spec.outputs]
-        positions = [names.index(one.name) for one in self.arm.positions]
+        positions = [names.index(position.name) for position in self.arm.positions]
         rates = [
-            next((names.index(f"{one.name}{s}") for s in ("_rate", "_dot") if f"{one.name}{s}" in names), None)
-            for one in self.arm.positions
+            next(
+                (names.index(f"{position.name}{s}") for s in ("_rate", "_dot") if f"{position.name}{s}" in names), None
+            )
+            for position in self.arm.positions
         ]
         return positions, rates
 

@@ -188,8 +188,8 @@ class PlantModel:
         lead = states.shape[:-1]
         inputs = np.broadcast_to(u, (*lead, self.spec.nu)).reshape(-1, self.spec.nu)
         rows = []
-        for one, held in zip(states.reshape(-1, states.shape[-1]), inputs, strict=True):
-            y = self._place(one)
+        for state, held in zip(states.reshape(-1, states.shape[-1]), inputs, strict=True):
+            y = self._place(state)
             if step:
                 self.plant.step(held)
                 y = cast(Any, self.plant).truth()

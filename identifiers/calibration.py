@@ -169,7 +169,7 @@ class JointCalibration:
                 got=str(spec),
                 remedy="rename the signals: joint readings are inputs, the marker's coordinates outputs",
             )
-        q, p = np.concatenate([one.u for one in records]), np.concatenate([one.y for one in records])
+        q, p = np.concatenate([record.u for record in records]), np.concatenate([record.y for record in records])
         if p.size <= len(names):
             raise FitError(
                 f"{what}: too few pairs",
@@ -279,7 +279,7 @@ class JointCalibration:
                 rank,
                 k,
                 null_words(names, null, 1.0 / scale),
-                tuple(name for name, one in zip(names, loose, strict=True) if one),
+                tuple(name for name, undetermined in zip(names, loose, strict=True) if undetermined),
                 "known to better than a radian, or than the length",
             ),
             float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf"),

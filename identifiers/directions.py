@@ -44,7 +44,10 @@ class Directions:
     def compressed(self, records: Sequence[Trajectory]) -> list[Trajectory]:
         """Return records whose outputs are the directions."""
         outputs = tuple(Channel(f"direction {i} of the outputs") for i in range(1, self.weights.shape[1] + 1))
-        return [Trajectory(one.t, one.u, one.y @ self.weights, replace(one.spec, outputs=outputs)) for one in records]
+        return [
+            Trajectory(record.t, record.u, record.y @ self.weights, replace(record.spec, outputs=outputs))
+            for record in records
+        ]
 
     def expanded(self, model: LinearModel, like: Trajectory) -> LinearModel:
         """Return the model of all outputs from that of the directions.
@@ -123,8 +126,8 @@ def lively_directions(records: Sequence[Trajectory]) -> Directions | None:
 def _rows(records: Sequence[Trajectory]) -> tuple[FloatArray, FloatArray]:
     """Return outputs, and inputs and outputs of the samples around them, none across a seam."""
     now, around, left = [], [], CHECKED
-    for one in records:
-        part = one[: min(len(one), left)]
+    for record in records:
+        part = record[: min(len(record), left)]
         if len(part) <= 2 * LAGS:
             continue
         count = len(part) - 2 * LAGS

@@ -236,8 +236,11 @@ class EmbedToControl:
             )
         records.sort(key=lambda record: (len(record), record.y.tobytes()))
         need_torch(what)
-        (u_mean, u_std), (y_mean, y_std) = centred([one.u for one in records]), centred([one.y for one in records])
-        scaled = [((one.y - y_mean) / y_std, (one.u - u_mean) / u_std) for one in records]
+        (u_mean, u_std), (y_mean, y_std) = (
+            centred([record.u for record in records]),
+            centred([record.y for record in records]),
+        )
+        scaled = [((record.y - y_mean) / y_std, (record.u - u_mean) / u_std) for record in records]
         learn, held = _split(scaled)
         start = self._start(learn, spec, rng)
         parts, held_parts = _windows(learn, self.lags, self.window), _windows(held, self.lags, self.window)
@@ -270,7 +273,7 @@ class EmbedToControl:
         draft = LatentModel(spec, tables, self.lags, u_mean, u_std, y_mean, y_std, rest, gain, notes)
         c = draft.c_matrix / y_std[:, None]
         gains = riccati_gains(draft.a_matrix, c, np.ones(self.latent), np.ones(spec.ny))
-        begin = [draft.initial_state(one[:40]) for one in records]
+        begin = [draft.initial_state(record[:40]) for record in records]
         gain = best_gain(gains / y_std, draft.step, draft.output, begin, records) * y_std
         return replace(draft, filter_gain=gain)
 

@@ -152,11 +152,11 @@ def refuse_feedback_of_records(records: Sequence[Trajectory], lags: int, least: 
         As of :func:`refuse_feedback`.
     """
     spec = records[0].spec
-    few = sum(max(0, len(one) - lags) for one in records) <= 2 * (lags * (spec.ny + spec.nu) + 1)
+    few = sum(max(0, len(record) - lags) for record in records) <= 2 * (lags * (spec.ny + spec.nu) + 1)
     if spec.nu == 0 or few:
         return
     solution = solve(lambda: lagged_blocks(records, lags, offset=True), what, least_norm=True)
-    rough = np.concatenate([np.diff(one.y, 4, axis=0) for one in records if len(one) > 4])
+    rough = np.concatenate([np.diff(record.y, 4, axis=0) for record in records if len(record) > 4])
     noise = 1.4826 * np.median(np.abs(rough - np.median(rough, axis=0)), axis=0) / np.sqrt(70.0)
     quiet = replace(solution, residual_rms=np.minimum(solution.residual_rms, noise))
     refuse_feedback(quiet, Columns(spec, lags), least, what, ridge=_TINY)
@@ -210,17 +210,17 @@ def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
     from scipy.stats import f
 
     spec = records[0].spec
-    long = [one for one in records if len(one) > lags + 1]
-    past_u = [[one.u[lags - j : len(one) - j] for j in range(1, lags + 1)] for one in long]
+    long = [record for record in records if len(record) > lags + 1]
+    past_u = [[record.u[lags - j : len(record) - j] for j in range(1, lags + 1)] for record in long]
     # a controller acts on the output of the same sample, unless that depends on the input itself
-    past_y = [[one.y[lags - j : len(one) - j] for j in range(int(spec.feedthrough), lags + 1)] for one in long]
-    rows = sum(len(one) - lags for one in long)
+    past_y = [[record.y[lags - j : len(record) - j] for j in range(int(spec.feedthrough), lags + 1)] for record in long]
+    rows = sum(len(record) - lags for record in long)
     width = 1 + lags * spec.nu + (lags + 1) * spec.ny
     if spec.nu == 0 or rows <= 2 * width:
         return Feedback(0.0, 1.0)
     own = np.concatenate([np.hstack([np.ones((len(p[0]), 1)), *p]) for p in past_u])
     both = np.hstack([own, np.concatenate([np.hstack(p) for p in past_y])])
-    target = np.concatenate([one.u[lags:] for one in long])
+    target = np.concatenate([record.u[lags:] for record in long])
     size = np.linalg.norm(both, axis=0)
     # Norms of residuals are those of the triangle: it is small.
     stacked = np.hstack([both / np.where(size > 0, size, 1.0), target])

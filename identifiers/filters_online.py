@@ -87,10 +87,10 @@ class Stepper:
 
         self.system, self.dt = system, dt
         self.steps = default_substeps(system, dt, system.vector())
-        chosen = [one for one in system.parameters if not one.fixed and one.name not in fixed]
-        self.names = tuple(one.name for one in chosen)
+        chosen = [parameter for parameter in system.parameters if not parameter.fixed and parameter.name not in fixed]
+        self.names = tuple(parameter.name for parameter in chosen)
         self.rows = [system.parameter_names.index(name) for name in self.names]
-        self.logarithmic = np.array([one.positive and one.value > 0 for one in chosen], dtype=bool)
+        self.logarithmic = np.array([parameter.positive and parameter.value > 0 for parameter in chosen], dtype=bool)
 
     def __reduce__(self) -> tuple[Any, ...]:
         known = set(self.names)
@@ -326,8 +326,8 @@ class OnlineGreyBox:
         """Return the variance (m,) that a sample adds."""
         stepper, n = state.stepper, state.stepper.system.nx
         added = np.zeros(state.mean.size)
-        for one in stepper.system.coordinates:
-            added[one.v] = self.disturbance**2 * stepper.dt
+        for coordinate in stepper.system.coordinates:
+            added[coordinate.v] = self.disturbance**2 * stepper.dt
         size = np.where(stepper.logarithmic, 1.0, np.maximum(np.abs(state.mean[n:]), 0.1))
         added[n:] = (self.walk * size) ** 2 * stepper.dt
         return added
@@ -335,9 +335,9 @@ class OnlineGreyBox:
     def _extended(self, state: FilterState, u: FloatArray) -> tuple[FloatArray, ...]:
         """Return mean, covariance, output, cross covariance and output covariance one sample later, linearised."""
         stepper = state.stepper
-        after, slope = (one.full() for one in stepper.functions[2](state.mean, u, state.clock))
+        after, slope = (matrix.full() for matrix in stepper.functions[2](state.mean, u, state.clock))
         covariance = slope @ state.covariance @ slope.T + np.diag(self._drift(state))
-        seen, sight = (one.full() for one in stepper.functions[3](after, u, state.clock + stepper.dt))
+        seen, sight = (matrix.full() for matrix in stepper.functions[3](after, u, state.clock + stepper.dt))
         cross = covariance @ sight.T
         return after[:, 0], covariance, seen[:, 0], cross, sight @ cross
 

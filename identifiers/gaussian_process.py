@@ -123,8 +123,8 @@ class GaussianProcessModel(LagModel):
         flat = self.scaling.rows(rows).reshape(-1, rows.shape[-1])
         both = [posterior(flat) for posterior in self.posteriors]
         shape = (*rows.shape[:-1], self.spec.ny)
-        mean = np.stack([one for one, _ in both], axis=-1).reshape(shape)
-        variance = np.stack([one for _, one in both], axis=-1).reshape(shape)
+        mean = np.stack([middle for middle, _ in both], axis=-1).reshape(shape)
+        variance = np.stack([spread for _, spread in both], axis=-1).reshape(shape)
         change = self.scaling.y_mean + mean * self.scaling.y_std
         return rows[..., : self.spec.ny] + change, variance * self.scaling.y_std**2
 
@@ -132,16 +132,16 @@ class GaussianProcessModel(LagModel):
         """Return a JSON-ready description."""
         outputs = [
             {
-                "lengths": one.kernel.lengths.tolist(),
-                "signal": one.kernel.signal,
-                "slope": one.kernel.slope,
-                "noise": one.kernel.noise,
-                "points": one.points.tolist(),
-                "root": one.root.tolist(),
-                "target": one.target.tolist(),
-                "extra": one.extra.tolist(),
+                "lengths": posterior.kernel.lengths.tolist(),
+                "signal": posterior.kernel.signal,
+                "slope": posterior.kernel.slope,
+                "noise": posterior.kernel.noise,
+                "points": posterior.points.tolist(),
+                "root": posterior.root.tolist(),
+                "target": posterior.target.tolist(),
+                "extra": posterior.extra.tolist(),
             }
-            for one in self.posteriors
+            for posterior in self.posteriors
         ]
         return {**self.head("gaussian-process"), "outputs": outputs}
 
@@ -150,13 +150,13 @@ class GaussianProcessModel(LagModel):
         """Return the model of a description."""
         posteriors = tuple(
             Posterior(
-                Kernel(np.array(one["lengths"], dtype=float), one["signal"], one["slope"], one["noise"]),
-                np.array(one["points"], dtype=float),
-                np.array(one["root"], dtype=float),
-                np.array(one["target"], dtype=float),
-                np.array(one["extra"], dtype=float).reshape(len(one["points"]), -1),
+                Kernel(np.array(stored["lengths"], dtype=float), stored["signal"], stored["slope"], stored["noise"]),
+                np.array(stored["points"], dtype=float),
+                np.array(stored["root"], dtype=float),
+                np.array(stored["target"], dtype=float),
+                np.array(stored["extra"], dtype=float).reshape(len(stored["points"]), -1),
             )
-            for one in content["outputs"]
+            for stored in content["outputs"]
         )
         return cls(
             spec_from_dict(content["spec"]),
@@ -207,7 +207,7 @@ class GaussianProcess:
         real_signals(spec, what)
         moving(records, what, inputs=False)
         # Samples are drawn by row: in whatever order records come, they make the same model.
-        records.sort(key=lambda one: (len(one), one.y.tobytes()))
+        records.sort(key=lambda record: (len(record), record.y.tobytes()))
         rows, later = regression_data(records, self.order)
         if len(rows) < rows.shape[1] + 3:
             raise FitError(
@@ -232,9 +232,11 @@ class GaussianProcess:
                 posteriors.append(_sparse(kernel, points, x, y[:, column]))
         notes = {
             "samples": len(x),
-            "points": [len(one.points) for one in posteriors],
-            "noise": [float(one.kernel.noise * s) for one, s in zip(posteriors, scaling.y_std, strict=True)],
-            "lengths": [(one.kernel.lengths * scaling.x_std).tolist() for one in posteriors],
+            "points": [len(posterior.points) for posterior in posteriors],
+            "noise": [
+                float(posterior.kernel.noise * s) for posterior, s in zip(posteriors, scaling.y_std, strict=True)
+            ],
+            "lengths": [(posterior.kernel.lengths * scaling.x_std).tolist() for posterior in posteriors],
         }
         return GaussianProcessModel(spec, self.order, scaling, tuple(posteriors), notes=notes)
 

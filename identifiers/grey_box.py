@@ -97,7 +97,7 @@ class OutputError(PhysicalFit):
             return fit(None)
         if self.horizon != "auto":
             return fit(float(self.horizon))
-        longest = max(one.duration for one in records)
+        longest = max(record.duration for record in records)
         dt = records[0].spec.sample_time
         shortest = _FEWEST * dt
         short = max(_FIRST, 40 * dt)
@@ -121,7 +121,9 @@ class OutputError(PhysicalFit):
         """Return parameters near the data, before any fit: where the fit itself would start."""
         from harness.physics.start import first_values
 
-        free = np.array([not one.fixed and one.name not in self.fixed for one in system.parameters], dtype=bool)
+        free = np.array(
+            [not parameter.fixed and parameter.name not in self.fixed for parameter in system.parameters], dtype=bool
+        )
         values = system.values(dict(self.start) or None)
         return first_values(system, records, values, free, set(self.start), self.intersample)[-1]
 

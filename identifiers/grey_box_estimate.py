@@ -50,7 +50,7 @@ def output_error_estimate(system: System, fit: OutputErrorFit) -> Estimate:
         int(np.sum(~weak)),
         len(names),
         null_words(names, null, lengths),
-        tuple(name for name, one in zip(names, loose, strict=True) if one),
+        tuple(name for name, undetermined in zip(names, loose, strict=True) if undetermined),
         "rounding of the sensitivities",
     )
     condition = float(np.sqrt(sizes[-1] / sizes[0])) if sizes.size and sizes[0] > 0 else float("inf")
@@ -89,18 +89,18 @@ def _covariance(
     """Return the covariance of the scaled parameters, and how it was computed."""
     keep = ~weak.astype(bool)
     inverse = (vectors[:, keep] / sizes[keep]) @ vectors[:, keep].T
-    rest = [one / fit.sigma for one in fit.residuals]
-    samples = sum(len(one) for one in rest)
+    rest = [miss / fit.sigma for miss in fit.residuals]
+    samples = sum(len(miss) for miss in rest)
     length = _correlation_length(rest)
     if length <= 1:
         return inverse * fit.chi2, "normal, residual white"
     if samples < LEAST_BLOCKS * length:
         return inverse * fit.chi2, f"no intervals: the residual stays correlated over {length} of {samples} samples"
-    scores = slope * np.concatenate([one.ravel() for one in rest])[:, None]
+    scores = slope * np.concatenate([miss.ravel() for miss in rest])[:, None]
     ny, at, middle = rest[0].shape[1], 0, np.zeros((slope.shape[1], slope.shape[1]))
-    for one in rest:
-        part = scores[at : at + one.size].reshape(len(one), ny, -1).sum(axis=1)
-        at += one.size
+    for miss in rest:
+        part = scores[at : at + miss.size].reshape(len(miss), ny, -1).sum(axis=1)
+        at += miss.size
         middle += part.T @ part
         for lag in range(1, min(length, len(part) - 1) + 1):
             cross = part[lag:].T @ part[:-lag]
@@ -114,8 +114,8 @@ def _correlation_length(rest: list[FloatArray]) -> int:
     """Return the lag [samples] from which on the autocorrelation of every output stays within its white noise."""
     longest = 1
     for column in range(rest[0].shape[1]):
-        for one in rest:
-            r = one[:, column] - one[:, column].mean()
+        for miss in rest:
+            r = miss[:, column] - miss[:, column].mean()
             n = len(r)
             power = float(r @ r)
             if n < 8 or power == 0.0:
@@ -132,7 +132,11 @@ def _correlation_length(rest: list[FloatArray]) -> int:
 
 def at_bound(system: System, name: str, value: float) -> bool:
     """Return True if a value lies on a bound of its parameter (for a positive one: at nothing)."""
-    one = system.parameter(name)
+    parameter = system.parameter(name)
     width = 1e-6 * max(abs(value), 1e-12)
-    low = value < 1e-9 * max(abs(one.value), 1e-9) if one.minimum == 0.0 else value <= one.minimum + width
-    return bool(low or value >= one.maximum - width)
+    low = (
+        value < 1e-9 * max(abs(parameter.value), 1e-9)
+        if parameter.minimum == 0.0
+        else value <= parameter.minimum + width
+    )
+    return bool(low or value >= parameter.maximum - width)

@@ -142,7 +142,7 @@ class PiecewiseAffine:
         starts = [_clustered(r, y, self.modes, rng)]
         starts += [_grown(r, self.modes, rng) for _ in range(self.starts if self.modes > 1 else 0)]
         found = [self._settled(r, y, start, _TRIAL_ROUNDS) for start in starts]
-        theta, regions, labels, _ = self._settled(r, y, min(found, key=lambda one: one[3])[2], _ROUNDS)
+        theta, regions, labels, _ = self._settled(r, y, min(found, key=lambda result: result[3])[2], _ROUNDS)
         inside = np.ones(len(r), dtype=bool)
         if self.modes > 1:
             theta, labels, inside = _trimmed(r, y, theta, labels)

@@ -290,7 +290,11 @@ class LagrangianNetwork:
         cuts = [len(record) - len(record) // _HELD_OUT for record in records]
         learn = _windows(records, states, [(0, cut) for cut in cuts], self.window, 1)
         held = _windows(
-            records, states, [(cut, len(one)) for cut, one in zip(cuts, records, strict=True)], self.window, self.window
+            records,
+            states,
+            [(cut, len(record)) for cut, record in zip(cuts, records, strict=True)],
+            self.window,
+            self.window,
         )
         n, m, h = len(names), len(names) * (len(names) + 1) // 2, self.hidden
         diagonal = np.zeros(m)
@@ -360,7 +364,7 @@ class LagrangianNetwork:
         periodic = tuple(channels[i].period is not None for i in range(n))
         size = tuple(1.0 if angle else float(scale[i]) for i, angle in enumerate(periodic))
         turn = np.concatenate([np.diff(state[:, n:], axis=0) for state in states]) / spec.sample_time
-        push = float(np.concatenate([one.u for one in records]).std()) if spec.nu else 1.0
+        push = float(np.concatenate([record.u for record in records]).std()) if spec.nu else 1.0
         mass = tuple(float(push / max(a, 1e-12)) for a in turn.std(axis=0))
         for i, angle in enumerate(periodic):
             turns = float(channels[i].period or 0.0)

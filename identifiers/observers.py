@@ -79,7 +79,7 @@ def best_gain(
         Use so many samples in all.
     """
     channels = records[0].spec.outputs
-    spread = np.concatenate([one.y for one in records]).std(axis=0)
+    spread = np.concatenate([record.y for record in records]).std(axis=0)
     spread = np.where(spread > 0, spread, 1.0)
     cost = np.zeros(len(gains))
     each = max(20, samples // len(records))

@@ -194,9 +194,9 @@ def quotient(unit: str, by: str) -> str:
     return unit if by == "1" else f"{over}/{under}"
 
 
-def _rows(one: Trajectory, lags: int, offset: bool) -> FloatArray:
+def _rows(record: Trajectory, lags: int, offset: bool) -> FloatArray:
     """Return the regressors of a record (N - lags, p)."""
-    rows = lagged(one, lags)
+    rows = lagged(record, lags)
     return np.hstack([rows, np.ones((len(rows), 1))]) if offset else rows
 
 
@@ -204,8 +204,8 @@ def _residual_covariance(records: Sequence[Trajectory], solution: Solution, lags
     """Return that of the residuals (ny, ny): variances over all equations, correlations over the first of them."""
     theta = solution.coefficients
     total, left = np.zeros((theta.shape[1],) * 2), CHECKED
-    for one in records:
-        part = one[: min(len(one), left + lags)]
+    for record in records:
+        part = record[: min(len(record), left + lags)]
         if len(part) <= lags or left <= 0:
             continue
         rest = part.y[lags:] - _rows(part, lags, offset) @ theta
@@ -223,8 +223,8 @@ def _foretold(records: Sequence[Trajectory], theta: FloatArray, lags: int, offse
     from scipy.stats import chi2
 
     rows, before, rest, left = [], [], [], CHECKED
-    for one in records:
-        part = one[: min(len(one), left + lags + 1)]
+    for record in records:
+        part = record[: min(len(record), left + lags + 1)]
         if len(part) < lags + 2 or left <= 0:
             continue
         phi = _rows(part, lags, offset)
@@ -252,8 +252,8 @@ def _foretold(records: Sequence[Trajectory], theta: FloatArray, lags: int, offse
 def _without(records: Sequence[Trajectory], low: int, high: int) -> list[Trajectory]:
     """Return the records without samples low .. high - 1, counted through all of them; a hole is a seam."""
     kept, place = [], 0
-    for one in records:
-        first, last = (min(max(edge - place, 0), len(one)) for edge in (low, high))
-        kept += [one[part] for part in (slice(0, first), slice(last, len(one))) if part.stop - part.start >= 2]
-        place += len(one)
+    for record in records:
+        first, last = (min(max(edge - place, 0), len(record)) for edge in (low, high))
+        kept += [record[part] for part in (slice(0, first), slice(last, len(record))) if part.stop - part.start >= 2]
+        place += len(record)
     return kept

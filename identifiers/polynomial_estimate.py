@@ -55,7 +55,7 @@ class Fitted:
     @property
     def errors(self) -> list[float]:
         """Standard errors of the parameter vector."""
-        return [float(one) for one in np.sqrt(np.diag(self.covariance))]
+        return [float(error) for error in np.sqrt(np.diag(self.covariance))]
 
 
 def whiteness(residuals: Sequence[FloatArray]) -> float:
@@ -74,12 +74,12 @@ def whiteness(residuals: Sequence[FloatArray]) -> float:
     """
     from scipy.stats import chi2
 
-    n = sum(len(one) for one in residuals)
-    power = sum(float(one @ one) for one in residuals)
-    lags = min(LAGS, max(len(one) for one in residuals) - 2)
+    n = sum(len(miss) for miss in residuals)
+    power = sum(float(miss @ miss) for miss in residuals)
+    lags = min(LAGS, max(len(miss) for miss in residuals) - 2)
     if power == 0 or lags < 1:
         return 1.0
-    shares = [sum(float(one[j:] @ one[:-j]) for one in residuals) / power for j in range(1, lags + 1)]
+    shares = [sum(float(miss[j:] @ miss[:-j]) for miss in residuals) / power for j in range(1, lags + 1)]
     return float(chi2.sf(n * (n + 2) * sum(s**2 / (n - j) for j, s in enumerate(shares, 1)), lags))
 
 

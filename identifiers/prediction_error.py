@@ -116,8 +116,8 @@ class PredictionError:
 
     def _chosen(self, records: Sequence[Trajectory], what: str) -> tuple[int, dict[str, float]]:
         """Return the order that does best on the last third of the records."""
-        fit = [one[: 2 * len(one) // 3] for one in records]
-        held = [one[2 * len(one) // 3 :] for one in records]
+        fit = [record[: 2 * len(record) // 3] for record in records]
+        held = [record[2 * len(record) // 3 :] for record in records]
         errors: dict[str, float] = {}
         best = (np.inf, 1)
         for order in LADDER:
@@ -126,7 +126,7 @@ class PredictionError:
                 break
             model, _ = self._fitted(learn, order, what)
             score = simulation_error if self.structure == "oe" else equation_error
-            wrong = [score(model, one, burn_in=2 * order).rms for one in judge]
+            wrong = [score(model, record, burn_in=2 * order).rms for record in judge]
             error = float(np.sqrt(np.mean(np.square(wrong))))
             errors[str(order)] = error if np.isfinite(error) else 1e300
             if error < _GAIN * best[0] and best[0] > _ROUNDING:
@@ -137,7 +137,7 @@ class PredictionError:
         """Return the model of one order, of scaled records, and the fit of every output."""
         spec = records[0].spec
         fits = [
-            self._one_output([Part(one.u, one.y[:, column]) for one in records], order, what)
+            self._one_output([Part(record.u, record.y[:, column]) for record in records], order, what)
             for column in range(spec.ny)
         ]
         found = [fit.model for fit in fits]
@@ -147,8 +147,8 @@ class PredictionError:
             "residual_rms": [fit.rms for fit in fits],
             "converged": all(fit.arrived for fit in fits),
             "polynomials": [
-                {name: np.asarray(getattr(one, name)).tolist() for name in ("a", "b", "c", "d", "f", "level")}
-                for one in found
+                {name: np.asarray(getattr(model, name)).tolist() for name in ("a", "b", "c", "d", "f", "level")}
+                for model in found
             ],
             "standard_errors": [fit.errors for fit in fits],
             **moved,

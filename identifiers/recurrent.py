@@ -254,10 +254,13 @@ class NeuralOutputError:
         records, spec = usable(trajectories, samples=5 * (self.order + 4), what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
-        records.sort(key=lambda one: (len(one), one.y.tobytes()))
-        (u_mean, u_std), (y_mean, y_std) = centred([one.u for one in records]), centred([one.y for one in records])
+        records.sort(key=lambda record: (len(record), record.y.tobytes()))
+        (u_mean, u_std), (y_mean, y_std) = (
+            centred([record.u for record in records]),
+            centred([record.y for record in records]),
+        )
         layout = Layout(self.order, spec.nu, spec.ny, self.hidden, self.outside)
-        problems = [Problem(spec.outputs, (one.u - u_mean) / u_std, one.y, y_mean, y_std) for one in records]
+        problems = [Problem(spec.outputs, (record.u - u_mean) / u_std, record.y, y_mean, y_std) for record in records]
         direct = self.direct or spec.feedthrough
         seed = int(rng.integers(2**62))
         path = None if self.checkpoint is None else Path(self.checkpoint)

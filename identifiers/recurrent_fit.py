@@ -197,7 +197,7 @@ def _begin(
 ) -> tuple[FloatArray, FloatArray]:
     """Return weights whose linear part is a cascade of lags or a subspace model, and an initial state."""
     nx, nu, ny = layout.nx, layout.nu, layout.ny
-    longest = max(len(one.u) for one in problems)
+    longest = max(len(problem.u) for problem in problems)
     # Time constants from some samples to a tenth of the longest record: what the data can show.
     rate = np.exp(rng.uniform(np.log(min(1.0, 10.0 / longest)), np.log(0.3), nx))
     a = np.diag(1.0 - rate) + np.diag(rate[1:], -1)
@@ -224,8 +224,13 @@ def _subspace(
     channels = tuple(Channel(f"{kind}{i}") for kind, count in (("u", nu), ("y", ny)) for i in range(count))
     spec = PlantSpec(channels[:nu], channels[nu:], 1.0)
     records = [
-        Trajectory(np.arange(float(one.cut)), one.u[: one.cut], ((one.y - one.y_mean) / one.y_std)[: one.cut], spec)
-        for one in problems
+        Trajectory(
+            np.arange(float(problem.cut)),
+            problem.u[: problem.cut],
+            ((problem.y - problem.y_mean) / problem.y_std)[: problem.cut],
+            spec,
+        )
+        for problem in problems
     ]
     try:
         model = Subspace(order=nx, stable=True).fit(records, rng=rng)
@@ -265,7 +270,7 @@ def _cost(
     layout: Layout, problems: Sequence[Problem], theta: FloatArray, starts: FloatArray, weight: FloatArray
 ) -> tuple[float, float, float]:
     """Return the cost, the held-out rms and the estimation rms of free runs; infinite where one diverges."""
-    runs = [layout.run(theta, x, one.u, slopes=False)[0] for one, x in zip(problems, starts, strict=True)]
+    runs = [layout.run(theta, x, problem.u, slopes=False)[0] for problem, x in zip(problems, starts, strict=True)]
     return _sums(problems, runs, theta, starts, weight)
 
 
@@ -278,9 +283,9 @@ def _sums(
 ) -> tuple[float, float, float]:
     if not all(np.isfinite(run).all() for run in runs):
         return np.inf, np.inf, np.inf
-    errors = [one.errors(run) for one, run in zip(problems, runs, strict=True)]
-    learned = np.concatenate([miss[: one.cut] for one, miss in zip(problems, errors, strict=True)])
-    held = np.concatenate([miss[one.cut :] for one, miss in zip(problems, errors, strict=True)])
+    errors = [problem.errors(run) for problem, run in zip(problems, runs, strict=True)]
+    learned = np.concatenate([miss[: problem.cut] for problem, miss in zip(problems, errors, strict=True)])
+    held = np.concatenate([miss[problem.cut :] for problem, miss in zip(problems, errors, strict=True)])
     cost = float(np.sum(learned**2) + np.sum(weight * theta**2) + _STATE_PRECISION * np.sum(starts**2))
     return cost, float(np.sqrt(np.mean(held**2))), float(np.sqrt(np.mean(learned**2)))
 
@@ -297,12 +302,12 @@ def _normal(
     corner = np.tile(_STATE_PRECISION * np.eye(nx), (len(problems), 1, 1))
     bridge, side = np.empty((len(problems), p, nx)), _STATE_PRECISION * starts
     runs = []
-    for number, (one, x) in enumerate(zip(problems, starts, strict=True)):
-        y, table = layout.run(theta, x, one.u, slopes=True)
+    for number, (problem, x) in enumerate(zip(problems, starts, strict=True)):
+        y, table = layout.run(theta, x, problem.u, slopes=True)
         assert table is not None
         runs.append(y)
-        rows = table[: one.cut].reshape(-1, p + nx)
-        miss = one.errors(y)[: one.cut].ravel()
+        rows = table[: problem.cut].reshape(-1, p + nx)
+        miss = problem.errors(y)[: problem.cut].ravel()
         square, right = rows.T @ rows, rows.T @ miss
         gram += square[:p, :p]
         slope = slope + right[:p]

@@ -53,6 +53,6 @@ def ridge_by_cross_validation(columns: FloatArray, targets: FloatArray, samples:
         return rest / max(samples - float(share.sum()), 1.0) ** 2
 
     penalties = _PENALTIES * values[0] ** 2
-    penalty = penalties[int(np.argmin([criterion(one) for one in penalties]))]
+    penalty = penalties[int(np.argmin([criterion(trial) for trial in penalties]))]
     solution: FloatArray = right.T @ ((values / (values**2 + penalty))[:, None] * found)
     return solution

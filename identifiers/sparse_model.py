@@ -215,7 +215,7 @@ class SparseModel:
     def _value(self, x: FloatArray, inputs: list[FloatArray]) -> FloatArray:
         """Return what the equations give (..., ny)."""
         found = self._equations(np.sin, np.cos, *np.moveaxis(x, -1, 0), *inputs)
-        return np.stack([np.broadcast_to(one, x.shape[:-1]) for one in found], axis=-1)
+        return np.stack([np.broadcast_to(value, x.shape[:-1]) for value in found], axis=-1)
 
     def _slope(self, x: FloatArray, inputs: list[FloatArray]) -> FloatArray:
         value = self._value(x, inputs)
