@@ -207,8 +207,8 @@ class PlantModel:
                 continue
             parents = [name for name in measured if _rate_of(channel, name)]
             if parents and few > 2:
-                slope = np.polyfit(np.arange(few), data.y[:few, measured[parents[0]]], 2)[1]
-                guess[i] = slope / self.spec.sample_time
+                derivative = np.polyfit(np.arange(few), data.y[:few, measured[parents[0]]], 2)[1]
+                guess[i] = derivative / self.spec.sample_time
         return guess
 
 

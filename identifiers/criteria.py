@@ -77,8 +77,8 @@ def total_least_squares(records: Sequence[Trajectory], offset: bool, what: str) 
     noise = _noise_sizes(records)
     both = np.hstack([before, after]) / np.tile(noise, 2)
     q, r = np.linalg.qr(exact / size) if exact.shape[1] else (np.zeros((len(before), 0)), np.zeros((0, 0)))
-    rest = both - q @ (q.T @ both)
-    vectors = np.linalg.svd(rest, full_matrices=True)[2] if rest.shape[0] < 2 * ny else _right_vectors(rest)
+    residual = both - q @ (q.T @ both)
+    vectors = np.linalg.svd(residual, full_matrices=True)[2] if residual.shape[0] < 2 * ny else _right_vectors(residual)
     upper, lower = vectors[ny:, :ny], vectors[ny:, ny:]
     if np.linalg.cond(lower) > 1e10:
         raise FitError(

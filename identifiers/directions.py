@@ -107,11 +107,11 @@ def lively_directions(records: Sequence[Trajectory]) -> Directions | None:
     basis = _orthonormal(around)
     inner, shares, _ = np.linalg.svd(left[:, :rank].T @ basis, full_matrices=False)
     # 1 - rho^2 of exact data is rounding, whose logarithm would be lost
-    rest = np.log(np.clip(1.0 - shares**2, 1e-15, 1.0))
+    remaining = np.log(np.clip(1.0 - shares**2, 1e-15, 1.0))
     kept = 0
     while kept < shares.size:
         freedom = (rank - kept) * (basis.shape[1] - kept)
-        statistic = -(n - 1 - (rank + basis.shape[1] + 1) / 2) * float(rest[kept:].sum())
+        statistic = -(n - 1 - (rank + basis.shape[1] + 1) / 2) * float(remaining[kept:].sum())
         if chi2.sf(statistic, freedom) > CHANCE:
             break
         kept += 1

@@ -252,10 +252,10 @@ def _pairs(records: Sequence[Trajectory], offset: bool, size: int) -> Iterator[F
 def _noise_sizes(before: FloatArray, rank: int) -> FloatArray:
     """Return the part of each output that the leading directions leave (ny,), never below a part of its size."""
     right = np.linalg.svd(before, full_matrices=False)[2][:rank]
-    rest = np.sqrt(np.mean((before - before @ right.T @ right) ** 2, axis=0))
+    residual = np.sqrt(np.mean((before - before @ right.T @ right) ** 2, axis=0))
     size = np.sqrt(np.mean(before**2, axis=0))
     floor = np.maximum(size, 1e-6 * max(float(size.max()), 1e-300))
-    found: FloatArray = np.maximum(rest, 1e-6 * floor)
+    found: FloatArray = np.maximum(residual, 1e-6 * floor)
     return found
 
 

@@ -91,19 +91,19 @@ class LatentModel:
     @property
     def a_matrix(self) -> FloatArray:
         """Dynamics (nz, nz) linearised at rest."""
-        return self._slopes(lambda z: _ahead(np, self.tables, z, np.zeros((len(z), self.spec.nu))), self.rest)
+        return self._jacobian(lambda z: _ahead(np, self.tables, z, np.zeros((len(z), self.spec.nu))), self.rest)
 
     @property
     def b_matrix(self) -> FloatArray:
         """Effect (nz, nu) of an input in its unit."""
         rest = np.tile(self.rest, (2 * max(self.spec.nu, 1), 1))
-        slopes = self._slopes(lambda u: _ahead(np, self.tables, rest, u), np.zeros(self.spec.nu))
-        return np.asarray(slopes / self.u_std)
+        jacobian = self._jacobian(lambda u: _ahead(np, self.tables, rest, u), np.zeros(self.spec.nu))
+        return np.asarray(jacobian / self.u_std)
 
     @property
     def c_matrix(self) -> FloatArray:
         """Outputs in their units by latent state (ny, nz)."""
-        return np.asarray(self._slopes(lambda z: _decoded(np, self.tables, z), self.rest) * self.y_std[:, None])
+        return np.asarray(self._jacobian(lambda z: _decoded(np, self.tables, z), self.rest) * self.y_std[:, None])
 
     @property
     def d_matrix(self) -> FloatArray:
@@ -161,10 +161,10 @@ class LatentModel:
         shapes = content["shapes"]
         tables = {name: np.array(content["tables"][name], dtype=float).reshape(shapes[name]) for name in _TABLES}
         names = ("u_mean", "u_std", "y_mean", "y_std", "rest", "filter_gain")
-        rest = {name: np.array(content[name], dtype=float) for name in names}
-        return cls(spec, tables, int(content["lags"]), **rest, notes=dict(content.get("notes", {})))
+        arrays = {name: np.array(content[name], dtype=float) for name in names}
+        return cls(spec, tables, int(content["lags"]), **arrays, notes=dict(content.get("notes", {})))
 
-    def _slopes(self, function: Any, at: FloatArray) -> FloatArray:
+    def _jacobian(self, function: Any, at: FloatArray) -> FloatArray:
         """Return the derivative (m, n) of a function of rows by central differences."""
         steps = 1e-5 * np.eye(len(at))
         values = function(np.concatenate([at + steps, at - steps]))[: 2 * len(at)]

@@ -87,10 +87,10 @@ def refuse_feedback(solution: Solution, columns: Columns, least: float, what: st
     left = np.vstack([r[:, others], np.diag(np.minimum(noise[others], _PENALTY))])
     right = np.vstack([r[:, columns.now], np.zeros((len(others), len(columns.now)))])
     law = np.linalg.lstsq(left, right, rcond=1e-12)[0]
-    rest = r[:, columns.now] - r[:, others] @ law
+    residual = r[:, columns.now] - r[:, others] @ law
     passed = noise[others, None] * law
     # How much of the departure is noise, in the combination of inputs where that is most.
-    departure, carried = rest.T @ rest, passed.T @ passed
+    departure, carried = residual.T @ residual, passed.T @ passed
     if ridge > 0:
         departure = departure - ridge * (np.eye(len(columns.now)) + law.T @ law)
         carried = carried + _EXACT**2 / least**2 * np.eye(len(columns.now))
@@ -234,9 +234,9 @@ def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
     floor = 1e-20 * np.sum(target**2, axis=0)  # an input that its own past foretells exactly needs no feedback
     share = np.where(alone > floor, 1.0 - helped / np.maximum(alone, 1e-300), 0.0)
     worst = int(np.argmax(share))
-    added, rest = max(many - few, 1), max(rows - many, 1)
-    ratio = (share[worst] / added) / max((1.0 - share[worst]) / rest, 1e-300)
-    return Feedback(float(share[worst]), min(1.0, float(f.sf(ratio, added, rest)) * spec.nu))
+    added, remaining = max(many - few, 1), max(rows - many, 1)
+    ratio = (share[worst] / added) / max((1.0 - share[worst]) / remaining, 1e-300)
+    return Feedback(float(share[worst]), min(1.0, float(f.sf(ratio, added, remaining)) * spec.nu))
 
 
 def _noise(solution: Solution, columns: Columns) -> FloatArray:

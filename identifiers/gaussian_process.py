@@ -57,9 +57,9 @@ class Kernel:
 
     def __call__(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """Return the covariances (n, m) of rows (n, p) and (m, p)."""
-        return np.asarray(self.signal**2 * self.bump(a, b) + self.slope**2 * (1.0 + a @ b.T))
+        return np.asarray(self.signal**2 * self.squared_exponential(a, b) + self.slope**2 * (1.0 + a @ b.T))
 
-    def bump(self, a: FloatArray, b: FloatArray) -> FloatArray:
+    def squared_exponential(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """Return the squared exponential part, of size 1."""
         a, b = a / self.lengths, b / self.lengths
         square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
@@ -262,14 +262,14 @@ def _likeliest(x: FloatArray, y: FloatArray, affine: bool) -> Kernel:
 
 
 def _evidence(logs: FloatArray, x: FloatArray, y: FloatArray) -> tuple[float, FloatArray]:
-    """Return minus the log marginal likelihood and its slope in the logarithms of the hyperparameters."""
+    """Return minus the log marginal likelihood and its gradient in the logarithms of the hyperparameters."""
     from scipy.linalg import cho_factor, cho_solve, lapack
 
     kernel = Kernel.of(logs)
-    bump = kernel.signal**2 * kernel.bump(x, x)
+    smooth = kernel.signal**2 * kernel.squared_exponential(x, x)
     line = kernel.slope**2 * (1.0 + x @ x.T)
     prior = float(np.mean(kernel.own(x)))
-    matrix = bump + line
+    matrix = smooth + line
     matrix[np.diag_indices(len(x))] += kernel.noise**2 + _JITTER * prior
     try:
         factor = cho_factor(matrix, lower=True)
@@ -281,18 +281,18 @@ def _evidence(logs: FloatArray, x: FloatArray, y: FloatArray) -> tuple[float, Fl
     inverse = np.tril(inverse) + np.tril(inverse, -1).T
     # d value / d theta = 1/2 tr((K^-1 - alpha alpha') dK / d theta)
     outer = inverse - np.outer(alpha, alpha)
-    weighted = outer * bump
+    weighted = outer * smooth
     total = weighted.sum(axis=1)
     squares = x**2
     # sum_ij w_ij (x_i - x_j)^2 for every column at once
     spread = 2.0 * (total @ squares) - 2.0 * np.einsum("ip,ip->p", x, weighted @ x)
-    slope = np.concatenate(
+    gradient = np.concatenate(
         [
             0.5 * spread / kernel.lengths**2,
             [weighted.sum(), float(np.sum(outer * line)), kernel.noise**2 * float(np.trace(outer))],
         ]
     )
-    return float(value), slope
+    return float(value), gradient
 
 
 def _exact(kernel: Kernel, x: FloatArray, y: FloatArray) -> Posterior:

@@ -140,12 +140,12 @@ def _growth(system: System, p: FloatArray, records: Sequence[Trajectory]) -> flo
     from harness.physics.windows import data_states
 
     simulator = system.simulator(records[0].spec.sample_time)
-    slope = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
+    jacobian = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
     rates: list[float] = []
     for record in records[:3]:
         states: FloatArray = data_states(simulator, record, p)[0]
         for k in np.linspace(0, len(record) - 1, 40).astype(int):
-            a = slope(states[k], record.u[k], p, record.t[k]).full()
+            a = jacobian(states[k], record.u[k], p, record.t[k]).full()
             if np.isfinite(a).all():
                 rates.append(float(np.linalg.eigvals(a).real.max()))
     return max(float(np.mean(rates)), 0.0) if rates else 0.0

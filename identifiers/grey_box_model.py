@@ -238,9 +238,9 @@ class GreyBoxModel:
                 ahead.append(self._raw(*self._parts(x, data.u[k])[:3])[0])
                 x = self.step(x, data.u[k])
             y = [*ahead, ahead[-1], ahead[-1]][:3]
-            slope, bend = (y[1] - y[0], y[2] - 2 * y[1] + y[0]) if len(ahead) == 3 else (0.0 * y[0], 0.0 * y[0])
+            difference, bend = (y[1] - y[0], y[2] - 2 * y[1] + y[0]) if len(ahead) == 3 else (0.0 * y[0], 0.0 * y[0])
             back = np.arange(after, 0, -1)[:, None]
-            parts.append((y[0] - back * slope + 0.5 * back * (back + 1) * bend).ravel())
+            parts.append((y[0] - back * difference + 0.5 * back * (back + 1) * bend).ravel())
         return np.concatenate(parts)
 
     def _translated(self, data: Trajectory) -> Trajectory:

@@ -236,8 +236,8 @@ class HiddenMarkov:
         short.sort(key=lambda result: -result[1][-1])
         whole = []
         for tables, trace in short[:_KEPT]:
-            further, rest = self._iterated(records, tables, self.iterations)
-            whole.append((further, trace + rest))
+            further, continued = self._iterated(records, tables, self.iterations)
+            whole.append((further, trace + continued))
         return max(whole, key=lambda result: result[1][-1])
 
     def _iterated(

@@ -266,8 +266,8 @@ def _regions(r: FloatArray, labels: Labels, modes: int, start: FloatArray, itera
         score = r @ weights.T
         top = np.logaddexp.reduce(score, axis=1)
         loss = float(np.mean(top - (score * target).sum(axis=1)) + 0.5e-6 * (flat @ flat))
-        slope = (np.exp(score - top[:, None]) - target).T @ r / len(r) + 1e-6 * weights
-        return loss, slope.ravel()
+        gradient = (np.exp(score - top[:, None]) - target).T @ r / len(r) + 1e-6 * weights
+        return loss, gradient.ravel()
 
     found = minimize(value, start.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": iterations})
     return np.asarray(found.x, dtype=float).reshape(modes, -1)

@@ -300,19 +300,19 @@ class Equations:
                     side += rows.T @ (target[part] @ white.T).ravel()
             size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
             theta = np.linalg.pinv(gram / np.outer(size, size), rcond=1e-12, hermitian=True) @ (side / size) / size
-            rests = [
+            residuals = [
                 self.target(smoothed)[::step]
                 - (self.rows(smoothed.q[::step], smoothed.v[::step], smoothed.a[::step]) @ theta).reshape(-1, n)
                 for smoothed in moved
                 for step in [max(1, len(smoothed.t) // ENOUGH)]
             ]
-            rest = np.concatenate(rests)
-            spread = rest.T @ rest / len(rest)
+            residual = np.concatenate(residuals)
+            spread = residual.T @ residual / len(residual)
             level = np.sqrt(np.maximum(np.diag(spread), 1e-18 * max(float(np.trace(spread)), 1e-300)))
             # a floor for exact data: a millionth of the torques
             floor = 1e-6 * max(float(np.sqrt(np.mean(np.concatenate([self.target(m) for m in moved]) ** 2))), 1e-12)
             if weigh:
-                white = whitening(np.vstack([rest, floor * np.sqrt(len(rest)) * np.eye(n)]))
+                white = whitening(np.vstack([residual, floor * np.sqrt(len(residual)) * np.eye(n)]))
             else:
                 white = np.eye(n) / max(float(np.sqrt(np.mean(level**2))), floor)
         # What stands at joints that hardly move is held by a torque of the size seen there, no more.
@@ -330,9 +330,9 @@ class Equations:
         """Return the inertial parameters of all bodies, and what stands at the joints."""
         table = self.arm.arm.parameters.reshape(-1, 10).copy()
         table[self.bodies] = x[: 10 * len(self.bodies)].reshape(-1, 10)
-        n, rest = self.arm.n, x[10 * len(self.bodies) :]
+        n, remaining = self.arm.n, x[10 * len(self.bodies) :]
         found = {"damping": self.arm.damping, "friction": self.arm.friction, "motor_inertia": np.zeros(n)}
-        found |= {kind: rest[place * n : place * n + n] for place, kind in enumerate(self.kinds)}
+        found |= {kind: remaining[place * n : place * n + n] for place, kind in enumerate(self.kinds)}
         return table.ravel(), found
 
 

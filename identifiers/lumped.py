@@ -215,9 +215,11 @@ class Lumped:
         theta, white = self._criterion(
             system, regression, records, moved, (phi, target), kept, noise=noise, plain=not decision.full
         )
-        rest = white @ instants((target - phi @ theta)[:, None], len(white))
+        residual = white @ instants((target - phi @ theta)[:, None], len(white))
         values = dict(zip(regression.names, theta.tolist(), strict=True))
-        return Regressed(regression.names, values, decision, condition, float(np.sqrt(np.mean(rest**2)))), regression
+        return Regressed(
+            regression.names, values, decision, condition, float(np.sqrt(np.mean(residual**2)))
+        ), regression
 
     # ---- inside --------------------------------------------------------------------------------------------------
 

@@ -66,11 +66,11 @@ def physical_estimate(
         step = STEP * size[row]
         high, low = ({**parameters, name: point[row] + sign * step} for sign in (1, -1))
         columns.append((regression.values(high) - regression.values(low)) / (2 * step) * size[row] / scale)
-    slope = np.column_stack(columns) if columns else np.zeros((len(scale), 0))
-    left, singular, right = np.linalg.svd(slope, full_matrices=True)
+    jacobian = np.column_stack(columns) if columns else np.zeros((len(scale), 0))
+    left, singular, right = np.linalg.svd(jacobian, full_matrices=True)
     rank = int(np.sum(singular > 1e-6 * singular.max(initial=0.0)))
     null = right[rank:].T
-    # parameters move by size * z for a direction z of the scaled slope
+    # parameters move by size * z for a direction z of the scaled Jacobian
     words = null_words(names, null, 1.0 / size)
     loose = np.sum(null**2, axis=1) > 1e-6
     covariance = intervals = None

@@ -27,7 +27,7 @@ __all__ = ["RecursiveLumped", "RecursiveState"]
 
 WIDTH = 13
 """Samples that a cubic spans, by default: two thirds of what a batch fit chooses at noise of a milliradian."""
-BUMP = 51
+SPAN = 51
 """Samples of a test function, as of the batch form."""
 NEWS, LEAST = 0.05, 20
 """The model that predicts is made anew after this share of new equations, and after so many at least: its parameters
@@ -357,7 +357,7 @@ class RecursiveLumped:
             return 1, 1
         if self.form == "energy":
             return 1 + max(1, 1 if self.window is None else round(self.window / dt)), 1
-        samples = max(5, BUMP if self.window is None else round(self.window / dt))
+        samples = max(5, SPAN if self.window is None else round(self.window / dt))
         return samples, max(1, samples // 4)
 
     def _rows(self, context: Context, instants: FloatArray) -> FloatArray:

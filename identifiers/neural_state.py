@@ -119,8 +119,8 @@ class NeuralStateModel:
         nx = len(tables["A"])
         tables["B"], tables["D"] = tables["B"].reshape(nx, spec.nu), tables["D"].reshape(spec.ny, spec.nu)
         names = ("u_mean", "u_std", "y_mean", "y_std", "filter_gain")
-        rest = {name: np.array(content[name], dtype=float) for name in names}
-        return cls(spec, tables, **rest, lags=lags, notes=dict(content.get("notes", {})))
+        arrays = {name: np.array(content[name], dtype=float) for name in names}
+        return cls(spec, tables, **arrays, lags=lags, notes=dict(content.get("notes", {})))
 
     def _input(self, u: FloatArray) -> FloatArray:
         return np.asarray((np.asarray(u, dtype=float) - self.u_mean) / self.u_std)

@@ -208,9 +208,9 @@ def _residual_covariance(records: Sequence[Trajectory], solution: Solution, lags
         part = record[: min(len(record), left + lags)]
         if len(part) <= lags or left <= 0:
             continue
-        rest = part.y[lags:] - _rows(part, lags, offset) @ theta
-        total += rest.T @ rest
-        left -= len(rest)
+        residual = part.y[lags:] - _rows(part, lags, offset) @ theta
+        total += residual.T @ residual
+        left -= len(residual)
     size = np.sqrt(np.diag(total))
     size = np.where(size > 0, size, 1.0)
     deviation = solution.residual_rms * np.sqrt(solution.rows / (solution.rows - len(theta)))
@@ -222,7 +222,7 @@ def _foretold(records: Sequence[Trajectory], theta: FloatArray, lags: int, offse
     """Return the output whose residuals those one sample before foretell most, None where chance explains all."""
     from scipy.stats import chi2
 
-    rows, before, rest, left = [], [], [], CHECKED
+    rows, before, later, left = [], [], [], CHECKED
     for record in records:
         part = record[: min(len(record), left + lags + 1)]
         if len(part) < lags + 2 or left <= 0:
@@ -231,11 +231,11 @@ def _foretold(records: Sequence[Trajectory], theta: FloatArray, lags: int, offse
         miss = part.y[lags:] - phi @ theta
         rows.append(phi[1:])
         before.append(miss[:-1])
-        rest.append(miss[1:])
+        later.append(miss[1:])
         left -= len(miss)
     if not rows:
         return None
-    phi, past, now = map(np.concatenate, (rows, before, rest))
+    phi, past, now = map(np.concatenate, (rows, before, later))
     if len(now) <= phi.shape[1] + past.shape[1]:
         return None
     both = np.hstack([phi, past])

@@ -406,8 +406,8 @@ def _weighted(data: _Stacked, predicted: FloatArray, method: Method) -> tuple[Fl
         right = np.asarray(np.linalg.qr(past - inputs @ _solve(inputs, past), mode="r"))
     weight = np.eye(outputs.shape[1])
     if method in ("cva", *_ANY_LOOP):
-        rest = outputs - inputs @ _solve(inputs, outputs)
-        values, vectors = np.linalg.eigh(rest.T @ rest)
+        residual = outputs - inputs @ _solve(inputs, outputs)
+        values, vectors = np.linalg.eigh(residual.T @ residual)
         # Without noise all canonical correlations are 1: a little of the mean power lets the stronger directions lead.
         values = np.maximum(values, 0.0) + _TIE * max(float(values.mean()), 1e-300)
         weight = (vectors * values**0.25) @ vectors.T

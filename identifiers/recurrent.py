@@ -139,7 +139,7 @@ class RecurrentModel:
         """Return the outputs (M, N, ny) from states x (M, nx + 1 + ny) under inputs u (M, N, nu)."""
         outputs = np.empty((*u.shape[:2], self.spec.ny))
         for row, start, inputs in zip(outputs, np.asarray(x, dtype=float), self._input(u), strict=True):
-            scaled, _ = self.layout.run(self.theta, start[: self.layout.nx], inputs, slopes=False)
+            scaled, _ = self.layout.run(self.theta, start[: self.layout.nx], inputs, sensitivities=False)
             row[:] = self.y_mean + self.y_std * scaled
         return outputs
 
@@ -317,7 +317,7 @@ class NeuralOutputError:
         draft = RecurrentModel(
             spec, layout, fitted.theta, *signals, fitted.error, zero, wide, np.ones(spec.ny), None, 1.0
         )
-        a, c = layout.slopes(fitted.theta, x_mean, np.zeros(spec.nu))
+        a, c = layout.jacobians(fitted.theta, x_mean, np.zeros(spec.nu))
         gains = riccati_gains(a, c, x_std, np.ones(spec.ny))
         # best_gain moves whole states, counter included, by errors in units; the model's gain is for scaled ones.
         padded = np.concatenate([gains / y_std, np.zeros((len(gains), 1 + spec.ny, spec.ny))], axis=1)

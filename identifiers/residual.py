@@ -183,8 +183,8 @@ class ResidualPhysics:
         n = 1 if self.form == "energy" else nominal.n
         plain, target = equations.stacked(nominal, moved, records)
         theta, white = weighted(plain, target, np.eye(nominal.k), n)
-        rest = white @ instants((target - plain @ theta)[:, None], n)
-        unit = float(np.sqrt(np.mean(rest**2))) or 1.0
+        residual = white @ instants((target - plain @ theta)[:, None], n)
+        unit = float(np.sqrt(np.mean(residual**2))) or 1.0
         best: tuple[float, _Solved, list[Basis], float] | None = None
         for width in WIDTHS:
             bases = self._bases(nominal, path, width)

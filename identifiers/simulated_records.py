@@ -95,7 +95,7 @@ def corrected(
 
     Indirect inference (Gourieroux, Monfort & Renault 1993, J. Appl. Econometrics 8:S85): what smoothing bends and what
     noise in the regressor shrinks happens to simulated records just as much. The scatter of the estimates over
-    simulated records, through the inverse slope of their mean over the parameters, is that of the parameters.
+    simulated records, through the inverse Jacobian of their mean over the parameters, is that of the parameters.
 
     Parameters
     ----------
@@ -151,15 +151,15 @@ def corrected(
         if all_of_them is None or some is None:
             return leaves
         scatter = np.atleast_2d(np.cov(all_of_them, rowvar=False))
-        slope = np.empty_like(scatter)
+        jacobian = np.empty_like(scatter)
         middle = some.mean(axis=0)
         for row, step in enumerate(np.sqrt(np.diag(scatter))):
             reached = model_of(values + 2 * step * np.eye(len(values))[row])[1]
             moved = table(reached, draws[:SEARCHED])
             if moved is None:
                 return leaves
-            slope[:, row] = (moved.mean(axis=0) - middle) / (reached - values)[row]
-        back = np.linalg.inv(slope)
+            jacobian[:, row] = (moved.mean(axis=0) - middle) / (reached - values)[row]
+        back = np.linalg.inv(jacobian)
         values = values + back @ (observed - all_of_them.mean(axis=0))
         covariance = back @ scatter @ back.T
         if not _comes_back(model_of, values, covariance, records, sizes):
@@ -208,7 +208,7 @@ def _comes_back(
     model = model_of(values)[0]
     system = model.system()
 
-    def rest(at: FloatArray) -> list[FloatArray]:
+    def residuals(at: FloatArray) -> list[FloatArray]:
         parameters = model_of(at)[0].parameters
         return [
             simulate_error(system, parameters, [record], horizon=max(WINDOW, LEAST * record.spec.sample_time))[0]
@@ -220,22 +220,22 @@ def _comes_back(
     root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
     k = len(values)
     move = np.zeros(k)
-    here = rest(values)
+    here = residuals(values)
     for _ in range(STEPS):
         pairs = list(zip(here, floors, strict=True))
         flat = np.concatenate([(miss / size).ravel() for miss, size in pairs])
-        slopes = np.empty((flat.size, k))
+        jacobian = np.empty((flat.size, k))
         for column, unit in enumerate(np.eye(k)):
-            moved = rest(values + root @ (move + unit))
-            slopes[:, column] = np.concatenate(
+            moved = residuals(values + root @ (move + unit))
+            jacobian[:, column] = np.concatenate(
                 [(miss / size).ravel() for miss, size in zip(moved, floors, strict=True)]
             )
-        slopes -= flat[:, None]
-        if not (np.isfinite(flat).all() and np.isfinite(slopes).all()):
+        jacobian -= flat[:, None]
+        if not (np.isfinite(flat).all() and np.isfinite(jacobian).all()):
             return False
-        rows, known = np.vstack([slopes, np.eye(k)]), np.concatenate([slopes @ move - flat, np.zeros(k)])
+        rows, known = np.vstack([jacobian, np.eye(k)]), np.concatenate([jacobian @ move - flat, np.zeros(k)])
         move = np.linalg.lstsq(rows, known, rcond=None)[0]
-        here = rest(values + root @ move)
+        here = residuals(values + root @ move)
     if move @ move > chi2.ppf(SURE, k):
         return False
     power, count, free = np.zeros(records[0].spec.ny), 0, 0.0

@@ -118,11 +118,11 @@ def eliminate(equations: NormalEquations, threshold: float) -> tuple[FloatArray,
             if spent + cost > max(1.5 * floor, threshold**2 * square):
                 break
             spent += cost
-            rest = [i for i in range(len(keep)) if i != cheapest]
-            row = inverse[cheapest, rest] / inverse[cheapest, cheapest]
-            own = own[rest] - own[cheapest] * row
-            inverse = inverse[np.ix_(rest, rest)] - np.outer(row, inverse[cheapest, rest])
-            keep = [keep[i] for i in rest]
+            others = [i for i in range(len(keep)) if i != cheapest]
+            row = inverse[cheapest, others] / inverse[cheapest, cheapest]
+            own = own[others] - own[cheapest] * row
+            inverse = inverse[np.ix_(others, others)] - np.outer(row, inverse[cheapest, others])
+            keep = [keep[i] for i in others]
         if keep:
             coefficients[keep, column] = solved(gram[np.ix_(keep, keep)], right[keep, column])
         support[keep, column] = True
@@ -138,9 +138,9 @@ def _independent(gram: FloatArray) -> list[int]:
         row = np.zeros(k)
         for i in range(k):
             row[i] = (gram[kept[i], j] - factor[i, :i] @ row[:i]) / factor[i, i]
-        rest = gram[j, j] - float(row @ row)
-        if rest > 1e-11:
-            factor[k, :k], factor[k, k] = row, np.sqrt(rest)
+        remaining = gram[j, j] - float(row @ row)
+        if remaining > 1e-11:
+            factor[k, :k], factor[k, k] = row, np.sqrt(remaining)
             kept.append(j)
     return kept
 
@@ -163,7 +163,7 @@ class Stlsq:
     derivative : {"weak", "smooth", "difference"}
         How derivatives are taken: weak form (bears noise), local cubics, central differences.
     half : int, optional
-        Half width of the weak form's bumps in samples.
+        Half width of the weak form's test functions in samples.
     time : {"continuous", "discrete"}
         With ``"discrete"`` the library gives the next output itself; no derivative is taken.
     harmonics : int

@@ -207,13 +207,13 @@ def _response(
     inverse = np.full_like(s_uu, np.nan)
     inverse[~silent] = np.linalg.inv(s_uu[~silent])
     response = s_yu @ inverse
-    rest = np.real(s_yy - np.einsum("fij,fij->fi", response @ s_uu, response.conj()))
+    residual = np.real(s_yy - np.einsum("fij,fij->fi", response @ s_uu, response.conj()))
     free = max(averages - nu, 1e-9)
-    noise = np.clip(rest, 0.0, None) * averages / free
+    noise = np.clip(residual, 0.0, None) * averages / free
     # var G_ij = noise_i (S_uu^-1)_jj, both summed: the sums carry the number of averages
     spread = np.sqrt(np.clip(np.real(np.einsum("fjj->fj", inverse)), 0.0, None))
     deviation = np.sqrt(noise / averages)[:, :, None] * spread[:, None, :] * np.ones((1, ny, nu))
-    coherence = np.clip(1.0 - rest / np.maximum(s_yy, 1e-300), 0.0, 1.0)
+    coherence = np.clip(1.0 - residual / np.maximum(s_yy, 1e-300), 0.0, 1.0)
     if averages <= nu:
         deviation = np.full_like(deviation, np.inf)
     return FrequencyResponse(frequency, response, deviation, coherence, noise * density, averages)

@@ -335,8 +335,8 @@ def observer_markov(
         )
     level = np.zeros(ny)
     if offset:
-        rest = np.eye(ny) - seen.sum(axis=0)
-        level = np.linalg.lstsq(rest, theta[:, -1], rcond=1e-10)[0]
+        remaining = np.eye(ny) - seen.sum(axis=0)
+        level = np.linalg.lstsq(remaining, theta[:, -1], rcond=1e-10)[0]
     return response, innovation, level, solution.residual_rms
 
 

@@ -231,8 +231,8 @@ class AlongTrajectory:
         means = [np.mean([getattr(record, name) for record in cut], axis=0) for name in ("u", "y")]
         apart = [replace(record, u=record.u - means[0], y=record.y - means[1]) for record in cut]
         for name in ("u", "y"):
-            size, rest = (np.concatenate([getattr(record, name) for record in part]) for part in (cut, apart))
-            if np.all(np.abs(rest).max(axis=0) <= EXACT * np.abs(size).max(axis=0)):
+            size, deviation = (np.concatenate([getattr(record, name) for record in part]) for part in (cut, apart))
+            if np.all(np.abs(deviation).max(axis=0) <= EXACT * np.abs(size).max(axis=0)):
                 raise FitError(
                     f"{what}: the repetitions do not differ",
                     expected="inputs and outputs that differ between repetitions",

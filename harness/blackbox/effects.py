@@ -85,7 +85,7 @@ def surround(
         y=y,
         command=ca.vertcat(*place.command) if place.command else ca.SX(0, 1),
         reading=ca.vertcat(*place.reading),
-        slopes=ca.vertcat(*place.slopes) if place.slopes else ca.SX(0, 1),
+        slopes=ca.vertcat(*place.derivatives) if place.derivatives else ca.SX(0, 1),
         starts=ca.vertcat(*place.starts) if place.starts else ca.SX(0, 1),
         rates=tuple(coordinate.rate is not None for coordinate in nominal.coordinates),
         reads=any(not ca.is_equal(reading, y[row]) for row, reading in enumerate(place.reading)),
@@ -122,7 +122,7 @@ class _Placing:
         self.driven: list[Any] | None = None
         self.symbols: list[Any] = []
         self.states: list[Any] = []
-        self.slopes: list[Any] = []
+        self.derivatives: list[Any] = []
         self.starts: list[Any] = []
         self.hidden: list[Channel] = []
         self.sampled: list[SampledBlock] = []
@@ -159,7 +159,7 @@ class _Placing:
             return declared
         signal, q, v = self._arriving(port, row)
         states = [ca.SX.sym(placed.name(name)) for name in effect.states]
-        value, slopes = effect.evaluate(signal, states, named, q, v, t=self.t, load=signal)
+        value, derivatives = effect.evaluate(signal, states, named, q, v, t=self.t, load=signal)
         if port.kind == "coordinate":
             assert row is not None
             self.command[system.coordinates[row].force] += value
@@ -169,9 +169,9 @@ class _Placing:
         else:
             self.reading[[channel.name for channel in system.outputs].index(port.name)] = value
         context = {"signal": signal, "q": q, "v": v}
-        for name, unit, symbol, slope in zip(effect.states, effect.state_units, states, slopes, strict=True):
+        for name, unit, symbol, derivative in zip(effect.states, effect.state_units, states, derivatives, strict=True):
             self.states.append(symbol)
-            self.slopes.append(slope)
+            self.derivatives.append(derivative)
             self.starts.append(context[effect.initial[name]] if name in effect.initial else 0.0)
             self.hidden.append(Channel(placed.name(name), unit_of(unit, units)))
         return declared

@@ -103,8 +103,8 @@ class FmuSimulator:
         self, p: FloatArray, x0: FloatArray, U: FloatArray, *, t0: float = 0.0
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return states (N, nx), outputs (N, ny) and derivatives of the outputs by the initial states (N, ny, nx)."""
-        seen, slope = self.sampled.inputs(U[None], p[None], True)
-        x, y, s = self.windows(p[None], x0[None], seen, slope, np.array([t0]))
+        seen, gradient = self.sampled.inputs(U[None], p[None], True)
+        x, y, s = self.windows(p[None], x0[None], seen, gradient, np.array([t0]))
         assert s is not None
         return x[0], y[0], s[0][..., self.np :]
 
@@ -195,7 +195,7 @@ class FmuSimulator:
     # ---- the work ------------------------------------------------------------------------------------------------
 
     def _differences(
-        self, p: FloatArray, x0: FloatArray, u: FloatArray, slope: FloatArray | None, t0: float
+        self, p: FloatArray, x0: FloatArray, u: FloatArray, gradient: FloatArray | None, t0: float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return states, outputs and derivatives of one window; the last few are remembered."""
         wanted = frozenset(range(self.np + self.nx)) if self.wanted is None else self.wanted
@@ -211,12 +211,12 @@ class FmuSimulator:
                 if k not in wanted:
                     continue
                 if k in self.sampled.delay_columns:
-                    if slope is not None:
+                    if gradient is not None:
                         h = 0.01 * self.dt
-                        later = u + h * slope[..., self.sampled.delay_columns.index(k)]
+                        later = u + h * gradient[..., self.sampled.delay_columns.index(k)]
                         s[..., k] = (self.run(p, x0, later, t0)[1] - y) / h
                 elif k not in blocks:
-                    s[..., k] = self._slope(k, p, x0, u, y, t0)
+                    s[..., k] = self._derivative(k, p, x0, u, y, t0)
             sizes = np.sqrt(np.mean(x**2, axis=0))
             for k in range(self.nx):
                 if self.np + k not in wanted:
@@ -230,7 +230,7 @@ class FmuSimulator:
             self._memory.popitem(last=False)
         return x, y, s
 
-    def _slope(self, k: int, p: FloatArray, x0: FloatArray, u: FloatArray, y: FloatArray, t0: float) -> FloatArray:
+    def _derivative(self, k: int, p: FloatArray, x0: FloatArray, u: FloatArray, y: FloatArray, t0: float) -> FloatArray:
         """Return the derivative of the outputs ``y`` by a parameter (N, ny); NaN if the FMU fails on every side.
 
         A bound itself may be refused, as a mass of 0 is, and the common step be too long for a parameter that fell far
@@ -319,17 +319,21 @@ class FmuSimulator:
             q, v = table[k, self._q], table[k, self._v]
             a, b = past[1::2], past[2::2]
             first, second = past[0] < 1, past[0] < 2
-            rest = np.zeros_like(q) if first else (q - a) / h if second else (3 * q - 4 * a + b) / (2 * h)
+            difference = np.zeros_like(q) if first else (q - a) / h if second else (3 * q - 4 * a + b) / (2 * h)
             bend = np.zeros_like(q) if second else (q - 2 * a + b) / h**2
-            rates[k] = np.where(told, v, rest)
-            slope = np.where(told, 0.0 if first else (v - a) / h, bend)
+            rates[k] = np.where(told, v, difference)
+            acceleration = np.where(told, 0.0 if first else (v - a) / h, bend)
             if k == u.shape[0] - 1:
                 return
             mean = np.zeros(self.system.nu)
             part = h / around.points
             for s in range(around.points):
                 passed = (s + 0.5) * part
-                moved = q + passed * (rates[k] + 0.5 * passed * slope), rates[k] + passed * slope, t0 + k * h + passed
+                moved = (
+                    q + passed * (rates[k] + 0.5 * passed * acceleration),
+                    rates[k] + passed * acceleration,
+                    t0 + k * h + passed,
+                )
 
                 def at(name: str, state: FloatArray, row: int = k, moved: Any = moved) -> FloatArray:
                     return np.array(around.functions[name](u[row], *moved, state, p), dtype=float).reshape(-1)
@@ -397,15 +401,15 @@ int64_t coupled(Call *call, void *loop, double *input, const double *output, int
                 const int64_t *at_v, const double *u, const double *extra, int64_t n, int64_t first, double t0,
                 double h, const double *p, double *z, double *past, double *table, double *rates, double *hidden)
 {
-  double q[NC + 1], v[NC + 1], slope[NC + 1];
+  double q[NC + 1], v[NC + 1], acceleration[NC + 1];
   for (int64_t k = first;; k++) {
     const double *row = table + k * width;
     double *rate = rates + k * NC;
     for (int i = 0; i < NZ; i++) hidden[k * NZ + i] = z[i];
     for (int i = 0; i < NC; i++) q[i] = row[at_q[i]], v[i] = row[at_v[i]];
-    motion(past, q, v, h, rate, slope);
+    motion(past, q, v, h, rate, acceleration);
     if (k == n - 1) return k;
-    ahead(u + k * NU, q, rate, slope, t0 + (double)k * h, h, p, z, input);
+    ahead(u + k * NU, q, rate, acceleration, t0 + (double)k * h, h, p, z, input);
     remember(past, q, v);
     if (extra)
       for (int i = 0; i < NU; i++) input[i] += extra[k * NU + i];

@@ -327,11 +327,11 @@ def _batch(factory: Factory) -> None:
         reference = _run(plant, inputs)
         plant.reset(rng=seeded())
         first = np.array(plant.rollout(inputs[:25]))
-        rest = np.array(plant.rollout(inputs[25:-1]))
+        remaining = np.array(plant.rollout(inputs[25:-1]))
         demand(
             first.shape == (25, plant.spec.ny), f"rollout returns shape {first.shape}, expected (25, {plant.spec.ny})"
         )
-        off = np.abs(np.vstack([first, rest]) - reference[1:]).max()
+        off = np.abs(np.vstack([first, remaining]) - reference[1:]).max()
         demand(off == 0.0, f"rollout differs from stepping by {off:.3g}")
 
 

@@ -203,7 +203,7 @@ def linearise(
         plant.step(u)
         return direct, np.asarray(plant.truth(), dtype=float), first
 
-    def slopes(of_state: bool) -> tuple[FloatArray, FloatArray]:
+    def derivatives(of_state: bool) -> tuple[FloatArray, FloatArray]:
         count = len(names) if of_state else plant.spec.nu
         states, outputs = np.empty((len(names), count)), np.empty((plant.spec.ny, count))
         for j in range(count):
@@ -216,7 +216,7 @@ def linearise(
             states[:, j] = (sides[0][1] - sides[1][1]) / (2 * size)
         return states, outputs
 
-    (a, c), (b, d) = slopes(True), slopes(False)
+    (a, c), (b, d) = derivatives(True), derivatives(False)
     return LinearPlantModel(a, b, c, d if plant.spec.feedthrough else np.zeros_like(d))
 
 
