@@ -253,8 +253,8 @@ class Lumped:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the equations of all records; none reaches across a seam."""
         parts = [
-            self._equations(regression, smoothed, r.spec.sample_time)
-            for smoothed, r in zip(moved, records, strict=True)
+            self._equations(regression, smoothed, record.spec.sample_time)
+            for smoothed, record in zip(moved, records, strict=True)
         ]
         return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
@@ -317,8 +317,8 @@ class Lumped:
         for _ in range(_ROUNDS):
             parameters = {**regression.to_parameters(dict(zip(regression.names, theta, strict=True)))}
             copies = [
-                simulated_motion(system, parameters | self.known_of(system), smoothed, r.spec.sample_time)
-                for smoothed, r in zip(moved, records, strict=True)
+                simulated_motion(system, parameters | self.known_of(system), smoothed, record.spec.sample_time)
+                for smoothed, record in zip(moved, records, strict=True)
             ]
             exact = self.stacked(regression, copies, records)[0]
             theta = instrumental(phi, target, (white @ instants(exact, n)).reshape(phi.shape), what)
