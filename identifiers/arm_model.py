@@ -65,10 +65,12 @@ class ArmDynamics:
     def columns(self) -> tuple[list[int], list[int | None]]:
         """Which output is the position of each joint, and which its rate."""
         names = [channel.name for channel in self.spec.outputs]
-        positions = [names.index(one.name) for one in self.arm.positions]
+        positions = [names.index(position.name) for position in self.arm.positions]
         rates = [
-            next((names.index(f"{one.name}{s}") for s in ("_rate", "_dot") if f"{one.name}{s}" in names), None)
-            for one in self.arm.positions
+            next(
+                (names.index(f"{position.name}{s}") for s in ("_rate", "_dot") if f"{position.name}{s}" in names), None
+            )
+            for position in self.arm.positions
         ]
         return positions, rates
 
@@ -190,13 +192,13 @@ class ArmDynamics:
         drag = ca.SX(self.damping) * v + ca.SX(self.friction) * ca.tanh(v / REST)
         force = u - still - drag
         rates = ca.vertcat(v, solve_symmetric(mass, force))
-        slope = ca.Function("slope", [ca.vertcat(q, v), u], [rates], {"cse": True})
+        derivative = ca.Function("derivative", [ca.vertcat(q, v), u], [rates], {"cse": True})
         x, held, h = ca.MX.sym("x", 2 * n), ca.MX.sym("u", n), dt / STEPS
         now = x
         for _ in range(STEPS):
-            k1 = slope(now, held)
-            k2 = slope(now + h / 2 * k1, held)
-            k3 = slope(now + h / 2 * k2, held)
-            k4 = slope(now + h * k3, held)
+            k1 = derivative(now, held)
+            k2 = derivative(now + h / 2 * k1, held)
+            k3 = derivative(now + h / 2 * k2, held)
+            k4 = derivative(now + h * k3, held)
             now = now + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         return ca.Function("step", [x, held], [now])

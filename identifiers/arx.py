@@ -87,7 +87,7 @@ class Arx:
         kept = {} if estimate is None else {"estimate": estimate.to_dict()}
         model = lag_model(spec, coefficients, order, self.offset, {**notes, **solution_notes(solution), **kept})
         if self.stable and spectral_radius(model.a_matrix) >= 1.0:
-            weights = 1.0 / sizes([one.y for one in records])
+            weights = 1.0 / sizes([record.y for record in records])
             factor = solution.factor * solution.scale
             coefficients = nearest_stable(solution.coefficients, factor, own, stable_lags, weights)
             coefficients = _widened(coefficients, spec, order, delay)
@@ -97,7 +97,7 @@ class Arx:
 
     def _chosen(self, records: list[Trajectory], what: str) -> tuple[int, int, dict[str, Any]]:
         """Return order and delay that predict the last third of the records best, and the ladder of errors."""
-        cuts = [(one[: 2 * len(one) // 3], one[2 * len(one) // 3 :]) for one in records]
+        cuts = [(record[: 2 * len(record) // 3], record[2 * len(record) // 3 :]) for record in records]
         longest = max(min(len(head), len(tail)) for head, tail in cuts) - 2
         # All orders are judged on the same rows, those that the longest leaves.
         orders = [n for n in ORDERS if n <= max(1, longest // 3)]
@@ -134,8 +134,10 @@ class Arx:
             theta = one_step(fit, order, self.offset, self.ridge, what, delay=delay).coefficients
         except FitError:
             return None
-        wrong = [(one.y[order:] - design(one, order, self.offset, delay) @ theta)[skip - order :] for one in held]
-        return float(np.mean((np.concatenate(wrong) / sizes([one.y for one in held])) ** 2))
+        wrong = [
+            (record.y[order:] - design(record, order, self.offset, delay) @ theta)[skip - order :] for record in held
+        ]
+        return float(np.mean((np.concatenate(wrong) / sizes([record.y for record in held])) ** 2))
 
 
 def lag_model(

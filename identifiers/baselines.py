@@ -188,8 +188,8 @@ class PlantModel:
         lead = states.shape[:-1]
         inputs = np.broadcast_to(u, (*lead, self.spec.nu)).reshape(-1, self.spec.nu)
         rows = []
-        for one, held in zip(states.reshape(-1, states.shape[-1]), inputs, strict=True):
-            y = self._place(one)
+        for state, held in zip(states.reshape(-1, states.shape[-1]), inputs, strict=True):
+            y = self._place(state)
             if step:
                 self.plant.step(held)
                 y = cast(Any, self.plant).truth()
@@ -207,8 +207,8 @@ class PlantModel:
                 continue
             parents = [name for name in measured if _rate_of(channel, name)]
             if parents and few > 2:
-                slope = np.polyfit(np.arange(few), data.y[:few, measured[parents[0]]], 2)[1]
-                guess[i] = slope / self.spec.sample_time
+                derivative = np.polyfit(np.arange(few), data.y[:few, measured[parents[0]]], 2)[1]
+                guess[i] = derivative / self.spec.sample_time
         return guess
 
 

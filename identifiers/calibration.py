@@ -117,7 +117,7 @@ class JointCalibration:
     """Offsets of the joints, and lengths of the links, that bring the marker to where it was seen.
 
     Maximum likelihood by Gauss-Newton: white noise of one variance on every coordinate of the marker, and of a known
-    deviation on the readings, which enters through the slope of the place by the readings. What the pairs do not
+    deviation on the readings, which enters through the derivative of the place by the readings. What the pairs do not
     determine stays as the URDF has it and is named: the offset of a joint whose axis goes through the marker, or of two
     joints on one axis.
 
@@ -169,7 +169,7 @@ class JointCalibration:
                 got=str(spec),
                 remedy="rename the signals: joint readings are inputs, the marker's coordinates outputs",
             )
-        q, p = np.concatenate([one.u for one in records]), np.concatenate([one.y for one in records])
+        q, p = np.concatenate([record.u for record in records]), np.concatenate([record.y for record in records])
         if p.size <= len(names):
             raise FitError(
                 f"{what}: too few pairs",
@@ -203,15 +203,15 @@ class JointCalibration:
         variance, cost, converged = float(np.var(p)), np.inf, False
         kept = np.eye(len(names))
         for _ in range(ROUNDS):
-            place, slope, turned = arm.slopes(q, theta)
+            place, jacobian, turned = arm.slopes(q, theta)
             white = self._whitening(turned, variance)
-            rest = np.einsum("nij,nj->ni", white, p - place)
-            rows = np.einsum("nij,njk->nik", white, slope[:, :, free]).reshape(-1, len(free)) * scale
+            residual = np.einsum("nij,nj->ni", white, p - place)
+            rows = np.einsum("nij,njk->nik", white, jacobian[:, :, free]).reshape(-1, len(free)) * scale
             left, singular, right = np.linalg.svd(rows, full_matrices=False)
             # the noise in units of itself is 1: a direction with a smaller singular value is known to worse than TURN
-            seen = singular > np.sqrt(_level(rest, len(free)))
+            seen = singular > np.sqrt(_level(residual, len(free)))
             kept = right[seen].T
-            step = right[seen].T @ ((left[:, seen].T @ rest.ravel()) / singular[seen])
+            step = right[seen].T @ ((left[:, seen].T @ residual.ravel()) / singular[seen])
             theta[free] += scale * step
             variance = self._variance(p - arm.places(q, theta), turned, variance, int(seen.sum()))
             now = float(np.sum((p - arm.places(q, theta)) ** 2))
@@ -227,7 +227,7 @@ class JointCalibration:
                 remedy="move the joints further",
             )
         return theta, self._record(
-            names, [arm.units[row] for row in free], theta[free], rows, scale, kept, converged, rest
+            names, [arm.units[row] for row in free], theta[free], rows, scale, kept, converged, residual
         )
 
     def _whitening(self, turned: FloatArray, variance: float) -> FloatArray:
@@ -235,12 +235,12 @@ class JointCalibration:
         spread = variance * np.eye(3) + self.reading_noise**2 * (turned @ turned.transpose(0, 2, 1))
         return np.linalg.inv(np.linalg.cholesky(spread))
 
-    def _variance(self, rest: FloatArray, turned: FloatArray, variance: float, count: int) -> float:
+    def _variance(self, residual: FloatArray, turned: FloatArray, variance: float, count: int) -> float:
         """Return the variance of the marker's coordinates that explains the residuals beside the readings' noise."""
-        freedom = max(rest.size - count, 1)
-        known = self.reading_noise**2 * float(np.sum(turned**2)) * freedom / rest.size
-        floor = 1e-24 * max(float(np.mean(rest**2)), 1e-6)
-        return max((float(np.sum(rest**2)) - known) / freedom, floor, 1e-6 * known / freedom)
+        freedom = max(residual.size - count, 1)
+        known = self.reading_noise**2 * float(np.sum(turned**2)) * freedom / residual.size
+        floor = 1e-24 * max(float(np.mean(residual**2)), 1e-6)
+        return max((float(np.sum(residual**2)) - known) / freedom, floor, 1e-6 * known / freedom)
 
     def _record(
         self,
@@ -251,7 +251,7 @@ class JointCalibration:
         scale: FloatArray,
         kept: FloatArray,
         converged: bool,
-        rest: FloatArray,
+        residual: FloatArray,
     ) -> Estimate:
         """Return the record: covariance from the curvature (the Cramer-Rao bound at the estimate)."""
         from scipy.stats import t as student
@@ -260,9 +260,9 @@ class JointCalibration:
         null = np.linalg.svd(kept, full_matrices=True)[0][:, rank:]
         loose = np.sum(null**2, axis=1) > 1e-6
         inner = np.linalg.inv(kept.T @ (rows.T @ rows) @ kept)
-        level = _level(rest, rank)
+        level = _level(residual, rank)
         covariance = level * scale[:, None] * (kept @ inner @ kept.T) * scale
-        half = float(student.ppf(0.5 + LEVEL / 2, max(rest.size - rank, 1))) * np.sqrt(np.diag(covariance))
+        half = float(student.ppf(0.5 + LEVEL / 2, max(residual.size - rank, 1))) * np.sqrt(np.diag(covariance))
         half = np.where(loose, np.nan, half)
         covariance[np.diag_indices(k)] = np.where(loose, np.inf, np.diag(covariance))
         lengths = np.linalg.norm(rows / scale, axis=0)
@@ -279,7 +279,7 @@ class JointCalibration:
                 rank,
                 k,
                 null_words(names, null, 1.0 / scale),
-                tuple(name for name, one in zip(names, loose, strict=True) if one),
+                tuple(name for name, undetermined in zip(names, loose, strict=True) if undetermined),
                 "known to better than a radian, or than the length",
             ),
             float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf"),
@@ -295,6 +295,6 @@ def marked(model: str, marker: tuple[float, float, float]) -> MarkedArm:
     return MarkedArm(load_arm(model), marker)
 
 
-def _level(rest: FloatArray, count: int) -> float:
+def _level(residual: FloatArray, count: int) -> float:
     """Return the variance of whitened residuals; 1 where they are what was expected."""
-    return max(float(np.sum(rest**2)) / max(rest.size - count, 1), 1e-12)
+    return max(float(np.sum(residual**2)) / max(residual.size - count, 1), 1e-12)

@@ -30,17 +30,17 @@ def instrumental_variables(records: Sequence[Trajectory], offset: bool, what: st
         How many earlier outputs and inputs serve as instruments.
     """
     regressors, instruments, targets = [], [], []
-    for one in records:
-        n = len(one)
+    for record in records:
+        n = len(record)
         if n < lags + 2:
             continue
         now = slice(lags, n - 1)
         constant = [np.ones((n - 1 - lags, 1))] if offset else []
-        regressors.append(np.hstack([one.y[now], one.u[now], *constant]))
-        earlier = [one.y[lags - j : n - 1 - j] for j in range(1, lags + 1)]
-        earlier += [one.u[lags - j : n - 1 - j] for j in range(lags + 1)]
+        regressors.append(np.hstack([record.y[now], record.u[now], *constant]))
+        earlier = [record.y[lags - j : n - 1 - j] for j in range(1, lags + 1)]
+        earlier += [record.u[lags - j : n - 1 - j] for j in range(lags + 1)]
         instruments.append(np.hstack([*earlier, *constant]))
-        targets.append(one.y[lags + 1 :])
+        targets.append(record.y[lags + 1 :])
     if not regressors:
         raise FitError(
             f"{what}: records too short", expected=f"{lags + 2} samples", got="fewer", remedy="record longer"
@@ -68,17 +68,17 @@ def total_least_squares(records: Sequence[Trajectory], offset: bool, what: str) 
     what : str
         For messages.
     """
-    before = np.concatenate([one.y[:-1] for one in records])
-    after = np.concatenate([one.y[1:] for one in records])
-    exact = np.concatenate([one.u[:-1] for one in records])
+    before = np.concatenate([record.y[:-1] for record in records])
+    after = np.concatenate([record.y[1:] for record in records])
+    exact = np.concatenate([record.u[:-1] for record in records])
     if offset:
         exact = np.hstack([exact, np.ones((len(exact), 1))])
     ny, size = before.shape[1], _lengths(exact)
     noise = _noise_sizes(records)
     both = np.hstack([before, after]) / np.tile(noise, 2)
     q, r = np.linalg.qr(exact / size) if exact.shape[1] else (np.zeros((len(before), 0)), np.zeros((0, 0)))
-    rest = both - q @ (q.T @ both)
-    vectors = np.linalg.svd(rest, full_matrices=True)[2] if rest.shape[0] < 2 * ny else _right_vectors(rest)
+    residual = both - q @ (q.T @ both)
+    vectors = np.linalg.svd(residual, full_matrices=True)[2] if residual.shape[0] < 2 * ny else _right_vectors(residual)
     upper, lower = vectors[ny:, :ny], vectors[ny:, ny:]
     if np.linalg.cond(lower) > 1e10:
         raise FitError(
@@ -95,8 +95,8 @@ def total_least_squares(records: Sequence[Trajectory], offset: bool, what: str) 
 
 def _noise_sizes(records: Sequence[Trajectory]) -> FloatArray:
     """Return what each output's noise may be: the residual of its least-squares equation, never 0."""
-    x = np.concatenate([np.hstack([one.y[:-1], one.u[:-1]]) for one in records])
-    y = np.concatenate([one.y[1:] for one in records])
+    x = np.concatenate([np.hstack([record.y[:-1], record.u[:-1]]) for record in records])
+    y = np.concatenate([record.y[1:] for record in records])
     size = _lengths(x)
     miss = y - x / size @ np.linalg.lstsq(x / size, y, rcond=None)[0]
     spread = np.maximum(np.std(y, axis=0), 1e-300)

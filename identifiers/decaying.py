@@ -75,7 +75,7 @@ def decaying_response(
         shift = gram[:count, -1:] / gram[-1, -1]
         right = right[:count] - shift * sums.right[-1]
         gram = gram[:count, :count] - shift * gram[-1, :count]
-    unit = np.tile(sizes([one.u for one in trajectories]), length)
+    unit = np.tile(sizes([record.u for record in trajectories]), length)
     noise = rms * np.sqrt(sums.rows / max(sums.rows - count, 1))
     gram, right = gram / np.outer(unit, unit), right / unit[:, None] / noise
     mean_square = np.mean((plain * unit[:nu] / noise[:, None]) ** 2, axis=(0, 2))

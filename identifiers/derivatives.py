@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Derivative", "bump", "derivative_rows", "measured_motion"]
+__all__ = ["Derivative", "derivative_rows", "measured_motion", "polynomial_test_function"]
 
 Derivative = Literal["weak", "smooth", "difference"]
 Functions = Callable[[FloatArray], FloatArray]
@@ -18,8 +18,8 @@ Functions = Callable[[FloatArray], FloatArray]
 _BLOCK = 8192
 
 
-def bump(half: int, dt: float, order: int = 0, power: int = 6) -> FloatArray:
-    """Return a derivative of the bump ``(1 - s^2)^power`` on 2 half + 1 samples, scaled so that the bump sums to 1.
+def polynomial_test_function(half: int, dt: float, order: int = 0, power: int = 6) -> FloatArray:
+    """Return a derivative of the test function ``(1 - s^2)^power`` on 2 half + 1 samples; the function sums to 1.
 
     Parameters
     ----------
@@ -30,11 +30,12 @@ def bump(half: int, dt: float, order: int = 0, power: int = 6) -> FloatArray:
     order : int
         0, 1 or 2: which derivative.
     power : int
-        Smoothness: the bump and its first ``power - 1`` derivatives vanish at its ends.
+        Smoothness: the function and its first ``power - 1`` derivatives vanish at its ends.
 
     Examples
     --------
-    >>> float(bump(5, 0.1).sum().round(12)), float(abs(bump(5, 0.1, 1).sum()).round(12))
+    >>> plain, rate = polynomial_test_function(5, 0.1), polynomial_test_function(5, 0.1, 1)
+    >>> float(plain.sum().round(12)), float(abs(rate.sum()).round(12))
     (1.0, 0.0)
     """
     width = half + 1
@@ -86,10 +87,10 @@ def derivative_rows(
     order : int
         1 or 2.
     method : {"weak", "smooth", "difference"}
-        Both sides averaged with a bump and the derivative moved onto it by parts (Messenger & Bortz 2021, SIAM
+        Both sides averaged with a test function and the derivative moved onto it by parts (Messenger & Bortz 2021, SIAM
         Multiscale Model. Simul. 19:1474, eq. 2.4); local cubics; central differences.
     half : int, optional
-        Half width of the bump in samples; by default from the amount of smoothing that the signals ask for.
+        Half width of the test function in samples; by default from the amount of smoothing that the signals ask for.
 
     Notes
     -----
@@ -109,11 +110,11 @@ def derivative_rows(
         return 0.5 * (after + functions(np.hstack([*state, late]).T))
 
     if method == "weak":
-        reach = half if half is not None else bump_half(record)
+        reach = half if half is not None else fitting_half_width(record)
         reach = min(reach, (n - 3) // 2)
         if reach < 2:
             return
-        weights, steep = bump(reach, dt), bump(reach, dt, order)
+        weights, steep = polynomial_test_function(reach, dt), polynomial_test_function(reach, dt, order)
         sign = -1.0 if order % 2 else 1.0
         width, hop = 2 * reach + 1, max(1, reach // 3)
         raw = unwrapped(record)
@@ -148,8 +149,8 @@ def derivative_rows(
         yield columns(low, high), target[low:high].T
 
 
-def bump_half(record: Trajectory) -> int:
-    """Return a half width for bumps: what smooths the outputs best, a few samples at least."""
+def fitting_half_width(record: Trajectory) -> int:
+    """Return a half width for test functions: what smooths the outputs best, a few samples at least."""
     from harness.physics.smoothing import smooth
 
     dt = record.spec.sample_time

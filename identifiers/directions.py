@@ -44,7 +44,10 @@ class Directions:
     def compressed(self, records: Sequence[Trajectory]) -> list[Trajectory]:
         """Return records whose outputs are the directions."""
         outputs = tuple(Channel(f"direction {i} of the outputs") for i in range(1, self.weights.shape[1] + 1))
-        return [Trajectory(one.t, one.u, one.y @ self.weights, replace(one.spec, outputs=outputs)) for one in records]
+        return [
+            Trajectory(record.t, record.u, record.y @ self.weights, replace(record.spec, outputs=outputs))
+            for record in records
+        ]
 
     def expanded(self, model: LinearModel, like: Trajectory) -> LinearModel:
         """Return the model of all outputs from that of the directions.
@@ -104,11 +107,11 @@ def lively_directions(records: Sequence[Trajectory]) -> Directions | None:
     basis = _orthonormal(around)
     inner, shares, _ = np.linalg.svd(left[:, :rank].T @ basis, full_matrices=False)
     # 1 - rho^2 of exact data is rounding, whose logarithm would be lost
-    rest = np.log(np.clip(1.0 - shares**2, 1e-15, 1.0))
+    remaining = np.log(np.clip(1.0 - shares**2, 1e-15, 1.0))
     kept = 0
     while kept < shares.size:
         freedom = (rank - kept) * (basis.shape[1] - kept)
-        statistic = -(n - 1 - (rank + basis.shape[1] + 1) / 2) * float(rest[kept:].sum())
+        statistic = -(n - 1 - (rank + basis.shape[1] + 1) / 2) * float(remaining[kept:].sum())
         if chi2.sf(statistic, freedom) > CHANCE:
             break
         kept += 1
@@ -123,8 +126,8 @@ def lively_directions(records: Sequence[Trajectory]) -> Directions | None:
 def _rows(records: Sequence[Trajectory]) -> tuple[FloatArray, FloatArray]:
     """Return outputs, and inputs and outputs of the samples around them, none across a seam."""
     now, around, left = [], [], CHECKED
-    for one in records:
-        part = one[: min(len(one), left)]
+    for record in records:
+        part = record[: min(len(record), left)]
         if len(part) <= 2 * LAGS:
             continue
         count = len(part) - 2 * LAGS

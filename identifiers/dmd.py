@@ -146,7 +146,7 @@ class Dmdc:
         kept = {} if estimate is None else {"estimate": estimate.to_dict()}
         model = lag_model(spec, coefficients, self.delays, self.offset, {**notes, **kept})
         if self.stable and spectral_radius(model.a_matrix) >= 1.0:
-            weights = 1.0 / sizes([one.y for one in records])
+            weights = 1.0 / sizes([record.y for record in records])
             factor = solution.factor * solution.scale
             project = clip_eigenvalues if self.delays == 1 else stable_lags
             coefficients = nearest_stable(coefficients, factor, self.delays * spec.ny, project, weights)
@@ -226,7 +226,7 @@ class _Snapshots:
     def of(cls, records: Sequence[Trajectory], offset: bool) -> _Snapshots:
         """Return the pairs of records, none across a seam."""
         ny, nu = records[0].spec.ny, records[0].spec.nu
-        rows = sum(len(one) - 1 for one in records)
+        rows = sum(len(record) - 1 for record in records)
         width = 2 * ny + nu + int(offset)
         if rows <= 2 * width:
             both = np.vstack(list(_pairs(records, offset, rows)))
@@ -242,20 +242,20 @@ class _Snapshots:
 
 def _pairs(records: Sequence[Trajectory], offset: bool, size: int) -> Iterator[FloatArray]:
     """Yield blocks of ``[y[k], u[k], 1, y[k+1]]``."""
-    for one in records:
-        for start in range(0, len(one) - 1, size):
-            stop = min(start + size, len(one) - 1)
+    for record in records:
+        for start in range(0, len(record) - 1, size):
+            stop = min(start + size, len(record) - 1)
             constant = [np.ones((stop - start, 1))] if offset else []
-            yield np.hstack([one.y[start:stop], one.u[start:stop], *constant, one.y[start + 1 : stop + 1]])
+            yield np.hstack([record.y[start:stop], record.u[start:stop], *constant, record.y[start + 1 : stop + 1]])
 
 
 def _noise_sizes(before: FloatArray, rank: int) -> FloatArray:
     """Return the part of each output that the leading directions leave (ny,), never below a part of its size."""
     right = np.linalg.svd(before, full_matrices=False)[2][:rank]
-    rest = np.sqrt(np.mean((before - before @ right.T @ right) ** 2, axis=0))
+    residual = np.sqrt(np.mean((before - before @ right.T @ right) ** 2, axis=0))
     size = np.sqrt(np.mean(before**2, axis=0))
     floor = np.maximum(size, 1e-6 * max(float(size.max()), 1e-300))
-    found: FloatArray = np.maximum(rest, 1e-6 * floor)
+    found: FloatArray = np.maximum(residual, 1e-6 * floor)
     return found
 
 
@@ -273,13 +273,15 @@ def _cleaned(before: FloatArray, exact: FloatArray, after: FloatArray, rank: int
 
 def _split(records: Sequence[Trajectory]) -> tuple[list[Trajectory], list[Trajectory]]:
     """Return the first two thirds of every record, and the rest."""
-    return [one[: 2 * len(one) // 3] for one in records], [one[2 * len(one) // 3 :] for one in records]
+    return [record[: 2 * len(record) // 3] for record in records], [
+        record[2 * len(record) // 3 :] for record in records
+    ]
 
 
 def _best_rank(records: Sequence[Trajectory], offset: bool, what: str) -> tuple[int, dict[str, float]]:
     """Return the smallest rank that predicts the last third of the records about as well as the best."""
     fit, held = _split(records)
-    fit, held = [one for one in fit if len(one) > 2], [one for one in held if len(one) > 2]
+    fit, held = [record for record in fit if len(record) > 2], [record for record in held if len(record) > 2]
     if not fit or not held:
         raise FitError(
             f"{what}: records too short for an automatic rank",
@@ -307,10 +309,10 @@ def _best_rank(records: Sequence[Trajectory], offset: bool, what: str) -> tuple[
 def _ahead(model: LinearModel, records: Sequence[Trajectory], steps: int = 10) -> float:
     """Return the error of predictions some steps ahead, relative to the outputs' size."""
     total, count = 0.0, 0
-    size = sizes([one.y for one in records])
-    for one in records:
-        few = min(steps, len(one) - 1)
-        miss: Any = (one.y - predict(model, one, few))[few:] / size
+    size = sizes([record.y for record in records])
+    for record in records:
+        few = min(steps, len(record) - 1)
+        miss: Any = (record.y - predict(model, record, few))[few:] / size
         total += float(np.sum(miss**2))
         count += miss.size
     return float(np.sqrt(total / max(count, 1)))

@@ -91,19 +91,19 @@ class LatentModel:
     @property
     def a_matrix(self) -> FloatArray:
         """Dynamics (nz, nz) linearised at rest."""
-        return self._slopes(lambda z: _ahead(np, self.tables, z, np.zeros((len(z), self.spec.nu))), self.rest)
+        return self._jacobian(lambda z: _ahead(np, self.tables, z, np.zeros((len(z), self.spec.nu))), self.rest)
 
     @property
     def b_matrix(self) -> FloatArray:
         """Effect (nz, nu) of an input in its unit."""
         rest = np.tile(self.rest, (2 * max(self.spec.nu, 1), 1))
-        slopes = self._slopes(lambda u: _ahead(np, self.tables, rest, u), np.zeros(self.spec.nu))
-        return np.asarray(slopes / self.u_std)
+        jacobian = self._jacobian(lambda u: _ahead(np, self.tables, rest, u), np.zeros(self.spec.nu))
+        return np.asarray(jacobian / self.u_std)
 
     @property
     def c_matrix(self) -> FloatArray:
         """Outputs in their units by latent state (ny, nz)."""
-        return np.asarray(self._slopes(lambda z: _decoded(np, self.tables, z), self.rest) * self.y_std[:, None])
+        return np.asarray(self._jacobian(lambda z: _decoded(np, self.tables, z), self.rest) * self.y_std[:, None])
 
     @property
     def d_matrix(self) -> FloatArray:
@@ -161,10 +161,10 @@ class LatentModel:
         shapes = content["shapes"]
         tables = {name: np.array(content["tables"][name], dtype=float).reshape(shapes[name]) for name in _TABLES}
         names = ("u_mean", "u_std", "y_mean", "y_std", "rest", "filter_gain")
-        rest = {name: np.array(content[name], dtype=float) for name in names}
-        return cls(spec, tables, int(content["lags"]), **rest, notes=dict(content.get("notes", {})))
+        arrays = {name: np.array(content[name], dtype=float) for name in names}
+        return cls(spec, tables, int(content["lags"]), **arrays, notes=dict(content.get("notes", {})))
 
-    def _slopes(self, function: Any, at: FloatArray) -> FloatArray:
+    def _jacobian(self, function: Any, at: FloatArray) -> FloatArray:
         """Return the derivative (m, n) of a function of rows by central differences."""
         steps = 1e-5 * np.eye(len(at))
         values = function(np.concatenate([at + steps, at - steps]))[: 2 * len(at)]
@@ -236,8 +236,11 @@ class EmbedToControl:
             )
         records.sort(key=lambda record: (len(record), record.y.tobytes()))
         need_torch(what)
-        (u_mean, u_std), (y_mean, y_std) = centred([one.u for one in records]), centred([one.y for one in records])
-        scaled = [((one.y - y_mean) / y_std, (one.u - u_mean) / u_std) for one in records]
+        (u_mean, u_std), (y_mean, y_std) = (
+            centred([record.u for record in records]),
+            centred([record.y for record in records]),
+        )
+        scaled = [((record.y - y_mean) / y_std, (record.u - u_mean) / u_std) for record in records]
         learn, held = _split(scaled)
         start = self._start(learn, spec, rng)
         parts, held_parts = _windows(learn, self.lags, self.window), _windows(held, self.lags, self.window)
@@ -270,7 +273,7 @@ class EmbedToControl:
         draft = LatentModel(spec, tables, self.lags, u_mean, u_std, y_mean, y_std, rest, gain, notes)
         c = draft.c_matrix / y_std[:, None]
         gains = riccati_gains(draft.a_matrix, c, np.ones(self.latent), np.ones(spec.ny))
-        begin = [draft.initial_state(one[:40]) for one in records]
+        begin = [draft.initial_state(record[:40]) for record in records]
         gain = best_gain(gains / y_std, draft.step, draft.output, begin, records) * y_std
         return replace(draft, filter_gain=gain)
 

@@ -81,7 +81,9 @@ class Ensemble(ABC):
     def predictive(self, x: FloatArray, u: FloatArray) -> NormalMixture:
         """Return the equal mixture of the members' distributions (..., ny)."""
         each = [member.predictive(part, u) for member, part in self._parts(x)]
-        means, stds = (np.concatenate([getattr(one, name) for one in each], axis=-2) for name in ("means", "stds"))
+        means, stds = (
+            np.concatenate([getattr(mixture, name) for mixture in each], axis=-2) for name in ("means", "stds")
+        )
         return NormalMixture(means, stds, self.spec.outputs)
 
     def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
@@ -104,7 +106,7 @@ class Ensemble(ABC):
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> Any:
         """Return the model of a description."""
-        members = tuple(cls.member.from_dict(one) for one in content["members"])
+        members = tuple(cls.member.from_dict(member) for member in content["members"])
         return cls(spec_from_dict(content["spec"]), members, dict(content.get("notes", {})))
 
     def _parts(self, x: FloatArray) -> list[tuple[Any, FloatArray]]:

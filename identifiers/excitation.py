@@ -87,10 +87,10 @@ def refuse_feedback(solution: Solution, columns: Columns, least: float, what: st
     left = np.vstack([r[:, others], np.diag(np.minimum(noise[others], _PENALTY))])
     right = np.vstack([r[:, columns.now], np.zeros((len(others), len(columns.now)))])
     law = np.linalg.lstsq(left, right, rcond=1e-12)[0]
-    rest = r[:, columns.now] - r[:, others] @ law
+    residual = r[:, columns.now] - r[:, others] @ law
     passed = noise[others, None] * law
     # How much of the departure is noise, in the combination of inputs where that is most.
-    departure, carried = rest.T @ rest, passed.T @ passed
+    departure, carried = residual.T @ residual, passed.T @ passed
     if ridge > 0:
         departure = departure - ridge * (np.eye(len(columns.now)) + law.T @ law)
         carried = carried + _EXACT**2 / least**2 * np.eye(len(columns.now))
@@ -152,11 +152,11 @@ def refuse_feedback_of_records(records: Sequence[Trajectory], lags: int, least: 
         As of :func:`refuse_feedback`.
     """
     spec = records[0].spec
-    few = sum(max(0, len(one) - lags) for one in records) <= 2 * (lags * (spec.ny + spec.nu) + 1)
+    few = sum(max(0, len(record) - lags) for record in records) <= 2 * (lags * (spec.ny + spec.nu) + 1)
     if spec.nu == 0 or few:
         return
     solution = solve(lambda: lagged_blocks(records, lags, offset=True), what, least_norm=True)
-    rough = np.concatenate([np.diff(one.y, 4, axis=0) for one in records if len(one) > 4])
+    rough = np.concatenate([np.diff(record.y, 4, axis=0) for record in records if len(record) > 4])
     noise = 1.4826 * np.median(np.abs(rough - np.median(rough, axis=0)), axis=0) / np.sqrt(70.0)
     quiet = replace(solution, residual_rms=np.minimum(solution.residual_rms, noise))
     refuse_feedback(quiet, Columns(spec, lags), least, what, ridge=_TINY)
@@ -210,17 +210,17 @@ def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
     from scipy.stats import f
 
     spec = records[0].spec
-    long = [one for one in records if len(one) > lags + 1]
-    past_u = [[one.u[lags - j : len(one) - j] for j in range(1, lags + 1)] for one in long]
+    long = [record for record in records if len(record) > lags + 1]
+    past_u = [[record.u[lags - j : len(record) - j] for j in range(1, lags + 1)] for record in long]
     # a controller acts on the output of the same sample, unless that depends on the input itself
-    past_y = [[one.y[lags - j : len(one) - j] for j in range(int(spec.feedthrough), lags + 1)] for one in long]
-    rows = sum(len(one) - lags for one in long)
+    past_y = [[record.y[lags - j : len(record) - j] for j in range(int(spec.feedthrough), lags + 1)] for record in long]
+    rows = sum(len(record) - lags for record in long)
     width = 1 + lags * spec.nu + (lags + 1) * spec.ny
     if spec.nu == 0 or rows <= 2 * width:
         return Feedback(0.0, 1.0)
     own = np.concatenate([np.hstack([np.ones((len(p[0]), 1)), *p]) for p in past_u])
     both = np.hstack([own, np.concatenate([np.hstack(p) for p in past_y])])
-    target = np.concatenate([one.u[lags:] for one in long])
+    target = np.concatenate([record.u[lags:] for record in long])
     size = np.linalg.norm(both, axis=0)
     # Norms of residuals are those of the triangle: it is small.
     stacked = np.hstack([both / np.where(size > 0, size, 1.0), target])
@@ -234,9 +234,9 @@ def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
     floor = 1e-20 * np.sum(target**2, axis=0)  # an input that its own past foretells exactly needs no feedback
     share = np.where(alone > floor, 1.0 - helped / np.maximum(alone, 1e-300), 0.0)
     worst = int(np.argmax(share))
-    added, rest = max(many - few, 1), max(rows - many, 1)
-    ratio = (share[worst] / added) / max((1.0 - share[worst]) / rest, 1e-300)
-    return Feedback(float(share[worst]), min(1.0, float(f.sf(ratio, added, rest)) * spec.nu))
+    added, remaining = max(many - few, 1), max(rows - many, 1)
+    ratio = (share[worst] / added) / max((1.0 - share[worst]) / remaining, 1e-300)
+    return Feedback(float(share[worst]), min(1.0, float(f.sf(ratio, added, remaining)) * spec.nu))
 
 
 def _noise(solution: Solution, columns: Columns) -> FloatArray:

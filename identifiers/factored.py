@@ -102,8 +102,8 @@ class FactoredModel:
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
         factors = [
-            {"parents": list(one.parents), "table": one.table.tolist(), "visits": one.visits.tolist()}
-            for one in self.factors
+            {"parents": list(factor.parents), "table": factor.table.tolist(), "visits": factor.visits.tolist()}
+            for factor in self.factors
         ]
         return {"kind": "factored", "spec": spec_to_dict(self.spec), "factors": factors, "notes": self.notes}
 
@@ -111,8 +111,12 @@ class FactoredModel:
     def from_dict(cls, content: dict[str, Any]) -> FactoredModel:
         """Return the model of a description."""
         factors = tuple(
-            Factor(tuple(one["parents"]), np.array(one["table"], dtype=float), np.array(one["visits"], dtype=float))
-            for one in content["factors"]
+            Factor(
+                tuple(factor["parents"]),
+                np.array(factor["table"], dtype=float),
+                np.array(factor["visits"], dtype=float),
+            )
+            for factor in content["factors"]
         )
         return cls(spec_from_dict(content["spec"]), factors, notes=dict(content.get("notes", {})))
 
@@ -170,8 +174,8 @@ class FactoredCounting:
                 got=str(spec),
                 remedy="quantise the signals into categories first, or use another identifier",
             )
-        now = np.concatenate([np.hstack([one.y[:-1], one.u[:-1]]) for one in records]).astype(np.intp)
-        later = np.concatenate([one.y[1:] for one in records]).astype(np.intp)
+        now = np.concatenate([np.hstack([record.y[:-1], record.u[:-1]]) for record in records]).astype(np.intp)
+        later = np.concatenate([record.y[1:] for record in records]).astype(np.intp)
         sizes = [channel.categories for channel in channels]
         factors = []
         for i, channel in enumerate(spec.outputs):
@@ -191,7 +195,7 @@ class FactoredCounting:
 
     def _given(self, channel: Channel, channels: Sequence[Channel]) -> tuple[int, ...]:
         """Return the numbers of the parents that the user named."""
-        names = [one.name for one in channels]
+        names = [channel.name for channel in channels]
         wanted = list((self.parents or {}).get(channel.name, ()))
         if not set(wanted) <= set(names):
             raise FitError(
@@ -210,7 +214,7 @@ class FactoredCounting:
         best = _criterion(_counts(now, later, sizes, chosen, sizes[own]))
         while len(chosen) < self.most:
             tried = [tuple(sorted((*chosen, i))) for i in range(len(sizes)) if i not in chosen]
-            scores = [_criterion(_counts(now, later, sizes, one, sizes[own])) for one in tried]
+            scores = [_criterion(_counts(now, later, sizes, parents, sizes[own])) for parents in tried]
             if not tried or min(scores) >= best:
                 break
             best, chosen = min(scores), tried[int(np.argmin(scores))]

@@ -72,8 +72,8 @@ class FilterState:
         stepper, n = self.stepper, self.stepper.system.nx
         theta = self.mean[n:]
         p = np.where(stepper.logarithmic, np.exp(theta), theta)
-        slope = np.where(stepper.logarithmic, p, 1.0)
-        covariance = self.covariance[n:, n:] * np.outer(slope, slope)
+        derivative = np.where(stepper.logarithmic, p, 1.0)
+        covariance = self.covariance[n:, n:] * np.outer(derivative, derivative)
         units = tuple(stepper.system.parameter(name).unit for name in stepper.names)
         how = "no intervals: the covariance of a filter forgets that the model was linearised"
         return Estimate(stepper.names, units, p, covariance, method=how)
@@ -87,10 +87,10 @@ class Stepper:
 
         self.system, self.dt = system, dt
         self.steps = default_substeps(system, dt, system.vector())
-        chosen = [one for one in system.parameters if not one.fixed and one.name not in fixed]
-        self.names = tuple(one.name for one in chosen)
+        chosen = [parameter for parameter in system.parameters if not parameter.fixed and parameter.name not in fixed]
+        self.names = tuple(parameter.name for parameter in chosen)
         self.rows = [system.parameter_names.index(name) for name in self.names]
-        self.logarithmic = np.array([one.positive and one.value > 0 for one in chosen], dtype=bool)
+        self.logarithmic = np.array([parameter.positive and parameter.value > 0 for parameter in chosen], dtype=bool)
 
     def __reduce__(self) -> tuple[Any, ...]:
         known = set(self.names)
@@ -134,8 +134,8 @@ class Stepper:
         return (
             ca.Function("step", [z, u, t], [after], options),
             ca.Function("output", [z, u, t], [seen], options),
-            ca.Function("step_slope", [z, u, t], [after, ca.jacobian(after, z)], options),
-            ca.Function("output_slope", [z, u, t], [seen, ca.jacobian(seen, z)], options),
+            ca.Function("step_jacobian", [z, u, t], [after, ca.jacobian(after, z)], options),
+            ca.Function("output_jacobian", [z, u, t], [seen, ca.jacobian(seen, z)], options),
         )
 
 
@@ -250,15 +250,15 @@ class OnlineGreyBox:
         system, n = state.stepper.system, state.stepper.system.nx
         mean = np.concatenate([np.zeros(n), state.mean[n:]])
         u = np.zeros(system.nu)
-        slope = state.stepper.functions[3](mean, u, 0.0)[1].full()[:, :n]
+        jacobian = state.stepper.functions[3](mean, u, 0.0)[1].full()[:, :n]
         surprise = state.surprise.begun(y)
-        back = np.linalg.pinv(slope)
+        back = np.linalg.pinv(jacobian)
         miss = y - state.stepper.functions[1](mean, u, 0.0).full()[:, 0]
         mean[:n] = back @ miss
         covariance = np.zeros_like(state.covariance)
         covariance[n:, n:] = state.covariance[n:, n:]
         # what the first output does not show is unknown to 1 in its unit
-        unseen = np.eye(n) - back @ slope
+        unseen = np.eye(n) - back @ jacobian
         covariance[:n, :n] = unseen @ unseen.T + back @ np.diag(surprise.noise) @ back.T
         return replace(state, mean=mean, covariance=covariance, clock=0.0, surprise=surprise)
 
@@ -326,8 +326,8 @@ class OnlineGreyBox:
         """Return the variance (m,) that a sample adds."""
         stepper, n = state.stepper, state.stepper.system.nx
         added = np.zeros(state.mean.size)
-        for one in stepper.system.coordinates:
-            added[one.v] = self.disturbance**2 * stepper.dt
+        for coordinate in stepper.system.coordinates:
+            added[coordinate.v] = self.disturbance**2 * stepper.dt
         size = np.where(stepper.logarithmic, 1.0, np.maximum(np.abs(state.mean[n:]), 0.1))
         added[n:] = (self.walk * size) ** 2 * stepper.dt
         return added
@@ -335,9 +335,9 @@ class OnlineGreyBox:
     def _extended(self, state: FilterState, u: FloatArray) -> tuple[FloatArray, ...]:
         """Return mean, covariance, output, cross covariance and output covariance one sample later, linearised."""
         stepper = state.stepper
-        after, slope = (one.full() for one in stepper.functions[2](state.mean, u, state.clock))
-        covariance = slope @ state.covariance @ slope.T + np.diag(self._drift(state))
-        seen, sight = (one.full() for one in stepper.functions[3](after, u, state.clock + stepper.dt))
+        after, jacobian = (matrix.full() for matrix in stepper.functions[2](state.mean, u, state.clock))
+        covariance = jacobian @ state.covariance @ jacobian.T + np.diag(self._drift(state))
+        seen, sight = (matrix.full() for matrix in stepper.functions[3](after, u, state.clock + stepper.dt))
         cross = covariance @ sight.T
         return after[:, 0], covariance, seen[:, 0], cross, sight @ cross
 

@@ -57,9 +57,9 @@ class Kernel:
 
     def __call__(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """Return the covariances (n, m) of rows (n, p) and (m, p)."""
-        return np.asarray(self.signal**2 * self.bump(a, b) + self.slope**2 * (1.0 + a @ b.T))
+        return np.asarray(self.signal**2 * self.squared_exponential(a, b) + self.slope**2 * (1.0 + a @ b.T))
 
-    def bump(self, a: FloatArray, b: FloatArray) -> FloatArray:
+    def squared_exponential(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """Return the squared exponential part, of size 1."""
         a, b = a / self.lengths, b / self.lengths
         square = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
@@ -123,8 +123,8 @@ class GaussianProcessModel(LagModel):
         flat = self.scaling.rows(rows).reshape(-1, rows.shape[-1])
         both = [posterior(flat) for posterior in self.posteriors]
         shape = (*rows.shape[:-1], self.spec.ny)
-        mean = np.stack([one for one, _ in both], axis=-1).reshape(shape)
-        variance = np.stack([one for _, one in both], axis=-1).reshape(shape)
+        mean = np.stack([middle for middle, _ in both], axis=-1).reshape(shape)
+        variance = np.stack([spread for _, spread in both], axis=-1).reshape(shape)
         change = self.scaling.y_mean + mean * self.scaling.y_std
         return rows[..., : self.spec.ny] + change, variance * self.scaling.y_std**2
 
@@ -132,16 +132,16 @@ class GaussianProcessModel(LagModel):
         """Return a JSON-ready description."""
         outputs = [
             {
-                "lengths": one.kernel.lengths.tolist(),
-                "signal": one.kernel.signal,
-                "slope": one.kernel.slope,
-                "noise": one.kernel.noise,
-                "points": one.points.tolist(),
-                "root": one.root.tolist(),
-                "target": one.target.tolist(),
-                "extra": one.extra.tolist(),
+                "lengths": posterior.kernel.lengths.tolist(),
+                "signal": posterior.kernel.signal,
+                "slope": posterior.kernel.slope,
+                "noise": posterior.kernel.noise,
+                "points": posterior.points.tolist(),
+                "root": posterior.root.tolist(),
+                "target": posterior.target.tolist(),
+                "extra": posterior.extra.tolist(),
             }
-            for one in self.posteriors
+            for posterior in self.posteriors
         ]
         return {**self.head("gaussian-process"), "outputs": outputs}
 
@@ -150,13 +150,13 @@ class GaussianProcessModel(LagModel):
         """Return the model of a description."""
         posteriors = tuple(
             Posterior(
-                Kernel(np.array(one["lengths"], dtype=float), one["signal"], one["slope"], one["noise"]),
-                np.array(one["points"], dtype=float),
-                np.array(one["root"], dtype=float),
-                np.array(one["target"], dtype=float),
-                np.array(one["extra"], dtype=float).reshape(len(one["points"]), -1),
+                Kernel(np.array(stored["lengths"], dtype=float), stored["signal"], stored["slope"], stored["noise"]),
+                np.array(stored["points"], dtype=float),
+                np.array(stored["root"], dtype=float),
+                np.array(stored["target"], dtype=float),
+                np.array(stored["extra"], dtype=float).reshape(len(stored["points"]), -1),
             )
-            for one in content["outputs"]
+            for stored in content["outputs"]
         )
         return cls(
             spec_from_dict(content["spec"]),
@@ -207,7 +207,7 @@ class GaussianProcess:
         real_signals(spec, what)
         moving(records, what, inputs=False)
         # Samples are drawn by row: in whatever order records come, they make the same model.
-        records.sort(key=lambda one: (len(one), one.y.tobytes()))
+        records.sort(key=lambda record: (len(record), record.y.tobytes()))
         rows, later = regression_data(records, self.order)
         if len(rows) < rows.shape[1] + 3:
             raise FitError(
@@ -232,9 +232,11 @@ class GaussianProcess:
                 posteriors.append(_sparse(kernel, points, x, y[:, column]))
         notes = {
             "samples": len(x),
-            "points": [len(one.points) for one in posteriors],
-            "noise": [float(one.kernel.noise * s) for one, s in zip(posteriors, scaling.y_std, strict=True)],
-            "lengths": [(one.kernel.lengths * scaling.x_std).tolist() for one in posteriors],
+            "points": [len(posterior.points) for posterior in posteriors],
+            "noise": [
+                float(posterior.kernel.noise * s) for posterior, s in zip(posteriors, scaling.y_std, strict=True)
+            ],
+            "lengths": [(posterior.kernel.lengths * scaling.x_std).tolist() for posterior in posteriors],
         }
         return GaussianProcessModel(spec, self.order, scaling, tuple(posteriors), notes=notes)
 
@@ -260,14 +262,14 @@ def _likeliest(x: FloatArray, y: FloatArray, affine: bool) -> Kernel:
 
 
 def _evidence(logs: FloatArray, x: FloatArray, y: FloatArray) -> tuple[float, FloatArray]:
-    """Return minus the log marginal likelihood and its slope in the logarithms of the hyperparameters."""
+    """Return minus the log marginal likelihood and its gradient in the logarithms of the hyperparameters."""
     from scipy.linalg import cho_factor, cho_solve, lapack
 
     kernel = Kernel.of(logs)
-    bump = kernel.signal**2 * kernel.bump(x, x)
+    smooth = kernel.signal**2 * kernel.squared_exponential(x, x)
     line = kernel.slope**2 * (1.0 + x @ x.T)
     prior = float(np.mean(kernel.own(x)))
-    matrix = bump + line
+    matrix = smooth + line
     matrix[np.diag_indices(len(x))] += kernel.noise**2 + _JITTER * prior
     try:
         factor = cho_factor(matrix, lower=True)
@@ -279,18 +281,18 @@ def _evidence(logs: FloatArray, x: FloatArray, y: FloatArray) -> tuple[float, Fl
     inverse = np.tril(inverse) + np.tril(inverse, -1).T
     # d value / d theta = 1/2 tr((K^-1 - alpha alpha') dK / d theta)
     outer = inverse - np.outer(alpha, alpha)
-    weighted = outer * bump
+    weighted = outer * smooth
     total = weighted.sum(axis=1)
     squares = x**2
     # sum_ij w_ij (x_i - x_j)^2 for every column at once
     spread = 2.0 * (total @ squares) - 2.0 * np.einsum("ip,ip->p", x, weighted @ x)
-    slope = np.concatenate(
+    gradient = np.concatenate(
         [
             0.5 * spread / kernel.lengths**2,
             [weighted.sum(), float(np.sum(outer * line)), kernel.noise**2 * float(np.trace(outer))],
         ]
     )
-    return float(value), slope
+    return float(value), gradient
 
 
 def _exact(kernel: Kernel, x: FloatArray, y: FloatArray) -> Posterior:

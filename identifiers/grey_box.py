@@ -97,7 +97,7 @@ class OutputError(PhysicalFit):
             return fit(None)
         if self.horizon != "auto":
             return fit(float(self.horizon))
-        longest = max(one.duration for one in records)
+        longest = max(record.duration for record in records)
         dt = records[0].spec.sample_time
         shortest = _FEWEST * dt
         short = max(_FIRST, 40 * dt)
@@ -121,7 +121,9 @@ class OutputError(PhysicalFit):
         """Return parameters near the data, before any fit: where the fit itself would start."""
         from harness.physics.start import first_values
 
-        free = np.array([not one.fixed and one.name not in self.fixed for one in system.parameters], dtype=bool)
+        free = np.array(
+            [not parameter.fixed and parameter.name not in self.fixed for parameter in system.parameters], dtype=bool
+        )
         values = system.values(dict(self.start) or None)
         return first_values(system, records, values, free, set(self.start), self.intersample)[-1]
 
@@ -138,12 +140,12 @@ def _growth(system: System, p: FloatArray, records: Sequence[Trajectory]) -> flo
     from harness.physics.windows import data_states
 
     simulator = system.simulator(records[0].spec.sample_time)
-    slope = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
+    jacobian = ca.Function("A", [system.x, system.u, system.p, system.t], [ca.jacobian(system.f, system.x)])
     rates: list[float] = []
     for record in records[:3]:
         states: FloatArray = data_states(simulator, record, p)[0]
         for k in np.linspace(0, len(record) - 1, 40).astype(int):
-            a = slope(states[k], record.u[k], p, record.t[k]).full()
+            a = jacobian(states[k], record.u[k], p, record.t[k]).full()
             if np.isfinite(a).all():
                 rates.append(float(np.linalg.eigvals(a).real.max()))
     return max(float(np.mean(rates)), 0.0) if rates else 0.0

@@ -37,11 +37,11 @@ def output_error_estimate(system: System, fit: OutputErrorFit) -> Estimate:
     names = fit.names
     point = np.array([fit.parameters[name] for name in names])
     units = tuple(system.parameter(name).unit for name in names)
-    slope = fit.jacobian()
-    lengths = np.linalg.norm(slope, axis=0)
+    jacobian = fit.jacobian()
+    lengths = np.linalg.norm(jacobian, axis=0)
     size = np.where(lengths > 0, lengths, 1.0)
     sizes, vectors = (
-        np.linalg.eigh((slope / size).T @ (slope / size)) if len(names) else (np.zeros(0), np.zeros((0, 0)))
+        np.linalg.eigh((jacobian / size).T @ (jacobian / size)) if len(names) else (np.zeros(0), np.zeros((0, 0)))
     )
     weak = sizes < NOTHING * max(sizes.max(initial=0.0), 1e-300)
     null = vectors[:, weak]
@@ -50,12 +50,12 @@ def output_error_estimate(system: System, fit: OutputErrorFit) -> Estimate:
         int(np.sum(~weak)),
         len(names),
         null_words(names, null, lengths),
-        tuple(name for name, one in zip(names, loose, strict=True) if one),
+        tuple(name for name, undetermined in zip(names, loose, strict=True) if undetermined),
         "rounding of the sensitivities",
     )
     condition = float(np.sqrt(sizes[-1] / sizes[0])) if sizes.size and sizes[0] > 0 else float("inf")
     on_bound = tuple(name for name in names if at_bound(system, name, fit.parameters[name]))
-    covariance, how = _covariance(fit, slope / size, sizes, vectors, weak)
+    covariance, how = _covariance(fit, jacobian / size, sizes, vectors, weak)
     if covariance is not None:
         covariance = covariance / np.outer(size, size)
         covariance[np.diag_indices(len(names))] = np.where(loose, np.inf, np.diag(covariance))
@@ -84,23 +84,23 @@ def output_error_estimate(system: System, fit: OutputErrorFit) -> Estimate:
 
 
 def _covariance(
-    fit: OutputErrorFit, slope: FloatArray, sizes: FloatArray, vectors: FloatArray, weak: FloatArray
+    fit: OutputErrorFit, jacobian: FloatArray, sizes: FloatArray, vectors: FloatArray, weak: FloatArray
 ) -> tuple[FloatArray | None, str]:
     """Return the covariance of the scaled parameters, and how it was computed."""
     keep = ~weak.astype(bool)
     inverse = (vectors[:, keep] / sizes[keep]) @ vectors[:, keep].T
-    rest = [one / fit.sigma for one in fit.residuals]
-    samples = sum(len(one) for one in rest)
-    length = _correlation_length(rest)
+    residuals = [miss / fit.sigma for miss in fit.residuals]
+    samples = sum(len(miss) for miss in residuals)
+    length = _correlation_length(residuals)
     if length <= 1:
         return inverse * fit.chi2, "normal, residual white"
     if samples < LEAST_BLOCKS * length:
         return inverse * fit.chi2, f"no intervals: the residual stays correlated over {length} of {samples} samples"
-    scores = slope * np.concatenate([one.ravel() for one in rest])[:, None]
-    ny, at, middle = rest[0].shape[1], 0, np.zeros((slope.shape[1], slope.shape[1]))
-    for one in rest:
-        part = scores[at : at + one.size].reshape(len(one), ny, -1).sum(axis=1)
-        at += one.size
+    scores = jacobian * np.concatenate([miss.ravel() for miss in residuals])[:, None]
+    ny, at, middle = residuals[0].shape[1], 0, np.zeros((jacobian.shape[1], jacobian.shape[1]))
+    for miss in residuals:
+        part = scores[at : at + miss.size].reshape(len(miss), ny, -1).sum(axis=1)
+        at += miss.size
         middle += part.T @ part
         for lag in range(1, min(length, len(part) - 1) + 1):
             cross = part[lag:].T @ part[:-lag]
@@ -110,12 +110,12 @@ def _covariance(
     return inverse @ middle @ inverse * freedom, f"normal, residual correlated over {length} samples"
 
 
-def _correlation_length(rest: list[FloatArray]) -> int:
+def _correlation_length(residuals: list[FloatArray]) -> int:
     """Return the lag [samples] from which on the autocorrelation of every output stays within its white noise."""
     longest = 1
-    for column in range(rest[0].shape[1]):
-        for one in rest:
-            r = one[:, column] - one[:, column].mean()
+    for column in range(residuals[0].shape[1]):
+        for miss in residuals:
+            r = miss[:, column] - miss[:, column].mean()
             n = len(r)
             power = float(r @ r)
             if n < 8 or power == 0.0:
@@ -132,7 +132,11 @@ def _correlation_length(rest: list[FloatArray]) -> int:
 
 def at_bound(system: System, name: str, value: float) -> bool:
     """Return True if a value lies on a bound of its parameter (for a positive one: at nothing)."""
-    one = system.parameter(name)
+    parameter = system.parameter(name)
     width = 1e-6 * max(abs(value), 1e-12)
-    low = value < 1e-9 * max(abs(one.value), 1e-9) if one.minimum == 0.0 else value <= one.minimum + width
-    return bool(low or value >= one.maximum - width)
+    low = (
+        value < 1e-9 * max(abs(parameter.value), 1e-9)
+        if parameter.minimum == 0.0
+        else value <= parameter.minimum + width
+    )
+    return bool(low or value >= parameter.maximum - width)

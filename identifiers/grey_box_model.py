@@ -238,9 +238,9 @@ class GreyBoxModel:
                 ahead.append(self._raw(*self._parts(x, data.u[k])[:3])[0])
                 x = self.step(x, data.u[k])
             y = [*ahead, ahead[-1], ahead[-1]][:3]
-            slope, bend = (y[1] - y[0], y[2] - 2 * y[1] + y[0]) if len(ahead) == 3 else (0.0 * y[0], 0.0 * y[0])
+            difference, bend = (y[1] - y[0], y[2] - 2 * y[1] + y[0]) if len(ahead) == 3 else (0.0 * y[0], 0.0 * y[0])
             back = np.arange(after, 0, -1)[:, None]
-            parts.append((y[0] - back * slope + 0.5 * back * (back + 1) * bend).ravel())
+            parts.append((y[0] - back * difference + 0.5 * back * (back + 1) * bend).ravel())
         return np.concatenate(parts)
 
     def _translated(self, data: Trajectory) -> Trajectory:
@@ -310,9 +310,9 @@ def default_gain(model: GreyBoxModel) -> FloatArray:
         return stationary_gain(a, c) if np.isfinite(a).all() else np.zeros((n, model.spec.ny))
     back = np.asarray(np.linalg.pinv(c), dtype=np.float64)
     gain: FloatArray = 0.5 * back
-    for one in system.coordinates:
-        if not np.any(c[:, one.v]):
-            gain[one.v] = 0.15 / model.spec.sample_time * back[one.q]
+    for coordinate in system.coordinates:
+        if not np.any(c[:, coordinate.v]):
+            gain[coordinate.v] = 0.15 / model.spec.sample_time * back[coordinate.q]
     return gain
 
 
@@ -323,13 +323,13 @@ def tuned_gain(model: GreyBoxModel, records: Sequence[Trajectory]) -> FloatArray
     of growing size.
     """
     n, records = model.simulator.nx, list(records)[:3]
-    starts = [model.initial_state(one[: min(len(one), 400)]) for one in records]
+    starts = [model.initial_state(record[: min(len(record), 400)]) for record in records]
     part = records[0][: min(len(records[0]), 400)]
     x, states = starts[0], []
     for k in range(len(part)):
         states.append(x)
         x = model.step(x, part.u[k])
-    path = np.array([one for one in states if np.isfinite(one).all()])
+    path = np.array([state for state in states if np.isfinite(state).all()])
     size = np.maximum(path[:, :n].std(axis=0), 1e-6 + 1e-3 * np.abs(path[:, :n]).max(axis=0))
     middle, held = path[len(path) // 2], part.u[len(path) // 2]
     moves = np.zeros((n, middle.size))
@@ -339,7 +339,7 @@ def tuned_gain(model: GreyBoxModel, records: Sequence[Trajectory]) -> FloatArray
     c = (model.output(middle + moves, u) - model.output(middle - moves, u)).T / (2e-5 * size)
     if not (np.isfinite(a).all() and np.isfinite(c).all()):
         return np.zeros((n, model.spec.ny))
-    spread = np.maximum(np.std(np.concatenate([one.y for one in records]), axis=0), 1e-9)
+    spread = np.maximum(np.std(np.concatenate([record.y for record in records]), axis=0), 1e-9)
     gains = np.concatenate([riccati_gains(a, c, size, spread), default_gain(model)[None]])
     whole = np.zeros((len(gains), middle.size, model.spec.ny))
     whole[:, :n] = gains

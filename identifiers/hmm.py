@@ -89,7 +89,7 @@ class HmmModel:
     def log_likelihood(self, trajectories: Sequence[Trajectory]) -> float:
         """Return the log likelihood of records, in nats."""
         tables = (self.initial, self.transition, self.emission)
-        return float(sum(filtered_beliefs(_record(one), *tables)[1] for one in trajectories))
+        return float(sum(filtered_beliefs(_record(record), *tables)[1] for record in trajectories))
 
     def beliefs(self, data: Trajectory) -> FloatArray:
         """Return the beliefs (N, S) after each observation."""
@@ -179,7 +179,7 @@ class HiddenMarkov:
             raise InputError("option states", expected="at least 1", got=str(self.states), remedy="correct it")
         given, spec = usable(trajectories, samples=4, what=what)
         actions, observations = _sizes(spec)
-        records = [_record(one) for one in given]
+        records = [_record(record) for record in given]
         samples = sum(len(seen) for seen, _ in records)
         if self.states is not None:
             return self._fitted(records, spec, self.states, actions, observations, rng)
@@ -215,10 +215,10 @@ class HiddenMarkov:
         """Return the model of one order."""
         if self.method == "spectral":
             tables = spectral_estimate(records, states, actions, observations)
-            trace = [expected_counts(records, *(np.maximum(one, 1e-12) for one in tables)).log_likelihood]
+            trace = [expected_counts(records, *(np.maximum(table, 1e-12) for table in tables)).log_likelihood]
         else:
             tables, trace = self._baum_welch(records, states, actions, observations, rng)
-        occupied = expected_counts(records, *(np.maximum(one, 1e-300) for one in tables)).emission.sum(axis=1)
+        occupied = expected_counts(records, *(np.maximum(table, 1e-300) for table in tables)).emission.sum(axis=1)
         if len(records) < states:  # the first states of so few records say nothing of the next record's
             tables = (occupied / occupied.sum(), *tables[1:])
         model = HmmModel(spec, *tables, notes={"log_likelihood": trace, "method": self.method, "states": states})
@@ -230,14 +230,14 @@ class HiddenMarkov:
         """Return the tables of the likeliest start and the objective after each of its iterations."""
         starts = [_random_start(states, actions, observations, rng) for _ in range(max(1, self.starts))]
         with suppress(FitError):  # fewer observations than states, or too few samples: the random starts do
-            one, two, three = spectral_estimate(records, states, actions, observations)
-            starts.append((_lifted(one), _lifted(two), _lifted(three)))
+            initial, transition, emission = spectral_estimate(records, states, actions, observations)
+            starts.append((_lifted(initial), _lifted(transition), _lifted(emission)))
         short = [self._iterated(records, start, _SHORT) for start in starts]
         short.sort(key=lambda result: -result[1][-1])
         whole = []
         for tables, trace in short[:_KEPT]:
-            further, rest = self._iterated(records, tables, self.iterations)
-            whole.append((further, trace + rest))
+            further, continued = self._iterated(records, tables, self.iterations)
+            whole.append((further, trace + continued))
         return max(whole, key=lambda result: result[1][-1])
 
     def _iterated(
@@ -353,10 +353,10 @@ def _normalised(weights: FloatArray, otherwise: FloatArray) -> FloatArray:
     return np.asarray(np.where(total > 0, weights / np.where(total > 0, total, 1.0), other))
 
 
-def _record(one: Trajectory) -> Record:
+def _record(record: Trajectory) -> Record:
     """Return observations and actions of a record as C integers."""
-    seen: npt.NDArray[np.intc] = one.y[:, 0].astype(np.intc)
-    return seen, one.u[:, 0].astype(np.intc) if one.spec.nu else np.zeros(len(one), dtype=np.intc)
+    seen: npt.NDArray[np.intc] = record.y[:, 0].astype(np.intc)
+    return seen, record.u[:, 0].astype(np.intc) if record.spec.nu else np.zeros(len(record), dtype=np.intc)
 
 
 def _sizes(spec: PlantSpec) -> tuple[int, int]:

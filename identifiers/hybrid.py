@@ -142,7 +142,7 @@ class PiecewiseAffine:
         starts = [_clustered(r, y, self.modes, rng)]
         starts += [_grown(r, self.modes, rng) for _ in range(self.starts if self.modes > 1 else 0)]
         found = [self._settled(r, y, start, _TRIAL_ROUNDS) for start in starts]
-        theta, regions, labels, _ = self._settled(r, y, min(found, key=lambda one: one[3])[2], _ROUNDS)
+        theta, regions, labels, _ = self._settled(r, y, min(found, key=lambda result: result[3])[2], _ROUNDS)
         inside = np.ones(len(r), dtype=bool)
         if self.modes > 1:
             theta, labels, inside = _trimmed(r, y, theta, labels)
@@ -266,8 +266,8 @@ def _regions(r: FloatArray, labels: Labels, modes: int, start: FloatArray, itera
         score = r @ weights.T
         top = np.logaddexp.reduce(score, axis=1)
         loss = float(np.mean(top - (score * target).sum(axis=1)) + 0.5e-6 * (flat @ flat))
-        slope = (np.exp(score - top[:, None]) - target).T @ r / len(r) + 1e-6 * weights
-        return loss, slope.ravel()
+        gradient = (np.exp(score - top[:, None]) - target).T @ r / len(r) + 1e-6 * weights
+        return loss, gradient.ravel()
 
     found = minimize(value, start.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": iterations})
     return np.asarray(found.x, dtype=float).reshape(modes, -1)

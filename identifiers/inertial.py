@@ -114,10 +114,10 @@ class Inertial:
         arm = load_arm(self.model)
         speaks(arm, spec, what)
         names = SimpleNamespace(coordinates=arm.positions)
-        moved = [motion(names, one, self.smoothing) for one in records]
+        moved = [motion(names, record, self.smoothing) for record in records]
         equations = Equations(arm, self._free_joints(arm), self.damping, self.friction, self.motor_inertia)
         if self.intersample == "smooth":
-            moved = [replace(one, mean_u=one.u) for one in moved]
+            moved = [replace(smoothed, mean_u=smoothed.u) for smoothed in moved]
         gram, side, rms = equations.weighted(moved, self.weighted)
         decision, condition, kept = self._rank(equations, names, records, moved, rng)
         problem = self._problem(arm, equations, gram, side)
@@ -203,12 +203,14 @@ class Inertial:
 
         rows, noise = [], []
         for record, old in zip(records, moved, strict=True):
-            every = max(1, sum(len(one.t) for one in moved) // ENOUGH)
+            every = max(1, sum(len(smoothed.t) for smoothed in moved) // ENOUGH)
             again = motion(names, noisier(record, rng), self.smoothing, like=old)
             bent = motion(names, record, self.smoothing, like=old, coarser=True)
             part = equations.rows(old.q[::every], old.v[::every], old.a[::every])
             rows.append(part)
-            noise += [equations.rows(one.q[::every], one.v[::every], one.a[::every]) - part for one in (again, bent)]
+            noise += [
+                equations.rows(other.q[::every], other.v[::every], other.a[::every]) - part for other in (again, bent)
+            ]
         phi = np.concatenate(rows)
         decision, kept, condition = determined(phi, equations.names, np.concatenate(noise))
         lengths = np.linalg.norm(phi, axis=0)
@@ -288,34 +290,34 @@ class Equations:
         spread = np.zeros((n, n))
         for _ in range(2):
             gram, side = np.zeros((len(self.names),) * 2), np.zeros(len(self.names))
-            for one in moved:
-                target = self.target(one)
-                for first in range(0, len(one.t), block):
+            for smoothed in moved:
+                target = self.target(smoothed)
+                for first in range(0, len(smoothed.t), block):
                     part = slice(first, first + block)
-                    rows = self.rows(one.q[part], one.v[part], one.a[part])
+                    rows = self.rows(smoothed.q[part], smoothed.v[part], smoothed.a[part])
                     rows = (white @ rows.reshape(-1, n, rows.shape[1])).reshape(rows.shape)
                     gram += rows.T @ rows
                     side += rows.T @ (target[part] @ white.T).ravel()
             size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
             theta = np.linalg.pinv(gram / np.outer(size, size), rcond=1e-12, hermitian=True) @ (side / size) / size
-            rests = [
-                self.target(one)[::step]
-                - (self.rows(one.q[::step], one.v[::step], one.a[::step]) @ theta).reshape(-1, n)
-                for one in moved
-                for step in [max(1, len(one.t) // ENOUGH)]
+            residuals = [
+                self.target(smoothed)[::step]
+                - (self.rows(smoothed.q[::step], smoothed.v[::step], smoothed.a[::step]) @ theta).reshape(-1, n)
+                for smoothed in moved
+                for step in [max(1, len(smoothed.t) // ENOUGH)]
             ]
-            rest = np.concatenate(rests)
-            spread = rest.T @ rest / len(rest)
+            residual = np.concatenate(residuals)
+            spread = residual.T @ residual / len(residual)
             level = np.sqrt(np.maximum(np.diag(spread), 1e-18 * max(float(np.trace(spread)), 1e-300)))
             # a floor for exact data: a millionth of the torques
             floor = 1e-6 * max(float(np.sqrt(np.mean(np.concatenate([self.target(m) for m in moved]) ** 2))), 1e-12)
             if weigh:
-                white = whitening(np.vstack([rest, floor * np.sqrt(len(rest)) * np.eye(n)]))
+                white = whitening(np.vstack([residual, floor * np.sqrt(len(residual)) * np.eye(n)]))
             else:
                 white = np.eye(n) / max(float(np.sqrt(np.mean(level**2))), floor)
         # What stands at joints that hardly move is held by a torque of the size seen there, no more.
         first = 10 * len(self.bodies)
-        torque = np.sqrt(np.mean(np.concatenate([one.mean_u for one in moved]) ** 2, axis=0))
+        torque = np.sqrt(np.mean(np.concatenate([smoothed.mean_u for smoothed in moved]) ** 2, axis=0))
         start = np.concatenate([getattr(self.arm, kind, np.zeros(n)) for kind in self.kinds] or [np.zeros(0)])
         reach = {"damping": SLOW, "friction": 1.0, "motor_inertia": SLOW}
         loose = np.concatenate([torque / reach[kind] for kind in self.kinds] or [np.zeros(0)])
@@ -328,9 +330,9 @@ class Equations:
         """Return the inertial parameters of all bodies, and what stands at the joints."""
         table = self.arm.arm.parameters.reshape(-1, 10).copy()
         table[self.bodies] = x[: 10 * len(self.bodies)].reshape(-1, 10)
-        n, rest = self.arm.n, x[10 * len(self.bodies) :]
+        n, remaining = self.arm.n, x[10 * len(self.bodies) :]
         found = {"damping": self.arm.damping, "friction": self.arm.friction, "motor_inertia": np.zeros(n)}
-        found |= {kind: rest[place * n : place * n + n] for place, kind in enumerate(self.kinds)}
+        found |= {kind: remaining[place * n : place * n + n] for place, kind in enumerate(self.kinds)}
         return table.ravel(), found
 
 
@@ -343,8 +345,8 @@ def speaks(arm: ArmModel, spec: PlantSpec, what: str) -> None:
         If they are not.
     """
     inputs, outputs = [c.name for c in spec.inputs], [c.name for c in spec.outputs]
-    missing = [one.name for one in arm.positions if one.name not in outputs]
-    if inputs != [one.name for one in arm.inputs] or missing:
+    missing = [position.name for position in arm.positions if position.name not in outputs]
+    if inputs != [channel.name for channel in arm.inputs] or missing:
         raise FitError(
             f"{what}: the records do not speak the language of {arm.name}",
             expected=f"{', '.join(c.name for c in arm.inputs)} -> {', '.join(c.name for c in arm.positions)}",

@@ -73,7 +73,7 @@ def linearised_along(model: Model, x0: FloatArray, u: FloatArray, *, size: float
         )
     steps = [size * np.where((top := np.abs(part).max(axis=0)) > 0, top, 1.0) for part in (states, u)]
 
-    def slopes(of: Callable[[FloatArray, FloatArray], FloatArray], which: int) -> FloatArray:
+    def jacobian(of: Callable[[FloatArray, FloatArray], FloatArray], which: int) -> FloatArray:
         columns = []
         for j, step in enumerate(steps[which]):
             push = np.zeros(nx if which == 0 else nu)
@@ -82,7 +82,9 @@ def linearised_along(model: Model, x0: FloatArray, u: FloatArray, *, size: float
             columns.append((of(*sides[0]) - of(*sides[1])) / (2 * step))
         return np.stack(columns, axis=-1) if columns else np.zeros((n, model.spec.ny, 0))
 
-    return TimeVarying(slopes(model.step, 0), slopes(model.step, 1), slopes(model.output, 0), slopes(model.output, 1))
+    return TimeVarying(
+        jacobian(model.step, 0), jacobian(model.step, 1), jacobian(model.output, 0), jacobian(model.output, 1)
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -152,10 +152,10 @@ class Dictionary:
         for degree in range(2, self.degree + 1):
             names += [" ".join(pick) for pick in combinations_with_replacement(arguments, degree)]
         if self.trigonometric:
-            names += [f"{what}({one})" for what in ("sin", "cos") for one in arguments]
+            names += [f"{what}({argument})" for what in ("sin", "cos") for argument in arguments]
         names += [f"radial {j + 1}" for j in range(len(self.centres))]
         for j in range(1, self.fourier + 1):
-            names += [f"{what}({j} pi {one})" for what in ("sin", "cos") for one in arguments]
+            names += [f"{what}({j} pi {argument})" for what in ("sin", "cos") for argument in arguments]
         return names + [f"function {j + 1} of {', '.join(self.functions)}" for j in range(size - len(names))]
 
 
@@ -328,7 +328,7 @@ class Edmdc:
         records, spec = usable(trajectories, samples=self.delays + 2, what=what)
         real_signals(spec, what)
         moving(records, what)
-        arguments = [_arguments(one, self.delays) for one in records]
+        arguments = [_arguments(record, self.delays) for record in records]
         together = np.concatenate(arguments)
         scale = np.abs(together).max(axis=0)
         scale = np.where(scale > 0, scale, 1.0)

@@ -194,5 +194,5 @@ def regression_data(records: list[Trajectory], lags: int) -> tuple[FloatArray, F
     """Return regressors (n, p) and next outputs (n, ny) of all records; no row reaches across a seam."""
     from identifiers.records import lagged
 
-    rows = np.concatenate([lagged(one, lags) for one in records])
-    return rows, np.concatenate([one.y[lags:] for one in records])
+    rows = np.concatenate([lagged(record, lags) for record in records])
+    return rows, np.concatenate([record.y[lags:] for record in records])

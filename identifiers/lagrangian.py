@@ -60,27 +60,27 @@ class Form:
     mass: tuple[float, ...]
 
     def features(self, library: Any, q: Any) -> tuple[Any, Any]:
-        """Return what the energies see of q (..., n): (..., 2 n), and its slope by each coordinate (..., 2 n)."""
-        values, slopes = [], []
+        """Return what the energies see of q (..., n): (..., 2 n), and its derivative by each coordinate (..., 2 n)."""
+        values, derivatives = [], []
         for i, (angle, size) in enumerate(zip(self.periodic, self.size, strict=True)):
             x = q[..., i] / size
             values += [library.sin(x), library.cos(x)] if angle else [x, 0.0 * x]
-            slopes += [library.cos(x) / size, -library.sin(x) / size] if angle else [0.0 * x + 1.0 / size, 0.0 * x]
-        return library.stack(values, -1), library.stack(slopes, -1)
+            derivatives += [library.cos(x) / size, -library.sin(x) / size] if angle else [0.0 * x + 1.0 / size, 0.0 * x]
+        return library.stack(values, -1), library.stack(derivatives, -1)
 
     def energies(self, library: Any, t: dict[str, Any], q: Any) -> tuple[Any, Any, Any, Any]:
-        """Return mass matrix (..., n, n), its slopes (..., n, n, n; last: by which), potential and its slopes."""
+        """Return mass matrix (..., n, n), its derivatives (..., n, n, n; last: by which), potential and gradient."""
         n = len(self.names)
-        seen, seen_slope = self.features(library, q)
+        seen, seen_derivative = self.features(library, q)
         inner = library.tanh(seen @ t["mass_in"] + t["mass_bias"])
         entries = inner @ t["mass_out"] + t["mass_at"]
         well = library.tanh(seen @ t["well_in"] + t["well_bias"])
-        entry_slopes, pulls = [], []
+        entry_derivatives, pulls = [], []
         for i in range(n):
             own = slice(2 * i, 2 * i + 2)
-            by_q = seen_slope[..., own] @ t["mass_in"][own]
-            entry_slopes.append(((1.0 - inner**2) * by_q) @ t["mass_out"])
-            by_q = seen_slope[..., own] @ t["well_in"][own]
+            by_q = seen_derivative[..., own] @ t["mass_in"][own]
+            entry_derivatives.append(((1.0 - inner**2) * by_q) @ t["mass_out"])
+            by_q = seen_derivative[..., own] @ t["well_in"][own]
             pulls.append((((1.0 - well**2) * by_q) @ t["well_out"])[..., 0])
         zero = 0.0 * entries[..., 0]
         lower = self._triangle(library, entries, zero)
@@ -89,18 +89,18 @@ class Form:
         weights = library.asarray([[a * b for b in scale] for a in scale])
         eye = library.asarray([[float(i == j) for j in range(n)] for i in range(n)])
         mass = weights * (lower @ turned + _LEAST_MASS * eye)
-        slopes = []
-        for entry in entry_slopes:
+        derivatives = []
+        for entry in entry_derivatives:
             moved = self._triangle(library, entry, zero)
-            slopes.append(weights * (moved @ turned + lower @ moved.swapaxes(-1, -2)))
-        return mass, library.stack(slopes, -1), (well @ t["well_out"])[..., 0], library.stack(pulls, -1)
+            derivatives.append(weights * (moved @ turned + lower @ moved.swapaxes(-1, -2)))
+        return mass, library.stack(derivatives, -1), (well @ t["well_out"])[..., 0], library.stack(pulls, -1)
 
     def accelerations(self, library: Any, t: dict[str, Any], q: Any, v: Any, u: Any) -> Any:
         """Return the accelerations (..., n): Lagrange's equations with viscous damping."""
-        mass, slopes, _, pull = self.energies(library, t, q)
+        mass, derivatives, _, pull = self.energies(library, t, q)
         n = len(self.names)
-        turning = (slopes * v[..., None, None, :]).sum(-1) @ v[..., None]
-        centrifugal = 0.5 * (slopes * v[..., :, None, None] * v[..., None, :, None]).sum((-3, -2))
+        turning = (derivatives * v[..., None, None, :]).sum(-1) @ v[..., None]
+        centrifugal = 0.5 * (derivatives * v[..., :, None, None] * v[..., None, :, None]).sum((-3, -2))
         forces = -(t["damping"] ** 2) * v - pull - turning[..., 0] + centrifugal
         zero = 0.0 * forces[..., 0]
         pushed = [zero] * n
@@ -290,7 +290,11 @@ class LagrangianNetwork:
         cuts = [len(record) - len(record) // _HELD_OUT for record in records]
         learn = _windows(records, states, [(0, cut) for cut in cuts], self.window, 1)
         held = _windows(
-            records, states, [(cut, len(one)) for cut, one in zip(cuts, records, strict=True)], self.window, self.window
+            records,
+            states,
+            [(cut, len(record)) for cut, record in zip(cuts, records, strict=True)],
+            self.window,
+            self.window,
         )
         n, m, h = len(names), len(names) * (len(names) + 1) // 2, self.hidden
         diagonal = np.zeros(m)
@@ -360,7 +364,7 @@ class LagrangianNetwork:
         periodic = tuple(channels[i].period is not None for i in range(n))
         size = tuple(1.0 if angle else float(scale[i]) for i, angle in enumerate(periodic))
         turn = np.concatenate([np.diff(state[:, n:], axis=0) for state in states]) / spec.sample_time
-        push = float(np.concatenate([one.u for one in records]).std()) if spec.nu else 1.0
+        push = float(np.concatenate([record.u for record in records]).std()) if spec.nu else 1.0
         mass = tuple(float(push / max(a, 1e-12)) for a in turn.std(axis=0))
         for i, angle in enumerate(periodic):
             turns = float(channels[i].period or 0.0)

@@ -145,18 +145,18 @@ class FollowTheLeader:
         spec = trajectories[0].spec
         model = self._made().fit(list(trajectories), rng=np.random.default_rng(0))
         losses, waited = [], 0
-        for one in trajectories:
-            x: FloatArray | None = _located(model, one[:1])
-            guesses = one.y[:-1].copy()
-            for k in range(len(one) - 1):
+        for record in trajectories:
+            x: FloatArray | None = _located(model, record[:1])
+            guesses = record.y[:-1].copy()
+            for k in range(len(record) - 1):
                 if x is not None:
-                    x, guess = _next(model, x, one.u[k], one.y[k])
+                    x, guess = _next(model, x, record.u[k], record.y[k])
                     if waited >= self.burn_in:
                         guesses[k] = guess
                 if x is None or k + 2 <= _YOUNG:
-                    x = _located(model, one[: k + 2])
+                    x = _located(model, record[: k + 2])
                 waited += 1
-            losses.append(residual(spec.outputs, one.y[1:], guesses) ** 2)
+            losses.append(residual(spec.outputs, record.y[1:], guesses) ** 2)
         each = np.concatenate(losses)
         details = {"burn_in": self.burn_in, "growth": self.growth, "prior": "none"}
         return Hindsight(each.sum(axis=1), exact=False, details=details, per_output=each)

@@ -95,7 +95,7 @@ class StateLeastSquares:
         estimate = self._estimate(records, solution, coefficients, what)
         if self.stable and spectral_radius(coefficients[: spec.ny]) >= 1.0:
             notes["stabilized"] = True
-            weights = 1.0 / sizes([one.y for one in records])
+            weights = 1.0 / sizes([record.y for record in records])
             factor = solution.factor * solution.scale
             coefficients = nearest_stable(coefficients, factor, spec.ny, clip_eigenvalues, weights)
         elif estimate is not None:  # of the nearest stable model the spread of the fit says nothing
@@ -139,8 +139,8 @@ class StateLeastSquares:
             return criteria.instrumental_variables(records, self.offset, what)
         if self.method == "tls":
             return criteria.total_least_squares(records, self.offset, what)
-        x = np.concatenate([design(one, 1, self.offset) for one in records])
-        y = np.concatenate([one.y[1:] for one in records])
+        x = np.concatenate([design(record, 1, self.offset) for record in records])
+        y = np.concatenate([record.y[1:] for record in records])
         if self.method == "l1":
             return criteria.absolute_deviations(x, y, what)
         size = sizes([y]) if self.scaled else np.ones(y.shape[1])

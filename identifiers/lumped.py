@@ -184,7 +184,7 @@ class Lumped:
 
         regression = self.regression_of(system)
         rng = rng or np.random.default_rng(0)
-        moved = [motion(system, one, self.smoothing) for one in records]
+        moved = [motion(system, record, self.smoothing) for record in records]
         phi, target = self.stacked(regression, moved, records)
         if not np.any(target):
             raise FitError(
@@ -194,7 +194,8 @@ class Lumped:
                 remedy="excite the plant, or give known={...}",
             )
         again = [
-            motion(system, noisier(one, rng), self.smoothing, like=old) for one, old in zip(records, moved, strict=True)
+            motion(system, noisier(record, rng), self.smoothing, like=old)
+            for record, old in zip(records, moved, strict=True)
         ]
         noisy, noisy_target = self.stacked(regression, again, records)
         if not (np.isfinite(phi).all() and np.isfinite(target).all()):
@@ -214,15 +215,19 @@ class Lumped:
         theta, white = self._criterion(
             system, regression, records, moved, (phi, target), kept, noise=noise, plain=not decision.full
         )
-        rest = white @ instants((target - phi @ theta)[:, None], len(white))
+        residual = white @ instants((target - phi @ theta)[:, None], len(white))
         values = dict(zip(regression.names, theta.tolist(), strict=True))
-        return Regressed(regression.names, values, decision, condition, float(np.sqrt(np.mean(rest**2)))), regression
+        return Regressed(
+            regression.names, values, decision, condition, float(np.sqrt(np.mean(residual**2)))
+        ), regression
 
     # ---- inside --------------------------------------------------------------------------------------------------
 
     def known_of(self, system: System) -> dict[str, float]:
         """Return the parameters that are given or declared fixed."""
-        return {one.name: one.value for one in system.parameters if one.fixed} | dict(self.known or {})
+        return {parameter.name: parameter.value for parameter in system.parameters if parameter.fixed} | dict(
+            self.known or {}
+        )
 
     def regression_of(self, system: System) -> LumpedModel:
         """Return the lumped model of a system, known and fixed parameters on the known side.
@@ -247,8 +252,11 @@ class Lumped:
         self, regression: LumpedModel, moved: Sequence[Motion], records: Sequence[Trajectory]
     ) -> tuple[FloatArray, FloatArray]:
         """Return the equations of all records; none reaches across a seam."""
-        parts = [self._equations(regression, one, r.spec.sample_time) for one, r in zip(moved, records, strict=True)]
-        return np.concatenate([one[0] for one in parts]), np.concatenate([one[1] for one in parts])
+        parts = [
+            self._equations(regression, smoothed, record.spec.sample_time)
+            for smoothed, record in zip(moved, records, strict=True)
+        ]
+        return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
     def _systematic(
         self,
@@ -260,10 +268,10 @@ class Lumped:
     ) -> list[FloatArray]:
         """Return what smoothing, and the quadrature of the forms that integrate, change in the rows."""
         pairs = list(zip(records, moved, strict=True))
-        bent = [motion(system, one, self.smoothing, like=old, coarser=True) for one, old in pairs]
+        bent = [motion(system, record, self.smoothing, like=old, coarser=True) for record, old in pairs]
         found = [self.stacked(regression, bent, records)[0] - phi]
         if self.form != "torque":
-            fine = [self._equations(regression, old, one.spec.sample_time, finer=True)[0] for one, old in pairs]
+            fine = [self._equations(regression, old, record.spec.sample_time, finer=True)[0] for record, old in pairs]
             found.append(np.concatenate(fine) - phi)
         return found
 
@@ -301,7 +309,7 @@ class Lumped:
             if noise is None:
                 rng = rng or np.random.default_rng(0)
                 pairs = zip(records, moved, strict=True)
-                again = [motion(system, noisier(one, rng), self.smoothing, like=old) for one, old in pairs]
+                again = [motion(system, noisier(record, rng), self.smoothing, like=old) for record, old in pairs]
                 shaken = self.stacked(regression, again, records)
                 noise = shaken[0] - equations[0], shaken[1] - equations[1]
             wide = (white @ instants(noise[0], n)).reshape(phi.shape)
@@ -309,8 +317,8 @@ class Lumped:
         for _ in range(_ROUNDS):
             parameters = {**regression.to_parameters(dict(zip(regression.names, theta, strict=True)))}
             copies = [
-                simulated_motion(system, parameters | self.known_of(system), one, r.spec.sample_time)
-                for one, r in zip(moved, records, strict=True)
+                simulated_motion(system, parameters | self.known_of(system), smoothed, record.spec.sample_time)
+                for smoothed, record in zip(moved, records, strict=True)
             ]
             exact = self.stacked(regression, copies, records)[0]
             theta = instrumental(phi, target, (white @ instants(exact, n)).reshape(phi.shape), what)
@@ -344,12 +352,14 @@ class Lumped:
 
         def refit(noisy: list[Trajectory]) -> FloatArray:
             # smoothed as the records were: another width would be another estimate
-            moved = [motion(system, one, self.smoothing, like=old) for one, old in zip(noisy, measured, strict=True)]
+            moved = [
+                motion(system, record, self.smoothing, like=old) for record, old in zip(noisy, measured, strict=True)
+            ]
             equations = self.stacked(regression, moved, noisy)
             return self._criterion(system, regression, noisy, moved, equations, np.eye(regression.k), rng=rng)[0]
 
         parts = pieces(records)
-        measured = [motion(system, one.record, self.smoothing) for one in parts]
+        measured = [motion(system, part.record, self.smoothing) for part in parts]
         found = corrected(parts, model_of, refit, self.intervals, rng)
         if found.spread is None:
             return values, None, found.how

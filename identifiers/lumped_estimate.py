@@ -32,7 +32,7 @@ def lumped_estimate(
 ) -> Estimate:
     """Return the record of lumped parameters; intervals only if their spread is known."""
     names = regression.names
-    units = tuple(lumped_unit(system, one) for one in regression.combinations)
+    units = tuple(lumped_unit(system, combination) for combination in regression.combinations)
     found = np.array([values[name] for name in names])
     covariance = None if spread is None else spread.covariance
     return Estimate(
@@ -56,8 +56,8 @@ def physical_estimate(
     Parameters that no lumped combination determines alone have an infinite variance, no interval, and stand in the
     null directions.
     """
-    wanted = {str(symbol) for one in regression.combinations for symbol in one.free_symbols}
-    names = tuple(one.name for one in system.parameters if one.name in wanted)
+    wanted = {str(symbol) for combination in regression.combinations for symbol in combination.free_symbols}
+    names = tuple(parameter.name for parameter in system.parameters if parameter.name in wanted)
     point = np.array([parameters[name] for name in names])
     columns = []
     scale = np.maximum(np.abs(record.values), 1e-12 * np.abs(record.values).max(initial=1.0))
@@ -66,11 +66,11 @@ def physical_estimate(
         step = STEP * size[row]
         high, low = ({**parameters, name: point[row] + sign * step} for sign in (1, -1))
         columns.append((regression.values(high) - regression.values(low)) / (2 * step) * size[row] / scale)
-    slope = np.column_stack(columns) if columns else np.zeros((len(scale), 0))
-    left, singular, right = np.linalg.svd(slope, full_matrices=True)
+    jacobian = np.column_stack(columns) if columns else np.zeros((len(scale), 0))
+    left, singular, right = np.linalg.svd(jacobian, full_matrices=True)
     rank = int(np.sum(singular > 1e-6 * singular.max(initial=0.0)))
     null = right[rank:].T
-    # parameters move by size * z for a direction z of the scaled slope
+    # parameters move by size * z for a direction z of the scaled Jacobian
     words = null_words(names, null, 1.0 / size)
     loose = np.sum(null**2, axis=1) > 1e-6
     covariance = intervals = None
@@ -88,7 +88,7 @@ def physical_estimate(
         rank,
         len(names),
         words,
-        tuple(name for name, one in zip(names, loose, strict=True) if one),
+        tuple(name for name, undetermined in zip(names, loose, strict=True) if undetermined),
         f"what {len(record.names)} lumped parameters determine",
     )
     return Estimate(
@@ -114,9 +114,11 @@ def lumped_unit(system: System, combination: Any) -> str:
     import sympy as sp
 
     order = {name: place for place, name in enumerate(system.parameter_names)}
-    plain = [one for one in sp.Add.make_args(sp.expand(combination)) if abs(one.as_coeff_Mul()[0]) == 1]
+    plain = [summand for summand in sp.Add.make_args(sp.expand(combination)) if abs(summand.as_coeff_Mul()[0]) == 1]
     terms = plain or list(sp.Add.make_args(sp.expand(combination)))
-    term = min(terms, key=lambda one: min((order[str(symbol)] for symbol in one.free_symbols), default=len(order)))
+    term = min(
+        terms, key=lambda summand: min((order[str(symbol)] for symbol in summand.free_symbols), default=len(order))
+    )
     powers: dict[str, Any] = {}
     for base, power in term.as_powers_dict().items():
         unit = system.parameter(str(base)).unit if base.is_Symbol else "1"
@@ -124,7 +126,7 @@ def lumped_unit(system: System, combination: Any) -> str:
             powers[unit] = powers.get(unit, 0) + power
     parts = []
     # mass before length: kg m^2
-    for unit, power in sorted(powers.items(), key=lambda one: (not one[0].startswith(("kg", "N")), one[0])):
+    for unit, power in sorted(powers.items(), key=lambda item: (not item[0].startswith(("kg", "N")), item[0])):
         base_unit = f"({unit})" if power != 1 and (" " in unit or "/" in unit) else unit
         parts.append(base_unit if power == 1 else f"{base_unit}^{power}")
     return " ".join(parts) or "1"

@@ -27,7 +27,7 @@ __all__ = ["RecursiveLumped", "RecursiveState"]
 
 WIDTH = 13
 """Samples that a cubic spans, by default: two thirds of what a batch fit chooses at noise of a milliradian."""
-BUMP = 51
+SPAN = 51
 """Samples of a test function, as of the batch form."""
 NEWS, LEAST = 0.05, 20
 """The model that predicts is made anew after this share of new equations, and after so many at least: its parameters
@@ -325,20 +325,23 @@ class RecursiveLumped:
         batch = self._batch()
         regression = batch.regression_of(system)
         names = [channel.name for channel in spec.outputs]
-        missing = [one.name for one in system.coordinates if one.name not in names]
+        missing = [coordinate.name for coordinate in system.coordinates if coordinate.name not in names]
         if missing:
             raise FitError(
                 "lumped parameters need every coordinate measured",
-                expected=", ".join(one.name for one in system.coordinates),
+                expected=", ".join(coordinate.name for coordinate in system.coordinates),
                 got=", ".join(names),
                 remedy=f"measure {', '.join(missing)}, or use ekf",
             )
         rates = [
-            next((names.index(f"{one.name}{s}") for s in ("_rate", "_dot") if f"{one.name}{s}" in names), None)
-            for one in system.coordinates
+            next(
+                (names.index(f"{coordinate.name}{s}") for s in ("_rate", "_dot") if f"{coordinate.name}{s}" in names),
+                None,
+            )
+            for coordinate in system.coordinates
         ]
         first = GreyBoxModel(spec, recipe, {**system.values(), **batch.known_of(system)})
-        positions = tuple(names.index(one.name) for one in system.coordinates)
+        positions = tuple(names.index(coordinate.name) for coordinate in system.coordinates)
         return Context(
             system, regression, first, positions, tuple(rates), tuple(channel.period for channel in spec.outputs)
         )
@@ -354,7 +357,7 @@ class RecursiveLumped:
             return 1, 1
         if self.form == "energy":
             return 1 + max(1, 1 if self.window is None else round(self.window / dt)), 1
-        samples = max(5, BUMP if self.window is None else round(self.window / dt))
+        samples = max(5, SPAN if self.window is None else round(self.window / dt))
         return samples, max(1, samples // 4)
 
     def _rows(self, context: Context, instants: FloatArray) -> FloatArray:
@@ -433,12 +436,12 @@ class RecursiveLumped:
             return None
         context, dt = state.context, state.context.first.spec.sample_time
         x = np.zeros(context.system.nx)
-        for one, p, r in zip(context.system.coordinates, context.positions, context.rates, strict=True):
-            x[one.q] = state.y[-1, p]
+        for coordinate, p, r in zip(context.system.coordinates, context.positions, context.rates, strict=True):
+            x[coordinate.q] = state.y[-1, p]
             if r is not None:
-                x[one.v] = state.y[-1, r]
+                x[coordinate.v] = state.y[-1, r]
             elif len(state.y) > 2:
-                x[one.v] = (state.y[-1, p] - state.y[-3, p]) / (2 * dt)
+                x[coordinate.v] = (state.y[-1, p] - state.y[-3, p]) / (2 * dt)
         return np.concatenate([x, [state.clock]])
 
     def _corrected(self, state: RecursiveState, u: FloatArray, y: FloatArray) -> FloatArray | None:

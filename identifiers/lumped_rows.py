@@ -43,8 +43,8 @@ def weighted(
         known = (white @ instants(target[:, None], n)).reshape(-1)
         theta = kept @ np.linalg.lstsq(rows, known, rcond=None)[0] / size
         if number < last:
-            rest = (target - phi @ theta).reshape(-1, n)
-            white = whitening(np.vstack([rest, floor * np.sqrt(len(rest)) * np.eye(n)]))
+            residual = (target - phi @ theta).reshape(-1, n)
+            white = whitening(np.vstack([residual, floor * np.sqrt(len(residual)) * np.eye(n)]))
     return theta, white
 
 

@@ -51,7 +51,7 @@ def markov_parameters(
     records, spec = usable(trajectories, samples=length + 1, what=what)
     nu, ny = spec.nu, spec.ny
     size = length * nu + int(offset)
-    rows = sum(len(one) - length + 1 for one in records)
+    rows = sum(len(record) - length + 1 for record in records)
     if rows < size:
         raise FitError(
             f"{what}: fewer equations than Markov parameters",
@@ -95,9 +95,9 @@ def normal_equations(records: Sequence[Trajectory], length: int, *, offset: bool
     nu, ny = records[0].spec.nu, records[0].spec.ny
     size = length * nu + int(offset)
     gram, right, square = np.zeros((size, size)), np.zeros((size, ny)), np.zeros(ny)
-    for one in records:
-        _accumulate(one, length, offset, gram, right, square)
-    return NormalEquations(gram, right, square, sum(len(one) - length + 1 for one in records))
+    for record in records:
+        _accumulate(record, length, offset, gram, right, square)
+    return NormalEquations(gram, right, square, sum(len(record) - length + 1 for record in records))
 
 
 def _accumulate(
@@ -168,9 +168,9 @@ def _iterated(
     right, square = np.zeros((m, nu, ny)), np.zeros(ny)
     sums, total = np.zeros((m, nu)), np.zeros(ny)
     ends: list[_Ends] = []
-    for one in records:
-        u, y = one.u, one.y
-        n = len(one)
+    for record in records:
+        u, y = record.u, record.y
+        n = len(record)
         long = next_fast_len(n + m, real=True)
         fu, late = rfft(u, long, axis=0), np.zeros((n, ny))
         late[m - 1 :] = y[m - 1 :]
@@ -197,8 +197,8 @@ def _iterated(
     def product(v: FloatArray) -> FloatArray:
         f = rfft(v, size, axis=0)
         result: FloatArray = irfft(spectrum @ f, size, axis=0)[:m]
-        for one in ends:
-            for part, low, high in ((one.first, 0, m - 1), (one.last, m - 1, 2 * m - 2)):
+        for end in ends:
+            for part, low, high in ((end.first, 0, m - 1), (end.last, m - 1, 2 * m - 2)):
                 seen = irfft(np.einsum("fi,fij->fj", part, f), size, axis=0)
                 seen[:low] = 0.0
                 seen[high:] = 0.0

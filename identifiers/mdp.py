@@ -36,11 +36,11 @@ def count_transitions(trajectories: Sequence[Trajectory]) -> FloatArray:
     spec = trajectories[0].spec
     states, actions = _sizes(spec)
     flat = np.zeros(states * actions * states)
-    for one in trajectories:
-        y, u = one.y[:, 0], one.u[:, 0] if spec.nu else np.zeros(len(one))
+    for record in trajectories:
+        y, u = record.y[:, 0], record.u[:, 0] if spec.nu else np.zeros(len(record))
         # Category numbers are exact in floats: one conversion a block, which stays in the cache.
-        for low in range(0, len(one) - 1, 65_536):
-            high = min(low + 65_536, len(one) - 1)
+        for low in range(0, len(record) - 1, 65_536):
+            high = min(low + 65_536, len(record) - 1)
             index = (y[low:high] * actions + u[low:high]) * states + y[low + 1 : high + 1]
             np.add.at(flat, index.astype(np.intp), 1.0)
     return flat.reshape(states, actions, states)
@@ -259,10 +259,10 @@ class OnlineCounting:
         return Hindsight(np.concatenate(losses), exact=True)
 
 
-def _transitions(one: Trajectory) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _transitions(record: Trajectory) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return states, actions and next states of a record."""
-    s = one.y[:, 0].astype(np.int64)
-    a = one.u[:, 0].astype(np.int64) if one.spec.nu else np.zeros(len(one), dtype=np.int64)
+    s = record.y[:, 0].astype(np.int64)
+    a = record.u[:, 0].astype(np.int64) if record.spec.nu else np.zeros(len(record), dtype=np.int64)
     return s[:-1], a[:-1], s[1:]
 
 

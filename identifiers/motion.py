@@ -76,7 +76,7 @@ def motion(
         If a coordinate is not measured.
     """
     columns = {channel.name: i for i, channel in enumerate(record.spec.outputs)}
-    names = [one.name for one in system.coordinates]
+    names = [coordinate.name for coordinate in system.coordinates]
     missing = [name for name in names if name not in columns]
     if missing:
         raise FitError(
@@ -180,7 +180,7 @@ def noisier(record: Trajectory, rng: np.random.Generator) -> Trajectory:
         # rounding of the numbers themselves is noise, too
         size = max(noise_level(signal), 1e-15 * float(np.abs(signal).max(initial=0.0)))
         y[:, column] = signal + size * rng.normal(size=len(signal))
-    channels = tuple(replace(one, period=None) for one in record.spec.outputs)
+    channels = tuple(replace(channel, period=None) for channel in record.spec.outputs)
     return Trajectory(record.t, record.u, y, replace(record.spec, outputs=channels))
 
 
@@ -230,5 +230,5 @@ def _trailing_cubic(signal: FloatArray, dt: float, width: int) -> tuple[FloatArr
     taps = np.linalg.pinv(powers)[:3] * np.array([[1.0], [1.0], [2.0]])
     padded = np.concatenate([np.full(width - 1, signal[0]), signal])
     windows = np.lib.stride_tricks.sliding_window_view(padded, width)
-    value, rate, acceleration = (windows @ one for one in taps)
+    value, rate, acceleration = (windows @ tap for tap in taps)
     return value, rate, acceleration

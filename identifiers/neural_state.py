@@ -119,8 +119,8 @@ class NeuralStateModel:
         nx = len(tables["A"])
         tables["B"], tables["D"] = tables["B"].reshape(nx, spec.nu), tables["D"].reshape(spec.ny, spec.nu)
         names = ("u_mean", "u_std", "y_mean", "y_std", "filter_gain")
-        rest = {name: np.array(content[name], dtype=float) for name in names}
-        return cls(spec, tables, **rest, lags=lags, notes=dict(content.get("notes", {})))
+        arrays = {name: np.array(content[name], dtype=float) for name in names}
+        return cls(spec, tables, **arrays, lags=lags, notes=dict(content.get("notes", {})))
 
     def _input(self, u: FloatArray) -> FloatArray:
         return np.asarray((np.asarray(u, dtype=float) - self.u_mean) / self.u_std)
@@ -179,13 +179,19 @@ class NeuralStateSpace:
         records, spec = usable(trajectories, samples=2 * lags + 20, what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
-        records.sort(key=lambda one: (len(one), one.y.tobytes()))
+        records.sort(key=lambda record: (len(record), record.y.tobytes()))
         need_torch(what)
-        (u_mean, u_std), (y_mean, y_std) = centred([one.u for one in records]), centred([one.y for one in records])
-        scaled = [Trajectory(one.t, (one.u - u_mean) / u_std, (one.y - y_mean) / y_std, one.spec) for one in records]
-        cuts = [len(one) - max(len(one) // 5, lags + 6) for one in scaled]
-        learn = [one[:cut] for one, cut in zip(scaled, cuts, strict=True)]
-        held = [one[cut:] for one, cut in zip(scaled, cuts, strict=True)]
+        (u_mean, u_std), (y_mean, y_std) = (
+            centred([record.u for record in records]),
+            centred([record.y for record in records]),
+        )
+        scaled = [
+            Trajectory(record.t, (record.u - u_mean) / u_std, (record.y - y_mean) / y_std, record.spec)
+            for record in records
+        ]
+        cuts = [len(record) - max(len(record) // 5, lags + 6) for record in scaled]
+        learn = [record[:cut] for record, cut in zip(scaled, cuts, strict=True)]
+        held = [record[cut:] for record, cut in zip(scaled, cuts, strict=True)]
         start = _start(learn, spec, lags, self.hidden, rng)
         direct = self.direct or spec.feedthrough
         parts = _windows(learn, lags, self.window, 1)
@@ -221,7 +227,7 @@ class NeuralStateSpace:
         notes = {"held-out rms": [float(np.sqrt(loss)) for loss in losses], "states": nx, "windows": len(parts[0])}
         draft = NeuralStateModel(spec, tables, u_mean, u_std, y_mean, y_std, np.zeros((nx, spec.ny)), lags, notes)
         gains = riccati_gains(tables["A"], tables["C"], np.ones(nx), np.ones(spec.ny))
-        begin = [draft.initial_state(one) for one in records]
+        begin = [draft.initial_state(record) for record in records]
         # best_gain moves states by errors in units; the model's gain is for scaled ones.
         gain = best_gain(gains / y_std, draft.step, draft.output, begin, records) * y_std
         return NeuralStateModel(spec, tables, u_mean, u_std, y_mean, y_std, gain, lags, notes)
@@ -260,12 +266,12 @@ def _windows(
     Outputs of the past reach up to the first sample of the window, inputs up to the one before; a window is shorter
     where every record is.
     """
-    n = min(length, max(len(one) for one in records) - lags)
+    n = min(length, max(len(record) for record in records) - lags)
     past, inputs, outputs = [], [], []
-    for one in records:
-        for k in range(lags, len(one) - n + 1, every):
-            newest_y, newest_u = one.y[k - lags + 1 : k + 1][::-1], one.u[k - lags : k][::-1]
+    for record in records:
+        for k in range(lags, len(record) - n + 1, every):
+            newest_y, newest_u = record.y[k - lags + 1 : k + 1][::-1], record.u[k - lags : k][::-1]
             past.append(np.concatenate([newest_y.ravel(), newest_u.ravel()]))
-            inputs.append(one.u[k : k + n])
-            outputs.append(one.y[k : k + n])
+            inputs.append(record.u[k : k + n])
+            outputs.append(record.y[k : k + n])
     return np.array(past), np.array(inputs), np.array(outputs)

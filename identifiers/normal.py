@@ -42,14 +42,14 @@ class NormalEquations:
     @classmethod
     def sum(cls, pieces: Sequence[NormalEquations], weights: npt.NDArray[np.int_]) -> NormalEquations:
         """Return the sum of pieces, each counted so many times."""
-        used = [(one, int(weight)) for one, weight in zip(pieces, weights, strict=True) if weight]
+        used = [(piece, int(weight)) for piece, weight in zip(pieces, weights, strict=True) if weight]
         gram, right, square = (np.zeros_like(getattr(pieces[0], name)) for name in ("gram", "right", "square"))
         rows = 0
-        for one, weight in used:
-            gram += weight * one.gram
-            right += weight * one.right
-            square += weight * one.square
-            rows += weight * one.rows
+        for piece, weight in used:
+            gram += weight * piece.gram
+            right += weight * piece.right
+            square += weight * piece.square
+            rows += weight * piece.rows
         return cls(gram, right, square, rows)
 
     @classmethod
@@ -64,10 +64,10 @@ class NormalEquations:
                 place += 1
             for index, waiting in enumerate(parts):
                 if waiting:
-                    both = (np.hstack([one[0] for one in waiting]), np.hstack([one[1] for one in waiting]))
+                    both = (np.hstack([block[0] for block in waiting]), np.hstack([block[1] for block in waiting]))
                     sums[index] = cls.sum([sums[index], cls.of([both], p, m)], np.ones(2, dtype=int))
                     waiting.clear()
-        return [one for one in sums if one.rows]
+        return [piece for piece in sums if piece.rows]
 
 
 def scaled_equations(equations: NormalEquations) -> tuple[FloatArray, FloatArray, FloatArray]:

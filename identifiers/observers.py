@@ -79,7 +79,7 @@ def best_gain(
         Use so many samples in all.
     """
     channels = records[0].spec.outputs
-    spread = np.concatenate([one.y for one in records]).std(axis=0)
+    spread = np.concatenate([record.y for record in records]).std(axis=0)
     spread = np.where(spread > 0, spread, 1.0)
     cost = np.zeros(len(gains))
     each = max(20, samples // len(records))
@@ -142,10 +142,10 @@ def fitted_start(
             cost = float(now @ now)
             if not np.isfinite(cost):
                 break
-            slopes = (misses(best + np.diag(steps), count) - now).T / 1e-6
-            if not np.isfinite(slopes).all():
+            jacobian = (misses(best + np.diag(steps), count) - now).T / 1e-6
+            if not np.isfinite(jacobian).all():
                 break
-            gram, right = slopes.T @ slopes, slopes.T @ now
+            gram, right = jacobian.T @ jacobian, jacobian.T @ now
             improved = 0.0
             while damping < 1e6:
                 move = np.linalg.solve(gram + damping * np.diag(np.diag(gram) + 1e-12), -right)

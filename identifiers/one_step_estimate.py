@@ -194,9 +194,9 @@ def quotient(unit: str, by: str) -> str:
     return unit if by == "1" else f"{over}/{under}"
 
 
-def _rows(one: Trajectory, lags: int, offset: bool) -> FloatArray:
+def _rows(record: Trajectory, lags: int, offset: bool) -> FloatArray:
     """Return the regressors of a record (N - lags, p)."""
-    rows = lagged(one, lags)
+    rows = lagged(record, lags)
     return np.hstack([rows, np.ones((len(rows), 1))]) if offset else rows
 
 
@@ -204,13 +204,13 @@ def _residual_covariance(records: Sequence[Trajectory], solution: Solution, lags
     """Return that of the residuals (ny, ny): variances over all equations, correlations over the first of them."""
     theta = solution.coefficients
     total, left = np.zeros((theta.shape[1],) * 2), CHECKED
-    for one in records:
-        part = one[: min(len(one), left + lags)]
+    for record in records:
+        part = record[: min(len(record), left + lags)]
         if len(part) <= lags or left <= 0:
             continue
-        rest = part.y[lags:] - _rows(part, lags, offset) @ theta
-        total += rest.T @ rest
-        left -= len(rest)
+        residual = part.y[lags:] - _rows(part, lags, offset) @ theta
+        total += residual.T @ residual
+        left -= len(residual)
     size = np.sqrt(np.diag(total))
     size = np.where(size > 0, size, 1.0)
     deviation = solution.residual_rms * np.sqrt(solution.rows / (solution.rows - len(theta)))
@@ -222,20 +222,20 @@ def _foretold(records: Sequence[Trajectory], theta: FloatArray, lags: int, offse
     """Return the output whose residuals those one sample before foretell most, None where chance explains all."""
     from scipy.stats import chi2
 
-    rows, before, rest, left = [], [], [], CHECKED
-    for one in records:
-        part = one[: min(len(one), left + lags + 1)]
+    rows, before, later, left = [], [], [], CHECKED
+    for record in records:
+        part = record[: min(len(record), left + lags + 1)]
         if len(part) < lags + 2 or left <= 0:
             continue
         phi = _rows(part, lags, offset)
         miss = part.y[lags:] - phi @ theta
         rows.append(phi[1:])
         before.append(miss[:-1])
-        rest.append(miss[1:])
+        later.append(miss[1:])
         left -= len(miss)
     if not rows:
         return None
-    phi, past, now = map(np.concatenate, (rows, before, rest))
+    phi, past, now = map(np.concatenate, (rows, before, later))
     if len(now) <= phi.shape[1] + past.shape[1]:
         return None
     both = np.hstack([phi, past])
@@ -252,8 +252,8 @@ def _foretold(records: Sequence[Trajectory], theta: FloatArray, lags: int, offse
 def _without(records: Sequence[Trajectory], low: int, high: int) -> list[Trajectory]:
     """Return the records without samples low .. high - 1, counted through all of them; a hole is a seam."""
     kept, place = [], 0
-    for one in records:
-        first, last = (min(max(edge - place, 0), len(one)) for edge in (low, high))
-        kept += [one[part] for part in (slice(0, first), slice(last, len(one))) if part.stop - part.start >= 2]
-        place += len(one)
+    for record in records:
+        first, last = (min(max(edge - place, 0), len(record)) for edge in (low, high))
+        kept += [record[part] for part in (slice(0, first), slice(last, len(record))) if part.stop - part.start >= 2]
+        place += len(record)
     return kept

@@ -155,7 +155,7 @@ class RecursiveLeastSquares:
         """
         spec = trajectories[0].spec
         moving(trajectories, "rls")
-        long = [one for one in trajectories if len(one) > self.order]
+        long = [record for record in trajectories if len(record) > self.order]
         if not long:
             raise FitError(
                 "rls: records too short",
@@ -163,10 +163,10 @@ class RecursiveLeastSquares:
                 got=str(max(map(len, trajectories))),
                 remedy="record longer, or lower the order",
             )
-        blocks = [lagged(one, self.order) for one in long]
+        blocks = [lagged(record, self.order) for record in long]
         if self.offset:
             blocks = [np.hstack([block, np.ones((len(block), 1))]) for block in blocks]
-        rows, targets = np.concatenate(blocks), np.concatenate([one.y[self.order :] for one in long])
+        rows, targets = np.concatenate(blocks), np.concatenate([record.y[self.order :] for record in long])
         burn_in, p = self._burn_in(spec), rows.shape[1]
         typical = np.sqrt(np.mean(rows[:burn_in] ** 2, axis=0))
         prior = np.sqrt(self.prior) * np.diag(np.where(typical > 0, typical, 1.0))
@@ -176,17 +176,17 @@ class RecursiveLeastSquares:
         )
         missed = residual(spec.outputs, targets, rows @ counted) ** 2
         missed[:burn_in] = (
-            np.concatenate([residual(spec.outputs, one.y[self.order :], one.y[self.order - 1 : -1]) for one in long])[
-                :burn_in
-            ]
+            np.concatenate(
+                [residual(spec.outputs, record.y[self.order :], record.y[self.order - 1 : -1]) for record in long]
+            )[:burn_in]
             ** 2
         )
         losses: list[FloatArray] = []
         place = 0
-        for one in trajectories:
-            loss = residual(spec.outputs, one.y[1:], one.y[:-1]) ** 2
-            if len(one) > self.order:
-                count = len(one) - self.order
+        for record in trajectories:
+            loss = residual(spec.outputs, record.y[1:], record.y[:-1]) ** 2
+            if len(record) > self.order:
+                count = len(record) - self.order
                 loss[self.order - 1 :] = missed[place : place + count]
                 place += count
             losses.append(loss)

@@ -191,7 +191,7 @@ def recipe_for(
         if outputs is not None:
             found.append(Recipe(name, {}, outputs, tuple(effects)))
     if len(found) != 1:
-        names = " or ".join(one.model for one in found)
+        names = " or ".join(recipe.model for recipe in found)
         raise FitError(
             f"{what}: {'two models fit' if found else 'no built-in model has these signals'}",
             expected="the signals of one built-in model (sysid list models)",

@@ -1,4 +1,4 @@
-"""Polynomial models ``A y = B/F u + C/D e`` of one output: prediction errors, their slopes, and a state-space form."""
+"""Polynomial models ``A y = B/F u + C/D e`` of one output: prediction errors, gradients, and a state-space form."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.signals import FloatArray
 
-__all__ = ["Orders", "Part", "Polynomials", "block_form", "errors_and_slopes"]
+__all__ = ["Orders", "Part", "Polynomials", "block_form", "errors_and_gradients"]
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class Polynomials:
     def of(cls, theta: FloatArray, orders: Orders, nu: int) -> Polynomials:
         """Return the polynomials of a parameter vector ``[a, b (input by input), c, d, f, level]``."""
         cuts = np.cumsum([orders.na, nu * orders.nb, orders.nc, orders.nd, orders.nf])
-        a, b, c, d, f, rest = np.split(theta[: cuts[-1] + 1], cuts)
-        return cls(orders, a, b.reshape(nu, orders.nb), c, d, f, float(rest[0]))
+        a, b, c, d, f, level = np.split(theta[: cuts[-1] + 1], cuts)
+        return cls(orders, a, b.reshape(nu, orders.nb), c, d, f, float(level[0]))
 
     @property
     def vector(self) -> FloatArray:
@@ -79,10 +79,10 @@ class Part:
     y: FloatArray
 
 
-def errors_and_slopes(
+def errors_and_gradients(
     model: Polynomials, starts: Sequence[tuple[FloatArray, FloatArray]], parts: Sequence[Part]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return prediction errors (N,) over all records and their slopes (N, p + starts).
+    """Return prediction errors (N,) over all records and their gradients (N, p + starts).
 
     With ``w = (B u + X delta) / F``, ``v = A (y - level) - w`` the error is ``e = (D v + Z delta) / C`` (Ljung 1999,
     eq. 4.35 and 10.53); the free responses X and Z to a pulse at the first sample stand for what happened before.
@@ -115,38 +115,38 @@ def errors_and_slopes(
         filtered = lfilter(pd, one, v)
         filtered[: min(nz, n)] += z[:n]
         rows.append(lfilter(one, pc, filtered))
-        slope = np.zeros((n, count + len(parts) * (nx + nz)))
+        gradient = np.zeros((n, count + len(parts) * (nx + nz)))
         place = 0
         base = lfilter(pd, pc, y) if orders.na else y
         for j in range(1, orders.na + 1):
-            slope[:, place] = _shifted(base, j)
+            gradient[:, place] = _shifted(base, j)
             place += 1
         for i in range(nu):
             base = lfilter(pd, np.convolve(pc, pf), part.u[:, i])
             for j in range(orders.nb):
-                slope[:, place] = -_shifted(base, orders.delay + j)
+                gradient[:, place] = -_shifted(base, orders.delay + j)
                 place += 1
         base = lfilter(one, pc, rows[-1])
         for j in range(1, orders.nc + 1):
-            slope[:, place] = -_shifted(base, j)
+            gradient[:, place] = -_shifted(base, j)
             place += 1
         base = lfilter(one, pc, v)
         for j in range(1, orders.nd + 1):
-            slope[:, place] = _shifted(base, j)
+            gradient[:, place] = _shifted(base, j)
             place += 1
         base = lfilter(pd, np.convolve(pc, pf), w)
         for j in range(1, orders.nf + 1):
-            slope[:, place] = _shifted(base, j)
+            gradient[:, place] = _shifted(base, j)
             place += 1
-        slope[:, place] = -lfilter(np.convolve(pd, pa), pc, np.ones(n))
+        gradient[:, place] = -lfilter(np.convolve(pd, pa), pc, np.ones(n))
         place = count + number * (nx + nz)
         base = lfilter(pd, np.convolve(pc, pf), pulse)
         for j in range(nx):
-            slope[:, place + j] = -_shifted(base, j)
+            gradient[:, place + j] = -_shifted(base, j)
         base = lfilter(one, pc, pulse)
         for j in range(nz):
-            slope[:, place + nx + j] = _shifted(base, j)
-        columns.append(slope)
+            gradient[:, place + nx + j] = _shifted(base, j)
+        columns.append(gradient)
     return np.concatenate(rows), np.concatenate(columns)
 
 

@@ -18,7 +18,7 @@ __all__ = ["Fitted", "prediction_error_estimate"]
 LAGS = 20
 """Lags of the residuals' autocorrelation that are tested together (Ljung & Box 1978), as usual in the field."""
 DEPENDENT = 1e-7
-"""Singular values of the slopes below this share of the largest: a direction that the data do not determine."""
+"""Singular values of the gradients below this share of the largest: a direction that the data do not determine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Fitted:
     whiteness : float
         Probability of residuals at least so correlated in time, were they white.
     singular_values : array
-        Of the slopes of the errors, columns at unit length.
+        Of the gradients of the errors, columns at unit length.
     arrived : bool
     free : int
         Samples beyond the number of unknowns.
@@ -55,7 +55,7 @@ class Fitted:
     @property
     def errors(self) -> list[float]:
         """Standard errors of the parameter vector."""
-        return [float(one) for one in np.sqrt(np.diag(self.covariance))]
+        return [float(error) for error in np.sqrt(np.diag(self.covariance))]
 
 
 def whiteness(residuals: Sequence[FloatArray]) -> float:
@@ -74,20 +74,20 @@ def whiteness(residuals: Sequence[FloatArray]) -> float:
     """
     from scipy.stats import chi2
 
-    n = sum(len(one) for one in residuals)
-    power = sum(float(one @ one) for one in residuals)
-    lags = min(LAGS, max(len(one) for one in residuals) - 2)
+    n = sum(len(miss) for miss in residuals)
+    power = sum(float(miss @ miss) for miss in residuals)
+    lags = min(LAGS, max(len(miss) for miss in residuals) - 2)
     if power == 0 or lags < 1:
         return 1.0
-    shares = [sum(float(one[j:] @ one[:-j]) for one in residuals) / power for j in range(1, lags + 1)]
+    shares = [sum(float(miss[j:] @ miss[:-j]) for miss in residuals) / power for j in range(1, lags + 1)]
     return float(chi2.sf(n * (n + 2) * sum(s**2 / (n - j) for j, s in enumerate(shares, 1)), lags))
 
 
 def prediction_error_estimate(spec: PlantSpec, fits: Sequence[Fitted], scaling: Scaling) -> Estimate | None:
     """Return the record of all outputs; intervals only where the residuals of all are white.
 
-    Covariance ``sigma^2 (Psi' Psi)^-1`` of the slopes of the prediction errors (Ljung 1999, eq. 9.42). It holds at the
-    minimum, for residuals that are white: of an output-error model under coloured noise it does not, and none is
+    Covariance ``sigma^2 (Psi' Psi)^-1`` of the gradients of the prediction errors (Ljung 1999, eq. 9.42). It holds at
+    the minimum, for residuals that are white: of an output-error model under coloured noise it does not, and none is
     claimed.
 
     Parameters
@@ -126,7 +126,7 @@ def prediction_error_estimate(spec: PlantSpec, fits: Sequence[Fitted], scaling: 
     rank = RankDecision(
         sum(int(np.sum(fit.singular_values > DEPENDENT * fit.singular_values[0])) for fit in fits),
         sum(fit.singular_values.size for fit in fits),
-        rule="slopes of the prediction errors, initial states among them",
+        rule="gradients of the prediction errors, initial states among them",
     )
     coloured = [c.name for fit, c in zip(fits, spec.outputs, strict=True) if fit.whiteness < DOUBT / len(fits)]
     arrived = all(fit.arrived for fit in fits)

@@ -14,7 +14,7 @@ from harness.signals import FloatArray, Trajectory
 from identifiers.excitation import feedback_of
 from identifiers.linear_model import LinearModel
 from identifiers.observers import innovation_form
-from identifiers.polynomial import Orders, Part, Polynomials, block_form, errors_and_slopes
+from identifiers.polynomial import Orders, Part, Polynomials, block_form, errors_and_gradients
 from identifiers.polynomial_estimate import Fitted, prediction_error_estimate, whiteness
 from identifiers.records import moving, real_signals, usable
 from identifiers.scaling import scaled
@@ -31,9 +31,9 @@ _ROUNDING = 1e-7
 _ARRIVED, _ROUNDS = 1e-9, 60
 # Refinements of a starting model by filtering with its own denominator.
 _STEIGLITZ = 12
-# Slopes that depend on others up to this share of the largest singular value: what numpy.linalg.pinv leaves out.
+# Gradients that depend on others up to this share of the largest singular value: what numpy.linalg.pinv leaves out.
 _LOST = 1e-15
-# Cost, model, errors and slopes at the end of a search, and whether it arrived.
+# Cost, model, errors and gradients at the end of a search, and whether it arrived.
 _End = tuple[float, Polynomials, FloatArray, FloatArray, bool]
 Starts = list[tuple[FloatArray, FloatArray]]
 
@@ -44,7 +44,7 @@ class PredictionError:
 
     ``A y = B/F u + C/D e`` with ``"oe"``: F and B (white noise on the output; the model is fitted to free runs),
     ``"armax"``: A, B, C, ``"bj"``: B, F, C, D (Ljung 1999, *System Identification*, sec. 4.2, 7.2 and 10.2), by
-    Levenberg and Marquardt's method with exact slopes. Output error and Box-Jenkins start from Steiglitz & McBride's
+    Levenberg and Marquardt's method with exact gradients. Output error and Box-Jenkins start from Steiglitz & McBride's
     iteration, ARMAX from Hannan & Rissanen's two stages; of several starts the best end is taken. Each output has
     polynomials of its own.
 
@@ -116,8 +116,8 @@ class PredictionError:
 
     def _chosen(self, records: Sequence[Trajectory], what: str) -> tuple[int, dict[str, float]]:
         """Return the order that does best on the last third of the records."""
-        fit = [one[: 2 * len(one) // 3] for one in records]
-        held = [one[2 * len(one) // 3 :] for one in records]
+        fit = [record[: 2 * len(record) // 3] for record in records]
+        held = [record[2 * len(record) // 3 :] for record in records]
         errors: dict[str, float] = {}
         best = (np.inf, 1)
         for order in LADDER:
@@ -126,7 +126,7 @@ class PredictionError:
                 break
             model, _ = self._fitted(learn, order, what)
             score = simulation_error if self.structure == "oe" else equation_error
-            wrong = [score(model, one, burn_in=2 * order).rms for one in judge]
+            wrong = [score(model, record, burn_in=2 * order).rms for record in judge]
             error = float(np.sqrt(np.mean(np.square(wrong))))
             errors[str(order)] = error if np.isfinite(error) else 1e300
             if error < _GAIN * best[0] and best[0] > _ROUNDING:
@@ -137,7 +137,7 @@ class PredictionError:
         """Return the model of one order, of scaled records, and the fit of every output."""
         spec = records[0].spec
         fits = [
-            self._one_output([Part(one.u, one.y[:, column]) for one in records], order, what)
+            self._one_output([Part(record.u, record.y[:, column]) for record in records], order, what)
             for column in range(spec.ny)
         ]
         found = [fit.model for fit in fits]
@@ -147,8 +147,8 @@ class PredictionError:
             "residual_rms": [fit.rms for fit in fits],
             "converged": all(fit.arrived for fit in fits),
             "polynomials": [
-                {name: np.asarray(getattr(one, name)).tolist() for name in ("a", "b", "c", "d", "f", "level")}
-                for one in found
+                {name: np.asarray(getattr(model, name)).tolist() for name in ("a", "b", "c", "d", "f", "level")}
+                for model in found
             ],
             "standard_errors": [fit.errors for fit in fits],
             **moved,
@@ -177,16 +177,16 @@ class PredictionError:
                 remedy="record longer, or lower the order",
             )
         starts = _starting_models(parts, orders, self.offset)
-        cost, model, miss, slopes, arrived = _best([_search(first, parts, self.offset) for first in starts])
+        cost, model, miss, gradients, arrived = _best([_search(first, parts, self.offset) for first in starts])
         stabilized = self.stable and model.slowest >= 1.0
         if stabilized:
             starts = [_settled(first) for first in (model, *starts)]
-            cost, model, miss, slopes, arrived = _best([_search(s, parts, self.offset, RADIUS) for s in starts])
+            cost, model, miss, gradients, arrived = _best([_search(s, parts, self.offset, RADIUS) for s in starts])
         spare = max(rows - free, 1)
-        length = np.linalg.norm(slopes, axis=0)
-        kept = length > 0  # a level that is not fitted has no slope
+        length = np.linalg.norm(gradients, axis=0)
+        kept = length > 0  # a level that is not fitted has no gradient
         length = np.where(kept, length, 1.0)
-        _, values, right = np.linalg.svd(slopes[:, kept] / length[kept], full_matrices=False)
+        _, values, right = np.linalg.svd(gradients[:, kept] / length[kept], full_matrices=False)
         inverse = np.zeros((length.size,) * 2)
         good = values > _LOST * values[0]
         inverse[np.ix_(kept, kept)] = (right[good].T / values[good] ** 2) @ right[good]
@@ -211,9 +211,11 @@ def _starting_models(parts: Sequence[Part], orders: Orders, offset: bool) -> lis
         if orders.nc or orders.nd:
             quiet = replace(first, orders=replace(orders, nc=0, nd=0), c=np.zeros(0), d=np.zeros(0))
             blank = [(np.zeros(quiet.orders.start_x), np.zeros(quiet.orders.start_z)) for _ in parts]
-            rest = errors_and_slopes(quiet, blank, parts)[0]
+            residual = errors_and_gradients(quiet, blank, parts)[0]
             noise = _hannan(
-                [Part(np.zeros((rest.size, 0)), rest)], Orders(na=orders.nd, nc=orders.nc, delay=orders.delay), 0.0
+                [Part(np.zeros((residual.size, 0)), residual)],
+                Orders(na=orders.nd, nc=orders.nc, delay=orders.delay),
+                0.0,
             )
             first = replace(first, c=noise.c, d=_inside(noise.a))
         firsts.append(first)
@@ -298,7 +300,7 @@ def _settled(model: Polynomials) -> Polynomials:
 
 
 def _search(first: Polynomials, parts: Sequence[Part], offset: bool, radius: float = np.inf) -> _End:
-    """Return the least sum of squares that is reached, where, errors and slopes there, and whether it has arrived.
+    """Return the least sum of squares that is reached, where, errors and gradients there, and whether it has arrived.
 
     No model with a pole beyond the radius is taken.
     """
@@ -308,8 +310,8 @@ def _search(first: Polynomials, parts: Sequence[Part], offset: bool, radius: flo
     furthest = 1.0 + 1.0 / max(part.y.size for part in parts)
 
     def split(vector: FloatArray) -> tuple[Polynomials, Starts]:
-        rest = vector[count:].reshape(len(parts), nx + nz)
-        return Polynomials.of(vector, orders, nu), [(row[:nx], row[nx:]) for row in rest]
+        states = vector[count:].reshape(len(parts), nx + nz)
+        return Polynomials.of(vector, orders, nu), [(row[:nx], row[nx:]) for row in states]
 
     def evaluated(vector: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         model, starts = split(vector)
@@ -317,32 +319,32 @@ def _search(first: Polynomials, parts: Sequence[Part], offset: bool, radius: flo
         if of_f > furthest or of_c >= 1.0 or model.slowest > radius:
             return np.inf, np.zeros(0), np.zeros((0, 0))
         with np.errstate(over="ignore", invalid="ignore"):
-            miss, slopes = errors_and_slopes(model, starts, parts)
+            miss, gradients = errors_and_gradients(model, starts, parts)
         if not offset:
-            slopes[:, count - 1] = 0.0
+            gradients[:, count - 1] = 0.0
         cost = float(miss @ miss)
-        return (cost if np.isfinite(cost) else np.inf), miss, slopes
+        return (cost if np.isfinite(cost) else np.inf), miss, gradients
 
     vector = np.concatenate([first.vector, np.zeros(len(parts) * (nx + nz))])
-    cost, miss, slopes = evaluated(vector)
+    cost, miss, gradients = evaluated(vector)
     # The initial states are linear in the errors: solve for them first.
-    if slopes.shape[1] > count:
-        vector[count:] -= np.linalg.lstsq(slopes[:, count:], miss, rcond=1e-9)[0]
-        cost, miss, slopes = evaluated(vector)
+    if gradients.shape[1] > count:
+        vector[count:] -= np.linalg.lstsq(gradients[:, count:], miss, rcond=1e-9)[0]
+        cost, miss, gradients = evaluated(vector)
     damping, arrived = 1e-3, False
     power = float(np.sum(np.concatenate([part.y for part in parts]) ** 2))
     for _ in range(_ROUNDS):
-        length = np.linalg.norm(slopes, axis=0)
+        length = np.linalg.norm(gradients, axis=0)
         length = np.where(length > 0, length, 1.0)
-        scaled_slopes = slopes / length
-        gram, right = scaled_slopes.T @ scaled_slopes, scaled_slopes.T @ miss
+        scaled_gradients = gradients / length
+        gram, right = scaled_gradients.T @ scaled_gradients, scaled_gradients.T @ miss
         gained = 0.0
         while damping < 1e8:
             move = np.linalg.solve(gram + damping * np.eye(len(gram)), -right) / length
-            then, other_miss, other_slopes = evaluated(vector + move)
+            then, other_miss, other_gradients = evaluated(vector + move)
             if then < cost:
                 gained = cost - then
-                vector, cost, miss, slopes = vector + move, then, other_miss, other_slopes
+                vector, cost, miss, gradients = vector + move, then, other_miss, other_gradients
                 damping = max(damping / 10, 1e-12)
                 break
             damping *= 10
@@ -350,4 +352,4 @@ def _search(first: Polynomials, parts: Sequence[Part], offset: bool, radius: flo
             arrived = True
             break
         damping = min(damping, 1e6)
-    return cost, split(vector)[0], miss, slopes, arrived
+    return cost, split(vector)[0], miss, gradients, arrived

@@ -127,18 +127,18 @@ class Subspace:
         orders = [self.order] if self.order else list(range(1, min(_MOST, window - 1) + 1))
         found = self._models(records, window, methods, orders, what)
         ladders = {
-            one: {model.a_matrix.shape[0]: _error(model, records, window, feedback.found) for model, _ in models}
-            for one, models in found.items()
+            name: {model.a_matrix.shape[0]: _error(model, records, window, feedback.found) for model, _ in models}
+            for name, models in found.items()
         }
         if self.order is None:
             ladders = self._left_out(ladders, records, window, feedback.found, what)
-        chosen = {one: _order(ladder) for one, ladder in ladders.items()}
-        method = _best({one: ladder[chosen[one]] for one, ladder in ladders.items()})
+        chosen = {name: _order(ladder) for name, ladder in ladders.items()}
+        method = _best({name: ladder[chosen[name]] for name, ladder in ladders.items()})
         order = chosen[method]
-        model, values = next(one for one in found[method] if one[0].a_matrix.shape[0] == order)
+        model, values = next(candidate for candidate in found[method] if candidate[0].a_matrix.shape[0] == order)
         notes: dict[str, Any] = {"method": method, "feedback_share": feedback.share, "order": order}
         if self.order is None:
-            notes["order_error"] = {str(one): error for one, error in ladders[method].items()}
+            notes["order_error"] = {str(size): error for size, error in ladders[method].items()}
         if feedback.found and method not in _ANY_LOOP:
             notes["warning"] = "past outputs foretell the input (feedback): use method parsim or pbsid"
         notes |= {"singular_values": values[:20].tolist(), "output_directions": records[0].spec.ny}
@@ -162,7 +162,10 @@ class Subspace:
     ) -> dict[Method, dict[int, float]]:
         """Return the errors of methods and orders, counted also on stretches that a fit on the others left out."""
         fit, held = _parted(records, window)
-        fit, held = [one for one in fit if len(one) > 2 * window + 1], [one for one in held if len(one) > window + 1]
+        fit, held = (
+            [record for record in fit if len(record) > 2 * window + 1],
+            [record for record in held if len(record) > window + 1],
+        )
         if not fit or not held:
             raise FitError(
                 f"{what}: records too short to choose an order",
@@ -223,11 +226,11 @@ class Subspace:
 def _parted(records: Sequence[Trajectory], window: int) -> tuple[list[Trajectory], list[Trajectory]]:
     """Return what orders are fitted on and every third stretch, left out: spread, for a sweep changes as it goes."""
     fit, held = [], []
-    for one in records:
-        turns = min(max(len(one) // (3 * _STRETCH * window), 1), _TURNS)
-        edges = np.linspace(0, len(one), 3 * turns + 1).astype(int)
-        fit += [one[edges[i] : edges[i + 2]] for i in range(0, 3 * turns, 3)]
-        held += [one[edges[i + 2] : edges[i + 3]] for i in range(0, 3 * turns, 3)]
+    for record in records:
+        turns = min(max(len(record) // (3 * _STRETCH * window), 1), _TURNS)
+        edges = np.linspace(0, len(record), 3 * turns + 1).astype(int)
+        fit += [record[edges[i] : edges[i + 2]] for i in range(0, 3 * turns, 3)]
+        held += [record[edges[i + 2] : edges[i + 3]] for i in range(0, 3 * turns, 3)]
     return fit, held
 
 
@@ -236,9 +239,12 @@ def _error(model: LinearModel, records: Sequence[Trajectory], skip: int, feedbac
 
     A free run shows modes that grow, which one step ahead hides; under feedback it would leave the records by itself.
     """
-    scores = [equation_error(model, one, burn_in=skip) if feedback else simulation_error(model, one) for one in records]
+    scores = [
+        equation_error(model, record, burn_in=skip) if feedback else simulation_error(model, record)
+        for record in records
+    ]
     with np.errstate(over="ignore"):
-        error = float(np.sqrt(np.mean([np.square(one.rms) for one in scores])))
+        error = float(np.sqrt(np.mean([np.square(score.rms) for score in scores])))
     return error if np.isfinite(error) else 1e300
 
 
@@ -280,7 +286,7 @@ class _Stacked:
         """Return the triangle of records."""
         nu, ny = records[0].spec.nu, records[0].spec.ny
         width = 2 * window * (nu + ny)
-        rows = sum(max(0, len(one) - 2 * window + 1) for one in records)
+        rows = sum(max(0, len(record) - 2 * window + 1) for record in records)
         if rows < width:
             raise FitError(
                 f"{what}: fewer windows than columns",
@@ -318,9 +324,9 @@ class _Stacked:
 def _windows(records: Sequence[Trajectory], window: int) -> Iterator[FloatArray]:
     """Yield blocks of ``[1, u[s], y[s], u[s+1], ...]`` over two windows, none across a seam."""
     length = 2 * window
-    for one in records:
-        both = np.hstack([one.u, one.y])
-        count = len(one) - length + 1
+    for record in records:
+        both = np.hstack([record.u, record.y])
+        count = len(record) - length + 1
         for start in range(0, count, _BLOCK):
             stop = min(start + _BLOCK, count)
             view = np.lib.stride_tricks.sliding_window_view(both[start : stop + length - 1], length, axis=0)
@@ -400,8 +406,8 @@ def _weighted(data: _Stacked, predicted: FloatArray, method: Method) -> tuple[Fl
         right = np.asarray(np.linalg.qr(past - inputs @ _solve(inputs, past), mode="r"))
     weight = np.eye(outputs.shape[1])
     if method in ("cva", *_ANY_LOOP):
-        rest = outputs - inputs @ _solve(inputs, outputs)
-        values, vectors = np.linalg.eigh(rest.T @ rest)
+        residual = outputs - inputs @ _solve(inputs, outputs)
+        values, vectors = np.linalg.eigh(residual.T @ residual)
         # Without noise all canonical correlations are 1: a little of the mean power lets the stronger directions lead.
         values = np.maximum(values, 0.0) + _TIE * max(float(values.mean()), 1e-300)
         weight = (vectors * values**0.25) @ vectors.T

@@ -37,15 +37,15 @@ def usable(trajectories: Sequence[Trajectory], *, samples: int, what: str) -> tu
     if not trajectories:
         raise FitError(f"{what}: no records", expected="at least one", got="none", remedy="give estimation data")
     spec = trajectories[0].spec
-    for number, one in enumerate(trajectories):
-        if one.spec != spec:
+    for number, record in enumerate(trajectories):
+        if record.spec != spec:
             raise FitError(
                 f"{what}: record {number} speaks another language than record 0",
                 expected=str(spec),
-                got=str(one.spec),
+                got=str(record.spec),
                 remedy="fit records of one plant at one sample time",
             )
-    long_enough = [one.measured() for one in trajectories if len(one) >= samples]
+    long_enough = [record.measured() for record in trajectories if len(record) >= samples]
     if not long_enough:
         raise FitError(
             f"{what}: records too short",
@@ -82,13 +82,13 @@ def moving(trajectories: Sequence[Trajectory], what: str, *, inputs: bool = True
     FitError
         If there is nothing to learn from.
     """
-    if not _moved([one.y for one in trajectories]).any():
+    if not _moved([record.y for record in trajectories]).any():
         raise FitError(
             f"{what}: the outputs never move", expected="moving outputs", got="constants", remedy="excite the plant"
         )
     if not inputs or trajectories[0].spec.nu == 0:
         return
-    moved = _moved([one.u for one in trajectories])
+    moved = _moved([record.u for record in trajectories])
     still = [channel.name for channel, moves in zip(trajectories[0].spec.inputs, moved, strict=True) if not moves]
     if still:
         raise FitError(
@@ -165,13 +165,13 @@ def lagged_blocks(
     """
     spec = trajectories[0].spec
     size = size or max(256, _CACHE // max(1, lags * (spec.ny + spec.nu)))
-    for one in trajectories:
-        for start in range(0, len(one) - lags, size):
-            stop = min(start + size, len(one) - lags)
-            extra: list[FloatArray] = [one.u[start + lags : stop + lags]] if direct else []
+    for record in trajectories:
+        for start in range(0, len(record) - lags, size):
+            stop = min(start + size, len(record) - lags)
+            extra: list[FloatArray] = [record.u[start + lags : stop + lags]] if direct else []
             if offset:
                 extra.append(np.ones((stop - start, 1)))
-            yield _rows(one, lags, start, stop, extra), one.y[start + lags : stop + lags]
+            yield _rows(record, lags, start, stop, extra), record.y[start + lags : stop + lags]
 
 
 def snapshot_sums(trajectories: Sequence[Trajectory], *, offset: bool = False) -> NormalEquations:
@@ -199,11 +199,11 @@ def snapshot_sums(trajectories: Sequence[Trajectory], *, offset: bool = False) -
     gram, right, square, rows = np.zeros((p, p)), np.zeros((p, ny)), np.zeros(ny), 0
     states, inputs = slice(0, ny), slice(ny, ny + nu)
     size = max(256, _CACHE // (ny + nu))
-    for one in trajectories:
+    for record in trajectories:
         own = np.zeros((ny, ny))
-        for start in range(0, len(one) - 1, size):
-            stop = min(start + size, len(one) - 1)
-            y, u, after = one.y[start:stop], one.u[start:stop], one.y[start + 1 : stop + 1]
+        for start in range(0, len(record) - 1, size):
+            stop = min(start + size, len(record) - 1)
+            y, u, after = record.y[start:stop], record.u[start:stop], record.y[start + 1 : stop + 1]
             own += y.T @ y
             gram[states, inputs] += y.T @ u
             gram[inputs, inputs] += u.T @ u
@@ -214,8 +214,8 @@ def snapshot_sums(trajectories: Sequence[Trajectory], *, offset: bool = False) -
                 gram[inputs, -1] += u.sum(axis=0)
                 right[-1] += after.sum(axis=0)
         gram[states, states] += own
-        square += _moved_squares(np.diag(own), one.y)
-        rows += max(0, len(one) - 1)
+        square += _moved_squares(np.diag(own), record.y)
+        rows += max(0, len(record) - 1)
     gram[inputs, states] = gram[states, inputs].T
     if offset:
         gram[-1, :-1] = gram[:-1, -1]
@@ -234,15 +234,15 @@ def _moved_squares(before: FloatArray, y: FloatArray) -> FloatArray:
     return moved
 
 
-def _rows(one: Trajectory, lags: int, start: int, stop: int, extra: Sequence[FloatArray]) -> FloatArray:
+def _rows(record: Trajectory, lags: int, start: int, stop: int, extra: Sequence[FloatArray]) -> FloatArray:
     """Return rows start .. stop - 1 of the regressors, filled column by column into one array."""
-    ny, nu = one.spec.ny, one.spec.nu
+    ny, nu = record.spec.ny, record.spec.nu
     width = lags * (ny + nu) + sum(part.shape[1] for part in extra)
     rows = np.empty((stop - start, width))
     for j in range(lags):
         past = slice(start + lags - 1 - j, stop + lags - 1 - j)
-        rows[:, j * ny : (j + 1) * ny] = one.y[past]
-        rows[:, lags * ny + j * nu : lags * ny + (j + 1) * nu] = one.u[past]
+        rows[:, j * ny : (j + 1) * ny] = record.y[past]
+        rows[:, lags * ny + j * nu : lags * ny + (j + 1) * nu] = record.u[past]
     column = lags * (ny + nu)
     for part in extra:
         rows[:, column : column + part.shape[1]] = part

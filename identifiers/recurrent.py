@@ -139,7 +139,7 @@ class RecurrentModel:
         """Return the outputs (M, N, ny) from states x (M, nx + 1 + ny) under inputs u (M, N, nu)."""
         outputs = np.empty((*u.shape[:2], self.spec.ny))
         for row, start, inputs in zip(outputs, np.asarray(x, dtype=float), self._input(u), strict=True):
-            scaled, _ = self.layout.run(self.theta, start[: self.layout.nx], inputs, slopes=False)
+            scaled, _ = self.layout.run(self.theta, start[: self.layout.nx], inputs, sensitivities=False)
             row[:] = self.y_mean + self.y_std * scaled
         return outputs
 
@@ -254,10 +254,13 @@ class NeuralOutputError:
         records, spec = usable(trajectories, samples=5 * (self.order + 4), what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
-        records.sort(key=lambda one: (len(one), one.y.tobytes()))
-        (u_mean, u_std), (y_mean, y_std) = centred([one.u for one in records]), centred([one.y for one in records])
+        records.sort(key=lambda record: (len(record), record.y.tobytes()))
+        (u_mean, u_std), (y_mean, y_std) = (
+            centred([record.u for record in records]),
+            centred([record.y for record in records]),
+        )
         layout = Layout(self.order, spec.nu, spec.ny, self.hidden, self.outside)
-        problems = [Problem(spec.outputs, (one.u - u_mean) / u_std, one.y, y_mean, y_std) for one in records]
+        problems = [Problem(spec.outputs, (record.u - u_mean) / u_std, record.y, y_mean, y_std) for record in records]
         direct = self.direct or spec.feedthrough
         seed = int(rng.integers(2**62))
         path = None if self.checkpoint is None else Path(self.checkpoint)
@@ -314,7 +317,7 @@ class NeuralOutputError:
         draft = RecurrentModel(
             spec, layout, fitted.theta, *signals, fitted.error, zero, wide, np.ones(spec.ny), None, 1.0
         )
-        a, c = layout.slopes(fitted.theta, x_mean, np.zeros(spec.nu))
+        a, c = layout.jacobians(fitted.theta, x_mean, np.zeros(spec.nu))
         gains = riccati_gains(a, c, x_std, np.ones(spec.ny))
         # best_gain moves whole states, counter included, by errors in units; the model's gain is for scaled ones.
         padded = np.concatenate([gains / y_std, np.zeros((len(gains), 1 + spec.ny, spec.ny))], axis=1)

@@ -21,7 +21,7 @@ _HELD_OUT = 5
 """One part in so many of every record, its end, is held out."""
 
 _PATIENCE = 25
-"""Iterations without a better held-out error after which a start is given up."""
+"""Iterations without a better held-out error after which a start is pruned."""
 
 _ENOUGH = 1e-6
 """Relative fall of the cost in an iteration below which a minimum counts as reached."""
@@ -33,7 +33,7 @@ _LINEAR_SHARE = 0.1
 """Share of the ridge for the linear part, which holds gains and time constants."""
 
 _TRIALS = 12
-"""Times that the damping is raised, fourfold each, before an iteration is given up."""
+"""Times that the damping is raised, fourfold each, before an iteration is abandoned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,14 +117,14 @@ def descend(
         return lost
     damping, best, since = 1.0, lost, 0
     for _ in range(iterations):
-        gram, slope, corner, bridge, side, held_out, error = _normal(layout, problems, theta, starts, weight)
+        gram, gradient, corner, bridge, side, held_out, error = _normal(layout, problems, theta, starts, weight)
         if held_out < best.held_out:
             best, since = Fitted(theta.copy(), starts.copy(), held_out, error), 0
         elif (since := since + 1) > _PATIENCE:
             break
         moved = False
         for _ in range(_TRIALS):
-            d_theta, d_starts = _solve(gram, slope, corner, bridge, side, free, damping)
+            d_theta, d_starts = _solve(gram, gradient, corner, bridge, side, free, damping)
             trial, trial_starts = theta - d_theta, starts - d_starts
             then = _cost(layout, problems, trial, trial_starts, weight)
             if then[0] < now[0]:
@@ -161,21 +161,21 @@ def fit_start(
     x, damping = np.array(mean, dtype=float), 1e-2
 
     def cost(state: FloatArray) -> float:
-        y, _ = layout.run(theta, state, problem.u, slopes=False)
+        y, _ = layout.run(theta, state, problem.u, sensitivities=False)
         miss = problem.errors(y)
         total = float(np.sum(miss**2) + np.sum(precision * (state - mean) ** 2))
         return total if np.isfinite(total) else np.inf
 
     now = cost(x)
     for _ in range(40):
-        y, table = layout.run(theta, x, problem.u, slopes=True)
+        y, table = layout.run(theta, x, problem.u, sensitivities=True)
         assert table is not None
-        slopes = table[..., layout.count :].reshape(-1, layout.nx)
+        jacobian = table[..., layout.count :].reshape(-1, layout.nx)
         miss = problem.errors(y).ravel()
         if not np.isfinite(miss).all():
             break
-        gram = slopes.T @ slopes + np.diag(precision)
-        right = slopes.T @ miss + precision * (x - mean)
+        gram = jacobian.T @ jacobian + np.diag(precision)
+        right = jacobian.T @ miss + precision * (x - mean)
         moved = False
         for _ in range(_TRIALS):
             trial = x - np.linalg.solve(gram + damping * np.diag(np.diag(gram)), right)
@@ -197,7 +197,7 @@ def _begin(
 ) -> tuple[FloatArray, FloatArray]:
     """Return weights whose linear part is a cascade of lags or a subspace model, and an initial state."""
     nx, nu, ny = layout.nx, layout.nu, layout.ny
-    longest = max(len(one.u) for one in problems)
+    longest = max(len(problem.u) for problem in problems)
     # Time constants from some samples to a tenth of the longest record: what the data can show.
     rate = np.exp(rng.uniform(np.log(min(1.0, 10.0 / longest)), np.log(0.3), nx))
     a = np.diag(1.0 - rate) + np.diag(rate[1:], -1)
@@ -224,8 +224,13 @@ def _subspace(
     channels = tuple(Channel(f"{kind}{i}") for kind, count in (("u", nu), ("y", ny)) for i in range(count))
     spec = PlantSpec(channels[:nu], channels[nu:], 1.0)
     records = [
-        Trajectory(np.arange(float(one.cut)), one.u[: one.cut], ((one.y - one.y_mean) / one.y_std)[: one.cut], spec)
-        for one in problems
+        Trajectory(
+            np.arange(float(problem.cut)),
+            problem.u[: problem.cut],
+            ((problem.y - problem.y_mean) / problem.y_std)[: problem.cut],
+            spec,
+        )
+        for problem in problems
     ]
     try:
         model = Subspace(order=nx, stable=True).fit(records, rng=rng)
@@ -265,7 +270,9 @@ def _cost(
     layout: Layout, problems: Sequence[Problem], theta: FloatArray, starts: FloatArray, weight: FloatArray
 ) -> tuple[float, float, float]:
     """Return the cost, the held-out rms and the estimation rms of free runs; infinite where one diverges."""
-    runs = [layout.run(theta, x, one.u, slopes=False)[0] for one, x in zip(problems, starts, strict=True)]
+    runs = [
+        layout.run(theta, x, problem.u, sensitivities=False)[0] for problem, x in zip(problems, starts, strict=True)
+    ]
     return _sums(problems, runs, theta, starts, weight)
 
 
@@ -278,9 +285,9 @@ def _sums(
 ) -> tuple[float, float, float]:
     if not all(np.isfinite(run).all() for run in runs):
         return np.inf, np.inf, np.inf
-    errors = [one.errors(run) for one, run in zip(problems, runs, strict=True)]
-    learned = np.concatenate([miss[: one.cut] for one, miss in zip(problems, errors, strict=True)])
-    held = np.concatenate([miss[one.cut :] for one, miss in zip(problems, errors, strict=True)])
+    errors = [problem.errors(run) for problem, run in zip(problems, runs, strict=True)]
+    learned = np.concatenate([miss[: problem.cut] for problem, miss in zip(problems, errors, strict=True)])
+    held = np.concatenate([miss[problem.cut :] for problem, miss in zip(problems, errors, strict=True)])
     cost = float(np.sum(learned**2) + np.sum(weight * theta**2) + _STATE_PRECISION * np.sum(starts**2))
     return cost, float(np.sqrt(np.mean(held**2))), float(np.sqrt(np.mean(learned**2)))
 
@@ -293,29 +300,29 @@ def _normal(
 ) -> Normal:
     """Return the normal equations: of the weights (p, p), of each initial state (R, nx, nx), and between them."""
     p, nx = layout.count, layout.nx
-    gram, slope = np.diag(weight), weight * theta
+    gram, gradient = np.diag(weight), weight * theta
     corner = np.tile(_STATE_PRECISION * np.eye(nx), (len(problems), 1, 1))
     bridge, side = np.empty((len(problems), p, nx)), _STATE_PRECISION * starts
     runs = []
-    for number, (one, x) in enumerate(zip(problems, starts, strict=True)):
-        y, table = layout.run(theta, x, one.u, slopes=True)
+    for number, (problem, x) in enumerate(zip(problems, starts, strict=True)):
+        y, table = layout.run(theta, x, problem.u, sensitivities=True)
         assert table is not None
         runs.append(y)
-        rows = table[: one.cut].reshape(-1, p + nx)
-        miss = one.errors(y)[: one.cut].ravel()
+        rows = table[: problem.cut].reshape(-1, p + nx)
+        miss = problem.errors(y)[: problem.cut].ravel()
         square, right = rows.T @ rows, rows.T @ miss
         gram += square[:p, :p]
-        slope = slope + right[:p]
+        gradient = gradient + right[:p]
         corner[number] += square[p:, p:]
         bridge[number] = square[:p, p:]
         side[number] += right[p:]
     _, held_out, error = _sums(problems, runs, theta, starts, weight)
-    return gram, slope, corner, bridge, side, held_out, error
+    return gram, gradient, corner, bridge, side, held_out, error
 
 
 def _solve(
     gram: FloatArray,
-    slope: FloatArray,
+    gradient: FloatArray,
     corner: FloatArray,
     bridge: FloatArray,
     side: FloatArray,
@@ -326,14 +333,14 @@ def _solve(
     index = np.flatnonzero(free)
     eye = damping * np.eye(corner.shape[1])
     left = gram[np.ix_(index, index)] + damping * np.eye(len(index))
-    right = slope[index].copy()
+    right = gradient[index].copy()
     turned = []
     for own, between, end in zip(corner, bridge[:, index], side, strict=True):
         both = np.linalg.solve(own + eye, np.column_stack([between.T, end]))
         turned.append(both)
         left -= between @ both[:, :-1]
         right -= between @ both[:, -1]
-    d_theta = np.zeros_like(slope)
+    d_theta = np.zeros_like(gradient)
     d_theta[index] = np.linalg.solve(left, right)
     d_starts = np.array([both[:, -1] - both[:, :-1] @ d_theta[index] for both in turned])
     return d_theta, d_starts

@@ -92,7 +92,7 @@ class Layout:
         t, z = self.tables(theta), self._joined(x, u)
         return np.asarray(z @ t["C"] + np.tanh(z @ t["V1"]) @ t["V2"])
 
-    def slopes(self, theta: FloatArray, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def jacobians(self, theta: FloatArray, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives (nx, nx) of the next state and (ny, nx) of the output by the state x (nx,)."""
         t, z = self.tables(theta), self._joined(x, u)
         by_z = t["A"] + t["W1"] @ ((1.0 - np.tanh(z @ t["W1"]) ** 2)[:, None] * t["W2"])
@@ -100,7 +100,7 @@ class Layout:
         return np.eye(self.nx) + by_z[: self.nx].T, out_by_z[: self.nx].T
 
     def run(
-        self, theta: FloatArray, start: FloatArray, u: FloatArray, *, slopes: bool, native: bool = True
+        self, theta: FloatArray, start: FloatArray, u: FloatArray, *, sensitivities: bool, native: bool = True
     ) -> tuple[FloatArray, FloatArray | None]:
         """Return the outputs (N, ny) of a free run, and their derivatives (N, ny, p + nx) by theta and start.
 
@@ -108,7 +108,7 @@ class Layout:
         """
         n, q = len(u), self.count + self.nx
         y = np.full((n, self.ny), np.nan)
-        table = np.zeros((n, self.ny, q)) if slopes else None
+        table = np.zeros((n, self.ny, q)) if sensitivities else None
         compiled = library() if native else None
         if compiled is None:
             self._plain(theta, start, u, y, table)
@@ -133,7 +133,7 @@ class Layout:
     def _plain(self, theta: FloatArray, x: FloatArray, u: FloatArray, y: FloatArray, table: FloatArray | None) -> None:
         """Fill in outputs and derivatives, in numpy."""
         t, nx, q = self.tables(theta), self.nx, self.count + self.nx
-        slope = np.hstack([np.zeros((nx, self.count)), np.eye(nx)])
+        sensitivity = np.hstack([np.zeros((nx, self.count)), np.eye(nx)])
         for k in range(len(u)):
             z = self._joined(x, u[k])
             outer, inner = np.tanh(z @ t["V1"]), np.tanh(z @ t["W1"])
@@ -143,7 +143,7 @@ class Layout:
                 by_z = t["C"] + t["V1"] @ bend
                 own = {"C": np.multiply.outer(z, np.eye(self.ny)), "V1": np.multiply.outer(z, bend)}
                 own["V2"] = np.multiply.outer(outer, np.eye(self.ny))
-                table[k] = by_z[:nx].T @ slope + self._spread(own, self.ny, q)
+                table[k] = by_z[:nx].T @ sensitivity + self._spread(own, self.ny, q)
             with np.errstate(over="ignore", invalid="ignore"):
                 new = x + z @ t["A"] + inner @ t["W2"]
             if not (np.abs(new) <= FAR).all():
@@ -153,7 +153,7 @@ class Layout:
                 by_z = t["A"] + t["W1"] @ bend
                 own = {"A": np.multiply.outer(z, np.eye(nx)), "W1": np.multiply.outer(z, bend)}
                 own["W2"] = np.multiply.outer(inner, np.eye(nx))
-                slope = slope + by_z[:nx].T @ slope + self._spread(own, nx, q)
+                sensitivity = sensitivity + by_z[:nx].T @ sensitivity + self._spread(own, nx, q)
             x = new
 
     def _spread(self, own: dict[str, FloatArray], rows: int, q: int) -> FloatArray:

@@ -85,8 +85,8 @@ class ResidualModel(GreyBoxModel):
         plain = GreyBoxModel.from_dict(content)
         try:
             forces = tuple(
-                (str(one["coordinate"]), Basis.from_dict(one["basis"]), np.array(one["weights"], dtype=float))
-                for one in content["forces"]
+                (str(force["coordinate"]), Basis.from_dict(force["basis"]), np.array(force["weights"], dtype=float))
+                for force in content["forces"]
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
@@ -178,13 +178,13 @@ class ResidualPhysics:
         system = recipe.system(spec)
         equations = Lumped(self.form, model=self.model, known=self.known, smoothing=self.smoothing)
         nominal = equations.regression_of(system)
-        moved = [motion(system, one, self.smoothing) for one in records]
-        path = np.concatenate([np.hstack([one.q, one.v]) for one in moved])
+        moved = [motion(system, record, self.smoothing) for record in records]
+        path = np.concatenate([np.hstack([smoothed.q, smoothed.v]) for smoothed in moved])
         n = 1 if self.form == "energy" else nominal.n
         plain, target = equations.stacked(nominal, moved, records)
         theta, white = weighted(plain, target, np.eye(nominal.k), n)
-        rest = white @ instants((target - plain @ theta)[:, None], n)
-        unit = float(np.sqrt(np.mean(rest**2))) or 1.0
+        residual = white @ instants((target - plain @ theta)[:, None], n)
+        unit = float(np.sqrt(np.mean(residual**2))) or 1.0
         best: tuple[float, _Solved, list[Basis], float] | None = None
         for width in WIDTHS:
             bases = self._bases(nominal, path, width)
@@ -243,13 +243,13 @@ class ResidualPhysics:
             if not keep or len(keep) in (count for count, _ in held):
                 continue
             # chosen functions overlap: without any ridge they may grow large against each other
-            own, error, ridge = _best_ridge(rows[:, [*range(k), *(k + one for one in keep)]], known, k)
+            own, error, ridge = _best_ridge(rows[:, [*range(k), *(k + index for index in keep)]], known, k)
             held.append((len(keep), error))
             if error < best[1]:
                 best = own, error, ridge, keep
         theta = np.zeros(rows.shape[1])
         if best[3]:
-            theta[[*range(k), *(k + one for one in best[3])]] = best[0]
+            theta[[*range(k), *(k + index for index in best[3])]] = best[0]
         elif k:
             theta[:k] = _ridge(rows[:, :k], known, k, 0.0)
         return _Solved(theta, best[1], best[2], sorted(held))
@@ -288,7 +288,7 @@ class ResidualPhysics:
             first += basis.k
         record = Estimate(
             nominal.names,
-            tuple(lumped_unit(system, one) for one in nominal.combinations),
+            tuple(lumped_unit(system, combination) for combination in nominal.combinations),
             solved.theta[: nominal.k],
             method="no intervals: the residual functions share the forces with the parameters",
         )

@@ -77,7 +77,7 @@ class Basis:
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> Basis:
         """Return the functions of a description."""
-        columns = tuple(int(one) for one in content["columns"])
+        columns = tuple(int(column) for column in content["columns"])
         arrays = [np.array(content[name], dtype=float) for name in ("middle", "scale", "centres", "widths")]
         middle, scale, centres, widths = arrays
         return cls(content["kind"], columns, middle, scale, centres.reshape(-1, len(columns)), widths)

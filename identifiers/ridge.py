@@ -49,10 +49,10 @@ def ridge_by_cross_validation(columns: FloatArray, targets: FloatArray, samples:
 
     def criterion(penalty: float) -> float:
         share = values**2 / (values**2 + penalty)
-        rest = max(unexplained, 0.0) + float(np.sum(((1.0 - share)[:, None] * found) ** 2))
-        return rest / max(samples - float(share.sum()), 1.0) ** 2
+        residual = max(unexplained, 0.0) + float(np.sum(((1.0 - share)[:, None] * found) ** 2))
+        return residual / max(samples - float(share.sum()), 1.0) ** 2
 
     penalties = _PENALTIES * values[0] ** 2
-    penalty = penalties[int(np.argmin([criterion(one) for one in penalties]))]
+    penalty = penalties[int(np.argmin([criterion(trial) for trial in penalties]))]
     solution: FloatArray = right.T @ ((values / (values**2 + penalty))[:, None] * found)
     return solution

@@ -130,11 +130,11 @@ def huber(rows: FloatArray, target: FloatArray, *, iterations: int = 50) -> tupl
     for number in range(iterations):
         root = np.sqrt(weights)
         new = np.asarray(np.linalg.lstsq(rows / size * root[:, None], target * root, rcond=None)[0], dtype=np.float64)
-        rest = target - rows / size @ new
+        residual = target - rows / size @ new
         # 1.4826: median absolute deviation to standard deviation of a normal
-        spread = 1.4826 * float(np.median(np.abs(rest)))
+        spread = 1.4826 * float(np.median(np.abs(residual)))
         if spread == 0.0 or (number and np.allclose(new, theta, rtol=1e-10, atol=1e-14)):
             return new / size, weights
         theta = np.asarray(new, dtype=np.float64)
-        weights = np.minimum(1.0, HUBER * spread / np.maximum(np.abs(rest), 1e-300))
+        weights = np.minimum(1.0, HUBER * spread / np.maximum(np.abs(residual), 1e-300))
     return theta / size, weights

@@ -52,8 +52,8 @@ def scaled(records: Sequence[Trajectory]) -> tuple[list[Trajectory], Scaling]:
     records : sequence of Trajectory
         Of one plant; they share the sizes.
     """
-    found = Scaling(sizes([one.u for one in records]), sizes([one.y for one in records]))
-    return [replace(one, u=one.u / found.inputs, y=one.y / found.outputs) for one in records], found
+    found = Scaling(sizes([record.u for record in records]), sizes([record.y for record in records]))
+    return [replace(record, u=record.u / found.inputs, y=record.y / found.outputs) for record in records], found
 
 
 def centred(parts: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:

@@ -44,7 +44,7 @@ def lasso_path(gram: FloatArray, right: FloatArray, penalties: FloatArray) -> Fl
     """
     p = right.size
     found, own = np.zeros((penalties.size, p)), np.zeros(p)
-    rest = right.copy()  # r - G c
+    residual = right.copy()  # r - G c
     size = float(np.abs(right).max(initial=0.0))
     for index, penalty in enumerate(penalties):
         everyone = True
@@ -53,11 +53,11 @@ def lasso_path(gram: FloatArray, right: FloatArray, penalties: FloatArray) -> Fl
             for j in range(p) if everyone else np.flatnonzero(own):
                 if gram[j, j] == 0.0:
                     continue
-                pull = rest[j] + gram[j, j] * own[j]
+                pull = residual[j] + gram[j, j] * own[j]
                 new = np.sign(pull) * max(abs(pull) - penalty, 0.0) / gram[j, j]
                 step = new - own[j]
                 if step != 0.0:
-                    rest -= gram[:, j] * step
+                    residual -= gram[:, j] * step
                     own[j] = new
                     moved = max(moved, abs(step))
             if moved <= 1e-7 * size:
@@ -235,9 +235,9 @@ def _helpful(gram: FloatArray, target: FloatArray, alive: list[int], keep: list[
         return max(free, key=lambda j: float(target[j] ** 2 / gram[j, j]))
     inner, cross = gram[np.ix_(keep, keep)], gram[np.ix_(keep, free)]
     both = np.linalg.lstsq(inner, np.column_stack([cross, target[keep]]), rcond=1e-12)[0]
-    rest = target[free] - cross.T @ both[:, -1]
+    residual = target[free] - cross.T @ both[:, -1]
     left = gram[free, free] - np.einsum("ij,ij->j", cross, both[:, :-1])
-    gain = np.where(left > 1e-10, rest**2 / np.maximum(left, 1e-10), 0.0)
+    gain = np.where(left > 1e-10, residual**2 / np.maximum(left, 1e-10), 0.0)
     return free[int(np.argmax(gain))]
 
 

@@ -95,7 +95,7 @@ def corrected(
 
     Indirect inference (Gourieroux, Monfort & Renault 1993, J. Appl. Econometrics 8:S85): what smoothing bends and what
     noise in the regressor shrinks happens to simulated records just as much. The scatter of the estimates over
-    simulated records, through the inverse slope of their mean over the parameters, is that of the parameters.
+    simulated records, through the inverse Jacobian of their mean over the parameters, is that of the parameters.
 
     Parameters
     ----------
@@ -109,10 +109,10 @@ def corrected(
         Sets of simulated records.
     rng : numpy.random.Generator
     """
-    records, sizes = [one.record for one in parts], [one.noise for one in parts]
+    records, sizes = [part.record for part in parts], [part.noise for part in parts]
     # by noise of a level that is as uncertain as the measured one; the search itself goes by the measured one
     levels = np.exp(KNOWN / np.sqrt(sum(map(len, records))) * rng.normal(size=(count, records[0].spec.ny)))
-    draws = [[rng.normal(size=one.y.shape) for one in records] for _ in range(count)]
+    draws = [[rng.normal(size=record.y.shape) for record in records] for _ in range(count)]
     uncertain = [[level * part for part in unit] for level, unit in zip(levels, draws, strict=True)]
 
     def table(values: FloatArray, chosen: Sequence[list[FloatArray]]) -> FloatArray | None:
@@ -123,8 +123,8 @@ def corrected(
         found = []
         for unit in chosen:
             noisy = [
-                Trajectory(one.t, one.u, y + size * part, one.spec)
-                for one, y, size, part in zip(records, runs, sizes, unit, strict=True)
+                Trajectory(record.t, record.u, y + size * part, record.spec)
+                for record, y, size, part in zip(records, runs, sizes, unit, strict=True)
             ]
             try:
                 found.append(refit(noisy))
@@ -136,7 +136,7 @@ def corrected(
     leaves = Corrected(observed, None, "no intervals: the model's free run leaves the records by more than their noise")
     try:
         model, values = model_of(observed)
-        starts = [model.initial_state(one) for one in records]
+        starts = [model.initial_state(record) for record in records]
         for _ in range(ROUNDS):
             tried = table(values, draws[:SEARCHED])
             if tried is None:
@@ -151,15 +151,15 @@ def corrected(
         if all_of_them is None or some is None:
             return leaves
         scatter = np.atleast_2d(np.cov(all_of_them, rowvar=False))
-        slope = np.empty_like(scatter)
+        jacobian = np.empty_like(scatter)
         middle = some.mean(axis=0)
         for row, step in enumerate(np.sqrt(np.diag(scatter))):
             reached = model_of(values + 2 * step * np.eye(len(values))[row])[1]
             moved = table(reached, draws[:SEARCHED])
             if moved is None:
                 return leaves
-            slope[:, row] = (moved.mean(axis=0) - middle) / (reached - values)[row]
-        back = np.linalg.inv(slope)
+            jacobian[:, row] = (moved.mean(axis=0) - middle) / (reached - values)[row]
+        back = np.linalg.inv(jacobian)
         values = values + back @ (observed - all_of_them.mean(axis=0))
         covariance = back @ scatter @ back.T
         if not _comes_back(model_of, values, covariance, records, sizes):
@@ -208,38 +208,40 @@ def _comes_back(
     model = model_of(values)[0]
     system = model.system()
 
-    def rest(at: FloatArray) -> list[FloatArray]:
+    def residuals(at: FloatArray) -> list[FloatArray]:
         parameters = model_of(at)[0].parameters
         return [
-            simulate_error(system, parameters, [one], horizon=max(WINDOW, LEAST * one.spec.sample_time))[0]
-            for one in records
+            simulate_error(system, parameters, [record], horizon=max(WINDOW, LEAST * record.spec.sample_time))[0]
+            for record in records
         ]
 
     # 1e-6 of the travel: integration, not noise
-    floors = [size + 1e-6 * np.ptp(one.y, axis=0) for one, size in zip(records, sizes, strict=True)]
+    floors = [size + 1e-6 * np.ptp(record.y, axis=0) for record, size in zip(records, sizes, strict=True)]
     root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
     k = len(values)
     move = np.zeros(k)
-    here = rest(values)
+    here = residuals(values)
     for _ in range(STEPS):
         pairs = list(zip(here, floors, strict=True))
-        flat = np.concatenate([(one / size).ravel() for one, size in pairs])
-        slopes = np.empty((flat.size, k))
+        flat = np.concatenate([(miss / size).ravel() for miss, size in pairs])
+        jacobian = np.empty((flat.size, k))
         for column, unit in enumerate(np.eye(k)):
-            moved = rest(values + root @ (move + unit))
-            slopes[:, column] = np.concatenate([(one / size).ravel() for one, size in zip(moved, floors, strict=True)])
-        slopes -= flat[:, None]
-        if not (np.isfinite(flat).all() and np.isfinite(slopes).all()):
+            moved = residuals(values + root @ (move + unit))
+            jacobian[:, column] = np.concatenate(
+                [(miss / size).ravel() for miss, size in zip(moved, floors, strict=True)]
+            )
+        jacobian -= flat[:, None]
+        if not (np.isfinite(flat).all() and np.isfinite(jacobian).all()):
             return False
-        rows, known = np.vstack([slopes, np.eye(k)]), np.concatenate([slopes @ move - flat, np.zeros(k)])
+        rows, known = np.vstack([jacobian, np.eye(k)]), np.concatenate([jacobian @ move - flat, np.zeros(k)])
         move = np.linalg.lstsq(rows, known, rcond=None)[0]
-        here = rest(values + root @ move)
+        here = residuals(values + root @ move)
     if move @ move > chi2.ppf(SURE, k):
         return False
     power, count, free = np.zeros(records[0].spec.ny), 0, 0.0
-    for record, one, size in zip(records, here, floors, strict=True):
+    for record, miss, size in zip(records, here, floors, strict=True):
         windows = max(1, round(record.duration / max(WINDOW, LEAST * record.spec.sample_time)))
-        power += np.sum((one / size) ** 2, axis=0)
-        count += len(one)
-        free += max(1.0 - windows * model.simulator.nx / one.size, 0.1) * len(one)
+        power += np.sum((miss / size) ** 2, axis=0)
+        count += len(miss)
+        free += max(1.0 - windows * model.simulator.nx / miss.size, 0.1) * len(miss)
     return bool(np.all(np.sqrt(power / free) <= 1 + FAITHFUL / np.sqrt(count)))

@@ -118,11 +118,11 @@ def eliminate(equations: NormalEquations, threshold: float) -> tuple[FloatArray,
             if spent + cost > max(1.5 * floor, threshold**2 * square):
                 break
             spent += cost
-            rest = [i for i in range(len(keep)) if i != cheapest]
-            row = inverse[cheapest, rest] / inverse[cheapest, cheapest]
-            own = own[rest] - own[cheapest] * row
-            inverse = inverse[np.ix_(rest, rest)] - np.outer(row, inverse[cheapest, rest])
-            keep = [keep[i] for i in rest]
+            others = [i for i in range(len(keep)) if i != cheapest]
+            row = inverse[cheapest, others] / inverse[cheapest, cheapest]
+            own = own[others] - own[cheapest] * row
+            inverse = inverse[np.ix_(others, others)] - np.outer(row, inverse[cheapest, others])
+            keep = [keep[i] for i in others]
         if keep:
             coefficients[keep, column] = solved(gram[np.ix_(keep, keep)], right[keep, column])
         support[keep, column] = True
@@ -138,9 +138,9 @@ def _independent(gram: FloatArray) -> list[int]:
         row = np.zeros(k)
         for i in range(k):
             row[i] = (gram[kept[i], j] - factor[i, :i] @ row[:i]) / factor[i, i]
-        rest = gram[j, j] - float(row @ row)
-        if rest > 1e-11:
-            factor[k, :k], factor[k, k] = row, np.sqrt(rest)
+        remaining = gram[j, j] - float(row @ row)
+        if remaining > 1e-11:
+            factor[k, :k], factor[k, k] = row, np.sqrt(remaining)
             kept.append(j)
     return kept
 
@@ -163,7 +163,7 @@ class Stlsq:
     derivative : {"weak", "smooth", "difference"}
         How derivatives are taken: weak form (bears noise), local cubics, central differences.
     half : int, optional
-        Half width of the weak form's bumps in samples.
+        Half width of the weak form's test functions in samples.
     time : {"continuous", "discrete"}
         With ``"discrete"`` the library gives the next output itself; no derivative is taken.
     harmonics : int
@@ -365,7 +365,7 @@ class Stlsq:
         )
         if order == 1:
             return model
-        starts = [model.initial_state(one[: min(len(one), 200)]) for one in records]
+        starts = [model.initial_state(record[: min(len(record), 200)]) for record in records]
         gains = alpha_beta_gains(spec.ny, spec.sample_time)
         return replace(model, filter_gain=best_gain(gains, model.step, model.output, starts, records))
 
@@ -388,8 +388,8 @@ def _identity(spec: PlantSpec, order: int) -> FloatArray:
 def _range(records: Sequence[Trajectory], order: int) -> FloatArray:
     """Return the largest size of each state on the estimation records: far beyond it a run counts as diverged."""
     sizes = []
-    for one in records:
-        y, rates = measured_motion(one, order)
+    for record in records:
+        y, rates = measured_motion(record, order)
         sizes.append(np.abs(np.hstack([y, rates])).max(axis=0))
     size: FloatArray = np.max(sizes, axis=0)
     return np.where(size > 0, size, 1.0)
@@ -409,10 +409,10 @@ def _ahead_error(model: SparseModel, records: Sequence[Trajectory], steps: int =
     from harness.signals import residual
 
     total, count = 0.0, 0
-    spread = np.concatenate([one.y for one in records]).std(axis=0)
+    spread = np.concatenate([record.y for record in records]).std(axis=0)
     spread = np.where(spread > 0, spread, 1.0)
-    for one in records[:4]:
-        part = one[: min(len(one), 400)]
+    for record in records[:4]:
+        part = record[: min(len(record), 400)]
         skip = min(len(part) - 1, steps + 20)
         guess = predict(model, part, steps)[skip:]
         wrong = residual(part.spec.outputs, part.y[skip:], guess) / spread

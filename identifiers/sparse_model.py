@@ -135,10 +135,10 @@ class SparseModel:
                 h = self.spec.sample_time / self.substeps
                 new = x
                 for _ in range(self.substeps):
-                    a = self._slope(new, inputs)
-                    b = self._slope(new + 0.5 * h * a, inputs)
-                    c = self._slope(new + 0.5 * h * b, inputs)
-                    d = self._slope(new + h * c, inputs)
+                    a = self._derivative(new, inputs)
+                    b = self._derivative(new + 0.5 * h * a, inputs)
+                    c = self._derivative(new + 0.5 * h * b, inputs)
+                    d = self._derivative(new + h * c, inputs)
                     new = new + h / 6 * (a + 2 * b + 2 * c + d)
             # An angle may turn on and on.
             far = (np.abs(new) > _FAR * self.scale) & ~self._turning
@@ -180,7 +180,7 @@ class SparseModel:
         limits = [math.inf if turns else _FAR * s for turns, s in zip(self._turning, self.scale.tolist(), strict=True)]
         both = range(nx)
 
-        def slope(state: list[float], u: list[float]) -> list[float]:
+        def derivative(state: list[float], u: list[float]) -> list[float]:
             found = value(sin, cos, *state, *u)
             return [*state[ny:], *found] if second else list(found)
 
@@ -198,10 +198,10 @@ class SparseModel:
                     x = list(value(sin, cos, *x, *u))
                     continue
                 for _ in range(self.substeps):
-                    a = slope(x, u)
-                    b = slope([x[i] + 0.5 * h * a[i] for i in both], u)
-                    c = slope([x[i] + 0.5 * h * b[i] for i in both], u)
-                    d = slope([x[i] + h * c[i] for i in both], u)
+                    a = derivative(x, u)
+                    b = derivative([x[i] + 0.5 * h * a[i] for i in both], u)
+                    c = derivative([x[i] + 0.5 * h * b[i] for i in both], u)
+                    d = derivative([x[i] + h * c[i] for i in both], u)
                     x = [x[i] + h / 6 * (a[i] + 2 * b[i] + 2 * c[i] + d[i]) for i in both]
         except (OverflowError, ValueError):  # the sine of infinity
             pass
@@ -215,9 +215,9 @@ class SparseModel:
     def _value(self, x: FloatArray, inputs: list[FloatArray]) -> FloatArray:
         """Return what the equations give (..., ny)."""
         found = self._equations(np.sin, np.cos, *np.moveaxis(x, -1, 0), *inputs)
-        return np.stack([np.broadcast_to(one, x.shape[:-1]) for one in found], axis=-1)
+        return np.stack([np.broadcast_to(value, x.shape[:-1]) for value in found], axis=-1)
 
-    def _slope(self, x: FloatArray, inputs: list[FloatArray]) -> FloatArray:
+    def _derivative(self, x: FloatArray, inputs: list[FloatArray]) -> FloatArray:
         value = self._value(x, inputs)
         return value if self.order == 1 else np.concatenate([x[..., self.spec.ny :], value], axis=-1)
 

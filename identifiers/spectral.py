@@ -104,10 +104,10 @@ def welch(trajectories: Sequence[Trajectory], *, segment: int = 256) -> Frequenc
     s_yu = np.zeros((count, spec.ny, spec.nu), dtype=complex)
     s_yy = np.zeros((count, spec.ny))
     total = 0
-    for one in records:
-        starts = range(0, len(one) - segment + 1, step)
-        u = np.stack([one.u[k : k + segment] for k in starts]) - one.u.mean(axis=0)
-        y = np.stack([one.y[k : k + segment] for k in starts]) - one.y.mean(axis=0)
+    for record in records:
+        starts = range(0, len(record) - segment + 1, step)
+        u = np.stack([record.u[k : k + segment] for k in starts]) - record.u.mean(axis=0)
+        y = np.stack([record.y[k : k + segment] for k in starts]) - record.y.mean(axis=0)
         fu, fy = (np.fft.rfft(part * window[:, None], axis=1) for part in (u, y))
         s_uu += np.einsum("sfi,sfj->fij", fu, fu.conj())
         s_yu += np.einsum("sfi,sfj->fij", fy, fu.conj())
@@ -143,19 +143,19 @@ def etfe(trajectories: Sequence[Trajectory], *, smoothing: int = 1) -> Frequency
     moving(records, what)
     n = len(records[0])
     width = 2 * smoothing + 1
-    if smoothing < 0 or spec.nu == 0 or width * len(records) < spec.nu or any(len(one) != n for one in records):
+    if smoothing < 0 or spec.nu == 0 or width * len(records) < spec.nu or any(len(record) != n for record in records):
         raise FitError(
             f"{what}: records and options",
             expected="records of one length with an input, smoothing >= 0, as many averages as inputs",
-            got=f"lengths {sorted({len(one) for one in records})}, smoothing {smoothing}, {spec.nu} inputs",
+            got=f"lengths {sorted({len(record) for record in records})}, smoothing {smoothing}, {spec.nu} inputs",
             remedy="cut the records to one length, or smooth more",
         )
     count = n // 2 + 1
     s_uu = np.zeros((count, spec.nu, spec.nu), dtype=complex)
     s_yu = np.zeros((count, spec.ny, spec.nu), dtype=complex)
     s_yy = np.zeros((count, spec.ny))
-    for one in records:
-        fu, fy = (np.fft.rfft(part - part.mean(axis=0), axis=0) for part in (one.u, one.y))
+    for record in records:
+        fu, fy = (np.fft.rfft(part - part.mean(axis=0), axis=0) for part in (record.u, record.y))
         s_uu += _smoothed(np.einsum("fi,fj->fij", fu, fu.conj()), smoothing)
         s_yu += _smoothed(np.einsum("fi,fj->fij", fy, fu.conj()), smoothing)
         s_yy += np.real(_smoothed(np.abs(fy) ** 2, smoothing))
@@ -207,13 +207,13 @@ def _response(
     inverse = np.full_like(s_uu, np.nan)
     inverse[~silent] = np.linalg.inv(s_uu[~silent])
     response = s_yu @ inverse
-    rest = np.real(s_yy - np.einsum("fij,fij->fi", response @ s_uu, response.conj()))
+    residual = np.real(s_yy - np.einsum("fij,fij->fi", response @ s_uu, response.conj()))
     free = max(averages - nu, 1e-9)
-    noise = np.clip(rest, 0.0, None) * averages / free
+    noise = np.clip(residual, 0.0, None) * averages / free
     # var G_ij = noise_i (S_uu^-1)_jj, both summed: the sums carry the number of averages
     spread = np.sqrt(np.clip(np.real(np.einsum("fjj->fj", inverse)), 0.0, None))
     deviation = np.sqrt(noise / averages)[:, :, None] * spread[:, None, :] * np.ones((1, ny, nu))
-    coherence = np.clip(1.0 - rest / np.maximum(s_yy, 1e-300), 0.0, 1.0)
+    coherence = np.clip(1.0 - residual / np.maximum(s_yy, 1e-300), 0.0, 1.0)
     if averages <= nu:
         deviation = np.full_like(deviation, np.inf)
     return FrequencyResponse(frequency, response, deviation, coherence, noise * density, averages)

@@ -89,13 +89,15 @@ def nearest_stable(
     weights : array (ny,)
         One over the size of each output.
     """
-    left, rest = factor[:, :own], factor[:, own:]
+    left, remaining = factor[:, :own], factor[:, own:]
 
     def completed(part: FloatArray) -> tuple[float, FloatArray]:
         """Return the distance and the whole coefficients for a given state part."""
         miss = left @ (theta[:own] - part)
-        others = np.linalg.lstsq(rest, miss, rcond=1e-12)[0] if rest.shape[1] else np.zeros((0, theta.shape[1]))
-        lost = float(np.sum(((miss - rest @ others) * weights) ** 2))
+        others = (
+            np.linalg.lstsq(remaining, miss, rcond=1e-12)[0] if remaining.shape[1] else np.zeros((0, theta.shape[1]))
+        )
+        lost = float(np.sum(((miss - remaining @ others) * weights) ** 2))
         return lost, np.vstack([part, theta[own:] + others])
 
     best = project(theta[:own])

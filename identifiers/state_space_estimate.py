@@ -66,7 +66,7 @@ def state_space_estimate(model: LinearModel, singular_values: Sequence[float], r
                 values.append(gain[row, column])
     if len(values) > LARGEST:
         return None
-    seen = [one for one in singular_values if one > 0]
+    seen = [value for value in singular_values if value > 0]
     return Estimate(
         tuple(names),
         tuple(units),

@@ -88,8 +88,8 @@ def likelihood_estimate(system: System, fit: LikelihoodFit) -> Estimate:
     names = tuple(name for name in fit.names if name in system.parameter_names)
     values = np.array([fit.parameters[name] for name in names])
     rows = [fit.names.index(name) for name in names]
-    slope = np.where(fit.logarithmic[rows], values, 1.0)
-    covariance = fit.covariance[np.ix_(rows, rows)] * np.outer(slope, slope)
+    derivative = np.where(fit.logarithmic[rows], values, 1.0)
+    covariance = fit.covariance[np.ix_(rows, rows)] * np.outer(derivative, derivative)
     intervals = np.array([fit.interval(name) for name in names]).reshape(-1, 2)
     intervals[[name in fit.on_bound for name in names]] = np.nan
     return Estimate(

@@ -192,7 +192,7 @@ class HoKalman:
         decaying: Decaying | None = None
         if self.observer is None:
             response, level, rms = markov_parameters(records, self.markov, offset=self.offset)
-            loud = bool(np.all(rms > _QUIET * sizes([one.y for one in records])))
+            loud = bool(np.all(rms > _QUIET * sizes([record.y for record in records])))
             if self.regularised and loud and self.markov * spec.nu <= LARGEST:
                 windows, _ = usable(records, samples=self.markov + 1, what=what)
                 decaying = decaying_response(windows, self.markov, response, rms, offset=self.offset)
@@ -203,8 +203,8 @@ class HoKalman:
                 records, self.observer, self.markov, offset=self.offset, direct=self.direct
             )
         # Outputs count by their noise, inputs by their size: no unit decides on order and directions.
-        size = sizes([one.y for one in records])
-        scaling = Scaling(sizes([one.u for one in records]), np.maximum(rms, _QUIET * size))
+        size = sizes([record.y for record in records])
+        scaling = Scaling(sizes([record.u for record in records]), np.maximum(rms, _QUIET * size))
         feedback = feedback_of(records)
         notes: dict[str, Any] = {"residual_rms": rms.tolist(), "feedback_share": feedback.share}
         if feedback.found and self.observer is None:
@@ -260,8 +260,8 @@ class HoKalman:
             few = 2 * len(records) // 3
             learn, judge = list(records[:few]), list(records[few:])
         else:
-            learn = [one[: 2 * len(one) // 3] for one in records]
-            judge = [one[2 * len(one) // 3 :] for one in records]
+            learn = [record[: 2 * len(record) // 3] for record in records]
+            judge = [record[2 * len(record) // 3 :] for record in records]
         errors: dict[str, float] = {}
         refused: FitError | None = None
         spec = records[0].spec
@@ -273,7 +273,7 @@ class HoKalman:
             except FitError as error:
                 refused = error
                 continue
-            wrong = np.array([simulation_error(model, one).nrmse for one in judge])
+            wrong = np.array([simulation_error(model, record).nrmse for record in judge])
             wanting = float(np.sqrt(np.mean(wrong**2)))
             errors["direct" if observer is None else str(observer)] = wanting if np.isfinite(wanting) else 1e300
         if not errors:
@@ -335,8 +335,8 @@ def observer_markov(
         )
     level = np.zeros(ny)
     if offset:
-        rest = np.eye(ny) - seen.sum(axis=0)
-        level = np.linalg.lstsq(rest, theta[:, -1], rcond=1e-10)[0]
+        remaining = np.eye(ny) - seen.sum(axis=0)
+        level = np.linalg.lstsq(remaining, theta[:, -1], rcond=1e-10)[0]
     return response, innovation, level, solution.residual_rms
 
 

@@ -181,19 +181,19 @@ class AlongTrajectory:
         real_signals(spec, what)
         moving(records, what)
         start = float(records[0].t[0])
-        if any(abs(float(one.t[0]) - start) > 0.5 * spec.sample_time for one in records):
+        if any(abs(float(record.t[0]) - start) > 0.5 * spec.sample_time for record in records):
             raise FitError(
                 f"{what}: records that begin at different times",
                 expected=f"repetitions of one motion, all from {start:g} s",
-                got=", ".join(f"{one.t[0]:g} s" for one in records[:5]),
+                got=", ".join(f"{record.t[0]:g} s" for record in records[:5]),
                 remedy="cut the records so that each repetition begins at the same time",
             )
         self._refuse_feedback(records, spec, what)
         if len(records) >= REPEATED:
             shortest = min(map(len, records))
-            records = [one[:shortest] for one in records]
+            records = [record[:shortest] for record in records]
         equations = _Equations.of(records, self.order)
-        total = sum(len(one) - self.order for one in records)
+        total = sum(len(record) - self.order for record in records)
         if total < equations.gram.shape[-1]:
             raise FitError(
                 f"{what}: fewer equations than coefficients",
@@ -227,12 +227,12 @@ class AlongTrajectory:
         if len(records) < 2 or spec.nu == 0 or self.least_excitation <= 0:
             return
         shortest = min(map(len, records))
-        cut = [one[:shortest] for one in records]
-        means = [np.mean([getattr(one, name) for one in cut], axis=0) for name in ("u", "y")]
-        apart = [replace(one, u=one.u - means[0], y=one.y - means[1]) for one in cut]
+        cut = [record[:shortest] for record in records]
+        means = [np.mean([getattr(record, name) for record in cut], axis=0) for name in ("u", "y")]
+        apart = [replace(record, u=record.u - means[0], y=record.y - means[1]) for record in cut]
         for name in ("u", "y"):
-            size, rest = (np.concatenate([getattr(one, name) for one in part]) for part in (cut, apart))
-            if np.all(np.abs(rest).max(axis=0) <= EXACT * np.abs(size).max(axis=0)):
+            size, deviation = (np.concatenate([getattr(record, name) for record in part]) for part in (cut, apart))
+            if np.all(np.abs(deviation).max(axis=0) <= EXACT * np.abs(size).max(axis=0)):
                 raise FitError(
                     f"{what}: the repetitions do not differ",
                     expected="inputs and outputs that differ between repetitions",
@@ -260,7 +260,7 @@ class _Equations:
     def of(cls, records: Sequence[Trajectory], lags: int) -> _Equations:
         """Return the sums."""
         apart = len(records) >= REPEATED
-        rows = [(design(one, lags, not apart), one.y[lags:]) for one in records]
+        rows = [(design(record, lags, not apart), record.y[lags:]) for record in records]
         means = None
         if apart:
             means = np.mean([phi for phi, _ in rows], axis=0), np.mean([after for _, after in rows], axis=0)
@@ -288,13 +288,13 @@ class _Equations:
         """Return the coefficients (N, p, ny) of some folds."""
         gram, right = _pooled(self.gram[list(folds)].sum(0), width), _pooled(self.right[list(folds)].sum(0), width)
         found = np.empty_like(right)
-        for k, (one, other) in enumerate(zip(gram, right, strict=True)):
+        for k, (matrix, other) in enumerate(zip(gram, right, strict=True)):
             if width is None and k:
                 found[k] = found[0]
                 continue
-            size = np.sqrt(np.diag(one))
+            size = np.sqrt(np.diag(matrix))
             size = np.where(size > 0, size, 1.0)
-            found[k] = solved(one / np.outer(size, size), other / size[:, None]) / size[:, None]
+            found[k] = solved(matrix / np.outer(size, size), other / size[:, None]) / size[:, None]
         return found
 
     def held_out_error(self, width: int | None) -> float:

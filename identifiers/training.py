@@ -109,7 +109,7 @@ def train(
     seed = int(rng.integers(2**62))
     adam = torch.optim.Adam(parameters, lr=rate)
     falling = torch.optim.lr_scheduler.CosineAnnealingLR(adam, T_max=max(steps, 1), eta_min=0.01 * rate)
-    best = [one.detach().clone() for one in parameters]
+    best = [parameter.detach().clone() for parameter in parameters]
     least = np.full(members, np.inf)
     history: list[list[float]] = []
     key = _key(parameters, schedule, count, seed)
@@ -119,8 +119,8 @@ def train(
         saved = torch.load(path, weights_only=True)
         if saved["key"] == key:
             with torch.no_grad():
-                for one, kept in zip(parameters, saved["parameters"], strict=True):
-                    one.copy_(kept)
+                for parameter, kept in zip(parameters, saved["parameters"], strict=True):
+                    parameter.copy_(kept)
             adam.load_state_dict(saved["adam"])
             falling.load_state_dict(saved["falling"])
             best, least, first = saved["best"], np.array(saved["least"]), int(saved["step"])
@@ -133,9 +133,9 @@ def train(
             history.append(now.tolist())
             better = np.isfinite(now) & (now < least)
             least = np.where(better, now, least)
-            for kept, one in zip(best, parameters, strict=True):
+            for kept, parameter in zip(best, parameters, strict=True):
                 for member in np.flatnonzero(better):
-                    kept[member] = one[member]
+                    kept[member] = parameter[member]
 
     with bar(title, steps, progress) as move:
         for step in range(first, steps):
@@ -154,7 +154,7 @@ def train(
                 if path is not None:
                     content = {
                         "key": key,
-                        "parameters": [one.detach() for one in parameters],
+                        "parameters": [parameter.detach() for parameter in parameters],
                         "adam": adam.state_dict(),
                         "falling": falling.state_dict(),
                         "best": best,
@@ -166,16 +166,16 @@ def train(
                     torch.save(content, scratch)
                     scratch.replace(path)
     with torch.no_grad():
-        for one, kept in zip(parameters, best, strict=True):
-            one.copy_(kept)
+        for parameter, kept in zip(parameters, best, strict=True):
+            parameter.copy_(kept)
     return history
 
 
 def _key(parameters: Sequence[Any], schedule: Schedule, count: int, seed: int) -> str:
     """Return a hash of where a training begins: another one is not continued."""
     text = hashlib.sha256(repr((schedule, count, seed)).encode())
-    for one in parameters:
-        text.update(one.detach().numpy().tobytes())
+    for parameter in parameters:
+        text.update(parameter.detach().numpy().tobytes())
     return text.hexdigest()
 
 
@@ -251,4 +251,4 @@ def train_tables(
             title=what,
         )
         tables = {name: np.array(tensor[0].detach().numpy()) for name, tensor in tensors.items()}
-    return tables, [one[0] for one in history[-3:]]
+    return tables, [losses[0] for losses in history[-3:]]

@@ -186,13 +186,13 @@ class ForestModel(LagModel):
         """Return the model of a description."""
         trees = tuple(
             Tree(
-                np.array(one["feature"], dtype=np.intp),
-                np.array(one["threshold"], dtype=float),
-                np.array(one["left"], dtype=np.intp),
-                np.array(one["right"], dtype=np.intp),
-                np.array(one["value"], dtype=float),
+                np.array(tree["feature"], dtype=np.intp),
+                np.array(tree["threshold"], dtype=float),
+                np.array(tree["left"], dtype=np.intp),
+                np.array(tree["right"], dtype=np.intp),
+                np.array(tree["value"], dtype=float),
             )
-            for one in content["trees"]
+            for tree in content["trees"]
         )
         return cls(
             spec_from_dict(content["spec"]),

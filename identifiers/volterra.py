@@ -160,12 +160,12 @@ class Volterra:
         if spec.nu == 0:
             raise FitError(f"{what}: no inputs", expected="an input", got="none", remedy="use another identifier")
         moving(records, what)
-        u = np.concatenate([one.u for one in records])
+        u = np.concatenate([record.u for record in records])
         mean, scale = u.mean(axis=0), np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
         parts, held = [], []
-        for one in records:
-            windows = _windows((one.u - mean) / scale, self.memory)
-            y = one.y[self.memory - 1 :]
+        for record in records:
+            windows = _windows((record.u - mean) / scale, self.memory)
+            y = record.y[self.memory - 1 :]
             cut = len(y) - len(y) // 5
             parts.append((windows[:cut], y[:cut]))
             held.append((windows[cut:], y[cut:]))
@@ -173,7 +173,7 @@ class Volterra:
         gram, right, count = self._sums(parts, size)
         weight = self._decay(spec.nu)
         best: tuple[float, float] | None = None
-        spread: FloatArray = np.maximum(np.concatenate([one.y for one in records]).std(axis=0), 1e-300)
+        spread: FloatArray = np.maximum(np.concatenate([record.y for record in records]).std(axis=0), 1e-300)
         for ridge in _RIDGES:
             theta = np.asarray(np.linalg.solve(gram + ridge * count * np.diag(weight), right), dtype=float)
             wrong = np.concatenate([y - _regressors(w, self.order) @ theta for w, y in held if len(y)])

@@ -80,7 +80,7 @@ class Around:
             "NY": self.y.shape[0],
             "NE": self.points,
         }
-        told = ", ".join([*("01"[one] for one in self.rates), "0"])
+        told = ", ".join([*("01"[measured] for measured in self.rates), "0"])
         return "\n".join(
             [
                 "#include <math.h>",
@@ -96,16 +96,16 @@ _PREDICTION = """
 /* Motion at this instant: rates and accelerations by coordinate. What is remembered: how many samples there were,
    then for each coordinate its last rate, or where the box tells none its last two positions. */
 #define REMEMBERED (1 + 2 * NC)
-static void motion(const double *past, const double *q, const double *v, double h, double *rate, double *slope)
+static void motion(const double *past, const double *q, const double *v, double h, double *rate, double *acceleration)
 {
   for (int i = 0; i < NC; i++) {
     const double a = past[1 + 2 * i], b = past[2 + 2 * i];
     if (RATE[i]) {
       rate[i] = v[i];
-      slope[i] = past[0] > 0 ? (v[i] - a) / h : 0;
+      acceleration[i] = past[0] > 0 ? (v[i] - a) / h : 0;
     } else {
       rate[i] = past[0] < 1 ? 0 : past[0] < 2 ? (q[i] - a) / h : (3 * q[i] - 4 * a + b) / (2 * h);
-      slope[i] = past[0] < 2 ? 0 : (q[i] - 2 * a + b) / (h * h);
+      acceleration[i] = past[0] < 2 ? 0 : (q[i] - 2 * a + b) / (h * h);
     }
   }
 }
@@ -120,7 +120,7 @@ static void remember(double *past, const double *q, const double *v)
 }
 
 /* Mean of the command over the coming sample of length h; z goes on to its end (classical Runge-Kutta). */
-static void ahead(const double *u, const double *q, const double *rate, const double *slope, double t, double h,
+static void ahead(const double *u, const double *q, const double *rate, const double *acceleration, double t, double h,
                   const double *p, double *z, double *mean)
 {
   const double part = h / NE;
@@ -130,8 +130,8 @@ static void ahead(const double *u, const double *q, const double *rate, const do
   for (int s = 0; s < NE; s++) {
     const double passed = (s + 0.5) * part, time = t + passed;
     for (int i = 0; i < NC; i++) {
-      x[i] = q[i] + passed * (rate[i] + 0.5 * passed * slope[i]);
-      v[i] = rate[i] + passed * slope[i];
+      x[i] = q[i] + passed * (rate[i] + 0.5 * passed * acceleration[i]);
+      v[i] = rate[i] + passed * acceleration[i];
     }
     if (NZ) {
       slopes(u, x, v, &time, z, p, k1);

@@ -51,25 +51,29 @@ def surround(
 
     nominal = system if system.nominal is None else system.nominal
     wanted = [*system.effects, *placed]
-    names = [str(one) for one in wanted]
-    for one in wanted:
-        if names.count(str(one)) > 1 or not fits_fmu(one.effect):
+    names = [str(placement) for placement in wanted]
+    for placement in wanted:
+        if names.count(str(placement)) > 1 or not fits_fmu(placement.effect):
             raise InputError(
-                f"effect {one} around an FMU",
+                f"effect {placement} around an FMU",
                 expected="an effect on inputs, outputs or forces that needs no acceleration, once at a port",
-                got="the same twice" if names.count(str(one)) > 1 else f"an effect on: {', '.join(one.effect.kinds)}",
+                got="the same twice"
+                if names.count(str(placement)) > 1
+                else f"an effect on: {', '.join(placement.effect.kinds)}",
                 remedy="remove it, or write the model as equations",
             )
-    old = {one.name: one for one in system.parameters}
-    parameters = [old[one.name] for one in nominal.parameters]
+    old = {parameter.name: parameter for parameter in system.parameters}
+    parameters = [old[parameter.name] for parameter in nominal.parameters]
     q, v = (ca.SX.sym(name, len(nominal.coordinates)) for name in "qv")
     u, y, t = ca.SX.sym("u", nominal.nu), ca.SX.sym("y", nominal.ny), ca.SX.sym("t")
     place = _Placing(nominal, q, v, t, u, y)
-    for one in _ordered(nominal, wanted):
-        port = port_of(cast(Any, nominal), one)
+    for placement in _ordered(nominal, wanted):
+        port = port_of(cast(Any, nominal), placement)
         parameters += [
             old.get(made.name, made)
-            for made in place.add(one, port, sizes.get(str(one), sizes.get(one.at, sizes.get("", {}))))
+            for made in place.add(
+                placement, port, sizes.get(str(placement), sizes.get(placement.at, sizes.get("", {})))
+            )
         ]
     around = Around(
         u=u,
@@ -81,10 +85,10 @@ def surround(
         y=y,
         command=ca.vertcat(*place.command) if place.command else ca.SX(0, 1),
         reading=ca.vertcat(*place.reading),
-        slopes=ca.vertcat(*place.slopes) if place.slopes else ca.SX(0, 1),
+        slopes=ca.vertcat(*place.derivatives) if place.derivatives else ca.SX(0, 1),
         starts=ca.vertcat(*place.starts) if place.starts else ca.SX(0, 1),
-        rates=tuple(one.rate is not None for one in nominal.coordinates),
-        reads=any(not ca.is_equal(one, y[row]) for row, one in enumerate(place.reading)),
+        rates=tuple(coordinate.rate is not None for coordinate in nominal.coordinates),
+        reads=any(not ca.is_equal(reading, y[row]) for row, reading in enumerate(place.reading)),
     )
     return replace(
         nominal,
@@ -99,12 +103,12 @@ def surround(
 
 def _ordered(system: FmuSystem, placed: Sequence[Placed]) -> list[Placed]:
     """Return inputs first, then forces (transmissions last), then outputs."""
-    kinds = {str(one): port_of(cast(Any, system), one).kind for one in placed}
-    forces = [one for one in placed if kinds[str(one)] == "coordinate"]
+    kinds = {str(placement): port_of(cast(Any, system), placement).kind for placement in placed}
+    forces = [placement for placement in placed if kinds[str(placement)] == "coordinate"]
     return [
-        *(one for one in placed if kinds[str(one)] == "input"),
-        *sorted(forces, key=lambda one: one.effect.drives),
-        *(one for one in placed if kinds[str(one)] == "output"),
+        *(placement for placement in placed if kinds[str(placement)] == "input"),
+        *sorted(forces, key=lambda placement: placement.effect.drives),
+        *(placement for placement in placed if kinds[str(placement)] == "output"),
     ]
 
 
@@ -118,7 +122,7 @@ class _Placing:
         self.driven: list[Any] | None = None
         self.symbols: list[Any] = []
         self.states: list[Any] = []
-        self.slopes: list[Any] = []
+        self.derivatives: list[Any] = []
         self.starts: list[Any] = []
         self.hidden: list[Channel] = []
         self.sampled: list[SampledBlock] = []
@@ -130,40 +134,44 @@ class _Placing:
         system, effect = self.system, placed.effect
         row = None
         if port.kind == "coordinate":
-            row = [one.name for one in system.coordinates].index(port.name)
+            row = [coordinate.name for coordinate in system.coordinates].index(port.name)
             units = port_units("coordinate", port.unit, system.coordinates[row].force_unit)
         else:
             units = port_units(port.kind, port.unit)
         declared, named = [], {}
-        for one, value in zip(effect.parameters, effect.complete(placed.values, sizes).values(), strict=True):
-            fixed = one.fixed
-            if one.angle_only and port.unit != "rad":
-                fixed, value = True, one.neutral or 0.0
-            symbol = ca.SX.sym(placed.name(one.name))
-            unit, low, high = unit_of(one.unit, units), one.lowest(sizes, value), one.highest(sizes, value)
-            declared.append(Parameter(placed.name(one.name), unit, value, low, high, fixed))
-            named[one.name] = symbol
+        for parameter, value in zip(effect.parameters, effect.complete(placed.values, sizes).values(), strict=True):
+            fixed = parameter.fixed
+            if parameter.angle_only and port.unit != "rad":
+                fixed, value = True, parameter.neutral or 0.0
+            symbol = ca.SX.sym(placed.name(parameter.name))
+            unit, low, high = (
+                unit_of(parameter.unit, units),
+                parameter.lowest(sizes, value),
+                parameter.highest(sizes, value),
+            )
+            declared.append(Parameter(placed.name(parameter.name), unit, value, low, high, fixed))
+            named[parameter.name] = symbol
             self.symbols.append(symbol)
         if effect.sampled:
             channels = system.inputs if port.kind == "input" else system.outputs
-            index = [one.name for one in channels].index(port.name)
+            index = [channel.name for channel in channels].index(port.name)
             self.sampled.append(SampledBlock(effect.sampled, index, declared[0].name))  # type: ignore[arg-type]
             return declared
         signal, q, v = self._arriving(port, row)
         states = [ca.SX.sym(placed.name(name)) for name in effect.states]
-        value, slopes = effect.evaluate(signal, states, named, q, v, t=self.t, load=signal)
+        value, derivatives = effect.evaluate(signal, states, named, q, v, t=self.t, load=signal)
         if port.kind == "coordinate":
             assert row is not None
             self.command[system.coordinates[row].force] += value
         elif port.kind == "input":
-            index = [one.name for one in system.inputs].index(port.name)
+            index = [channel.name for channel in system.inputs].index(port.name)
             self.command[index] = signal + value if "coordinate" in effect.kinds else value
         else:
-            self.reading[[one.name for one in system.outputs].index(port.name)] = value
+            self.reading[[channel.name for channel in system.outputs].index(port.name)] = value
         context = {"signal": signal, "q": q, "v": v}
-        for name, unit, symbol, slope in zip(effect.states, effect.state_units, states, slopes, strict=True):
+        for name, unit, symbol, derivative in zip(effect.states, effect.state_units, states, derivatives, strict=True):
             self.states.append(symbol)
-            self.slopes.append(slope)
+            self.derivatives.append(derivative)
             self.starts.append(context[effect.initial[name]] if name in effect.initial else 0.0)
             self.hidden.append(Channel(placed.name(name), unit_of(unit, units)))
         return declared
@@ -177,10 +185,10 @@ class _Placing:
                 self.driven = list(self.command)
             return self.driven[system.coordinates[row].force], self.q[row], self.v[row]
         if port.kind == "input":
-            index = [one.name for one in system.inputs].index(port.name)
-            moved = next((k for k, one in enumerate(system.coordinates) if one.force == index), None)
+            index = [channel.name for channel in system.inputs].index(port.name)
+            moved = next((k for k, coordinate in enumerate(system.coordinates) if coordinate.force == index), None)
             signal = self.command[index]
             return (signal, 0.0, 0.0) if moved is None else (signal, self.q[moved], self.v[moved])
-        signal = self.reading[[one.name for one in system.outputs].index(port.name)]
-        moved = next((k for k, one in enumerate(system.coordinates) if one.name == port.name), None)
+        signal = self.reading[[channel.name for channel in system.outputs].index(port.name)]
+        moved = next((k for k, coordinate in enumerate(system.coordinates) if coordinate.name == port.name), None)
         return (signal, signal, 0.0) if moved is None else (signal, self.q[moved], self.v[moved])

@@ -57,7 +57,7 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
     file = Path(path)
     if not file.is_file():
         raise InputError("no such FMU", expected="an FMU file", got="no file", remedy="check the path", file=path)
-    names = [one.name for one in spec.inputs], [one.name for one in spec.outputs]
+    names = [channel.name for channel in spec.inputs], [channel.name for channel in spec.outputs]
     options = {"path": file, "sample_time": spec.sample_time, "inputs": names[0], "outputs": names[1]}
     with registry.create("plants", "fmu", **options) as plant:
         if plant.spec.feedthrough:
@@ -91,8 +91,8 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
         inner_states=states,
         parameters=found,
         coordinates=tuple(
-            replace(one, position=shown.get(one.position, one.position))
-            for one in _coordinates(described, inputs, outputs)
+            replace(coordinate, position=shown.get(coordinate.position, coordinate.position))
+            for coordinate in _coordinates(described, inputs, outputs)
         ),
         shown=shown,
     )
@@ -101,13 +101,13 @@ def fmu_system(path: str | Path, spec: PlantSpec, parameters: Mapping[str, Any] 
 def _tunable(described: Mapping[str, Any], given: dict[str, Any], path: Path) -> tuple[Parameter, ...]:
     """Return the tunable real parameters: fixed, unless they are named or nothing is named and they are not 0."""
     rows = {
-        one["name"]: one
-        for one in described["variables"]
-        if one["causality"] == "parameter"
-        and one["variability"] == "tunable"
-        and one["start"] is not None
-        and not one["shape"]
-        and one["type"] in ("Real", "Float64", "Float32")
+        variable["name"]: variable
+        for variable in described["variables"]
+        if variable["causality"] == "parameter"
+        and variable["variability"] == "tunable"
+        and variable["start"] is not None
+        and not variable["shape"]
+        and variable["type"] in ("Real", "Float64", "Float32")
     }
     for name in given:
         if name not in rows:
@@ -118,7 +118,7 @@ def _tunable(described: Mapping[str, Any], given: dict[str, Any], path: Path) ->
                 remedy="correct the name",
                 file=path,
             )
-    asked = any(not _given(one).get("fixed") for one in given.values())
+    asked = any(not _given(value).get("fixed") for value in given.values())
     found = []
     for name, row in rows.items():
         low, high = (none if row[key] is None else float(row[key]) for key, none in _BOUNDS)
@@ -135,10 +135,10 @@ def _tunable(described: Mapping[str, Any], given: dict[str, Any], path: Path) ->
             found.append(Parameter(name, row["si_unit"] or "1", value, low, high, fixed=fixed))
         except InputError as error:
             raise error.located(file=path) from error
-    for one in found:
-        if not one.fixed and one.value == 0.0 and one.minimum == 0.0:
+    for parameter in found:
+        if not parameter.fixed and parameter.value == 0.0 and parameter.minimum == 0.0:
             raise InputError(
-                f"start value of {one.name}",
+                f"start value of {parameter.name}",
                 expected="a positive number (the parameter cannot be negative, so the fit works on its logarithm)",
                 got="0",
                 remedy="give a start value, or keep the parameter fixed",
@@ -150,20 +150,20 @@ def _tunable(described: Mapping[str, Any], given: dict[str, Any], path: Path) ->
 _BOUNDS = (("minimum", -np.inf), ("maximum", np.inf))
 
 
-def _given(one: Any) -> dict[str, Any]:
+def _given(entry: Any) -> dict[str, Any]:
     """Return what is said of a parameter: a number, a Parameter, or a mapping of its fields."""
-    if isinstance(one, Mapping):
-        return dict(one)
-    if isinstance(one, Parameter):
-        return {"value": one.value, "minimum": one.minimum, "maximum": one.maximum, "fixed": one.fixed}
-    return {"value": float(one)}
+    if isinstance(entry, Mapping):
+        return dict(entry)
+    if isinstance(entry, Parameter):
+        return {"value": entry.value, "minimum": entry.minimum, "maximum": entry.maximum, "fixed": entry.fixed}
+    return {"value": float(entry)}
 
 
 def _settable(plant: Any, described: Mapping[str, Any]) -> tuple[Channel, ...]:
     """Return the states whose start values the FMU lets us set, one by one."""
     rng = np.random.default_rng(0)
     kept: list[Channel] = []
-    known = {one["name"]: one for one in described["variables"]}
+    known = {variable["name"]: variable for variable in described["variables"]}
     for channel in plant.spec.states or plant.spec.outputs:
         try:
             plant.reset(rng=rng, x0={channel.name: float(known[channel.name]["start"] or 0.0)})
@@ -177,13 +177,13 @@ def _settable(plant: Any, described: Mapping[str, Any]) -> tuple[Channel, ...]:
 def _exact(described: Mapping[str, Any]) -> list[str]:
     """Return what may be a state where the description names none: continuous variables that begin where they say."""
     return [
-        one["name"]
-        for one in described["variables"]
-        if one["causality"] in ("local", "output")
-        and one["variability"] == "continuous"
-        and one["initial"] == "exact"
-        and not one["shape"]
-        and one["type"] in ("Real", "Float64", "Float32")
+        variable["name"]
+        for variable in described["variables"]
+        if variable["causality"] in ("local", "output")
+        and variable["variability"] == "continuous"
+        and variable["initial"] == "exact"
+        and not variable["shape"]
+        and variable["type"] in ("Real", "Float64", "Float32")
     ]
 
 
@@ -197,24 +197,24 @@ def _moving(plant: Any, states: Sequence[Channel]) -> tuple[tuple[Channel, ...],
         return np.vstack([first, plant.rollout(quiet)])
 
     plant.reset(rng=rng)
-    begun = dict(zip([one.name for one in plant.spec.states], plant.truth().tolist(), strict=True))
+    begun = dict(zip([state.name for state in plant.spec.states], plant.truth().tolist(), strict=True))
     kept: list[Channel] = []
     shown: dict[str, str] = {}
     try:
         unmoved = run({})
     except HarnessError:  # it cannot be looked at without input
         return (), {}
-    for one in states:
+    for state in states:
         try:
-            moved = run({one.name: begun[one.name] + NUDGE}) - unmoved
+            moved = run({state.name: begun[state.name] + NUDGE}) - unmoved
         except HarnessError:
             continue
         if not np.abs(moved).max(initial=0.0) > 1e-6 * NUDGE:
             continue
-        kept.append(one)
+        kept.append(state)
         for output, change in zip(plant.spec.outputs, moved[0], strict=True):
-            if abs(change - NUDGE) < 1e-6 * NUDGE and output.unit == one.unit:
-                shown[output.name] = one.name
+            if abs(change - NUDGE) < 1e-6 * NUDGE and output.unit == state.unit:
+                shown[output.name] = state.name
     return tuple(kept), shown
 
 
@@ -222,14 +222,18 @@ def _coordinates(
     described: Mapping[str, Any], inputs: Sequence[Channel], outputs: Sequence[Channel]
 ) -> tuple[FmuCoordinate, ...]:
     """Return the positions that force inputs move: by unit, in the order of the inputs, where they pair up."""
-    rows = [one for one in described["variables"] if one["type"] in ("Real", "Float64", "Float32")]
-    measured = [one.name for one in outputs]
+    rows = [variable for variable in described["variables"] if variable["type"] in ("Real", "Float64", "Float32")]
+    measured = [channel.name for channel in outputs]
     found: list[FmuCoordinate] = []
     for unit, forces in FORCES.items():
-        drives = [row for row, one in enumerate(inputs) if set(one.unit.replace("*", " ").split()) in forces]
-        moved = [one.name for one in outputs if one.unit == unit]
+        drives = [row for row, channel in enumerate(inputs) if set(channel.unit.replace("*", " ").split()) in forces]
+        moved = [channel.name for channel in outputs if channel.unit == unit]
         if len(moved) != len(drives):
-            moved = [one["name"] for one in rows if one["causality"] == "output" and one["si_unit"] == unit]
+            moved = [
+                variable["name"]
+                for variable in rows
+                if variable["causality"] == "output" and variable["si_unit"] == unit
+            ]
             moved.sort(key=lambda name: name not in measured)
         if not drives or len(moved) != len(drives):
             continue
@@ -241,9 +245,13 @@ def _coordinates(
 
 def _rate(rows: Sequence[Mapping[str, Any]], position: str, unit: str, *, alone: bool) -> str | None:
     """Return the variable that is the rate of a position: the only one of its unit, or the declared derivative."""
-    rates = [one for one in rows if one["si_unit"] == f"{unit}/s" and one["causality"] in ("output", "local")]
-    declared = [str(one["name"]) for one in rates if one["derivative_of"] == position]
-    states = [str(one["name"]) for one in rates if one["derivative_of"] is None]
+    rates = [
+        variable
+        for variable in rows
+        if variable["si_unit"] == f"{unit}/s" and variable["causality"] in ("output", "local")
+    ]
+    declared = [str(variable["name"]) for variable in rates if variable["derivative_of"] == position]
+    states = [str(variable["name"]) for variable in rates if variable["derivative_of"] is None]
     if alone and len(states) == 1:
         return states[0]
     return declared[0] if declared else None

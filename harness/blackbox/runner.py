@@ -39,7 +39,7 @@ class Runner:
                 "fmu",
                 path=self.nominal.path,
                 sample_time=self.sample_time,
-                inputs=[one.name for one in self.nominal.inputs],
+                inputs=[channel.name for channel in self.nominal.inputs],
                 outputs=list(self.nominal.variables),
             )
             self._owner, self._set = os.getpid(), {}

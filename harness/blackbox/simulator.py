@@ -45,12 +45,13 @@ class FmuSimulator:
         self.sampled = SampledBlocks(cast(Any, system), self.dt)
         columns = list(system.variables)
         self._columns = columns
-        self._states = [columns.index(one.name) for one in system.inner_states]
-        self._q = np.array([columns.index(one.position) for one in system.coordinates], dtype=np.int64)
+        self._states = [columns.index(state.name) for state in system.inner_states]
+        self._q = np.array([columns.index(coordinate.position) for coordinate in system.coordinates], dtype=np.int64)
         self._v = np.array(
-            [columns.index(one.rate) if one.rate is not None else 0 for one in system.coordinates], dtype=np.int64
+            [columns.index(coordinate.rate) if coordinate.rate is not None else 0 for coordinate in system.coordinates],
+            dtype=np.int64,
         )
-        self._free = [k for k, one in enumerate(system.parameters) if not one.fixed]
+        self._free = [k for k, parameter in enumerate(system.parameters) if not parameter.fixed]
         self._compilation: Any = None
         self._library: Any = None
         self._memory: OrderedDict[bytes, tuple[FloatArray, FloatArray, FloatArray]] = OrderedDict()
@@ -82,14 +83,17 @@ class FmuSimulator:
         system, n = self.system, x.shape[0]
         if not system.hidden_count or system.around is None:
             return np.zeros((n, 0))
-        names = [one.name for one in system.inner_states]
+        names = [state.name for state in system.inner_states]
 
         def state(name: str | None) -> FloatArray:
             return x[:, names.index(name)] if name in names else np.zeros(n)
 
         q, v = (
             np.array([state(name) for name in which]).reshape(len(which), n)
-            for which in ([one.position for one in system.coordinates], [one.rate for one in system.coordinates])
+            for which in (
+                [coordinate.position for coordinate in system.coordinates],
+                [coordinate.rate for coordinate in system.coordinates],
+            )
         )
         many = np.repeat(np.asarray(p, dtype=float)[system.inner_count :, None], n, axis=1)
         found = system.around.functions["starts"](u.T, q, v, many)
@@ -99,8 +103,8 @@ class FmuSimulator:
         self, p: FloatArray, x0: FloatArray, U: FloatArray, *, t0: float = 0.0
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return states (N, nx), outputs (N, ny) and derivatives of the outputs by the initial states (N, ny, nx)."""
-        seen, slope = self.sampled.inputs(U[None], p[None], True)
-        x, y, s = self.windows(p[None], x0[None], seen, slope, np.array([t0]))
+        seen, gradient = self.sampled.inputs(U[None], p[None], True)
+        x, y, s = self.windows(p[None], x0[None], seen, gradient, np.array([t0]))
         assert s is not None
         return x[0], y[0], s[0][..., self.np :]
 
@@ -154,7 +158,7 @@ class FmuSimulator:
         q = table[:, self._q]
         if self.system.around is None:
             v = np.gradient(q, self.dt, axis=0) if q.size else q
-            told = [one.rate is not None for one in self.system.coordinates]
+            told = [coordinate.rate is not None for coordinate in self.system.coordinates]
             rates = np.where(told, table[:, self._v], v)
         return q, rates, y
 
@@ -164,8 +168,8 @@ class FmuSimulator:
         """Return the FMU's variables, hidden states, rates of the coordinates and readings of one free run."""
         system, n = self.system, u.shape[0]
         inner = system.inner_count
-        values = {one.name: float(value) for one, value in zip(system.parameters[:inner], p, strict=False)}
-        start = {one.name: float(value) for one, value in zip(system.inner_states, x0, strict=False)}
+        values = {parameter.name: float(value) for parameter, value in zip(system.parameters[:inner], p, strict=False)}
+        start = {state.name: float(value) for state, value in zip(system.inner_states, x0, strict=False)}
         table = np.full((n, len(self._columns)), np.nan)
         hidden = np.full((n, system.hidden_count), np.nan)
         rates = np.zeros((n, len(system.coordinates)))
@@ -191,7 +195,7 @@ class FmuSimulator:
     # ---- the work ------------------------------------------------------------------------------------------------
 
     def _differences(
-        self, p: FloatArray, x0: FloatArray, u: FloatArray, slope: FloatArray | None, t0: float
+        self, p: FloatArray, x0: FloatArray, u: FloatArray, gradient: FloatArray | None, t0: float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return states, outputs and derivatives of one window; the last few are remembered."""
         wanted = frozenset(range(self.np + self.nx)) if self.wanted is None else self.wanted
@@ -207,12 +211,12 @@ class FmuSimulator:
                 if k not in wanted:
                     continue
                 if k in self.sampled.delay_columns:
-                    if slope is not None:
+                    if gradient is not None:
                         h = 0.01 * self.dt
-                        later = u + h * slope[..., self.sampled.delay_columns.index(k)]
+                        later = u + h * gradient[..., self.sampled.delay_columns.index(k)]
                         s[..., k] = (self.run(p, x0, later, t0)[1] - y) / h
                 elif k not in blocks:
-                    s[..., k] = self._slope(k, p, x0, u, y, t0)
+                    s[..., k] = self._derivative(k, p, x0, u, y, t0)
             sizes = np.sqrt(np.mean(x**2, axis=0))
             for k in range(self.nx):
                 if self.np + k not in wanted:
@@ -226,17 +230,17 @@ class FmuSimulator:
             self._memory.popitem(last=False)
         return x, y, s
 
-    def _slope(self, k: int, p: FloatArray, x0: FloatArray, u: FloatArray, y: FloatArray, t0: float) -> FloatArray:
+    def _derivative(self, k: int, p: FloatArray, x0: FloatArray, u: FloatArray, y: FloatArray, t0: float) -> FloatArray:
         """Return the derivative of the outputs ``y`` by a parameter (N, ny); NaN if the FMU fails on every side.
 
         A bound itself may be refused, as a mass of 0 is, and the common step be too long for a parameter that fell far
         below its declared value, as for damping on next to no inertia: then the difference is one-sided, or shorter.
         """
-        one = self.system.parameters[k]
-        h = STEP * max(abs(p[k]), 0.1 * abs(one.value), 1e-6)
+        parameter = self.system.parameters[k]
+        h = STEP * max(abs(p[k]), 0.1 * abs(parameter.value), 1e-6)
         for step in (h, 1e-3 * h, 1e-6 * h):
             for end in (p[k] + step, p[k] - step):
-                if one.minimum < end < one.maximum:
+                if parameter.minimum < end < parameter.maximum:
                     moved = p.copy()
                     moved[k] = end
                     there = self.run(moved, x0, u, t0)[1]
@@ -315,17 +319,21 @@ class FmuSimulator:
             q, v = table[k, self._q], table[k, self._v]
             a, b = past[1::2], past[2::2]
             first, second = past[0] < 1, past[0] < 2
-            rest = np.zeros_like(q) if first else (q - a) / h if second else (3 * q - 4 * a + b) / (2 * h)
+            difference = np.zeros_like(q) if first else (q - a) / h if second else (3 * q - 4 * a + b) / (2 * h)
             bend = np.zeros_like(q) if second else (q - 2 * a + b) / h**2
-            rates[k] = np.where(told, v, rest)
-            slope = np.where(told, 0.0 if first else (v - a) / h, bend)
+            rates[k] = np.where(told, v, difference)
+            acceleration = np.where(told, 0.0 if first else (v - a) / h, bend)
             if k == u.shape[0] - 1:
                 return
             mean = np.zeros(self.system.nu)
             part = h / around.points
             for s in range(around.points):
                 passed = (s + 0.5) * part
-                moved = q + passed * (rates[k] + 0.5 * passed * slope), rates[k] + passed * slope, t0 + k * h + passed
+                moved = (
+                    q + passed * (rates[k] + 0.5 * passed * acceleration),
+                    rates[k] + passed * acceleration,
+                    t0 + k * h + passed,
+                )
 
                 def at(name: str, state: FloatArray, row: int = k, moved: Any = moved) -> FloatArray:
                     return np.array(around.functions[name](u[row], *moved, state, p), dtype=float).reshape(-1)
@@ -393,15 +401,15 @@ int64_t coupled(Call *call, void *loop, double *input, const double *output, int
                 const int64_t *at_v, const double *u, const double *extra, int64_t n, int64_t first, double t0,
                 double h, const double *p, double *z, double *past, double *table, double *rates, double *hidden)
 {
-  double q[NC + 1], v[NC + 1], slope[NC + 1];
+  double q[NC + 1], v[NC + 1], acceleration[NC + 1];
   for (int64_t k = first;; k++) {
     const double *row = table + k * width;
     double *rate = rates + k * NC;
     for (int i = 0; i < NZ; i++) hidden[k * NZ + i] = z[i];
     for (int i = 0; i < NC; i++) q[i] = row[at_q[i]], v[i] = row[at_v[i]];
-    motion(past, q, v, h, rate, slope);
+    motion(past, q, v, h, rate, acceleration);
     if (k == n - 1) return k;
-    ahead(u + k * NU, q, rate, slope, t0 + (double)k * h, h, p, z, input);
+    ahead(u + k * NU, q, rate, acceleration, t0 + (double)k * h, h, p, z, input);
     remember(past, q, v);
     if (extra)
       for (int i = 0; i < NU; i++) input[i] += extra[k * NU + i];

@@ -113,16 +113,16 @@ class FmuSystem(Dimensions):
     @property
     def ports(self) -> tuple[Port, ...]:
         """Where effects can act."""
-        found = [Port("input", one.name, one.unit) for one in self.inputs]
-        found += [Port("coordinate", one.name, one.unit) for one in self.coordinates]
-        return (*found, *(Port("output", one.name, one.unit) for one in self.outputs))
+        found = [Port("input", channel.name, channel.unit) for channel in self.inputs]
+        found += [Port("coordinate", coordinate.name, coordinate.unit) for coordinate in self.coordinates]
+        return (*found, *(Port("output", channel.name, channel.unit) for channel in self.outputs))
 
     @property
     def variables(self) -> tuple[str, ...]:
         """Variables of the FMU that a simulation reads: outputs, states, positions, rates; each once."""
-        names = [one.name for one in (*self.outputs, *self.inner_states)]
-        for one in self.coordinates:
-            names += [one.position, *([one.rate] if one.rate is not None else [])]
+        names = [channel.name for channel in (*self.outputs, *self.inner_states)]
+        for coordinate in self.coordinates:
+            names += [coordinate.position, *([coordinate.rate] if coordinate.rate is not None else [])]
         return tuple(dict.fromkeys(names))
 
     @cached_property
@@ -137,23 +137,23 @@ class FmuSystem(Dimensions):
         """Force of the inputs on each coordinate."""
         import casadi as ca
 
-        return ca.vertcat(*(self.u[one.force] for one in self.coordinates))
+        return ca.vertcat(*(self.u[coordinate.force] for coordinate in self.coordinates))
 
     def driven_by(self, name: str) -> int | None:
         """Return the row of the coordinate that an input moves."""
-        wanted = [one.name for one in self.inputs].index(name)
-        return next((row for row, one in enumerate(self.coordinates) if one.force == wanted), None)
+        wanted = [channel.name for channel in self.inputs].index(name)
+        return next((row for row, coordinate in enumerate(self.coordinates) if coordinate.force == wanted), None)
 
     def coordinate(self, name: str) -> Any:
         """Return a coordinate; its ``force`` is its row among them."""
-        row = [one.name for one in self.coordinates].index(name)
+        row = [coordinate.name for coordinate in self.coordinates].index(name)
         return replace(self.coordinates[row], force=row)
 
     def parameter(self, name: str) -> Parameter:
         """Return one parameter, or refuse the name."""
-        for one in self.parameters:
-            if one.name == name:
-                return one
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
         raise InputError(
             f"parameter of {self.name}",
             expected=f"a tunable one ({', '.join(self.parameter_names) or 'none'})",
@@ -165,7 +165,7 @@ class FmuSystem(Dimensions):
     def values(self, given: Mapping[str, float] | None = None) -> dict[str, float]:
         """Return all parameter values: those given, the others as they are."""
         known = {name: float(value) for name, value in (given or {}).items() if self.parameter(name)}
-        return {one.name: known.get(one.name, one.value) for one in self.parameters}
+        return {parameter.name: known.get(parameter.name, parameter.value) for parameter in self.parameters}
 
     def vector(self, given: Mapping[str, float] | None = None) -> FloatArray:
         """Return the same as an array (np,)."""
@@ -178,4 +178,4 @@ class FmuSystem(Dimensions):
             for name, given in parameters.items()
             if self.parameter(name)
         }
-        return replace(self, parameters=tuple(changed.get(one.name, one) for one in self.parameters))
+        return replace(self, parameters=tuple(changed.get(parameter.name, parameter) for parameter in self.parameters))

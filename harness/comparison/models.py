@@ -55,15 +55,15 @@ class Comparison:
     def rows(self) -> list[dict[str, Any]]:
         """Return one row for each model, use and output: fit in per cent, and whether the residual is white."""
         found = []
-        for one in self.models:
-            for use in one.one_step:
+        for compared in self.models:
+            for use in compared.one_step:
                 for k, channel in enumerate(self.dataset.spec.outputs):
-                    steps = [score.fit_percent[k] for score in one.one_step[use]]
-                    runs = [score.fit_percent[k] for score in one.free_run[use]]
-                    held = one.residuals[channel.name]
+                    steps = [score.fit_percent[k] for score in compared.one_step[use]]
+                    runs = [score.fit_percent[k] for score in compared.free_run[use]]
+                    held = compared.residuals[channel.name]
                     found.append(
                         {
-                            "model": one.name,
+                            "model": compared.name,
                             "use": use,
                             "output": channel.name,
                             "fit_one_step": float(np.mean(steps)),
@@ -75,7 +75,7 @@ class Comparison:
         return found
 
     def __repr__(self) -> str:
-        return f"<Comparison of {', '.join(one.name for one in self.models)} on {self.dataset.name}>"
+        return f"<Comparison of {', '.join(compared.name for compared in self.models)} on {self.dataset.name}>"
 
     def _table(self) -> str:
         titles = ["model", "use", "output", "fit one step %", "fit free run %", "residual white", "free of the input"]
@@ -96,7 +96,7 @@ class Comparison:
     def html(self) -> str:
         """Return the page: table, residual correlations, Bode diagrams with the bands of the data."""
         figures = [_picture(_residual_figure(self)), *([_picture(_bode_figure(self))] if self.spectrum else [])]
-        names = ", ".join(escape(one.name) for one in self.models)
+        names = ", ".join(escape(compared.name) for compared in self.models)
         return (
             f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
             f"<title>{names}</title><style>{STYLE}</style><h1>{names} on {escape(self.dataset.name)}</h1>"
@@ -178,8 +178,8 @@ def compare(models: Mapping[str, Model], dataset: Dataset) -> Comparison:
     found = []
     for name, model in models.items():
         try:
-            steps = {use: [equation_error(model, one) for one in dataset.using(use)] for use in uses}
-            runs = {use: [simulation_error(model, one) for one in dataset.using(use)] for use in uses}
+            steps = {use: [equation_error(model, record) for record in dataset.using(use)] for use in uses}
+            runs = {use: [simulation_error(model, record) for record in dataset.using(use)] for use in uses}
             guess = predict(model, judged, horizon=1)
         except InputError as error:
             raise error.located(place=name) from error
@@ -191,7 +191,7 @@ def compare(models: Mapping[str, Model], dataset: Dataset) -> Comparison:
         }
         found.append(Compared(name, model, steps, runs, held))
     try:
-        shown: Spectrum | None = spectrum([one.measured() for one in dataset.estimation])
+        shown: Spectrum | None = spectrum([record.measured() for record in dataset.estimation])
     except HarnessError:
         shown = None  # without an input, or too short: the page goes without
     return Comparison(dataset, tuple(found), shown)
@@ -206,18 +206,18 @@ def _residual_figure(found: Comparison) -> Any:
     figure = Figure(figsize=(10, 1.9 * len(found.models) * len(outputs) + 0.4), layout="constrained")
     axes = figure.subplots(len(found.models) * len(outputs), 1 + nu, squeeze=False)
     row = 0
-    for one in found.models:
+    for compared in found.models:
         for output in outputs:
-            held = one.residuals[output]
+            held = compared.residuals[output]
             axes[row, 0].axhspan(-held.auto_bound, held.auto_bound, color="#dddddd")
             axes[row, 0].vlines(np.arange(1, LAGS + 1), 0, held.auto[1:], linewidth=2)
-            axes[row, 0].set_title(f"{one.name}: residual of {output} with itself", fontsize=9)
+            axes[row, 0].set_title(f"{compared.name}: residual of {output} with itself", fontsize=9)
             for column in range(nu):
                 bound = held.cross_bound[column]
                 axes[row, 1 + column].axhspan(-bound, bound, color="#dddddd")
                 axes[row, 1 + column].vlines(np.arange(-LAGS, LAGS + 1), 0, held.cross[column], linewidth=2)
                 name = found.dataset.spec.inputs[column].name
-                axes[row, 1 + column].set_title(f"{one.name}: residual of {output} with {name}", fontsize=9)
+                axes[row, 1 + column].set_title(f"{compared.name}: residual of {output} with {name}", fontsize=9)
             row += 1
     for axis in axes[-1]:
         axis.set_xlabel("lag [samples]", fontsize=9)
@@ -229,12 +229,12 @@ def _bode_figure(found: Comparison) -> Any:
     assert found.spectrum is not None
     figure = found.spectrum.plot()
     f = found.spectrum.frequency[1:]
-    for one in found.models:
-        answer = _response(one.model, f, found.dataset.spec.sample_time)
+    for compared in found.models:
+        answer = _response(compared.model, f, found.dataset.spec.sample_time)
         if answer is not None:
             for row in range(answer.shape[1]):
                 for column in range(answer.shape[2]):
-                    figure.axes[0].loglog(f, np.abs(answer[:, row, column]), "--", linewidth=1.2, label=one.name)
+                    figure.axes[0].loglog(f, np.abs(answer[:, row, column]), "--", linewidth=1.2, label=compared.name)
                     figure.axes[1].semilogx(
                         f, np.degrees(np.unwrap(np.angle(answer[:, row, column]))), "--", linewidth=1.2
                     )
@@ -249,7 +249,7 @@ def _response(model: Model, frequency: FloatArray, sample_time: float) -> Any:
         return None
     a, b, c, d = (np.asarray(part, dtype=float) for part in parts)
     z = np.exp(2j * np.pi * frequency * sample_time)
-    return np.array([c @ np.linalg.solve(one * np.eye(len(a)) - a, b) + d for one in z])
+    return np.array([c @ np.linalg.solve(point * np.eye(len(a)) - a, b) + d for point in z])
 
 
 def _picture(figure: Any) -> str:

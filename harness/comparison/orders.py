@@ -88,17 +88,17 @@ class OrderSelection:
         error : {"one_step", "free_run"}
         """
         found: dict[str, int] = {}
-        for name in dict.fromkeys(one.identifier for one in self.tried):
-            rows = [one for one in self.tried if one.identifier == name and np.isfinite(getattr(one, error))]
+        for name in dict.fromkeys(trial.identifier for trial in self.tried):
+            rows = [trial for trial in self.tried if trial.identifier == name and np.isfinite(getattr(trial, error))]
             if not rows:
                 continue
-            best = min(rows, key=lambda one: getattr(one, error))
-            for one in rows:
-                more = one.blocks[error] - best.blocks[error]
+            best = min(rows, key=lambda trial: getattr(trial, error))
+            for trial in rows:
+                more = trial.blocks[error] - best.blocks[error]
                 spread = float(more.std(ddof=1) / np.sqrt(more.size))
-                close = getattr(one, error) <= max((1 + WORTH) * getattr(best, error), ROUNDING)
+                close = getattr(trial, error) <= max((1 + WORTH) * getattr(best, error), ROUNDING)
                 if close or float(more.mean()) <= spread:
-                    found[name] = one.order
+                    found[name] = trial.order
                     break
         return found
 
@@ -107,19 +107,19 @@ class OrderSelection:
         by_step, by_run = self.suggested("one_step"), self.suggested("free_run")
         return [
             {
-                "identifier": one.identifier,
-                "order": one.order,
-                "nrmse_one_step": one.one_step if np.isfinite(one.one_step) else None,
-                "nrmse_free_run": one.free_run if np.isfinite(one.free_run) else None,
-                "note": one.refused
+                "identifier": trial.identifier,
+                "order": trial.order,
+                "nrmse_one_step": trial.one_step if np.isfinite(trial.one_step) else None,
+                "nrmse_free_run": trial.free_run if np.isfinite(trial.free_run) else None,
+                "note": trial.refused
                 or ", ".join(
                     f"enough {how}"
                     for how, chosen in (("one step ahead", by_step), ("in free run", by_run))
-                    if chosen.get(one.identifier) == one.order
+                    if chosen.get(trial.identifier) == trial.order
                 )
-                or ("" if np.isfinite(one.free_run) else "the free run diverges"),
+                or ("" if np.isfinite(trial.free_run) else "the free run diverges"),
             }
-            for one in self.tried
+            for trial in self.tried
         ]
 
     def __repr__(self) -> str:
@@ -150,17 +150,19 @@ class OrderSelection:
         axes = figure.subplots(3, 1)
         for axis, error, label in zip(axes, ("one_step", "free_run"), ("one step ahead", "in free run"), strict=False):
             chosen = self.suggested(error)
-            for number, name in enumerate(dict.fromkeys(one.identifier for one in self.tried)):
-                rows = [one for one in self.tried if one.identifier == name and np.isfinite(getattr(one, error))]
-                orders = [one.order for one in rows]
-                axis.semilogy(orders, [getattr(one, error) for one in rows], ".-", color=f"C{number}", label=name)
-                for one in rows:
-                    if one.order == chosen.get(name):
-                        axis.semilogy(one.order, getattr(one, error), "o", ms=11, mfc="none", color=f"C{number}")
+            for number, name in enumerate(dict.fromkeys(trial.identifier for trial in self.tried)):
+                rows = [
+                    trial for trial in self.tried if trial.identifier == name and np.isfinite(getattr(trial, error))
+                ]
+                orders = [trial.order for trial in rows]
+                axis.semilogy(orders, [getattr(trial, error) for trial in rows], ".-", color=f"C{number}", label=name)
+                for trial in rows:
+                    if trial.order == chosen.get(name):
+                        axis.semilogy(trial.order, getattr(trial, error), "o", ms=11, mfc="none", color=f"C{number}")
             axis.set_ylabel(f"NRMSE {label}")
             axis.set_title(f"{label}, on {self.judged} (ringed: the smallest order as good as the best)", fontsize=9)
         for name, values in self.singular_values.items():
-            number = list(dict.fromkeys(one.identifier for one in self.tried)).index(name)
+            number = list(dict.fromkeys(trial.identifier for trial in self.tried)).index(name)
             axes[2].semilogy(
                 np.arange(1, values.size + 1), values / values[0], "s--", ms=4, color=f"C{number}", label=name
             )
@@ -228,16 +230,19 @@ def order_selection(
                 got=f"options {', '.join(registry.named_options('identifiers', name)) or 'none'}",
                 remedy="name another (--identifier)",
             )
-    records = [one.measured() for one in dataset.estimation]
-    judged, text = [one.measured() for one in dataset.validation], "validation records"
+    records = [record.measured() for record in dataset.estimation]
+    judged, text = [record.measured() for record in dataset.validation], "validation records"
     if not judged:
-        judged, text = [one[2 * len(one) // 3 :] for one in records], "the last third of the estimation records"
-        records = [one[: 2 * len(one) // 3] for one in records]
+        judged, text = (
+            [record[2 * len(record) // 3 :] for record in records],
+            "the last third of the estimation records",
+        )
+        records = [record[: 2 * len(record) // 3] for record in records]
     tried: list[OrderError] = []
     singular: dict[str, FloatArray] = {}
     for name in able:
         fits = _fits(name, wanted, dict(options or {}), records, seed)
-        skip = max((one.burn_in for one in fits.values() if not isinstance(one, str)), default=0) + 1
+        skip = max((fit.burn_in for fit in fits.values() if not isinstance(fit, str)), default=0) + 1
         for order, model in fits.items():
             if isinstance(model, str):
                 tried.append(OrderError(name, order, np.inf, np.inf, {}, model))
@@ -249,11 +254,11 @@ def order_selection(
             values = notes.get("hankel_singular_values") or notes.get("singular_values")
             if values and len(values) > len(singular.get(name, ())):
                 singular[name] = np.asarray(values, dtype=float)
-    if all(one.refused for one in tried):
+    if all(trial.refused for trial in tried):
         raise FitError(
             "no model of any order",
             expected="records that one identifier can fit",
-            got="; ".join(f"{one.identifier} {one.order}: {one.refused}" for one in tried[:1]),
+            got="; ".join(f"{trial.identifier} {trial.order}: {trial.refused}" for trial in tried[:1]),
             remedy="record longer, excite more richly, or name other identifiers",
         )
     return OrderSelection(dataset.name, text, tuple(tried), singular)
@@ -276,11 +281,11 @@ def _fits(
 def _blocks(model: Any, judged: Sequence[Trajectory], horizon: int | None, skip: int) -> FloatArray:
     """Return the mean squared error of each stretch of the judged records, relative to the outputs' variance."""
     outputs = model.spec.outputs
-    size = np.sqrt(np.mean(np.concatenate([one.y - one.y.mean(axis=0) for one in judged]) ** 2, axis=0))
+    size = np.sqrt(np.mean(np.concatenate([record.y - record.y.mean(axis=0) for record in judged]) ** 2, axis=0))
     misses = []
-    for one in judged:
+    for record in judged:
         with np.errstate(invalid="ignore"):  # a run that grew to infinity is an error without bound
-            miss = residual(outputs, one.y, np.asarray(predict(model, one, horizon)))[skip:]
+            miss = residual(outputs, record.y, np.asarray(predict(model, record, horizon)))[skip:]
         with np.errstate(over="ignore", invalid="ignore"):  # a free run that diverges
             misses.append(np.mean((miss / np.where(size > 0, size, 1.0)) ** 2, axis=1))
     every = np.concatenate(misses)

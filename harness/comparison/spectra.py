@@ -61,7 +61,7 @@ class Spectrum:
     def rows(self, count: int = 16) -> list[dict[str, float | str]]:
         """Return the response at some frequencies, evenly on a logarithmic scale: magnitude, phase, band, coherence."""
         wanted = np.geomspace(self.frequency[1], self.frequency[-1], count)
-        picked = np.unique([int(np.argmin(np.abs(self.frequency - one))) for one in wanted])
+        picked = np.unique([int(np.argmin(np.abs(self.frequency - frequency))) for frequency in wanted])
         found: list[dict[str, float | str]] = []
         for k in picked:
             for row, output in enumerate(self.spec.outputs):
@@ -135,10 +135,10 @@ def spectrum(records: Sequence[Trajectory], *, segment: int | None = None) -> Sp
             "a frequency response", expected="a record with an input", got="none", remedy="record the input as well"
         )
     spec = records[0].spec
-    total = sum(len(one) for one in records)
+    total = sum(len(record) for record in records)
     n = segment or int(2 ** np.clip(np.floor(np.log2(max(total / 16, 2))), 4, 13))
     for column, channel in enumerate(spec.inputs):
-        if not any(np.ptp(one.u[:, column]) for one in records):
+        if not any(np.ptp(record.u[:, column]) for record in records):
             raise InputError(
                 f"input {channel.name} never moves", expected="excitation", got="a constant", remedy="excite it"
             )

@@ -61,9 +61,9 @@ def check(name: str) -> list[CheckResult]:
     if slash and kind in CHECKED:
         registry.entry(kind, id)
         return _check_registered(kind, id)
-    found = [one for one in CHECKED if name in _ids(one)]
+    found = [candidate for candidate in CHECKED if name in _ids(candidate)]
     if not found:
-        everything = sorted({id for one in CHECKED for id in _ids(one)})
+        everything = sorted({id for candidate in CHECKED for id in _ids(candidate)})
         near = difflib.get_close_matches(name, everything, n=3)
         raise InputError(
             "no part has this name",
@@ -74,8 +74,10 @@ def check(name: str) -> list[CheckResult]:
     if len(found) == 1:
         return _check_registered(found[0], name)
     results = []
-    for one in found:
-        results += [replace(result, name=f"{one}: {result.name}") for result in _check_registered(one, name)]
+    for candidate in found:
+        results += [
+            replace(result, name=f"{candidate}: {result.name}") for result in _check_registered(candidate, name)
+        ]
     return results
 
 

@@ -105,8 +105,8 @@ def _ports(factory: Factory) -> None:
         fits(channel.unit, "1")
     names = list(system.parameter_names)
     demand(len(set(names)) == len(names), f"parameters share a name: {names}")
-    for one in system.parameters:
-        fits(one.unit, "1")
+    for parameter in system.parameters:
+        fits(parameter.unit, "1")
     demand(system.outputs, "there is no output")
 
 
@@ -182,12 +182,12 @@ def _described(factory: Factory) -> None:
     for what in ("summary", "formula", "experiment"):
         demand(getattr(made, what), f"{what} is empty: the report needs it")
     demand(made.name.isidentifier(), f"the name {made.name!r} is no identifier")
-    for one in made.parameters:
-        demand(one.minimum <= one.maximum, f"empty bounds of {one.name}")
-        value = one.start({})
+    for parameter in made.parameters:
+        demand(parameter.minimum <= parameter.maximum, f"empty bounds of {parameter.name}")
+        value = parameter.start({})
         demand(
-            np.isfinite(value) and one.minimum <= value <= one.maximum,
-            f"{one.name} starts at {value}, outside its bounds",
+            np.isfinite(value) and parameter.minimum <= value <= parameter.maximum,
+            f"{parameter.name} starts at {value}, outside its bounds",
         )
 
 
@@ -224,7 +224,7 @@ def _acts(factory: Factory) -> None:
     # small and short first; a payload that comes late, or a limit far out, needs more
     for samples, scale in ((N, 1.0), (1200, 1.0), (N, 30.0), (1200, 30.0)):
         for system, _, whole in _composed(factory):
-            without, with_it = (_rollout(one, None, samples, scale) for one in (system, whole))
+            without, with_it = (_rollout(shown, None, samples, scale) for shown in (system, whole))
             if not np.array_equal(without, with_it, equal_nan=True):
                 return
     demand(False, "it changes no output of any built-in model at its usual size")

@@ -97,7 +97,7 @@ def identifier_checks(*, kinds: tuple[str, ...] = KINDS, examples: int = EXAMPLE
         ("model_stored_and_read", "a model pickles, and its JSON is read back", on_models(fitted.stored_and_read)),
         ("model_other_data_refused", "data of another sample time are refused", on_models(fitted.other_data_refused)),
     ]
-    return [Check(*one) for one in checks]
+    return [Check(*check) for check in checks]
 
 
 def _interface(factory: Factory) -> None:
@@ -134,8 +134,8 @@ def _no_mutation(factory: Factory, workload: Workload) -> None:
 
 
 def _any_sequence(factory: Factory, workload: Workload) -> None:
-    one, two = fit(factory(), shown(workload)), fit(factory(), tuple(shown(workload)))
-    demand(alike(one, two, workload.probe), "records in a tuple give another model than in a list")
+    first, second = fit(factory(), shown(workload)), fit(factory(), tuple(shown(workload)))
+    demand(alike(first, second, workload.probe), "records in a tuple give another model than in a list")
 
 
 def _state(identifier: Any) -> bytes:
@@ -148,8 +148,8 @@ def _state(identifier: Any) -> bytes:
 
 def _deterministic(factory: Factory, workload: Workload) -> None:
     records = shown(workload)
-    one, two = fit(factory(), records), fit(factory(), records)
-    demand(alike(one, two, workload.probe), "two fits with the same data and rng differ")
+    first, second = fit(factory(), records), fit(factory(), records)
+    demand(alike(first, second, workload.probe), "two fits with the same data and rng differ")
 
 
 def _refit(factory: Factory, workload: Workload) -> None:
@@ -162,8 +162,8 @@ def _refit(factory: Factory, workload: Workload) -> None:
 def _pickles(factory: Factory, workload: Workload) -> None:
     identifier = factory()
     copy = pickle.loads(_state(identifier))
-    one, two = fit(identifier, shown(workload)), fit(copy, shown(workload))
-    demand(alike(one, two, workload.probe), "a pickled identifier fits something else")
+    first, second = fit(identifier, shown(workload)), fit(copy, shown(workload))
+    demand(alike(first, second, workload.probe), "a pickled identifier fits something else")
 
 
 def _bad_data(factory: Factory, workload: Workload) -> None:

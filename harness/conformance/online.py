@@ -125,9 +125,9 @@ def _tracks(factory: Factory, workload: Workload) -> None:
 def _deterministic(factory: Factory, workload: Workload) -> None:
     records = _shown(workload)
     used = factory()
-    one, two, again = _stream(used, records), _stream(factory(), records), _stream(used, records)
-    demand(np.array_equal(one, two), "two runs over the same stream differ")
-    demand(np.array_equal(one, again), "a second run of the same object differs: the first left a trace")
+    first, second, again = _stream(used, records), _stream(factory(), records), _stream(used, records)
+    demand(np.array_equal(first, second), "two runs over the same stream differ")
+    demand(np.array_equal(first, again), "a second run of the same object differs: the first left a trace")
 
 
 def _no_mutation(factory: Factory, workload: Workload) -> None:
@@ -172,9 +172,11 @@ def _no_seam(factory: Factory, workload: Workload) -> None:
         state = identifier.update(state, a.u[k], a.y[k + 1])
     fresh = identifier.start(state, b.y[0])
     twice = identifier.start(identifier.start(state, a.y[7]), b.y[0])
-    one = np.array(identifier.predict(fresh, b.u[0]))
-    two = np.array(identifier.predict(twice, b.u[0]))
-    demand(np.array_equal(one, two), "the first prediction of a record depends on what was shown of another record")
+    first = np.array(identifier.predict(fresh, b.u[0]))
+    second = np.array(identifier.predict(twice, b.u[0]))
+    demand(
+        np.array_equal(first, second), "the first prediction of a record depends on what was shown of another record"
+    )
 
 
 def _learns(factory: Factory, kinds: tuple[str, ...]) -> None:
@@ -242,8 +244,8 @@ def _pickles(factory: Factory, workload: Workload) -> None:
         state = identifier.update(state, record.u[k], record.y[k + 1])
     other, moved = pickle.loads(pickle.dumps((identifier, state)))
     for k in range(20, 30):
-        one, two = identifier.predict(state, record.u[k]), other.predict(moved, record.u[k])
-        demand(np.array_equal(one, two), "a pickled state goes on differently")
+        first, second = identifier.predict(state, record.u[k]), other.predict(moved, record.u[k])
+        demand(np.array_equal(first, second), "a pickled state goes on differently")
         state = identifier.update(state, record.u[k], record.y[k + 1])
         moved = other.update(moved, record.u[k], record.y[k + 1])
 

@@ -170,15 +170,15 @@ def _inputs_matter(factory: Factory) -> None:
 
 
 def _apart(factory: Factory) -> None:
-    with _made(factory) as one, _made(factory) as two:
-        inputs, others = inputs_for(one.spec, 20), inputs_for(one.spec, 20, seed=2)
-        reference = _run(one, inputs)
-        one.reset(rng=seeded())
-        two.reset(rng=seeded(1))
+    with _made(factory) as first, _made(factory) as second:
+        inputs, others = inputs_for(first.spec, 20), inputs_for(first.spec, 20, seed=2)
+        reference = _run(first, inputs)
+        first.reset(rng=seeded())
+        second.reset(rng=seeded(1))
         rows = []
         for u, v in zip(inputs[:-1], others[:-1], strict=True):
-            rows.append(np.array(one.step(u)))
-            two.step(v)
+            rows.append(np.array(first.step(u)))
+            second.step(v)
         demand(np.array_equal(np.array(rows), reference[1:]), "a second plant of this kind moves the first")
 
 
@@ -327,11 +327,11 @@ def _batch(factory: Factory) -> None:
         reference = _run(plant, inputs)
         plant.reset(rng=seeded())
         first = np.array(plant.rollout(inputs[:25]))
-        rest = np.array(plant.rollout(inputs[25:-1]))
+        remaining = np.array(plant.rollout(inputs[25:-1]))
         demand(
             first.shape == (25, plant.spec.ny), f"rollout returns shape {first.shape}, expected (25, {plant.spec.ny})"
         )
-        off = np.abs(np.vstack([first, rest]) - reference[1:]).max()
+        off = np.abs(np.vstack([first, remaining]) - reference[1:]).max()
         demand(off == 0.0, f"rollout differs from stepping by {off:.3g}")
 
 
@@ -359,10 +359,10 @@ def _feedthrough(factory: Factory) -> None:
         reference = _run(plant, inputs)
         plant.reset(rng=seeded())
         for k, u in enumerate(inputs[:-1]):
-            one, two = np.array(plant.output(u)), np.array(plant.output(u))
+            first, second = np.array(plant.output(u)), np.array(plant.output(u))
             plant.output(inputs[-1])
-            demand(np.array_equal(one, two), "output(u) answers differently the second time")
-            demand(one.shape == (plant.spec.ny,), f"output has shape {one.shape}, expected ({plant.spec.ny},)")
+            demand(np.array_equal(first, second), "output(u) answers differently the second time")
+            demand(first.shape == (plant.spec.ny,), f"output has shape {first.shape}, expected ({plant.spec.ny},)")
             demand(np.array_equal(plant.step(u), reference[k + 1]), "output(u) changes what follows: time passed")
 
 

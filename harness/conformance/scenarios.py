@@ -171,20 +171,20 @@ def _fits(factory: Factory, spec: PlantSpec) -> None:
     demand(disturbance is None or len(disturbance) == len(experiment.excitation), "the disturbance has another length")
 
 
-def _same(one: Experiment, two: Experiment, spec: PlantSpec) -> bool:
+def _same(first: Experiment, second: Experiment, spec: PlantSpec) -> bool:
     """Return True if two experiments are the same in everything that can be seen."""
-    if not np.array_equal(one.excitation, two.excitation):
+    if not np.array_equal(first.excitation, second.excitation):
         return False
-    if (one.disturbance is None) != (two.disturbance is None):
+    if (first.disturbance is None) != (second.disturbance is None):
         return False
-    if one.disturbance is not None and two.disturbance is not None:
-        if not np.array_equal(one.disturbance, two.disturbance):
+    if first.disturbance is not None and second.disturbance is not None:
+        if not np.array_equal(first.disturbance, second.disturbance):
             return False
-    if dict(one.x0 or {}) != dict(two.x0 or {}):
+    if dict(first.x0 or {}) != dict(second.x0 or {}):
         return False
-    if not np.array_equal(_outputs(one, spec)[1], _outputs(two, spec)[1]):
+    if not np.array_equal(_outputs(first, spec)[1], _outputs(second, spec)[1]):
         return False
-    return bool(np.array_equal(_answers(one, spec), _answers(two, spec)))
+    return bool(np.array_equal(_answers(first, spec), _answers(second, spec)))
 
 
 def _answers(experiment: Experiment, spec: PlantSpec) -> FloatArray:

@@ -61,7 +61,7 @@ def all_records_used(subject: Subject) -> None:
         if alike(alone[0], alone[1], workload.probe):
             continue  # the data make no difference at all: another check says so
         looked += 1
-        if not any(alike(both, one, workload.probe) for one in alone):
+        if not any(alike(both, model, workload.probe) for model in alone):
             return
     if not looked:
         raise NotApplicable("no record of the survey is enough by itself")

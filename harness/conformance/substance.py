@@ -213,18 +213,18 @@ def _late_start(model: Any, data: Trajectory) -> bool | None:
 def stands_alone(subject: Subject) -> None:
     """Demand that a model predicts the same after the identifier was fitted to other data."""
     found = [w for w in subject.survey()]
-    for one, other in zip(found, found[1:] + found[:1], strict=True):
-        if one.probe.spec != other.probe.spec or one is other:
+    for workload, other in zip(found, found[1:] + found[:1], strict=True):
+        if workload.probe.spec != other.probe.spec or workload is other:
             continue
         identifier = subject.factory()
         try:
-            model = fit(identifier, shown(one))
-            before = one_step(model, one.probe)
+            model = fit(identifier, shown(workload))
+            before = one_step(model, workload.probe)
             fit(identifier, shown(other))
         except HarnessError:
             continue
         demand(
-            np.array_equal(before, one_step(model, one.probe), equal_nan=True),
+            np.array_equal(before, one_step(model, workload.probe), equal_nan=True),
             "a later fit changes an earlier model: they share an array",
         )
         return

@@ -221,16 +221,16 @@ def _mechanical(rng: np.random.Generator, n: int, system: _Mechanics, *, rates: 
         x = np.zeros((n, 2 * m))
         x[0, m - 1] = angle
 
-        def slope(state: FloatArray, force: FloatArray) -> FloatArray:
+        def derivative(state: FloatArray, force: FloatArray) -> FloatArray:
             return np.concatenate([state[m:], system.acceleration(p, state[:m], state[m:], force)])
 
         for k in range(n - 1):
             state, h = x[k], dt / substeps
             for _ in range(substeps):
-                a = slope(state, u[k])
-                b = slope(state + 0.5 * h * a, u[k])
-                c = slope(state + 0.5 * h * b, u[k])
-                d = slope(state + h * c, u[k])
+                a = derivative(state, u[k])
+                b = derivative(state + 0.5 * h * a, u[k])
+                c = derivative(state + 0.5 * h * b, u[k])
+                d = derivative(state + h * c, u[k])
                 state = state + h / 6 * (a + 2 * b + 2 * c + d)
             x[k + 1] = state
         y = x if rates else x[:, :m]

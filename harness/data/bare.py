@@ -77,7 +77,7 @@ def _signals(table: Table, ports: Ports, path: Path, notes: list[str]) -> dict[s
         outputs.setdefault(Ports.channel_name(channel.name, 1), (channel.name, 1))
     # tau_1 is as good as tau1
     plain = {port.replace("_", ""): port for port in inputs}
-    bare = {name.replace("_", ""): one for name, one in outputs.items()}
+    bare = {name.replace("_", ""): target for name, target in outputs.items()}
     names = {split_header(title)[0]: title for title in table.titles}
     clock = names.get(_clock(list(names)), "")
     ignored = []

@@ -80,9 +80,9 @@ def clock(cells: Sequence[str]) -> FloatArray | None:
     if not found or not all(found):
         return None
     whole, parts, zones = [], [], set()
-    for one in found:
-        assert one is not None
-        day, time, digits, zone = one.groups()
+    for match in found:
+        assert match is not None
+        day, time, digits, zone = match.groups()
         zones.add((day is None, zone is None))
         try:
             at = datetime.datetime.fromisoformat(f"{day or '1970-01-01'}T{time}{zone or ''}")

@@ -99,12 +99,14 @@ def _refuse_unknown(content: dict[str, Any], file: str | Path | None) -> None:
     todo += [(key, content[key], kind) for key, kind in _TABLES.items() if key in content]
     signals, runs = content.get("signals"), content.get("runs")
     if isinstance(signals, dict):
-        todo += [(f"signals.{name}", one, SignalSection) for name, one in signals.items()]
+        todo += [(f"signals.{name}", table, SignalSection) for name, table in signals.items()]
     if isinstance(runs, list):
-        todo += [(f"runs[{number}]", one, RunSection) for number, one in enumerate(runs)]
+        todo += [(f"runs[{number}]", table, RunSection) for number, table in enumerate(runs)]
     nominal = content.get("nominal")
     if isinstance(nominal, dict) and isinstance(nominal.get("parameters"), dict):
-        todo += [(f"nominal.parameters.{name}", one, NominalParameter) for name, one in nominal["parameters"].items()]
+        todo += [
+            (f"nominal.parameters.{name}", table, NominalParameter) for name, table in nominal["parameters"].items()
+        ]
     for place, table, kind in todo:
         known = kind.__struct_fields__
         for key in table if isinstance(table, dict) else ():
@@ -162,7 +164,7 @@ def _check(read: Description) -> None:
                 remedy="4 is usual",
                 place="filter.order",
             )
-    positive += [(f"signals.{name}.noise", one.noise) for name, one in read.signals.items()]
+    positive += [(f"signals.{name}.noise", signal.noise) for name, signal in read.signals.items()]
     for place, value in positive:
         if value is not None and not (value > 0 and math.isfinite(value)):
             raise InputError(
@@ -178,12 +180,12 @@ def _check(read: Description) -> None:
         raise InputError(
             "no estimation run", expected='a run with use = "estimation"', got="none", remedy="add one", place="runs"
         )
-    if not any(one.role == "output" for one in read.signals.values()):
+    if not any(signal.role == "output" for signal in read.signals.values()):
         raise InputError(
             "no output", expected='a signal with role = "output"', got="none", remedy="declare one", place="signals"
         )
-    for name, one in read.signals.items():
-        _check_signal(f"signals.{name}", one)
+    for name, signal in read.signals.items():
+        _check_signal(f"signals.{name}", signal)
     for number, run in enumerate(read.runs):
         _check_run(f"runs[{number}]", run, (*read.signals, "time"))
     for name, given in (read.nominal.parameters if read.nominal is not None else {}).items():

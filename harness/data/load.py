@@ -245,7 +245,7 @@ class _Reader:
     def _check_files(self) -> None:
         """Say so if a file of a public recording is not the one that the recipe was written for."""
         source = self.description.source
-        wanted = {one.file: one.sha256 for one in source.files} if source is not None else {}
+        wanted = {listed.file: listed.sha256 for listed in source.files} if source is not None else {}
         for number, section in enumerate(self.description.runs):
             expected = wanted.pop(section.file, "")
             if expected and hashlib.sha256(self._file(number, section).read_bytes()).hexdigest() != expected:

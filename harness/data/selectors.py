@@ -47,10 +47,10 @@ def parse_selector(text: str) -> Selector:
     Selector(variable='log/drive', steps=(('column', 2),))
     """
     start = min((text.find(sign) for sign in "{[." if sign in text), default=len(text))
-    variable, rest = text[:start].strip(), text[start:].strip()
+    variable, remaining = text[:start].strip(), text[start:].strip()
     steps: list[tuple[str, int | str]] = []
-    while rest:
-        found = _STEP.match(rest)
+    while remaining:
+        found = _STEP.match(remaining)
         if found is None:
             break
         cell, row, column, field = found.groups()
@@ -59,8 +59,8 @@ def parse_selector(text: str) -> Selector:
         else:
             kind = "cell" if cell is not None else "row" if row is not None else "column"
             steps.append((kind, int(next(number for number in (cell, row, column) if number is not None))))
-        rest = rest[found.end() :].strip()
-    if rest or not variable:
+        remaining = remaining[found.end() :].strip()
+    if remaining or not variable:
         raise InputError(
             "column selector",
             expected="NAME, NAME{cell}, NAME[row], NAME[:,column] or NAME.field, chained, counted from 0",

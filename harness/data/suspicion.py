@@ -121,5 +121,5 @@ def _sizes(runs: Sequence[Run]) -> list[tuple[str, int, str, list[float]]]:
     for kind, channels in (("input", spec.inputs), ("output", spec.outputs)):
         for column, channel in enumerate(channels):
             values = [(run.trajectory.u if kind == "input" else run.trajectory.y)[:, column] for run in runs]
-            table.append((kind, column, channel.name, [float(np.std(one)) for one in values]))
+            table.append((kind, column, channel.name, [float(np.std(signal)) for signal in values]))
     return table

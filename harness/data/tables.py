@@ -297,5 +297,5 @@ def _nearby(path: Path) -> str:
         return "a folder"
     if not path.parent.is_dir():
         return f"no file (nor a folder {path.parent})"
-    near = difflib.get_close_matches(path.name, [one.name for one in path.parent.iterdir()], n=2)
+    near = difflib.get_close_matches(path.name, [neighbour.name for neighbour in path.parent.iterdir()], n=2)
     return f"no file (near it: {', '.join(near)})" if near else "no file"

@@ -205,30 +205,36 @@ def _spec_from_titles(table: Table, inputs: list[str], truth: list[str], time: F
 def _spec_to_dict(spec: PlantSpec) -> dict[str, Any]:
     """Return a spec as JSON has it (infinite limits are null)."""
 
-    def channel(one: Channel) -> dict[str, Any]:
+    def channel(described: Channel) -> dict[str, Any]:
         finite = {
             name: value if math.isfinite(value) else None
-            for name, value in (("minimum", one.minimum), ("maximum", one.maximum))
+            for name, value in (("minimum", described.minimum), ("maximum", described.maximum))
         }
-        return {"name": one.name, "unit": one.unit, "kind": one.kind, "period": one.period, **finite}
+        return {
+            "name": described.name,
+            "unit": described.unit,
+            "kind": described.kind,
+            "period": described.period,
+            **finite,
+        }
 
-    groups = {group: [channel(one) for one in getattr(spec, group)] for group in ("inputs", "outputs", "states")}
+    groups = {group: [channel(entry) for entry in getattr(spec, group)] for group in ("inputs", "outputs", "states")}
     return {**groups, "sample_time": spec.sample_time, "feedthrough": spec.feedthrough}
 
 
 def _spec_from_dict(content: dict[str, Any]) -> PlantSpec:
     """Return the spec of its JSON form."""
 
-    def channel(one: dict[str, Any]) -> Channel:
-        low, high = one["minimum"], one["maximum"]
+    def channel(entry: dict[str, Any]) -> Channel:
+        low, high = entry["minimum"], entry["maximum"]
         return Channel(
-            one["name"],
-            one["unit"],
+            entry["name"],
+            entry["unit"],
             -math.inf if low is None else low,
             math.inf if high is None else high,
-            one["kind"],
-            one["period"],
+            entry["kind"],
+            entry["period"],
         )
 
-    groups = [tuple(channel(one) for one in content[group]) for group in ("inputs", "outputs", "states")]
+    groups = [tuple(channel(entry) for entry in content[group]) for group in ("inputs", "outputs", "states")]
     return PlantSpec(groups[0], groups[1], content["sample_time"], groups[2], content["feedthrough"])

@@ -144,8 +144,15 @@ def description(simulator: Simulator, parameters: Mapping[str, float], x0: Mappi
     variables += [Variable(channel.name, "output", channel.unit) for channel in system.outputs]
     variables += [Variable(f"state.{c.name}", "state", c.unit, float(starts[c.name])) for c in system.states]
     variables += [
-        Variable(one.name, "parameter", one.unit, float(values[one.name]), one.minimum, one.maximum)
-        for one in system.parameters
+        Variable(
+            parameter.name,
+            "parameter",
+            parameter.unit,
+            float(values[parameter.name]),
+            parameter.minimum,
+            parameter.maximum,
+        )
+        for parameter in system.parameters
     ]
     token = hashlib.sha256(f"{model_source(simulator, x0 or ())}{values}{starts}".encode()).hexdigest()[:32]
     direct = range(system.nu) if system.feedthrough else ()
@@ -164,11 +171,15 @@ def description(simulator: Simulator, parameters: Mapping[str, float], x0: Mappi
 def _checks(simulator: Simulator, first: int, delays: list[int]) -> list[str]:
     """Return the lines of check(): bounds of the parameters, and delays that the memory can hold."""
     lines = []
-    for place, one in enumerate(simulator.system.parameters, start=first):
-        if np.isfinite(one.minimum):
-            lines.append(f'if (!(v[{place}] >= {one.minimum!r})) return "{one.name} is below {one.minimum:g}";')
-        if np.isfinite(one.maximum):
-            lines.append(f'if (!(v[{place}] <= {one.maximum!r})) return "{one.name} is above {one.maximum:g}";')
+    for place, parameter in enumerate(simulator.system.parameters, start=first):
+        if np.isfinite(parameter.minimum):
+            lines.append(
+                f'if (!(v[{place}] >= {parameter.minimum!r})) return "{parameter.name} is below {parameter.minimum:g}";'
+            )
+        if np.isfinite(parameter.maximum):
+            lines.append(
+                f'if (!(v[{place}] <= {parameter.maximum!r})) return "{parameter.name} is above {parameter.maximum:g}";'
+            )
     lines += [f'if (!(v[{p}] <= (RING - 2) * SAMPLE)) return "a delay is beyond the memory";' for p in delays]
     return lines
 

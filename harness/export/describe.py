@@ -87,15 +87,15 @@ def describe(
     {'index': '2', 'dependencies': '1'}
     """
     known: set[str] = set()
-    for one in variables:
-        if one.name in known:
+    for variable in variables:
+        if variable.name in known:
             raise InputError(
                 "names of an FMU's variables",
                 expected="inputs, outputs and parameters with names of their own",
-                got=f"{one.name!r} twice",
+                got=f"{variable.name!r} twice",
                 remedy="rename one of them in the model",
             )
-        known.add(one.name)
+        known.add(variable.name)
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -114,23 +114,23 @@ def describe(
         canSerializeFMUstate="true",
     )
     units = ElementTree.SubElement(root, "UnitDefinitions")
-    for unit in dict.fromkeys([*(one.unit for one in variables), "s"]):
+    for unit in dict.fromkeys([*(variable.unit for variable in variables), "s"]):
         units.append(_unit(unit))
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stopTime="10", stepSize=repr(float(sample_time)))
     listed = ElementTree.SubElement(root, "ModelVariables")
-    for reference, one in enumerate(variables, start=1):
+    for reference, variable in enumerate(variables, start=1):
         node = ElementTree.SubElement(
-            listed, "ScalarVariable", {"name": one.name, **_ROLES[one.role], "valueReference": str(reference)}
+            listed, "ScalarVariable", {"name": variable.name, **_ROLES[variable.role], "valueReference": str(reference)}
         )
-        numbers = {"unit": one.unit}
-        if one.role != "output":
-            numbers["start"] = repr(float(one.start))
-        for key, bound in (("min", one.minimum), ("max", one.maximum)):
+        numbers = {"unit": variable.unit}
+        if variable.role != "output":
+            numbers["start"] = repr(float(variable.start))
+        for key, bound in (("min", variable.minimum), ("max", variable.maximum)):
             if math.isfinite(bound):
                 numbers[key] = repr(float(bound))
         ElementTree.SubElement(node, "Real", numbers)
     structure = ElementTree.SubElement(root, "ModelStructure")
-    rows = [row for row, one in enumerate(variables, start=1) if one.role == "output"]
+    rows = [row for row, variable in enumerate(variables, start=1) if variable.role == "output"]
     if rows:
         outputs = ElementTree.SubElement(structure, "Outputs")
         unknowns = ElementTree.SubElement(structure, "InitialUnknowns")

@@ -225,7 +225,7 @@ def linear_description(model: Linear, x0: Mapping[str, float] | None = None, *, 
 
 def _array(name: str, matrix: FloatArray) -> str:
     """Return a constant C array of the elements row by row; one zero where there are none."""
-    numbers = ", ".join(repr(float(one)) for one in matrix.ravel()) or "0"
+    numbers = ", ".join(repr(float(entry)) for entry in matrix.ravel()) or "0"
     return f"static const double {name}[] = {{ {numbers} }};"
 
 

@@ -95,10 +95,16 @@ def effects_source(system: FmuSystem, sample_time: float) -> str:
     around = system.around
     assert around is not None
     names = list(system.parameter_names)[system.inner_count :]
-    delays = [(one.index, names.index(one.parameter)) for one in system.sampled if one.kind == "input_delay"]
-    late = [(one.index, names.index(one.parameter)) for one in system.sampled if one.kind == "output_delay"]
-    rounded = [(one.index, names.index(one.parameter)) for one in system.sampled if one.kind == "quantise"]
-    values = [one.value for one in system.parameters[system.inner_count :]]
+    delays = [
+        (element.index, names.index(element.parameter)) for element in system.sampled if element.kind == "input_delay"
+    ]
+    late = [
+        (element.index, names.index(element.parameter)) for element in system.sampled if element.kind == "output_delay"
+    ]
+    rounded = [
+        (element.index, names.index(element.parameter)) for element in system.sampled if element.kind == "quantise"
+    ]
+    values = [parameter.value for parameter in system.parameters[system.inner_count :]]
     longest = max([values[place] for _, place in (*delays, *late)], default=0.0)
     ring = max(64, 4 * int(np.ceil(longest / sample_time)) + 4)
     before = [f"v[LU + {i}] = late(v, {n}, v[P + {place}], 0, v[IU + {i}]);" for n, (i, place) in enumerate(delays)]
@@ -126,11 +132,11 @@ def effects_source(system: FmuSystem, sample_time: float) -> str:
 def effects_description(system: FmuSystem, sample_time: float) -> str:
     """Return modelDescription.xml of the effects' FMU (FMI 2.0)."""
     variables = _ports(system)
-    count = sum(one.role == "input" for one in variables)
-    variables += [Variable(f"state.{one.name}", "state", one.unit) for one in system.hidden]
+    count = sum(variable.role == "input" for variable in variables)
+    variables += [Variable(f"state.{state.name}", "state", state.unit) for state in system.hidden]
     variables += [
-        Variable(one.name, "parameter", one.unit, one.value, one.minimum, one.maximum)
-        for one in system.parameters[system.inner_count :]
+        Variable(parameter.name, "parameter", parameter.unit, parameter.value, parameter.minimum, parameter.maximum)
+        for parameter in system.parameters[system.inner_count :]
     ]
     token = hashlib.sha256(f"{effects_source(system, sample_time)}{system.values()}".encode()).hexdigest()[:32]
     name = f"{system.name}-effects"
@@ -141,14 +147,18 @@ def effects_description(system: FmuSystem, sample_time: float) -> str:
 
 def _ports(system: FmuSystem) -> list[Variable]:
     """Return inputs and outputs of the effects' FMU."""
-    variables = [Variable(one.name, "input", one.unit) for one in system.inputs]
-    variables += [Variable(f"position.{one.name}", "input", one.unit) for one in system.coordinates]
+    variables = [Variable(channel.name, "input", channel.unit) for channel in system.inputs]
     variables += [
-        Variable(f"rate.{one.name}", "input", f"{one.unit}/s") for one in system.coordinates if one.rate is not None
+        Variable(f"position.{coordinate.name}", "input", coordinate.unit) for coordinate in system.coordinates
     ]
-    variables += [Variable(f"raw.{one.name}", "input", one.unit) for one in system.outputs]
-    variables += [Variable(f"driven.{one.name}", "output", one.unit) for one in system.inputs]
-    return variables + [Variable(f"reading.{one.name}", "output", one.unit) for one in system.outputs]
+    variables += [
+        Variable(f"rate.{coordinate.name}", "input", f"{coordinate.unit}/s")
+        for coordinate in system.coordinates
+        if coordinate.rate is not None
+    ]
+    variables += [Variable(f"raw.{channel.name}", "input", channel.unit) for channel in system.outputs]
+    variables += [Variable(f"driven.{channel.name}", "output", channel.unit) for channel in system.inputs]
+    return variables + [Variable(f"reading.{channel.name}", "output", channel.unit) for channel in system.outputs]
 
 
 def _stored(content: Mapping[str, Any], folder: Path) -> tuple[FmuSystem, float]:
@@ -187,25 +197,27 @@ def _structure(system: FmuSystem, sample_time: float) -> str:
     top = _child(root, "ssd:System", name=system.name)
     outside = _child(top, "ssd:Connectors")
     for kind, channels in (("input", system.inputs), ("output", system.outputs)):
-        for one in channels:
-            _connector(outside, one.name, kind, one.unit)
+        for channel in channels:
+            _connector(outside, channel.name, kind, channel.unit)
     elements = _child(top, "ssd:Elements")
-    positions = list(dict.fromkeys(one.position for one in system.coordinates))
-    rates = list(dict.fromkeys(one.rate for one in system.coordinates if one.rate is not None))
-    measured = [one.name for one in system.outputs]
+    positions = list(dict.fromkeys(coordinate.position for coordinate in system.coordinates))
+    rates = list(dict.fromkeys(coordinate.rate for coordinate in system.coordinates if coordinate.rate is not None))
+    measured = [channel.name for channel in system.outputs]
     shown = list(dict.fromkeys([*measured, *positions, *rates]))
-    inner = {one.name: (one.value, one.unit) for one in system.parameters[: system.inner_count]}
+    inner = {parameter.name: (parameter.value, parameter.unit) for parameter in system.parameters[: system.inner_count]}
     own = _own_units(system.path)
-    _component(elements, NOMINAL, {one.name: own.get(one.name) for one in system.inputs},
+    _component(elements, NOMINAL, {channel.name: own.get(channel.name) for channel in system.inputs},
                {name: own.get(name) for name in shown}, inner)  # fmt: skip
     wires = _child(top, "ssd:Connections")
     if not system.effects:
-        for one in system.inputs:
-            _wire(wires, "", one.name, NOMINAL, one.name)
+        for channel in system.inputs:
+            _wire(wires, "", channel.name, NOMINAL, channel.name)
         for name in measured:
             _wire(wires, NOMINAL, name, "", name)
     else:
-        ins, outs = ({one.name: one.unit for one in _ports(system) if one.role == role} for role in ("input", "output"))
+        ins, outs = (
+            {port.name: port.unit for port in _ports(system) if port.role == role} for role in ("input", "output")
+        )
         _component(elements, EFFECTS, ins, outs, {})
         for channel in system.inputs:
             _wire(wires, "", channel.name, EFFECTS, channel.name)
@@ -236,8 +248,8 @@ def _component(
     )
     connectors = _child(node, "ssd:Connectors")
     for kind, units in (("input", inputs), ("output", outputs)):
-        for one, unit in units.items():
-            _connector(connectors, one, kind, unit)
+        for port, unit in units.items():
+            _connector(connectors, port, kind, unit)
     if values:
         binding = _child(_child(node, "ssd:ParameterBindings"), "ssd:ParameterBinding")
         given = _child(_child(binding, "ssd:ParameterValues"), "ssv:ParameterSet", version="1.0", name="calibrated")
@@ -259,7 +271,10 @@ def _own_units(path: Path) -> dict[str, str]:
     from fmpy import read_model_description
 
     described = read_model_description(str(path), validate=False)
-    declared = {one.name: one.unit or getattr(one.declaredType, "unit", None) for one in described.modelVariables}
+    declared = {
+        variable.name: variable.unit or getattr(variable.declaredType, "unit", None)
+        for variable in described.modelVariables
+    }
     return {name: unit for name, unit in declared.items() if unit is not None}
 
 
@@ -281,7 +296,7 @@ def _base(unit: str) -> dict[str, str] | None:
 
 def _units(parent: Any, tag: str) -> None:
     """Define the units that are used inside an element."""
-    used = dict.fromkeys(unit for one in parent.iter() if (unit := one.get("unit")) is not None)
+    used = dict.fromkeys(unit for element in parent.iter() if (unit := element.get("unit")) is not None)
     if used:
         node = _child(parent, tag)
         for unit in used:

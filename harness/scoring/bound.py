@@ -4,7 +4,7 @@ With the true matrices in hand, the error on a held-out record has two parts. Th
 run of the truth leaves, or one step ahead the innovations of its Kalman filter, so that process noise counts. And what
 no unbiased estimator can do without, the error of parameters learned from the estimation records: their covariance is
 at least the inverse of the Fisher information of the one-step predictions (Ljung 1999, *System Identification*, eq.
-7.90 and 9.54), and the slopes of the held-out prediction carry it over.
+7.90 and 9.54), and the gradients of the held-out prediction carry it over.
 """
 
 from __future__ import annotations
@@ -101,12 +101,12 @@ def linear_truth(
         a, b, c, d = _matrices(plant)
     except HarnessError:
         return None
-    rest, sensor, hidden = [], [], []
+    residuals, sensor, hidden = [], [], []
     for run, x, given in zip(runs, states, disturbances, strict=True):
         if x is None:
             return None
         extra = np.zeros_like(run.u) if given is None else given
-        rest.append(x[1:] - x[:-1] @ a.T - (run.u + extra)[:-1] @ b.T)
+        residuals.append(x[1:] - x[:-1] @ a.T - (run.u + extra)[:-1] @ b.T)
         left = run.y - x @ c.T - (run.u + extra) @ d.T
         sensor.append(np.where(np.abs(left).max(axis=0) <= EXACT * np.std(run.y, axis=0), 0.0, left))
         hidden.append(extra)
@@ -114,10 +114,10 @@ def linear_truth(
     if not (np.isfinite(spread).all() and (spread > 0).all()):
         return None
     q, r = np.zeros_like(a), _covariance(sensor)
-    if any((np.abs(part) > EXACT * spread).any() for part in rest):
-        if not all(_white(part) for part in rest):
+    if any((np.abs(part) > EXACT * spread).any() for part in residuals):
+        if not all(_white(part) for part in residuals):
             return None
-        q = _covariance(rest)
+        q = _covariance(residuals)
     if not all(_white(part) for part in sensor):
         return None
     truth = LinearTruth(a, b, c, d, q, r, len(a), np.zeros_like(a))
@@ -162,19 +162,24 @@ def least_errors(truth: LinearTruth, runs: Sequence[Trajectory], held_out: Seque
     if np.abs(np.linalg.eigvals(truth.a)).max() > 1.0 + 1e-9:
         return None
     try:
-        learned = [_Slopes(truth, run) for run in runs]
-        judged = [_Slopes(truth, run) for run in held_out]
+        learned = [_Linearised(truth, run) for run in runs]
+        judged = [_Linearised(truth, run) for run in held_out]
     except np.linalg.LinAlgError:  # an output without noise
         return None
-    root = _root_covariance(truth, np.vstack([_without(one.white_start, one.white_slopes) for one in learned]))
+    root = _root_covariance(
+        truth, np.vstack([_without(linearised.white_start, linearised.white_gradients) for linearised in learned])
+    )
     totals, count = np.zeros(4), 0
-    for one, run in zip(judged, held_out, strict=True):
+    for linearised, run in zip(judged, held_out, strict=True):
         spread = np.std(run.y, axis=0)
         if not (spread > 0).all():
             return None
         weight = np.tile(1.0 / spread, len(run))
-        free = [weight[:, None] * part for part in (one.start, one.miss, one.slopes @ root)]
-        ahead = [weight[:, None] * part for part in (one.ahead_start, one.ahead_miss, one.ahead_slopes @ root)]
+        free = [weight[:, None] * part for part in (linearised.start, linearised.miss, linearised.gradients @ root)]
+        ahead = [
+            weight[:, None] * part
+            for part in (linearised.ahead_start, linearised.ahead_miss, linearised.ahead_gradients @ root)
+        ]
         for column, (start, miss, excess) in enumerate((free, ahead)):
             noise = float(np.sum(_without(start, miss) ** 2))
             totals[column] += noise + float(np.sum(_without(start, excess) ** 2))
@@ -185,7 +190,7 @@ def least_errors(truth: LinearTruth, runs: Sequence[Trajectory], held_out: Seque
     return LeastErrors(*np.sqrt(totals / count).tolist())
 
 
-class _Slopes:
+class _Linearised:
     """What a record leaves of the truth's free run, and how that run moves with the parameters and the first state.
 
     All arrays have the samples of all outputs in their rows, sample by sample; ``ahead_...`` are the same one step
@@ -204,17 +209,17 @@ class _Slopes:
             x[k + 1] = a @ x[k] + b @ run.u[k]
             response[k + 1] = response[k] @ a
         miss = run.y - x @ c.T - run.u @ truth.d.T
-        slopes = [*_state_slopes(response, x), *_state_slopes(response, run.u), *_output_slopes(x, ny)]
+        gradients = [*_state_gradients(response, x), *_state_gradients(response, run.u), *_output_gradients(x, ny)]
         if run.spec.feedthrough:
-            slopes += _output_slopes(run.u, ny)
-        columns = np.concatenate([miss[:, :, None], np.stack(slopes, axis=2), response], axis=2)
+            gradients += _output_gradients(run.u, ny)
+        columns = np.concatenate([miss[:, :, None], np.stack(gradients, axis=2), response], axis=2)
         ahead, white = _filtered(truth, columns)
-        self.miss, self.slopes, self.start = _split(columns, own)
-        self.ahead_miss, self.ahead_slopes, self.ahead_start = _split(ahead, own)
-        _, self.white_slopes, self.white_start = _split(white, own)
+        self.miss, self.gradients, self.start = _split(columns, own)
+        self.ahead_miss, self.ahead_gradients, self.ahead_start = _split(ahead, own)
+        _, self.white_gradients, self.white_start = _split(white, own)
 
 
-def _state_slopes(response: FloatArray, signal: FloatArray) -> list[FloatArray]:
+def _state_gradients(response: FloatArray, signal: FloatArray) -> list[FloatArray]:
     """Return the outputs (N, ny) of a signal's parts that enter each state from the next sample on, states first."""
     from scipy.signal import fftconvolve
 
@@ -227,7 +232,7 @@ def _state_slopes(response: FloatArray, signal: FloatArray) -> list[FloatArray]:
     ]
 
 
-def _output_slopes(signal: FloatArray, ny: int) -> list[FloatArray]:
+def _output_gradients(signal: FloatArray, ny: int) -> list[FloatArray]:
     """Return each part of a signal (N, n) on each output, as (N, ny)."""
     return [signal[:, j : j + 1] * np.eye(ny)[i] for i in range(ny) for j in range(signal.shape[1])]
 
@@ -252,7 +257,7 @@ def _filtered(truth: LinearTruth, columns: FloatArray) -> tuple[FloatArray, Floa
 
 
 def _split(columns: FloatArray, own: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return errors, slopes by parameters and slopes by the first state, the samples of all outputs in the rows."""
+    """Return errors and their gradients by parameters and by the first state, samples of all outputs in the rows."""
     flat = columns.reshape(-1, columns.shape[2])
     return flat[:, :1], flat[:, 1:-own], flat[:, -own:]
 

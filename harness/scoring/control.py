@@ -130,7 +130,7 @@ def control_score(
     r = np.eye(shape[1]) if r is None else np.asarray(r, dtype=float)
     default = np.diag(_SENSOR * size[moved] ** 2)
     sensor = default if sensor is None else np.asarray(sensor, dtype=float)[np.ix_(moved, moved)]
-    plant, model = (_with_outputs(one, moved) for one in (plant, model))
+    plant, model = (_with_outputs(system, moved) for system in (plant, model))
     own = _regulator(plant, q, r, sensor)
     best = None if own is None else _cost(plant, own, q, r, sensor)
     if best is None or not np.isfinite(best[0]):
@@ -203,7 +203,7 @@ def linearise(
         plant.step(u)
         return direct, np.asarray(plant.truth(), dtype=float), first
 
-    def slopes(of_state: bool) -> tuple[FloatArray, FloatArray]:
+    def derivatives(of_state: bool) -> tuple[FloatArray, FloatArray]:
         count = len(names) if of_state else plant.spec.nu
         states, outputs = np.empty((len(names), count)), np.empty((plant.spec.ny, count))
         for j in range(count):
@@ -216,7 +216,7 @@ def linearise(
             states[:, j] = (sides[0][1] - sides[1][1]) / (2 * size)
         return states, outputs
 
-    (a, c), (b, d) = slopes(True), slopes(False)
+    (a, c), (b, d) = derivatives(True), derivatives(False)
     return LinearPlantModel(a, b, c, d if plant.spec.feedthrough else np.zeros_like(d))
 
 
@@ -296,7 +296,7 @@ def control_regret(
     InputError
         If the plant has no LQR.
     """
-    a, b = (np.asarray(one, dtype=float) for one in plant)
+    a, b = (np.asarray(matrix, dtype=float) for matrix in plant)
     nx, nu = b.shape
     q = np.eye(nx) if q is None else q
     r = np.eye(nu) if r is None else r

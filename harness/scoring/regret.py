@@ -111,7 +111,7 @@ def regret(
     FitError
         If there is nothing to predict, or the hindsight losses do not belong to the same samples.
     """
-    if not trajectories or all(len(one) < 2 for one in trajectories):
+    if not trajectories or all(len(record) < 2 for record in trajectories):
         raise FitError("an empty stream", expected="at least 2 samples", got="fewer", remedy="record more")
     spec = trajectories[0].spec
     state = online.init(spec, rng=rng)
@@ -157,7 +157,7 @@ def _scale(trajectories: Sequence[Trajectory]) -> FloatArray:
     for i, channel in enumerate(channels):
         if channel.kind == "category":
             continue
-        parts = [one.y[:, i] for one in trajectories]
+        parts = [record.y[:, i] for record in trajectories]
         if channel.period is not None:
             parts = [np.unwrap(part, period=channel.period) for part in parts]
         spread = float(np.std(np.concatenate(parts)))

@@ -78,7 +78,7 @@ def interleaved(
     cost = CostRatio(float("nan"), "no design", float("nan"))
     for number in range(rounds):
         records.append(collect(gain, number))
-        rows = np.concatenate([np.hstack([one.y, one.u]) for one in records])
+        rows = np.concatenate([np.hstack([record.y, record.u]) for record in records])
         size = np.sqrt(np.mean(rows**2, axis=0))
         values = np.linalg.svd(rows / np.where(size > 0, size, 1.0), compute_uv=False)
         coverage = float(values[-1] / np.sqrt(len(rows)))

@@ -11,7 +11,7 @@ from harness.signals import Channel, PlantSpec, Trajectory
 from identifiers.arx import Arx
 from identifiers.balance import balanced
 from identifiers.linear_model import LinearModel
-from identifiers.polynomial import Orders, Part, Polynomials, block_form, errors_and_slopes
+from identifiers.polynomial import Orders, Part, Polynomials, block_form, errors_and_gradients
 from identifiers.prediction_error import PredictionError
 from identifiers.predictor import Subspace
 from identifiers.spectral import etfe, welch
@@ -72,13 +72,13 @@ def test_slopes_of_prediction_errors_are_their_differences():
     def errors(theta):
         rest = theta[model.vector.size :].reshape(2, -1)
         pairs = [(row[: orders.start_x], row[orders.start_x :]) for row in rest]
-        return errors_and_slopes(Polynomials.of(theta, orders, 2), pairs, parts)[0]
+        return errors_and_gradients(Polynomials.of(theta, orders, 2), pairs, parts)[0]
 
     step = 1e-6
     numeric = np.array(
         [(errors(vector + step * d) - errors(vector - step * d)) / (2 * step) for d in np.eye(len(vector))]
     )
-    assert errors_and_slopes(model, starts, parts)[1] == pytest.approx(numeric.T, abs=1e-7)
+    assert errors_and_gradients(model, starts, parts)[1] == pytest.approx(numeric.T, abs=1e-7)
 
 
 def test_the_state_space_form_predicts_as_the_polynomials_do():
@@ -95,7 +95,7 @@ def test_the_state_space_form_predicts_as_the_polynomials_do():
     )
     u, y = rng.normal(size=(80, 1)), rng.normal(size=80)
     blank = [(np.zeros(orders.start_x), np.zeros(orders.start_z))]
-    errors = errors_and_slopes(model, blank, [Part(u, y)])[0]
+    errors = errors_and_gradients(model, blank, [Part(u, y)])[0]
     a, b, c, d, k, level = block_form([model], 1)
     x = np.zeros(len(a))
     for n in range(80):

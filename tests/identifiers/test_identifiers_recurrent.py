@@ -41,14 +41,14 @@ def cascade(samples: int, seed: int, noise: float = 0.01) -> Trajectory:
 def test_derivatives_are_those_of_differences(nx, nu, ny, hidden, seed):
     layout, rng = Layout(nx, nu, ny, hidden, 2), np.random.default_rng(seed)
     theta, start, u = 0.2 * rng.normal(size=layout.count), rng.normal(size=nx), rng.normal(size=(12, nu))
-    y, slopes = layout.run(theta, start, u, slopes=True)
+    y, slopes = layout.run(theta, start, u, sensitivities=True)
     assert slopes is not None
     joint = np.concatenate([theta, start])
     way = rng.normal(size=joint.size)
 
     def moved(by: float) -> np.ndarray:
         z = joint + by * way
-        return layout.run(z[: layout.count], z[layout.count :], u, slopes=False)[0]
+        return layout.run(z[: layout.count], z[layout.count :], u, sensitivities=False)[0]
 
     assert slopes @ way == pytest.approx((moved(1e-5) - moved(-1e-5)) / 2e-5, rel=1e-4, abs=1e-6)
     x, stepped = start, []
@@ -65,7 +65,7 @@ def test_compiled_and_numpy_runs_agree_also_where_they_diverge():
     u = rng.normal(size=(60, 1))
     for size in (0.2, 3.0):  # the second grows beyond all bounds
         theta, start = size * rng.normal(size=layout.count), rng.normal(size=2)
-        fast, slow = (layout.run(theta, start, u, slopes=True, native=native) for native in (True, False))
+        fast, slow = (layout.run(theta, start, u, sensitivities=True, native=native) for native in (True, False))
         assert np.array_equal(np.isnan(fast[0]), np.isnan(slow[0]))
         ends = int(np.isfinite(slow[0]).all(axis=1).sum())
         assert fast[0][:ends] == pytest.approx(slow[0][:ends], rel=1e-9, abs=1e-9)
