@@ -203,7 +203,7 @@ class JointCalibration:
         variance, cost, converged = float(np.var(p)), np.inf, False
         kept = np.eye(len(names))
         for _ in range(ROUNDS):
-            place, jacobian, turned = arm.slopes(q, theta)
+            place, jacobian, turned = arm.jacobians(q, theta)
             white = self._whitening(turned, variance)
             residual = np.einsum("nij,nj->ni", white, p - place)
             rows = np.einsum("nij,njk->nik", white, jacobian[:, :, free]).reshape(-1, len(free)) * scale

@@ -25,7 +25,7 @@ class Around:
         What the black box gets as its input.
     reading : SX (ny,)
         What the sensors tell.
-    slopes : SX (nz,)
+    derivatives : SX (nz,)
         Derivatives of the hidden states.
     starts : SX (nz,)
         Where they start.
@@ -44,7 +44,7 @@ class Around:
     y: Any
     command: Any
     reading: Any
-    slopes: Any
+    derivatives: Any
     starts: Any
     rates: tuple[bool, ...]
     reads: bool
@@ -56,13 +56,13 @@ class Around:
 
     @cached_property
     def functions(self) -> dict[str, Any]:
-        """CasADi functions ``command``, ``slopes`` (u, q, v, t, z, p), ``reading`` (y, q, v, t, p), ``starts``."""
+        """CasADi functions ``command``, ``derivatives`` (u, q, v, t, z, p), ``reading`` (y, q, v, t, p), ``starts``."""
         from harness.physics.ccode import dense
 
         inside = [self.u, self.q, self.v, self.t, self.z, self.p]
         return {
             "command": dense("command", inside, [self.command]),
-            "slopes": dense("slopes", inside, [self.slopes]),
+            "derivatives": dense("derivatives", inside, [self.derivatives]),
             "reading": dense("reading", [self.y, self.q, self.v, self.t, self.p], [self.reading]),
             "starts": dense("starts", [self.u, self.q, self.v, self.p], [self.starts]),
         }
@@ -134,13 +134,13 @@ static void ahead(const double *u, const double *q, const double *rate, const do
       v[i] = rate[i] + passed * acceleration[i];
     }
     if (NZ) {
-      slopes(u, x, v, &time, z, p, k1);
+      derivatives(u, x, v, &time, z, p, k1);
       for (int i = 0; i < NZ; i++) w[i] = z[i] + 0.5 * part * k1[i];
-      slopes(u, x, v, &time, w, p, k2);
+      derivatives(u, x, v, &time, w, p, k2);
       for (int i = 0; i < NZ; i++) m[i] = z[i] + 0.5 * part * k2[i]; /* the middle: the command is taken there */
-      slopes(u, x, v, &time, m, p, k3);
+      derivatives(u, x, v, &time, m, p, k3);
       for (int i = 0; i < NZ; i++) w[i] = z[i] + part * k3[i];
-      slopes(u, x, v, &time, w, p, k4);
+      derivatives(u, x, v, &time, w, p, k4);
       command(u, x, v, &time, m, p, now);
       for (int i = 0; i < NZ; i++) z[i] += part / 6 * (k1[i] + 2 * (k2[i] + k3[i]) + k4[i]);
     } else

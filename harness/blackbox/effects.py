@@ -85,7 +85,7 @@ def surround(
         y=y,
         command=ca.vertcat(*place.command) if place.command else ca.SX(0, 1),
         reading=ca.vertcat(*place.reading),
-        slopes=ca.vertcat(*place.derivatives) if place.derivatives else ca.SX(0, 1),
+        derivatives=ca.vertcat(*place.derivatives) if place.derivatives else ca.SX(0, 1),
         starts=ca.vertcat(*place.starts) if place.starts else ca.SX(0, 1),
         rates=tuple(coordinate.rate is not None for coordinate in nominal.coordinates),
         reads=any(not ca.is_equal(reading, y[row]) for row, reading in enumerate(place.reading)),

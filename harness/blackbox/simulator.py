@@ -340,11 +340,11 @@ class FmuSimulator:
 
                 middle = z
                 if z.size:
-                    k1 = at("slopes", z)
-                    k2 = at("slopes", z + 0.5 * part * k1)
+                    k1 = at("derivatives", z)
+                    k2 = at("derivatives", z + 0.5 * part * k1)
                     middle = z + 0.5 * part * k2
-                    k3 = at("slopes", middle)
-                    k4 = at("slopes", z + part * k3)
+                    k3 = at("derivatives", middle)
+                    k4 = at("derivatives", z + part * k3)
                     z = z + part / 6 * (k1 + 2 * (k2 + k3) + k4)
                 mean += at("command", middle) / around.points
             past[2::2], past[1::2] = a.copy(), np.where(told, v, q)

@@ -100,7 +100,7 @@ class MarkedArm:
         """Return the marker (N, 3) [m] at joint readings (N, n)."""
         return self._function(np.asarray(q, dtype=float), self.vector() if parameters is None else parameters)[0]
 
-    def slopes(self, q: FloatArray, parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def jacobians(self, q: FloatArray, parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the marker (N, 3), and its derivatives by parameters (N, 3, k) and by readings (N, 3, n)."""
         place, own, turned = self._jacobians(np.asarray(q, dtype=float), parameters)
         n, k = self.arm.n, len(self.parameters)

@@ -44,7 +44,7 @@ def test_offsets_reach_the_cramer_rao_bound_and_intervals_cover(plant, reading_n
     for _ in range(200):
         record = pairs(plant, rng, reading_noise=reading_noise)
         estimate = estimate_of(identifier.fit([record], rng=rng))
-        _, slope, turned = plant._arm.slopes(record.u, plant._parameters)
+        _, slope, turned = plant._arm.jacobians(record.u, plant._parameters)
         spread = 1e-6 * np.eye(3) + reading_noise**2 * turned @ turned.transpose(0, 2, 1)
         J = slope[:, :, :7]
         bound = np.sqrt(np.diag(np.linalg.inv(np.sum(J.transpose(0, 2, 1) @ np.linalg.solve(spread, J), axis=0))))

@@ -201,7 +201,7 @@ def _compiled(nominal: FmuSystem, placed: Placed, dt: float) -> tuple[FmuSystem,
 
     def derivative(now: Any, share: float) -> Any:
         mixed = [start[0], *((1 - share) * a + share * b for a, b in zip(start[1:], end[1:], strict=True))]
-        return around.functions["slopes"](*mixed, now, own)
+        return around.functions["derivatives"](*mixed, now, own)
 
     for part in range(PARTS):
         k1 = derivative(state, part / PARTS)
