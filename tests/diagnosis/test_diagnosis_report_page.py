@@ -164,6 +164,16 @@ def test_the_page_says_above_the_parameters_that_only_ratios_are_known() -> None
     assert "19.90 … 20.10" in words
 
 
+@pytest.mark.parametrize(("adequacy", "green"), [("explained", True), ("mostly_explained", False)])
+def test_nothing_missing_is_green_only_where_the_motion_is_explained(adequacy: str, green: bool) -> None:
+    """A force that changes by a step is no effect, and its record is not well explained: no green word beside it."""
+    page = render_evidence(report("nothing_missing", adequacy=adequacy), {})
+    (badge,) = re.findall(r'<span class="badge (\w+)">nothing missing</span>', page)
+    assert badge == adequacy
+    colours = dict(re.findall(r"\.(\w+) {{ background: var\(--(\w+)\)".replace("{{", "{"), page))
+    assert (colours[badge] == "good") is green
+
+
 def test_an_error_that_grew_stands_first_and_nothing_that_stayed_is_bold() -> None:
     page = render_evidence(report("effects_found", before=1.0, after=2.0), {})
     assert "2 times larger" in page[page.index('class="tile"') : page.index("</header>") + 2000]
