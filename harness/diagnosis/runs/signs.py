@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from harness.diagnosis.records.tracked_signs import LONGEST, Path
+from harness.diagnosis.records.tracked_signs import LONGEST
 from harness.diagnosis.records.unfold import HIDING, followed
 from harness.diagnosis.runs.windowed import WindowedForm
 from harness.physics.simulator import Simulator
@@ -20,10 +20,10 @@ __all__ = ["signs_by_model"]
 def signs_by_model(form: WindowedForm, simulator: Simulator, record: Trajectory, p: FloatArray) -> FloatArray | None:
     """Return states (N, nx) of a record whose sensor hides the sign; None if the system has no such sensor.
 
-    Where the output could be followed through its zeros its signs are known but for the first, or but for a few
-    choices, and the model without the sensor decides about them. Elsewhere this model is run with the input from
-    several states; its signs unfold the output, its initial state follows from the unfolded output, and so on until
-    the signs stay.
+    Where the output could be followed through its zeros its signs are known but for the first. Elsewhere there are some
+    choices: paths through the zeros, and what the model without the sensor says from several states. Its signs unfold
+    the output, its initial state follows from the unfolded output, and so on until the signs stay. The model decides
+    about all choices.
     """
     system = simulator.system
     effects = tuple(system.effects)
@@ -37,12 +37,20 @@ def signs_by_model(form: WindowedForm, simulator: Simulator, record: Trajectory,
     column = [channel.name for channel in plain.outputs].index(hiding[0].at)
     runner = form.simulator(plain, q)
     paths = followed(np.asarray(record.y[:, column], dtype=float)) if len(record) <= LONGEST else ()
-    if paths:
-        return _states_of_paths(form, runner, record, column, paths, q)
+    choices = [sense * path.signs for path in paths for sense in (1.0, -1.0)]
+    if len(paths) != 1:
+        choices += _simulated_signs(form, runner, record, column, q)
+    return _likeliest_states(form, runner, record, column, choices, q)
+
+
+def _simulated_signs(
+    form: WindowedForm, runner: Simulator, record: Trajectory, column: int, q: FloatArray
+) -> list[FloatArray]:
+    """Return signs (N,) that a model without the sensor gives the output, from several initial states."""
     guess = data_states(runner, record, q)[0]
     tries = [guess, np.zeros_like(guess)]
     tries.append(data_states(runner, _signed(record, column, -np.ones(len(record))), q)[0])
-    best: tuple[float, FloatArray] | None = None
+    found: list[FloatArray] = []
     for x in tries:
         windows = Windows(runner, [record], None, form.weights)
         x0 = windows.starts_from([x])
@@ -58,18 +66,17 @@ def signs_by_model(form: WindowedForm, simulator: Simulator, record: Trajectory,
             signs = now
             windows = Windows(runner, [_signed(record, column, signs, fold=True)], None, form.weights)
             x0 = form.fit_states(windows, q, x0, 25)
-        result = windows.evaluate(q, x0, keep=True)
-        if np.isfinite(result.cost) and (best is None or result.cost < best[0]):
-            best = (float(result.cost), windows.together(result.states)[0])
-    return None if best is None else best[1]
+        if signs.any() and not any(np.array_equal(signs, other) for other in found):
+            found.append(signs)
+    return found
 
 
-def _states_of_paths(
-    form: WindowedForm, runner: Simulator, record: Trajectory, column: int, paths: Sequence[Path], q: FloatArray
+def _likeliest_states(
+    form: WindowedForm, runner: Simulator, record: Trajectory, column: int, choices: Sequence[FloatArray], q: FloatArray
 ) -> FloatArray | None:
     """Return the states (N, nx) by a model without the sensor, of the signs that it explains best."""
     best: tuple[float, FloatArray] | None = None
-    for signs in (sense * path.signs for path in paths for sense in (1.0, -1.0)):
+    for signs in choices:
         unfolded = _signed(record, column, signs)
         windows = Windows(runner, [unfolded], form.horizon, form.weights)
         with np.errstate(all="ignore"):  # the wrong sign may diverge
