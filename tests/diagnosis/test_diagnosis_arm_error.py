@@ -88,6 +88,14 @@ def test_intervals_hold_under_a_coloured_error() -> None:
     assert 0.88 <= np.mean(inside) <= 0.99  # white errors would give 50 %
 
 
+@pytest.mark.parametrize("steepest", [0.99, 0.999, 0.9999])
+def test_an_error_of_several_slow_parts_remembers_long(steepest: float) -> None:
+    """Their poles nearly coincide, and rounding may put one beyond 1."""
+    alone = Coloured(np.array([steepest]), 1.0).memory
+    assert alone == pytest.approx(1 / (1 - steepest), rel=0.01)
+    assert Coloured(np.full(4, steepest), 1.0).memory > alone
+
+
 def test_the_estimate_is_the_likeliest() -> None:
     rng = np.random.default_rng(3)
     values = np.convolve(rng.standard_normal(900), [1.0, 0.6, 0.3], "same")

@@ -73,6 +73,12 @@ def linear_records(
     return Records(x, y)
 
 
+def mixed(records: Records, name: str, **shares: float) -> None:
+    """Make the regressor of an effect a sum of shares of others."""
+    for own in records.x.values():
+        own[name] = sum((share * own[other] for other, share in shares.items()), np.zeros(len(own[name])))
+
+
 class LinearForm:
     """Least squares, the noise known to be 1: see :class:`harness.diagnosis.search.fit.Form`."""
 
@@ -342,9 +348,7 @@ def test_rivals_that_the_data_tell_apart_are_no_tie() -> None:
 def test_a_rival_that_a_later_effect_tells_apart_is_no_longer_tied() -> None:
     """Alone, the cubic spring is as likely as the linear one, as it takes up some of the drag; beside the drag not."""
     records = linear_records(16, {"linear_spring": 0.4, "quadratic_drag": 0.3})
-    for use in USES:
-        own = records.x[use]
-        own["cubic_spring"] = own["linear_spring"] + 0.3 * own["quadratic_drag"] + 0.64 * own["cubic_spring"]
+    mixed(records, "cubic_spring", linear_spring=1.0, quadratic_drag=0.3, cubic_spring=0.64)
     form = LinearForm(records)
     nominal = form.fit((), [], None)
     rivals = [judged([placed(name)], form.fit([placed(name)], [], None), nominal, nominal) for name in NAMES]
@@ -372,9 +376,7 @@ def test_a_rival_that_is_part_of_the_answer_is_not_tied_with_the_rest_of_it() ->
 def test_a_general_law_gives_way_to_its_special_case_beside_a_later_effect() -> None:
     """Alone, the general law takes up some of the drag that is missing as well; beside the drag it need not."""
     records = linear_records(19, {"linear_spring": 0.5, "quadratic_drag": 0.8})
-    for use in USES:
-        own = records.x[use]
-        own["cubic_spring"] = own["linear_spring"] + 0.8 * own["quadratic_drag"] + 0.02 * own["cubic_spring"]
+    mixed(records, "cubic_spring", linear_spring=1.0, quadratic_drag=0.8, cubic_spring=0.02)
     form = LinearForm(records)
     nominal = form.fit((), [], None)
     general = Placed(replace(placed("cubic_spring").effect, nests=("linear_spring",)), "theta")

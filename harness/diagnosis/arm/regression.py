@@ -143,8 +143,9 @@ class RegressionForm:
             equation = self.regression.equation(effects)
         except HarnessError:  # two blocks that exclude each other
             return None
-        plain = None if base is None else self.forgetful(base)
-        known_errors = [self._rough if fit is None else fit.detail.errors for fit in (base, plain) if fit or not base]
+        known_errors = [self._rough]
+        if base is not None:
+            known_errors = [fit.detail.errors for fit in (base, self.forgetful(base)) if fit is not None]
         best: tuple[float, FloatArray, tuple[Coloured, ...], bool] | None = None
         for start, errors in itertools.product(starts, known_errors):
             known = {**equation.system.values(), **start}
@@ -302,13 +303,14 @@ class RegressionForm:
         less = self.regression.equation([effect for effect in effects if str(effect) != str(placed)])
         p = np.array([values[name] for name in less.system.parameter_names])
         bare = [r for r, _ in less.residual(p, "estimation")]
-        squares = [
-            np.sum((a - b) ** 2 * counts, axis=0)
-            for a, b, counts in zip(bare, residual, self.regression.counts["estimation"], strict=True)
-        ]
-        rows = np.sum([counts.sum(axis=0) for counts in self.regression.counts["estimation"]], axis=0)
-        rms = np.sqrt(np.sum(squares, axis=0) / np.maximum(rows, 1))
-        return float(np.max(rms / np.maximum(self.regression.size, 1e-300), initial=0.0))
+        changed = self._rms([a - b for a, b in zip(bare, residual, strict=True)])
+        return float(np.max(changed / np.maximum(self.regression.size, 1e-300), initial=0.0))
+
+    def _rms(self, parts: Sequence[FloatArray]) -> FloatArray:
+        """Return the rms (n,) of torques (rows, n) over the rows of the estimation records that count."""
+        counts = self.regression.counts["estimation"]
+        squares = np.sum([np.sum(part**2 * own, axis=0) for part, own in zip(parts, counts, strict=True)], axis=0)
+        return np.asarray(np.sqrt(squares / np.maximum(np.sum([own.sum(axis=0) for own in counts], axis=0), 1)))
 
     def _own(self, free: Sequence[str]) -> list[int]:
         """Return the places of the parameters that every use of the records fits for itself."""
@@ -376,12 +378,7 @@ class RegressionForm:
         long = [error.memory > EFFORT.memory * rows for error in detail.errors]
         if not any(long):
             return None
-        squares = sum(
-            np.sum(part**2 * counts, axis=0)
-            for part, counts in zip(detail.residual["estimation"], self.regression.counts["estimation"], strict=True)
-        )
-        count = sum(counts.sum(axis=0) for counts in self.regression.counts["estimation"])
-        sizes = np.maximum(np.sqrt(squares / np.maximum(count, 1)), self._floor)
+        sizes = np.maximum(self._rms(detail.residual["estimation"]), self._floor)
         errors = tuple(
             Coloured(np.zeros(POLICY.order), float(size)) if remembers else error
             for error, size, remembers in zip(detail.errors, sizes, long, strict=True)

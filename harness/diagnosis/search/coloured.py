@@ -82,7 +82,7 @@ class Coloured:
 
     @property
     def memory(self) -> float:
-        """Rows after which the slowest part of the error has fallen to 1/e.
+        """Rows after which the slowest part of the error has fallen to 1/e; infinite where rounding hides the end.
 
         Examples
         --------
@@ -90,7 +90,9 @@ class Coloured:
         99
         """
         radius = float(np.max(np.abs(np.roots([1.0, *-self.coefficients])), initial=0.0))
-        return -1.0 / np.log(radius) if radius > 0 else 0.0
+        if radius >= 1.0:  # several poles near 1: their places are known to a fourth root of rounding
+            return float("inf")
+        return -1.0 / float(np.log(radius)) if radius > 0 else 0.0
 
     def correlation(self, most: int) -> FloatArray:
         """Return the autocorrelation up to a lag (most + 1,)."""

@@ -20,7 +20,18 @@ from harness.diagnosis.search.compare import (
 )
 from harness.diagnosis.search.fit import Begun, Fit, Form
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
-from harness.diagnosis.search.ties import WANTS, Accepted, asked_again, close, physical, tie_set, tied, total, value
+from harness.diagnosis.search.ties import (
+    WANTS,
+    Accepted,
+    asked_again,
+    close,
+    own_values,
+    physical,
+    tie_set,
+    tied,
+    total,
+    value,
+)
 from harness.effects import family, nested
 from harness.effects.effect import Placed
 
@@ -423,7 +434,7 @@ def _exchange(form: Form, outcome: Outcome, nominal: Fit, policy: Policy) -> Non
             if str(new) in {str(placed) for placed in outcome.model.effects}:
                 continue
             assert row.fit is not None
-            start = {**outcome.model.values, **{k: v for k, v in row.fit.values.items() if k.startswith(f"{new}.")}}
+            start = {**outcome.model.values, **own_values(new, row.fit)}
             begun = form.begin([*others, new], [start], outcome.model)
             if begun is None or begun.log_likelihood < best.log_likelihood("estimation") - EFFORT.margin:
                 continue
@@ -464,8 +475,7 @@ def _simplified(form: Form, outcome: Outcome, rows: Sequence[Judged], policy: Po
             if row.fit is not None and row.added[0].effect.name in rich.effect.nests and row.added[0].at == rich.at
         }
         for simple, alone in special.items():
-            own = {name: value for name, value in alone.values.items() if name.startswith(f"{simple}.")}
-            fit = form.fit([*others, simple], [{**model.values, **own}], model, model)
+            fit = form.fit([*others, simple], [{**model.values, **own_values(simple, alone)}], model, model)
             if fit is None or not fit.converged or any(impossible(placed, fit) for placed in fit.effects):
                 continue
             if close(model, fit, value(model) - value(fit), policy):

@@ -12,7 +12,7 @@ from harness.diagnosis.search.compare import Judged, difference, judged
 from harness.diagnosis.search.fit import Fit, Form
 from harness.effects.effect import Placed
 
-__all__ = ["WANTS", "Accepted", "asked_again", "close", "physical", "tie_set", "tied", "total", "value"]
+__all__ = ["WANTS", "Accepted", "asked_again", "close", "own_values", "physical", "tie_set", "tied", "total", "value"]
 
 WANTS = ("evidence", "validation", "it brings", "it changes")
 """How reasons begin that are a want of evidence and nothing against the candidate."""
@@ -40,6 +40,11 @@ def total(row: Judged) -> float:
 def value(fit: Fit) -> float:
     """Return the same of a fit itself."""
     return fit.penalised + fit.log_likelihood("validation")
+
+
+def own_values(placed: Placed, fit: Fit) -> dict[str, float]:
+    """Return the values of the parameters of one effect, by full name."""
+    return {name: number for name, number in fit.values.items() if name.startswith(f"{placed}.")}
 
 
 def physical(row: Judged) -> bool:
@@ -123,19 +128,18 @@ def _still_tied(
 ) -> bool:
     """Return whether a model with a rival in the place of an effect is as likely."""
     others = [effect for effect in model.effects if str(effect) != str(placed)]
-    mine = tuple(f"{rival}." for rival in member)
     start = dict(model.values)
-    for row in rows:
-        if row.fit is not None and row.added == member:
-            start |= {name: number for name, number in row.fit.values.items() if name.startswith(mine)}
+    for fit in (row.fit for row in rows if row.fit is not None and row.added == member):
+        for rival in member:
+            start |= own_values(rival, fit)
     begun = form.begin([*others, *member], [start], model)
     if begun is None or begun.log_likelihood < model.log_likelihood("estimation") - EFFORT.margin:
         return False
-    fit = form.finish(begun, model, model)
-    row = judged(member, fit, nominal, nominal, policy)
-    if fit is None or fit.beyond or not physical(row):
+    trial = form.finish(begun, model, model)
+    row = judged(member, trial, nominal, nominal, policy)
+    if trial is None or trial.beyond or not physical(row):
         return False
-    return close(model, fit, value(model) - value(fit), policy)
+    return close(model, trial, value(model) - value(trial), policy)
 
 
 def close(best: Fit, other: Fit, gap: float, policy: Policy) -> bool:
