@@ -16,6 +16,7 @@
 #include <math.h>
 
 enum { SLIPS = 4, NX = 20, MOTOR = 4, RATE = 5, HYST = 6, MAXWELL = 8, BRISTLE = 10, SLIP = 12 };
+#define SOONEST 5000.0 /* 1/s: a fine step is 0.2 ms */
 #define AT(name, i) p[name##0 + (i) * (P_b1 - P_b0)]
 
 static double sign(double x) { return (x > 0) - (x < 0); }
@@ -92,8 +93,9 @@ static double force(const double *p, int i, const double *x, double *dx, double 
         dx[HYST + i] = (v - 0.5 * fabs(v) * z - 0.5 * v * fabs(z)) / AT(P_xs, i);
     }
     if (AT(P_bs, i) > 0) { /* bristles of this stiffness and damping carry the dry friction */
-        const double g = level(p, i, v, x), z = x[BRISTLE + i];
-        dx[BRISTLE + i] = g > 0 ? v - AT(P_bs, i) * fabs(v) / g * z : 0;
+        /* where the level passes through nothing they slip at once, and no step follows that */
+        const double g = level(p, i, v, x), z = x[BRISTLE + i], slips = AT(P_bs, i) * fabs(v);
+        dx[BRISTLE + i] = v - (slips < SOONEST * g ? slips / g : SOONEST) * z;
         f -= AT(P_bs, i) * z + AT(P_bd, i) * dx[BRISTLE + i];
     }
     const double m = x[MAXWELL + i];

@@ -48,7 +48,7 @@ def test_what_is_not_known_is_null() -> None:
 
 
 def test_a_candidate_shows_why_it_was_rejected_or_what_it_ties_with() -> None:
-    comparison = Comparison(30.0, 10.0, 4.0)
+    comparison = Comparison(30.0, 10.0, 4.0, 8.0)
     passed = Judged((DRAG,), a_fit(), comparison, ())
     rejected = Judged((DRAG,), a_fit(), comparison, ("its fit did not converge",))
     row = evidence_json._row(passed, 1, {passed.name}, set())

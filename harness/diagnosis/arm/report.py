@@ -301,6 +301,7 @@ def _row(judged: Judged, number: int, accepted: set[str]) -> dict[str, Any]:
         "delta_bic": None if compared is None else known(2 * compared.evidence),
         "validation_gain": None if compared is None else known(compared.validation),
         "standard_error": None if compared is None else known(compared.error),
+        "total_error": None if compared is None else known(compared.total_error),
     }
 
 

@@ -102,7 +102,7 @@ class LikelihoodForm(SystemForm[SystemT]):
         """See :class:`harness.diagnosis.search.fit.Form`."""
         try:
             system = self.composed(effects)
-            vectors = [_within(system, {**system.values(), **_known(system, start)}) for start in starts]
+            vectors = [_within(system, _awake(system, _known(system, start))) for start in starts]
             substeps = int(np.median([self.substeps(system, values) for values in vectors]))
             for finer in range(EFFORT.finer):  # what diverges may do so by its steps alone
                 passes = self.passes(system, substeps * 2**finer)
@@ -570,6 +570,19 @@ def _known(system: AnySystem, values: Mapping[str, float]) -> dict[str, float]:
     """Return the values of parameters that the system has."""
     names = set(system.parameter_names)
     return {name: value for name, value in values.items() if name in names}
+
+
+def _awake(system: AnySystem, values: Mapping[str, float]) -> dict[str, float]:
+    """Return the values of all parameters, none that is fitted through its logarithm left at nothing.
+
+    No derivative brings it back from there, and another law may need it: a lag that is missing leaves no friction.
+    """
+    declared = system.values()
+    return {
+        parameter.name: max(value, EFFORT.awake * declared[parameter.name]) if parameter.positive else value
+        for parameter in system.parameters
+        for value in (values.get(parameter.name, declared[parameter.name]),)
+    }
 
 
 def _within(system: AnySystem, values: dict[str, float]) -> dict[str, float]:

@@ -361,6 +361,7 @@ def _row(
         "evidence": known(None if compared is None else compared.evidence),
         "validation_gain": known(None if compared is None else compared.validation),
         "validation_error": known(None if compared is None else compared.error),
+        "total_error": known(None if compared is None else compared.total_error),
         "main": {}
         if judged.fit is None
         else {

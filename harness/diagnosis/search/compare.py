@@ -40,15 +40,18 @@ class Comparison:
         Difference of the log-likelihoods of the validation records.
     error : float
         Standard error of the latter, over blocks.
+    total_error : float
+        Standard error of both together.
     """
 
     evidence: float
     validation: float
     error: float
+    total_error: float
 
     @property
     def total(self) -> float:
-        """What decides between rivals: both uses together."""
+        """What decides: both uses together."""
         return self.evidence + self.validation
 
 
@@ -84,7 +87,8 @@ class Judged:
 def compared(fit: Fit, base: Fit, policy: Policy = POLICY) -> Comparison:
     """Return how much better a fit is than a base."""
     gain, error = difference(fit, base, ("validation",), policy)
-    return Comparison(fit.penalised - base.penalised, gain, error)
+    _, total_error = difference(fit, base, ("estimation", "validation"), policy)
+    return Comparison(fit.penalised - base.penalised, gain, error, total_error)
 
 
 def difference(fit: Fit, base: Fit, uses: Sequence[str], policy: Policy = POLICY) -> tuple[float, float]:
@@ -109,12 +113,15 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
         reasons.append(BEYOND)
     elif not fit.converged:
         reasons.append("its fit did not converge")
-    if comparison.evidence < policy.evidence:
-        reasons.append(f"evidence {comparison.evidence:.1f} on the estimation records, {policy.evidence:g} asked")
-    if comparison.validation < policy.validation_z * comparison.error:
-        asked = policy.validation_z * comparison.error
+    asked = max(2 * policy.evidence, policy.gain_z * comparison.total_error)
+    if comparison.total < asked:
         reasons.append(
-            f"validation gains {comparison.validation:.1f}, {asked:.1f} asked ({policy.validation_z:g} errors)"
+            f"evidence {comparison.evidence:.1f} on the estimation records and {comparison.validation:.1f} on the "
+            f"validation records, {asked:.1f} asked of both"
+        )
+    if comparison.validation < policy.alone_z * comparison.error:
+        reasons.append(
+            f"validation gains {comparison.validation:.1f}, {policy.alone_z * comparison.error:.1f} asked of it alone"
         )
     if base is not nominal:
         whole = compared(fit, nominal, policy).total

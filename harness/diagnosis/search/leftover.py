@@ -71,10 +71,10 @@ class Leftover:
         """The axis that predicts most of what is left, if one does so beyond chance."""
         policy = self.policy
         for axis in self.axes:
-            size, z = axis.total, policy.spline_z
+            size, z = axis.total, policy.alone_z
             if axis.name.endswith(DRIFT):  # by chance an unknown force may follow the motion in one record for a while
-                size, z = min(axis.evidence, axis.validation), policy.validation_z
-            if size > policy.spline and axis.validation > z * axis.error:
+                size, z = min(axis.evidence, axis.validation), policy.gain_z
+            if size > 2 * policy.evidence and axis.validation > z * axis.error:
                 return axis
         return None
 
