@@ -101,9 +101,9 @@ def test_what_passes_has_evidence_and_gains_on_validation() -> None:
 def test_both_uses_together_are_the_evidence() -> None:
     """118 on the validation records are no less than 59 on each: 4 where 5 were asked was a damping not named."""
     assert verdict(4.0, GAIN) == ""
-    assert verdict(-5.0, GAIN) == ""
-    assert "10.0 asked of both" in verdict(-11.0, GAIN)
-    assert "10.0 asked of both" in verdict(6.0, GAIN / 10)
+    assert "10.0 asked of both" in verdict(7.9, GAIN / 10)
+    assert verdict(8.1, GAIN / 10) == ""
+    assert "3 asked of them alone" in verdict(2.9, GAIN)
 
 
 def test_an_effect_that_nobody_would_miss_is_not_named_however_sure_it_is() -> None:

@@ -119,9 +119,13 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
             f"evidence {comparison.evidence:.1f} on the estimation records and {comparison.validation:.1f} on the "
             f"validation records, {asked:.1f} asked of both"
         )
+    if comparison.evidence < policy.alone:
+        reasons.append(
+            f"evidence {comparison.evidence:.1f} on the estimation records, {policy.alone:g} asked of them alone"
+        )
     if comparison.validation < policy.alone_z * comparison.error:
         reasons.append(
-            f"validation gains {comparison.validation:.1f}, {policy.alone_z * comparison.error:.1f} asked of it alone"
+            f"validation gains {comparison.validation:.1f}, {policy.alone_z * comparison.error:.1f} asked of them alone"
         )
     if base is not nominal:
         whole = compared(fit, nominal, policy).total
