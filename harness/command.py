@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import sys
 from collections.abc import Sequence
@@ -16,6 +17,9 @@ COLLECTED = 50_000
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; every failure is one line on standard error and an exit status."""
+    atexit.register(
+        gc.freeze
+    )  # the system frees the memory at once; collecting it first takes 8 % of a short diagnosis
     usual = gc.get_threshold()
     gc.set_threshold(COLLECTED, *usual[1:])
     try:
