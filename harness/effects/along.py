@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Signals", "along", "arguments", "block_response", "down", "hidden_states", "residual_function", "rms"]
 
-_CHUNK = 1024
+_WRITTEN_OUT = 16
+"""Steps of hidden states in one call of CasADi's virtual machine: alone, half of a step's time is the call."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,32 +137,48 @@ def hidden_states(system: System, signals: Signals, p: FloatArray) -> FloatArray
     known: dict[tuple[float, int], tuple[Any, Any]] = system.__dict__.setdefault("_hidden_steps", {})
     key = (signals.dt, substeps)
     if key not in known:
-        known[key] = _hidden_step(system, signals.dt, substeps)
-    last = np.vstack([signals.u[1:], signals.u[-1:]]) if signals.ramps else signals.u
-    step_function, initial = known[key]
-    chunks: dict[tuple[float, int, int], Any] = system.__dict__.setdefault("_hidden_chunks", {})
-    motion = np.hstack([signals.q, signals.v]).T
-    x0 = np.concatenate([motion[:, 0], np.zeros(count)])
-    current = np.array(initial(x0, signals.u[0], p, signals.t[0])).ravel()
-    result = np.empty((len(signals.t), count))
-    result[0] = current
-    for start in range(0, len(signals.t) - 1, _CHUNK):
-        stop = min(start + _CHUNK, len(signals.t) - 1)
-        if (*key, stop - start) not in chunks:
-            chunks[*key, stop - start] = step_function.mapaccum(stop - start)
-        many = chunks[*key, stop - start]
-        values = many(
-            current,
-            motion[:, start:stop],
-            motion[:, start + 1 : stop + 1],
-            signals.u[start:stop].T,
-            last[start:stop].T,
-            np.tile(p[:, None], (1, stop - start)),
-            signals.t[None, start:stop],
-        )
-        result[start + 1 : stop + 1] = np.array(values).T
-        current = result[stop]
-    return result
+        known[key] = _hidden_piece(system, signals.dt, substeps)
+    piece, initial = known[key]
+    many = piece.size2_in("t")
+    steps = len(signals.t) - 1
+    pieces = -(-steps // many)
+    whole: dict[tuple[float, int, int], Any] = system.__dict__.setdefault("_hidden_runs", {})
+    if (*key, pieces) not in whole:
+        whole[*key, pieces] = piece.mapaccum("pieces", pieces, 1)
+    motion = np.hstack([signals.q, signals.v])
+    x0 = np.concatenate([motion[0], np.zeros(count)])
+    first = np.array(initial(x0, signals.u[0], p, signals.t[0])).ravel()
+
+    def padded(rows: FloatArray) -> FloatArray:
+        return np.pad(rows, ((0, pieces * many - steps), (0, 0)), mode="edge").T
+
+    last = padded(signals.u[1:] if signals.ramps else signals.u[:-1])
+    _, states = whole[*key, pieces](
+        first,
+        padded(motion[:-1]),
+        padded(motion[1:]),
+        padded(signals.u[:-1]),
+        last,
+        np.tile(p[:, None], (1, pieces)),
+        padded(signals.t[:-1, None]),
+    )
+    return np.vstack([first, np.array(states).T[:steps]])
+
+
+def _hidden_piece(system: System, dt: float, substeps: int) -> tuple[Any, Any]:
+    """Return the functions of several samples of the hidden states, and of where they start."""
+    import casadi as ca
+
+    step, initial = _hidden_step(system, dt, substeps)
+    many = max(1, _WRITTEN_OUT // substeps)
+    sizes = zip(step.name_in(), (step.size1_in(row) for row in range(step.n_in())), strict=True)
+    symbols = {name: ca.SX.sym(name, size, 1 if name in ("z", "p") else many) for name, size in sizes}
+    states = [symbols["z"]]
+    for k in range(many):
+        now = {name: symbol if name == "p" else symbol[:, k] for name, symbol in symbols.items() if name != "z"}
+        states.append(step(z=states[-1], **now)["after"])
+    outputs = [states[-1], ca.horzcat(*states[1:])]
+    return ca.Function("piece", [*symbols.values()], outputs, [*symbols], ["after", "states"]), initial
 
 
 def _hidden_step(system: System, dt: float, substeps: int) -> tuple[Any, Any]:
@@ -189,7 +206,8 @@ def _hidden_step(system: System, dt: float, substeps: int) -> tuple[Any, Any]:
         k3 = derivative(state + 0.5 * h * k2, middle)
         k4 = derivative(state + h * k3, last)
         state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    step_function = ca.Function("step", [z, here, there, u, end, parameters, t], [state])
+    symbols = [z, here, there, u, end, parameters, t]
+    step_function = ca.Function("step", symbols, [state], ["z", "here", "there", "u", "end", "p", "t"], ["after"])
     return step_function, ca.Function("z0", arguments(system), [system.initial])
 
 
