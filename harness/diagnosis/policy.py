@@ -146,11 +146,11 @@ class Policy:
         "four times the size of an effect worth finding",
         "laws outside the dictionary in the tests",
     )
-    line_parts: int = _number(
-        4,
-        "parts of a record in which a periodic force must have one amplitude and one phase, as far as evidence tells",
-        "noise in a band as narrow as a plant's resonance loses its phase within 4 s; parts of 5 s are long for a line",
-        "judged records from 150000, which judge no more",
+    line_parts: tuple[int, ...] = _number(
+        (2, 4, 8, 16),
+        "parts of a record in which a line may be drawn anew, and then be likelier noise than a periodic force",
+        "noise in a band of B hertz loses its phase within some 1/B seconds: 10 s to 1.25 s of a record of 20 s",
+        "judged records from 150000 and of 220000, which judge no more",
     )
     explained: float = _number(0.05, "share of the variance left, at most, to call a model adequate", "a fit of 95 %")
     chance: float = _number(

@@ -2,13 +2,14 @@
 
 The latent force of the model has no line in its spectrum, so noise in a narrow band (at a resonance, of a wheel whose
 speed drifts) looks periodic beside it. What repeats keeps amplitude and phase; noise in a band of B hertz loses both
-within some 1/B seconds.
+within some 1/B seconds, and is likelier as a line that is drawn anew in every part of a record than as one that is
+drawn once.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from harness.diagnosis.search.fit import Column, Linearised
 from harness.diagnosis.search.leftover import largest_evidence
 from harness.signals import FloatArray
 
-__all__ = ["in_parts", "wandering"]
+__all__ = ["in_parts", "wandering", "without"]
 
 _SINGULAR = 1e-5
 """Singular values of unit columns below which nothing is divided by them."""
@@ -44,23 +45,60 @@ def in_parts(whole: Direction, parts: int) -> list[Direction]:
     return pieces
 
 
-def wandering(linear: Linearised, columns: Sequence[Column]) -> float:
-    """Return the logarithm of the evidence for a line that changes from part to part, against one that does not.
-
-    The changes of its two amplitudes are normal with a variance that is chosen by the evidence; both uses together.
+def without(
+    linear: Linearised, names: Collection[str], line: Column, size: float, phases: Mapping[str, float]
+) -> Linearised:
+    """Return a fit as it would be without its line, whose amplitude, frequency and phase are free no more.
 
     Parameters
     ----------
     linear : Linearised
-        Of the fit that has the line: its amplitude and phase are among what is free.
-    columns : sequence of Column
-        Of :func:`in_parts`.
+        Of the fit that has the line.
+    names : collection of str
+        Parameters of the line.
+    line : Column
+        Sine and cosine of the line along both uses.
+    size : float
+        Amplitude of the line.
+    phases : mapping of str to float
+        By use.
     """
+    keep = np.array([name not in names for name in linear.names], dtype=bool)
+    residual, nuisance = {}, {}
+    for use, phase in phases.items():
+        share = size * np.array([np.cos(phase), np.sin(phase)])  # sin(a + phi) = cos(phi) sin(a) + sin(phi) cos(a)
+        residual[use] = linear.residual[use] - getattr(line, use) @ share
+        every = linear.nuisance[use]
+        nuisance[use] = np.concatenate([every[:, : linear.shared][:, keep], every[:, linear.shared :]], axis=1)
+    left = tuple(name for name in linear.names if name not in names)
+    return replace(linear, residual=residual, nuisance=nuisance, names=left, spread=linear.spread[keep])
+
+
+def wandering(linear: Linearised, whole: Sequence[Column], cuts: Sequence[Sequence[Column]]) -> float:
+    """Return the logarithm of the evidence for a line drawn anew in every part, against one drawn once a record.
+
+    The two amplitudes of every part are normal with a variance that is chosen by the evidence; both uses together.
+
+    Parameters
+    ----------
+    linear : Linearised
+        Of :func:`without`.
+    whole : sequence of Column
+        Of :func:`in_parts`, in one part each.
+    cuts : sequence of sequence of Column
+        The same, in more: the likeliest counts.
+    """
+    free = {"estimation": linear.nuisance["estimation"], "validation": _free_outside(linear)}
+    bases = {use: _orthonormal(own) for use, own in free.items()}
+    return max(_evidence(linear, bases, columns) for columns in cuts) - _evidence(linear, bases, whole)
+
+
+def _evidence(linear: Linearised, bases: Mapping[str, FloatArray], columns: Sequence[Column]) -> float:
+    """Return the logarithm of the evidence of columns against none, what else is free projected out."""
     total = 0.0
-    for use, own in (("estimation", linear.nuisance["estimation"]), ("validation", _free_outside(linear, columns))):
+    for use, basis in bases.items():
         made = np.concatenate([getattr(column, use) for column in columns], axis=1)
         made = made[:, np.linalg.norm(made, axis=0) > 0]
-        basis = _orthonormal(own)
         unit = made / np.linalg.norm(made, axis=0)
         u, s, _ = np.linalg.svd(unit - basis @ (basis.T @ unit), full_matrices=False)
         keep = s > _SINGULAR
@@ -68,11 +106,10 @@ def wandering(linear: Linearised, columns: Sequence[Column]) -> float:
     return total
 
 
-def _free_outside(linear: Linearised, columns: Sequence[Column]) -> FloatArray:
-    """Return what is free on the validation records: initial states, parameters within their spread, and the line."""
+def _free_outside(linear: Linearised) -> FloatArray:
+    """Return what is free on the validation records: initial states, and parameters within their spread."""
     nuisance = linear.nuisance["validation"]
-    line: FloatArray = np.sum([column.validation for column in columns], axis=0)
-    return np.concatenate([nuisance[:, linear.shared :], nuisance[:, : linear.shared] @ linear.spread, line], axis=1)
+    return np.concatenate([nuisance[:, linear.shared :], nuisance[:, : linear.shared] @ linear.spread], axis=1)
 
 
 def _orthonormal(columns: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.diagnosis.forms.braking import braking
 from harness.diagnosis.forms.changed import changed_share
-from harness.diagnosis.forms.coherence import in_parts, wandering
+from harness.diagnosis.forms.coherence import in_parts, wandering, without
 from harness.diagnosis.forms.directions import Direction, Trace, directions, line_directions, test_functions
 from harness.diagnosis.forms.innovations import answered
 from harness.diagnosis.forms.lightened import lightened
@@ -175,10 +175,17 @@ class EquationsForm(LikelihoodForm[System]):
 
     def _wandering(self, fit: Fit, placed: Placed) -> float:
         """Return the evidence that the amplitude and the phase of a line change along the records."""
-        line = placed.with_values({"omega": fit.values[placed.name("omega")]})
+        size, omega, phase = (placed.name(name) for name in ("A", "omega", "phi"))
+        line = placed.with_values({"omega": fit.values[omega]})
         waves = line_directions(self._traces(fit, USES), self.nominal, fit.values, line, self.sizes)
-        pieces = [piece for wave in waves for piece in in_parts(wave, POLICY.line_parts)]
-        return wandering(self.linearised(fit), self._answered(fit, pieces)) if pieces else 0.0
+        if not waves:
+            return 0.0
+        (wave,) = waves
+        phases = {"estimation": fit.values[phase], "validation": fit.own[phase]}
+        (column,) = self._answered(fit, [wave])
+        linear = without(self.linearised(fit), (size, omega, phase), column, fit.values[size], phases)
+        whole, *cuts = (self._answered(fit, in_parts(wave, parts)) for parts in (1, *POLICY.line_parts))
+        return wandering(linear, whole, cuts)
 
     def _traces(self, fit: Fit, uses: Sequence[str]) -> dict[str, list[Trace]]:
         """Return the smoothed motion of every record of some uses."""

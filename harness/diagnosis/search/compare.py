@@ -136,7 +136,7 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
     for placed in added:
         reasons += impossible(placed, fit)
         wandering = fit.wandering.get(str(placed), 0.0)
-        if wandering > policy.evidence:
+        if wandering > 0.0:  # likelier a line drawn anew in every part than one that repeats
             reasons.append(
                 f"amplitude and phase change along the records (evidence {wandering:.1f}): it does not repeat"
             )

@@ -58,8 +58,8 @@ class Fit:
     own : dict
         Parameters of the validation records themselves.
     wandering : dict
-        By full name of an effect that repeats: the logarithm of the evidence that its amplitude and phase change along
-        the records.
+        By full name of an effect that repeats: the logarithm of the evidence for amplitude and phase that are drawn
+        anew in every part of the records, against ones that stay.
     change : callable
         How much one of the effects changes of rates or readings, as a share of them; found when it is asked for.
         Infinite where a form cannot tell.
