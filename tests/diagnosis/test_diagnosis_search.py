@@ -13,7 +13,7 @@ from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.compare import compared, judged
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.leftover import left_over
-from harness.diagnosis.search.rounds import Outcome, _pruned, search
+from harness.diagnosis.search.rounds import Outcome, Round, _pairs, _pruned, search
 from harness.diagnosis.search.score_test import score_test
 from harness.diagnosis.search.ties import Accepted, tied, total
 from harness.effects import builtin
@@ -408,6 +408,22 @@ def test_a_law_that_stood_in_for_two_is_taken_back() -> None:
     whole = compared(outcome.model, nominal)
     assert sum(one.evidence for one in outcome.accepted) == pytest.approx(whole.evidence), "shared, and not twice"
     assert sum(one.validation for one in outcome.accepted) == pytest.approx(whole.validation)
+
+
+def test_a_pair_has_no_member_that_would_not_pass_beside_the_other() -> None:
+    """A spring of the estimation records alone is chance, also where it is found first and the drag beside it."""
+    records = linear_records(4, {"quadratic_drag": 0.3})
+    own = records.x["estimation"]
+    records.y["estimation"] += 0.2 * own["linear_spring"]
+    form = LinearForm(records)
+    nominal = form.fit((), [], None)
+    spring, drag = placed("linear_spring"), placed("quadratic_drag")
+    alone, both = form.fit([spring], [], nominal), form.fit([spring, drag], [], nominal)
+    assert judged([drag], both, alone, nominal).passed, "the drag counts beside the spring"
+    first = Round(nominal, score_test(form, nominal, ALL), (judged([spring], alone, nominal, nominal),))
+    outcome = Outcome(nominal, nominal, rounds=[first])
+    _pairs(form, outcome, nominal, ALL, POLICY, lambda text: None)
+    assert not outcome.accepted
 
 
 def test_an_effect_that_later_ones_make_needless_is_dropped_and_one_that_counts_stays() -> None:

@@ -366,7 +366,8 @@ def _answer(passed: Sequence[Judged], policy: Policy) -> Judged:
 def _pairs(form: Form, outcome: Outcome, nominal: Fit, candidates: Sequence[Placed], policy: Policy, say: Say) -> None:
     """Try the best rivals of the first answer to their end and with a second effect: one law may stand in for two.
 
-    What was tried beside the answer and is impossible there is not tried beside what is like it.
+    What was tried beside the answer and is impossible there is not tried beside what is like it. Each of a pair has to
+    pass beside the other, as if it had been found last.
     """
     so_far = compared(outcome.model, nominal, policy).total
     ruled_out = {str(row.added[0]) for past in outcome.rounds[1:] for row in past.candidates if not physical(row)}
@@ -399,7 +400,11 @@ def _pairs(form: Form, outcome: Outcome, nominal: Fit, candidates: Sequence[Plac
             pair = form.fit([*fit.effects, lead.placed], [{**fit.values, **start} for start in lead.starts], fit)
             whole = judged([rival.added[0], lead.placed], pair, nominal, nominal, policy)
             second = judged([lead.placed], pair, fit, nominal, policy)
-            if whole.passed and second.passed and (best is None or total(whole) > total(best)):
+            if not (whole.passed and second.passed) or (best is not None and total(whole) <= total(best)):
+                continue
+            assert pair is not None
+            alone_too = _alone(form, outcome, lead.placed, pair, nominal)
+            if judged(rival.added, pair, alone_too, nominal, policy).passed:
                 best = whole
     if best is None or total(best) < so_far + policy.tie:
         return
@@ -408,6 +413,13 @@ def _pairs(form: Form, outcome: Outcome, nominal: Fit, candidates: Sequence[Plac
     each = best.comparison.evidence / len(best.added), best.comparison.validation / len(best.added)
     outcome.model = best.fit
     outcome.accepted = [Accepted(placed, _alike(placed, outcome.rounds[0]), *each) for placed in best.added]
+
+
+def _alone(form: Form, outcome: Outcome, placed: Placed, pair: Fit, nominal: Fit) -> Fit:
+    """Return the fit of the second of a pair without the first; the nominal one where it has none."""
+    known = [row.fit for row in outcome.rounds[0].candidates if row.added == (placed,)]
+    done = [fit for fit in known if fit is not None and fit.converged]
+    return (done[0] if done else form.fit([placed], [pair.values], nominal)) or nominal
 
 
 def _alike(placed: Placed, past: Round) -> tuple[tuple[Placed, ...], ...]:
