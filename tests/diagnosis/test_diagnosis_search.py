@@ -452,6 +452,20 @@ def test_a_law_of_the_wrong_sign_that_explains_more_makes_the_answer_a_stand_in(
         assert "quadratic_drag" in better.name
 
 
+@pytest.mark.parametrize("size", [-0.4, -0.02, 0.4])
+def test_a_further_law_of_the_wrong_sign_makes_the_answer_a_stand_in(size: float) -> None:
+    """A drag beside which the data ask for a friction that drives is a part of some other law."""
+    form = LinearForm(linear_records(5, {"quadratic_drag": 0.6, "viscous_friction": size}))
+    found = search(form, form.fit((), [], None), ALL)
+    better = found.unlawful()
+    if size > 0:
+        assert (accepted(found), better) == ({"quadratic_drag", "viscous_friction"}, None)
+    else:
+        assert accepted(found) == {"quadratic_drag"}
+        assert (better is not None) is (size < -0.1), "what is within chance is not asked for"
+        assert better is None or better.name == "viscous_friction@theta"
+
+
 def test_an_effect_whose_own_law_forbids_what_is_left_of_it_is_not_left_alone() -> None:
     """Without the drag, the spring would be negative and explain as much: the drag is not needless then."""
     records = linear_records(14, {"quadratic_drag": 0.4})

@@ -64,16 +64,22 @@ class Outcome:
         """Return the rival that explains the records best, if its law forbids its values and the answer is worse.
 
         Where one is, the answer is the best of the laws that were allowed, and not the law of the plant. What has the
-        answer in it, as a special case of a law or beside others, is no rival of it.
+        answer in it, as a special case of a law or beside others, is no rival of it, unless it is a further effect that
+        nothing but its law speaks against.
         """
         best: tuple[float, Judged] | None = None
         answer = {str(placed) for placed in self.model.effects}
         for rival in (row for past in self.rounds for row in past.candidates):
-            if rival.fit is None or answer <= _contained(rival.fit.effects):
+            if rival.fit is None:
                 continue
-            if not any(
-                wrong_signs(placed, rival.fit.values) or violations(placed, rival.fit) for placed in rival.added
-            ):
+            forbidden = [
+                text
+                for placed in rival.added
+                for text in (*wrong_signs(placed, rival.fit.values), *violations(placed, rival.fit))
+            ]
+            if not forbidden:
+                continue
+            if answer <= _contained(rival.fit.effects) and not _asked_for(rival, answer, forbidden, policy):
                 continue
             gap = compared(rival.fit, self.model, policy).total
             _, error = difference(rival.fit, self.model, ("estimation", "validation"), policy)
@@ -167,6 +173,13 @@ def _shown(rows: Sequence[Judged], policy: Policy) -> set[str]:
     """Return what a refit has shown, whatever the score test said of it."""
     clear = [row for row in rows if row.comparison is not None and row.comparison.evidence >= policy.evidence]
     return {str(row.added[0]) for row in clear}
+
+
+def _asked_for(row: Judged, answer: set[str], forbidden: Sequence[str], policy: Policy) -> bool:
+    """Return True for a candidate beside a whole answer that would be accepted if its law allowed its values."""
+    assert row.fit is not None
+    beside = answer == {str(placed) for placed in row.fit.effects} - {str(placed) for placed in row.added}
+    return beside and set(row.reasons) <= set(forbidden) and row.fit.change(row.added[0]) >= policy.least
 
 
 def _contained(effects: Sequence[Placed]) -> set[str]:
