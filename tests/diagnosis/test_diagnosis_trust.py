@@ -27,6 +27,8 @@ from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.physics.likelihood import _damped
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
+from harness.study.plan import Task
+from harness.study.records import make_records
 
 DT = 0.01
 SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)
@@ -74,6 +76,16 @@ def test_records_of_two_machines_are_not_nothing_missing() -> None:
     assert same.apart is not None
     assert same.apart.gain < 12.0
     assert not any("want other parameters" in text for text in same.warnings)
+
+
+def test_a_noise_that_fits_better_is_no_other_machine() -> None:
+    """Under a force that is no noise of the model, the noise of the validation record ends beside its maximum."""
+    task = Task("none", "pendulum", "bullet", (), "", "drawn", 0.02, 91, 220_000, shape="drifting-sine")
+    dictionary = [builtin()["coulomb_friction"]]
+    found = diagnose(make_records(task).dataset, load_model("pendulum"), dictionary=dictionary)
+    assert found.apart is not None
+    assert found.apart.gain < 12.0
+    assert found.verdict == "nothing_missing"
 
 
 def test_a_free_swing_tells_ratios_and_no_interval_of_the_parameters() -> None:

@@ -66,6 +66,9 @@ class Apart:
 def apart(likelihood: Likelihood, fit: Fit) -> Apart | None:
     """Return how much likelier the validation records are with parameters of their own; None if that diverges.
 
+    Noise, initial states and phases are their own in either case, and at their maximum: a noise that fits better is no
+    other machine.
+
     Parameters
     ----------
     likelihood : Likelihood
@@ -73,14 +76,13 @@ def apart(likelihood: Likelihood, fit: Fit) -> Apart | None:
     fit : Fit
     """
     point = fit.detail.points["validation"]
+    own = [name for name in likelihood.names if name not in fit.free or name in fit.own]
     try:
-        before = likelihood.filtered(point)
-        after = likelihood.maximise(point, exact=False)
+        before = likelihood.maximise(point, free=own, exact=False)
+        after = likelihood.maximise(before, exact=False)
     except (FitError, ArithmeticError, np.linalg.LinAlgError):
         return None
-    if before is None:
-        return None
-    gains = [passed.terms - own for passed, own in zip(before, after.terms, strict=True)]
+    gains = [shared - free for shared, free in zip(before.terms, after.terms, strict=True)]
     moved = _moved(fit, after)
     farthest = max(moved, key=lambda name: moved[name], default="")
     return Apart(float(sum(gain.sum() for gain in gains)), gains, farthest, after.parameters.get(farthest, np.nan))
