@@ -17,9 +17,8 @@ COLLECTED = 50_000
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; every failure is one line on standard error and an exit status."""
-    atexit.register(
-        gc.freeze
-    )  # the system frees the memory at once; collecting it first takes 8 % of a short diagnosis
+    # At the end the system frees the memory at once; collecting it first takes 8 % of a short diagnosis.
+    atexit.register(gc.freeze)
     usual = gc.get_threshold()
     gc.set_threshold(COLLECTED, *usual[1:])
     try:

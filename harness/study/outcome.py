@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
-from harness.study.disturbances import named
+from harness.study.disturbances import UNNAMED, named
 
 __all__ = ["STAND_IN", "Answer", "Outcome", "has_double", "judge_answer"]
 
@@ -129,7 +129,8 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str, engine: str
     or nothing was accepted, and the report says that the truth cannot be told from the nominal parameters. Other sets
     are wrong, unless the report calls them a stand-in: then something was flagged, as where it says that the model does
     not fit, whatever it was tried with. An effect that names how the nominal structure is wrong
-    (:func:`harness.study.disturbances.named`) may stand beside what is hidden.
+    (:func:`harness.study.disturbances.named`) may stand beside what is hidden; one without a name is missing all the
+    same, and is flagged as any law outside the dictionary is.
 
     Examples
     --------
@@ -157,10 +158,10 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str, engine: str
         if _reaches(wanted, plain, same):
             return Outcome("tied", "same family")
     covered = wanted & (accepted | {name for tie in answer.ties for group in tie for name in group})
+    if answer.stand_in and (wanted or structure in UNNAMED):
+        return Outcome("flagged", STAND_IN)
     if not wanted:
         return Outcome("wrong", "false alarm")
-    if answer.stand_in:
-        return Outcome("flagged", STAND_IN)
     if covered == wanted:
         return Outcome("wrong", "something else accepted beside the truth")
     return Outcome("wrong", "part of the truth" if covered else "another effect")

@@ -60,6 +60,14 @@ def test_a_stand_in_is_no_confident_name() -> None:
     assert judge_answer((), Answer("effects_found", two, stand_in=True), "cart-pole").word == "wrong"
 
 
+def test_a_wrong_structure_without_a_name_is_missing_as_any_law_outside_the_dictionary() -> None:
+    drag = Answer("effects_found", ("quadratic_drag@x",))
+    flagged = Answer("effects_found", ("quadratic_drag@x",), stand_in=True)
+    assert judge_answer((), drag, "cart-pole", structure="tiring-drive").word == "wrong"
+    assert judge_answer((), flagged, "cart-pole", structure="tiring-drive").word == "flagged"
+    assert judge_answer((), flagged, "cart-pole", structure="bent-scale").word == "wrong"
+
+
 def test_tilt_and_offset_are_the_same_on_one_joint_only():
     answer = Answer("effects_found", ("stribeck_friction@theta", "sensor_offset@theta"))
     assert judge_answer({"stribeck_friction@theta", "gravity_tilt@base"}, answer, "pendulum").word == "tied"
