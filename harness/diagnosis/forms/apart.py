@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from harness.diagnosis.forms.predictive import predictive, spread_of
 from harness.diagnosis.policy import Policy
 from harness.diagnosis.search.fit import Fit
 from harness.errors import FitError
@@ -66,8 +67,8 @@ class Apart:
 def apart(likelihood: Likelihood, fit: Fit) -> Apart | None:
     """Return how much likelier the validation records are with parameters of their own; None if that diverges.
 
-    Noise, initial states and phases are their own in either case, and at their maximum: a noise that fits better is no
-    other machine.
+    Noise, initial states and phases are their own in either case, and at their maximum, and shared parameters are as
+    uncertain as the estimation records leave them: a noise that fits better is no other machine.
 
     Parameters
     ----------
@@ -80,12 +81,36 @@ def apart(likelihood: Likelihood, fit: Fit) -> Apart | None:
     try:
         before = likelihood.maximise(point, free=own, exact=False)
         after = likelihood.maximise(before, exact=False)
+        shared = min(
+            before.terms,
+            _within_spread(likelihood, fit, after),
+            key=lambda terms: sum(float(part.sum()) for part in terms),
+        )
     except (FitError, ArithmeticError, np.linalg.LinAlgError):
         return None
-    gains = [shared - free for shared, free in zip(before.terms, after.terms, strict=True)]
+    gains = [mine - free for mine, free in zip(shared, after.terms, strict=True)]
     moved = _moved(fit, after)
     farthest = max(moved, key=lambda name: moved[name], default="")
     return Apart(float(sum(gain.sum() for gain in gains)), gains, farthest, after.parameters.get(farthest, np.nan))
+
+
+def _within_spread(likelihood: Likelihood, fit: Fit, after: LikelihoodFit) -> list[FloatArray]:
+    """Return minus the log-density of every sample beside the noise that other parameters want.
+
+    Parameters are where they are likeliest within what the estimation records leave open; how far that is costs, spread
+    evenly. Noise has several maxima: what it is beside other parameters it may be beside these.
+    """
+    start = fit.detail.best.point.p.copy()
+    for name in fit.own:
+        k = likelihood.system.parameter_names.index(name)
+        start[k] = after.point.p[k]
+    spread = spread_of(fit.detail.best, fit.free, list(fit.own))
+    expected = predictive(likelihood, replace(after.point, p=start), fit.free, spread)
+    paths = likelihood.filtered(expected.point)
+    if paths is None:
+        raise FitError("validation", expected="a finite state", got="divergence", remedy="refit the model")
+    price = 0.5 * float(expected.moved @ expected.moved) / sum(len(passed.terms) for passed in paths)
+    return [passed.terms + price for passed in paths]
 
 
 def _moved(fit: Fit, after: LikelihoodFit) -> dict[str, float]:
