@@ -18,7 +18,7 @@ from harness.study.records import Records
 
 __all__ = ["timed_command"]
 
-_COMMAND = "import sys; from harness.command import main; sys.exit(main(sys.argv[1:]))"
+_COMMAND = "from harness.command import main; main()"
 LIMIT = 600.0
 """Seconds after which the command is abandoned."""
 
