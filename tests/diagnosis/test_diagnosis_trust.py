@@ -79,8 +79,8 @@ def test_records_of_two_machines_are_not_nothing_missing() -> None:
 
 
 def test_a_noise_that_fits_better_is_no_other_machine() -> None:
-    """Under a force that is no noise of the model, the noise of the validation record ends beside its maximum."""
-    task = Task("none", "pendulum", "bullet", (), "", "drawn", 0.02, 91, 220_000, shape="drifting-sine")
+    """A force that is no noise of the model has several maxima, and b is 4 % off, two and a half deviations: chance."""
+    task = Task("none", "pendulum", "bullet", (), "", "drawn", 0.02, 66, 220_000, shape="drifting-sine")
     dictionary = [builtin()["coulomb_friction"]]
     found = diagnose(make_records(task).dataset, load_model("pendulum"), dictionary=dictionary)
     assert found.apart is not None
