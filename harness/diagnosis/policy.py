@@ -263,6 +263,12 @@ class ArmPolicy:
         "an effect must change this share of a joint's torque, and what is left less: below it nothing is blamed",
         "no torque sensor is more exact",
     )
+    alone_z: float = _number(
+        2.0,
+        "standard errors by which the validation records alone must gain",
+        "regressors come from measured motion, and what their noise explains in one record it explains in every record",
+        "an elasticity that is not there in the wrist of a simulated arm: 13 +- 8",
+    )
     detail: float = _number(
         0.02,
         "an effect on the whole arm below this share of the friction beside it is a detail of the friction's law",

@@ -64,6 +64,15 @@ def test_nothing_is_missing_in_the_right_urdf() -> None:
     json.dumps(report.data, allow_nan=False)
 
 
+def test_friction_larger_than_all_else_that_a_joint_does_is_named_though_the_joint_sticks() -> None:
+    """While a joint stands still its friction is anything; a filter carried that into the rows where it moves."""
+    report = close_loop(record(22, joint_friction=(0, 0, 1.0, 0, 0, 0, 0)), arm())
+    effects = found(report.data)
+    assert set(effects) == {"coulomb_friction@q3"}, report.data["summary"]
+    assert effects["coulomb_friction@q3"]["Fc"] == pytest.approx(1.0, rel=0.03)
+    assert report.data["joints"][2]["after"]["validation"] < 0.03
+
+
 def test_friction_of_one_joint_and_gain_of_another_are_named_there_and_nowhere_else(tmp_path: Path) -> None:
     data = record(12, (1.0, 1.05, 1.0, 1.0, 1.0, 1.0, 1.0), joint_friction=(0, 0, 0, 2.0, 0, 0, 0))
     report = close_loop(data, arm(), out=tmp_path / "out")

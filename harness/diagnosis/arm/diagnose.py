@@ -198,7 +198,9 @@ def _joint(
             remedy="check units and spikes of the positions",
         )
     candidates, noisy = joint_dictionary(arm, k, regression, runs["estimation"][0], dictionary)
-    outcome = search(form, nominal, candidates, policy=replace(policy, least=arm_policy.sensor))
+    outcome = search(
+        form, nominal, candidates, policy=replace(policy, least=arm_policy.sensor, alone_z=arm_policy.alone_z)
+    )
     factor = runs["validation"][0].motion.factor
     passed = 0.8 / factor if factor > 1 else 1.0  # of the power of white noise, by the decimation
     noise = max(white_noise(run.u[:, k]) for run in dataset.validation) * float(np.sqrt(passed))

@@ -110,7 +110,11 @@ class JointRegression:
                     columns.append(free[use][number])
                 own = np.concatenate(columns, axis=1)
                 # and the calm acceleration, whose noise is in what the bodies need as well
-                made.append(_thinned(replace(m, q=m.q[:, pick], v=m.v[:, pick], a=run.calm.a[:, pick], u=own)))
+                assert m.counts is not None
+                counts = m.counts[:, pick]
+                made.append(
+                    _thinned(replace(m, q=m.q[:, pick], v=m.v[:, pick], a=run.calm.a[:, pick], u=own, counts=counts))
+                )
             self.motions[use] = tuple(made)
         self.counts = {use: [moving_rows(motion) for motion in parts] for use, parts in self.motions.items()}
         self.sizes = _sizes(self.nominal, self.motions["estimation"][0])
@@ -225,7 +229,7 @@ class JointRegression:
 
     def torque(self, use: str) -> list[FloatArray]:
         """Return the calm torque (rows,) of every record, decimated as the residual is."""
-        return [decimated(motion.u[:, :1], motion)[:, 0] for motion in self.motions[use]]
+        return [decimated(motion.u[:, :1], replace(motion, counts=None))[:, 0] for motion in self.motions[use]]
 
     def force(self, values: Mapping[str, float], effects: Sequence[Placed], use: str) -> list[FloatArray]:
         """Return the torque (rows, 1) that effects exert, decimated as the residual is, for every record."""
@@ -253,6 +257,7 @@ def _thinned(motion: Motion) -> Motion:
         slice(edge, rows - edge),
         motion.factor // step,
         motion.sample_time * step,
+        None if motion.counts is None else motion.counts[: rows * step].reshape(rows, step, -1).min(axis=1),
     )
 
 

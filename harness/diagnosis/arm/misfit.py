@@ -186,7 +186,7 @@ def _explained(pairs: Sequence[tuple[ArmRun, FloatArray]], joints: Sequence[int]
             own = own_columns(run, speeds)[:, k, len(OWN) * k : len(OWN) * k + 3]
             columns = np.concatenate([(torque - run.rigid)[:, [k]], torque[:, [k]], own], axis=1)
             keep = moving_rows(run.motion)[:, k] > 0
-            parts.append(run.slim(columns[:, None, :])[keep, 0])
+            parts.append(run.slim(columns[:, None, :], [k])[keep, 0])
         x = np.concatenate(parts)
         left = x[:, 0] - x[:, 2:] @ np.linalg.lstsq(x[:, 2:], x[:, 0], rcond=1e-10)[0]
         shares.append(float(np.mean(left**2)) / max(float(np.var(x[:, 1])), 1e-300))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,10 +42,11 @@ class ArmRun:
     second: FloatArray
     rigid: FloatArray
 
-    def slim(self, columns: FloatArray) -> FloatArray:
-        """Return columns (N, n) or (N, n, k) low-passed and decimated as the residual is."""
+    def slim(self, columns: FloatArray, joints: Sequence[int] | None = None) -> FloatArray:
+        """Return columns (N, n) or (N, n, k) of these joints, low-passed and decimated as the residual is."""
         flat = columns.reshape(columns.shape[0], -1)
-        result = decimated(flat, self.motion)
+        counts = self.motion.counts if joints is None or self.motion.counts is None else self.motion.counts[:, joints]
+        result = decimated(flat, replace(self.motion, counts=counts))
         return result.reshape(result.shape[0], *columns.shape[1:])
 
 
@@ -69,8 +71,8 @@ def moving_rows(motion: Motion) -> FloatArray:
     """
     from scipy.ndimage import maximum_filter1d
 
-    v = motion.v[motion.inside]
-    still = np.abs(v) <= ARM_POLICY.still * np.sqrt(np.mean(v**2, axis=0))
+    assert motion.counts is not None
+    still = motion.counts[motion.inside] == 0
     width = 2 * motion.factor + 1 if motion.factor > 1 else 1
     touched = maximum_filter1d(still.astype(np.uint8), width, axis=0)
     rows = touched[:: motion.factor]
@@ -100,6 +102,8 @@ def _run(arm: ArmModel, record: Trajectory, intersample: str) -> ArmRun:
     motion = smooth_motion(record, columns, intersample)
     rigid = arm.torques(motion.q, motion.v, motion.a) + arm.damped(motion.v)
     band = max(motion_band(record.y[:, k], motion.sample_time)[0] for k in range(arm.n))
+    still = np.abs(motion.v) <= ARM_POLICY.still * np.sqrt(np.mean(motion.v[motion.inside] ** 2, axis=0))
+    motion = replace(motion, counts=1.0 - still)
     calm = _calmed(motion, ARM_POLICY.calm * band)
     dt = motion.sample_time
     first = np.gradient(calm.u, dt, axis=0)

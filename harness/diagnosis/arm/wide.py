@@ -128,7 +128,7 @@ class WideRegression:
 
     def _slim(self, run: ArmRun, columns: FloatArray) -> FloatArray:
         """Return columns (N, n) or (N, n, k) of the joints, decimated."""
-        return run.slim(columns[:, self.joints])
+        return run.slim(columns[:, self.joints], self.joints)
 
     def columns(self, effect: Wide) -> dict[str, list[FloatArray]]:
         """Return the columns (rows, n, k) of an effect by use, made once; 0 where it cannot show."""
@@ -286,7 +286,7 @@ def wide_search(
             remedy="check units and spikes of the positions",
         )
     candidates = [effect.placed for effect in regression.effects.values()]
-    own = replace(policy, most=arm_policy.wide, least=arm_policy.sensor)
+    own = replace(policy, most=arm_policy.wide, least=arm_policy.sensor, alone_z=arm_policy.alone_z)
     outcome = search(form, nominal, candidates, policy=own, say=say)
     small = [
         accepted

@@ -35,6 +35,8 @@ class Motion:
     factor : int
         By how much a residual of these may be decimated without losing the motion's band.
     sample_time : float
+    counts : array (N, n), optional
+        1 where the residual of a coordinate says something, 0 where it could be anything; all of them if not given.
     """
 
     t: FloatArray
@@ -45,6 +47,7 @@ class Motion:
     inside: slice
     factor: int
     sample_time: float
+    counts: FloatArray | None = None
 
     def signals(self, u: FloatArray | None = None) -> Signals:
         """Return the motion as effects take it, with other inputs (N, nu) if given."""

@@ -142,10 +142,16 @@ def _low_pass(factor: int) -> FloatArray:
 
 
 def decimated(rows: FloatArray, motion: Motion) -> FloatArray:
-    """Return rows (N, k), low-passed without delay, decimated, the touched ends cut off."""
+    """Return rows (N, n * k), low-passed without delay, decimated, the touched ends cut off.
+
+    Rows that do not count are 0 in what is measured and in what a model says: a filter carries nothing of them into
+    their neighbours.
+    """
     from scipy import signal
 
     factor = motion.factor
+    if motion.counts is not None:
+        rows = rows * np.repeat(motion.counts, rows.shape[1] // motion.counts.shape[1], axis=1)
     if factor == 1:
         return rows[motion.inside]
     sos = _low_pass(factor)
