@@ -91,7 +91,7 @@ def carried_away(form: WholeForm, final: Fit, runs: FreeRuns, policy: Policy) ->
             if steps and k % steps == 0:
                 p, sure = np.zeros_like(p), True
             spread = np.sqrt(np.einsum("oi,ij,oj->o", path.row[k], p, path.row[k]))
-            sure = sure and bool((policy.gain_z * spread <= policy.misfit_nrmse * size).all())
+            sure = sure and bool((policy.tie_z * spread <= policy.misfit_nrmse * size).all())
             if not sure:
                 continue
             squares.append((error[k] * runs.output.weights) ** 2)

@@ -27,6 +27,8 @@ Intersample = Literal["zoh", "foh", "smooth"]
 # "auto" starts the compiler in the background once the virtual machine has simulated so many samples.
 _PATIENCE = 2000
 _MAXIMUM_SUBSTEPS = 50
+_OVER = 5.0
+"""Time constants in a sample after which nothing is left of a decay."""
 # A smooth input is followed in at least so many straight pieces per sample.
 _SMOOTH_PIECES = 4
 
@@ -34,8 +36,9 @@ _SMOOTH_PIECES = 4
 def default_substeps(system: Equations, dt: float, p: FloatArray | None = None) -> int:
     """Return how many Runge-Kutta steps a sample needs, from the eigenvalues of the system at rest.
 
-    The classical method's error per step is (lambda h)^5 / 120: 0.35 for an oscillation, 0.7 for a decay. Where a force
-    takes the sign of a speed, steps near zero are divided by themselves (``Equations.switches``).
+    The classical method's error per step is (lambda h)^5 / 120: 0.35 for an oscillation, 0.7 for a decay, and 1.4 for
+    one that is over within the sample: of that one, all steps together leave as little as there is. Where a force takes
+    the sign of a speed, steps near zero are divided by themselves (``Equations.switches``).
     """
     n = system.nx
     if n == 0:
@@ -51,8 +54,9 @@ def default_substeps(system: Equations, dt: float, p: FloatArray | None = None) 
         a = jacobian(np.zeros(n), np.zeros(system.nu), parameters, 0.0).full()
         if not np.isfinite(a).all():
             return 1.0
-        eigenvalues = np.linalg.eigvals(a)
-        return float(dt * max(np.abs(eigenvalues.real).max() / 0.7, np.abs(eigenvalues.imag).max() / 0.35))
+        eigenvalues = dt * np.linalg.eigvals(a)
+        decay = float(np.abs(eigenvalues.real).max())
+        return max(min(decay, _OVER) / 0.7, decay / 1.4, float(np.abs(eigenvalues.imag).max()) / 0.35)
 
     need = needed(values)
     if system.switches:  # signs are steep at rest only, and there the steps are finer by themselves

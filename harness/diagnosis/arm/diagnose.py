@@ -199,7 +199,10 @@ def _joint(
         )
     candidates, noisy = joint_dictionary(arm, k, regression, runs["estimation"][0], dictionary)
     outcome = search(
-        form, nominal, candidates, policy=replace(policy, least=arm_policy.sensor, alone_z=arm_policy.alone_z)
+        form,
+        nominal,
+        candidates,
+        policy=replace(policy, least=arm_policy.sensor, alone=arm_policy.alone, alone_z=arm_policy.alone_z),
     )
     factor = runs["validation"][0].motion.factor
     passed = 0.8 / factor if factor > 1 else 1.0  # of the power of white noise, by the decimation

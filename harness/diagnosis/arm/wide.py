@@ -286,7 +286,9 @@ def wide_search(
             remedy="check units and spikes of the positions",
         )
     candidates = [effect.placed for effect in regression.effects.values()]
-    own = replace(policy, most=arm_policy.wide, least=arm_policy.sensor, alone_z=arm_policy.alone_z)
+    own = replace(
+        policy, most=arm_policy.wide, least=arm_policy.sensor, alone=arm_policy.alone, alone_z=arm_policy.alone_z
+    )
     outcome = search(form, nominal, candidates, policy=own, say=say)
     small = [
         accepted

@@ -53,7 +53,7 @@ class Apart:
              for terms in self.terms]
         )  # fmt: skip
         error = float(np.sqrt(len(sums)) * sums.std(ddof=1))
-        return self.gain > max(policy.misfit_gain, policy.gain_z * error)
+        return self.gain > max(policy.misfit_gain, policy.tie_z * error)
 
     def words(self, values: Mapping[str, float]) -> str:
         """Return what to tell a user; ``values`` are those of the estimation records."""

@@ -201,14 +201,21 @@ class LikelihoodForm(SystemForm[SystemT]):
     ) -> list[LikelihoodFit]:
         """Return where first steps lead from some points, likeliest first; those that fall behind take fewer.
 
-        Everything stands on the nominal model: no step is spared there.
+        Everything stands on the nominal model: no step is spared there. What lies below the hope and gains so much
+        with a step that it may come to it goes on.
         """
         halved = spare and (len(points) > 1 or hope > -np.inf)
         tried = self._stepped(likelihood, points, EFFORT.looks if halved else EFFORT.first_steps, free)
         near = [fit for fit in tried if halved and fit.nll < tried[0].nll + EFFORT.close]
-        if any(not fit.converged and -fit.nll + EFFORT.first_steps * fit.pace >= hope for fit in near):
+        if any(_may_reach(fit, hope) for fit in near):
             more = self._stepped(likelihood, near, EFFORT.first_steps - EFFORT.looks, free)
             tried = sorted([*more, *tried[len(near) :]], key=lambda fit: fit.nll)
+        for _ in range(EFFORT.onward):  # from afar the first steps do not get there
+            first = tried[0] if tried else None
+            if first is None or -first.nll >= hope or not _may_reach(first, hope):
+                break
+            more = self._stepped(likelihood, [first], EFFORT.first_steps, free)
+            tried = sorted([*more, *tried[1:]], key=lambda fit: fit.nll)
         return tried
 
     @staticmethod
@@ -234,14 +241,15 @@ class LikelihoodForm(SystemForm[SystemT]):
             ends = [likelihood.maximise(fit, reach=reach, exact=False) for fit in near[:2]]
             best = min(ends, key=lambda fit: fit.nll)
             best = best if best.converged or best.beyond else likelihood.maximise(best, reach=reach, exact=False)
-            if best.nll < close and not best.beyond:  # elsewhere nothing is decided by what the last steps add
-                best = likelihood.maximise(best, reach=reach, near=best.converged)
             for _ in range(EFFORT.finer):  # coarse steps keep a fit from where its law is fast
                 needed = self.substeps(system, {**system.values(), **_known(system, best.parameters)})
                 if needed <= passes.substeps or best.beyond:
                     break
                 passes = self.passes(system, needed)
-                best = self._likelihood(system, "estimation", passes).maximise(best.point, reach=reach)
+                likelihood = self._likelihood(system, "estimation", passes)
+                best = likelihood.maximise(best.point, reach=reach, exact=False)
+            if best.nll < close and not best.beyond:  # elsewhere nothing is decided by what the last steps add
+                best = likelihood.maximise(best, reach=reach, near=best.converged)
             own, told, expected = self._validated(system, passes, best, base)
             outside = self._outside(system, passes, expected.point, told)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
@@ -591,3 +599,8 @@ def _within(system: AnySystem, values: dict[str, float]) -> dict[str, float]:
         parameter.name: float(np.clip(values[parameter.name], parameter.minimum, parameter.maximum))
         for parameter in system.parameters
     }
+
+
+def _may_reach(fit: LikelihoodFit, hope: float) -> bool:
+    """Return whether as many steps again, each as good as the last one, would come to a log-likelihood."""
+    return not fit.converged and -fit.nll + EFFORT.first_steps * fit.pace >= hope

@@ -62,7 +62,7 @@ class FreeRuns:
             change = np.concatenate([[0.0], np.cumsum((new**2 - old**2).sum(axis=1))])
             sums += list(np.diff(change[edges]))
         more = np.array(sums)
-        return bool(more.sum() > policy.gain_z * np.sqrt(len(more)) * more.std(ddof=1))
+        return bool(more.sum() > policy.tie_z * np.sqrt(len(more)) * more.std(ddof=1))
 
 
 def free_runs(output: FreeRunForm, horizon: Horizon, nominal: Fit, final: Fit) -> FreeRuns:

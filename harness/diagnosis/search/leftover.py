@@ -73,7 +73,7 @@ class Leftover:
         for axis in self.axes:
             size, z = axis.total, policy.alone_z
             if axis.name.endswith(DRIFT):  # by chance an unknown force may follow the motion in one record for a while
-                size, z = min(axis.evidence, axis.validation), policy.gain_z
+                size, z = min(axis.evidence, axis.validation), policy.tie_z
             if size > 2 * policy.evidence and axis.validation > z * axis.error:
                 return axis
         return None
