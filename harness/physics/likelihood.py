@@ -496,6 +496,9 @@ class Likelihood:
                 remedy="start elsewhere, or check units and signs of the records",
             )
         converged, message, count, beyond = False, "", 0, False
+        # free runs of parameters that these records hardly tell apart lie in a narrow valley: there damping rises from
+        # where it held, and a short step that brings little is no end while a long one promises more
+        jump = 1e-4 if self.noise_model.latent else _LEAST_DAMPING
         last, counted = near, exact and self.noise_model.latent
         entries = np.flatnonzero(chosen)
         scaled_noise = not self.noise_model.latent and bool(chosen[len(names) - self.filter.ny :].all())
@@ -543,7 +546,7 @@ class Likelihood:
                     break
                 if 0 <= promise < _ENOUGH:
                     break
-                damping, more_damping = max(damping, 1e-4) * more_damping, 32.0
+                damping, more_damping = max(damping, jump) * more_damping, 32.0
             if improved:
                 assert passes is not None
                 if scaled_noise:
@@ -553,7 +556,10 @@ class Likelihood:
                 if count >= _SETTLED and value - (most - count) * gain > reach:
                     message, beyond = "its steps do not bring it within reach", True
                     break
-                if last and gain < _ENOUGH:
+                ended = last and gain < _ENOUGH
+                if ended and not self.noise_model.latent and damping > 8.0 * _LEAST_DAMPING:
+                    ended = _undamped(scaled[np.ix_(live, live)], (gradient / size)[live]) < _ROUGH
+                if ended:
                     if more is None or seen - value < _STALE:
                         converged = True
                         break
@@ -612,6 +618,11 @@ class Likelihood:
             list(found),
             undetermined=tuple(names[k] for k in entries[undetermined]),
         )
+
+
+def _undamped(matrix: FloatArray, gradient: FloatArray) -> float:
+    """Return what a whole Gauss-Newton step promises."""
+    return 0.5 * float(gradient @ np.linalg.pinv(matrix, rcond=_TOLD, hermitian=True) @ gradient)
 
 
 def _damped(

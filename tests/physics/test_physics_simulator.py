@@ -18,6 +18,7 @@ from harness.errors import InputError
 from harness.fmi.build import compiler
 from harness.physics import Parameter, SampledBlock, ccode, models
 from harness.physics.sampled import delayed
+from harness.physics.simulator import default_substeps
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler: install gcc")
 NAMES = ["pendulum", "cart-pole", "acrobot", "two-tanks", "linear"]
@@ -122,6 +123,20 @@ def test_rollout_converges_to_an_independent_integrator():
     assert errors[0] / errors[1] > 11
     assert errors[1] / errors[2] > 11
     assert errors[2] < 1e-5
+
+
+@given(st.floats(-1.0, 2.0), st.integers(0, 99))
+def test_a_lag_of_any_speed_is_followed(exponent, seed):
+    """Of a lag that is over within a sample fewer steps are taken: what all of them leave is as little."""
+    speed = 10.0**exponent  # time constants in a sample
+    lag = models.linear(1, offsets=False).system()
+    p = lag.vector({"a1_1": speed, "b1_1": speed})
+    u = np.random.default_rng(seed).choice([-1.0, 1.0], (40, 1))
+    y = lag.simulator(1.0, substeps=default_substeps(lag, 1.0, p)).rollout(p, [0.0], u)[:, 0]
+    exact = np.zeros(40)
+    for k in range(1, 40):
+        exact[k] = u[k - 1, 0] + np.exp(-speed) * (exact[k - 1] - u[k - 1, 0])
+    np.testing.assert_allclose(y, exact, atol=2e-3)  # of jumps by 2
 
 
 def test_a_smooth_input_is_followed_between_the_samples():
