@@ -515,7 +515,7 @@ class Likelihood:
                 gradient, matrix = self._derivatives(z, found, entries, False, deviations)
                 if last and counted:
                     if more is None:
-                        plain = 0.5 * float(gradient @ np.linalg.pinv(matrix, rcond=1e-12, hermitian=True) @ gradient)
+                        plain = _undamped(matrix, gradient)
                         whole = self._derivatives(z, found, entries, True, deviations)
                         more, seen = (whole[0] - gradient, whole[1] - matrix), value
                     gradient, matrix = gradient + more[0], _positive(matrix + more[1], matrix)
