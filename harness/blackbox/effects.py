@@ -22,9 +22,13 @@ __all__ = ["fits_fmu", "surround"]
 
 
 def fits_fmu(effect: Effect) -> bool:
-    """Return True if an effect can be put around an FMU: no acceleration needed, nothing hidden behind an output."""
+    """Return True if an effect can be put around an FMU: no acceleration needed, nothing hidden behind an output.
+
+    Forces change between communication steps, in which bristles slip many times their length.
+    """
     outside = {"input", "coordinate", "output"} & set(effect.kinds)
-    return bool(outside) and "a" not in effect.extras and not ("output" in effect.kinds and effect.states)
+    hidden = "output" in effect.kinds and effect.states
+    return bool(outside) and "a" not in effect.extras and not hidden and not effect.grows
 
 
 def surround(

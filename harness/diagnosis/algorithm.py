@@ -82,7 +82,7 @@ def diagnose(
         wrong = [*(doubt.words for doubt in doubts if doubt.certain), *mostly_noise(form, nominal, policy)]
         candidates, faults = candidates_of(form, dictionary)
         candidates = [] if wrong else candidates
-        outcome = search(remembered, nominal, candidates, policy=policy, say=say)
+        outcome = search(remembered, nominal, candidates, policy=policy, say=say, sizes=form.sizes)
         add_rounding(remembered, outcome, dataset, candidates, policy)
         # grade what is left
         runs, leftover, moved = what_free_runs_say(kind, form, outcome, dataset, policy, say)

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from harness.effects.effect import Placed
+from harness.effects.effect import Effect, Placed
 
-__all__ = ["DRY", "stand_in_reasons"]
+__all__ = ["DRY", "is_dry", "stand_in_reasons"]
 
 DRY = frozenset({"coulomb_friction", "stribeck_friction", "asymmetric_friction", "hysteresis",
                  "position_dependent_friction", "sublinear_friction", "yield_friction"})  # fmt: skip
 """Laws of the whole dry friction of a joint: a sum of two is neither."""
 
 
+def is_dry(effect: Effect) -> bool:
+    """Return True for a law of the whole dry friction of a joint, or one that refines such a law."""
+    return effect.name in DRY or (effect.grows and effect.nests[0] in DRY)
+
+
 def stand_in_reasons(accepted: Sequence[Placed], left: str | None) -> tuple[str, ...]:
     """Return why accepted effects imitate something else; ``left`` names the axis of a force that still predicts."""
     reasons = []
     for place in dict.fromkeys(law.at for law in accepted):
-        dry = [law.effect.name.replace("_", " ") for law in accepted if law.at == place and law.effect.name in DRY]
+        dry = [law.effect.name.replace("_", " ") for law in accepted if law.at == place and is_dry(law.effect)]
         if len(dry) > 1:
             reasons.append(
                 f"the friction at {place} is none of the dictionary's laws: {' and '.join(dry)} together imitate it"

@@ -17,6 +17,7 @@ import numpy as np
 from harness.effects.along import Signals, along, arguments, down, rms
 from harness.effects.claimed import SENSORS, ClaimedForce, claimable
 from harness.effects.effect import Placed
+from harness.effects.places import carried_load
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -63,9 +64,10 @@ def motion_sizes(
     Returns
     -------
     dict
-        Port name to rms sizes ``F q v a u y dt T``. The force on a coordinate is the rms of ``M a``, of the inputs'
-        force, or of what the nominal adds besides (gravity, springs), whichever is largest. An input that drives a
-        coordinate has its own rms as ``u`` and ``F``; a name used by several ports has the sizes of all of them.
+        Port name to rms sizes ``F q v a u y dt T``, and ``L``, the force that a joint carries. The force on a
+        coordinate is the rms of ``M a``, of the inputs' force, or of what the nominal adds besides (gravity, springs),
+        whichever is largest. An input that drives a coordinate has its own rms as ``u`` and ``F``; a name used by
+        several ports has the sizes of all of them.
     """
     import casadi as ca
 
@@ -82,6 +84,10 @@ def motion_sizes(
     for row, coordinate in enumerate(system.coordinates):
         sizes = {name: float(rms(getattr(signals, name))[row]) for name in ("q", "v", "a")}
         result.setdefault(coordinate.name, dict(common)).update(F=float(forces[row]), **sizes)
+        load = carried_load(system, coordinate.name)
+        if load is not None:
+            carried = ca.Function("load", arguments(system), [down(system, ca.SX(load))])
+            result[coordinate.name]["L"] = float(rms(along(carried, system, signals, p, None))[0])
     outputs = ca.Function("h", arguments(system), [down(system, system.h)])
     values = rms(along(outputs, system, signals, p, None))
     for row, channel in enumerate(system.outputs):

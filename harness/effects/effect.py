@@ -72,6 +72,8 @@ class Effect:
     requires_along : dict
         What it asks along the motion: a sentence, and a function of the values, of places (K,) and of the damping of
         all that brakes the coordinate there (K,), this effect included.
+    grows : bool
+        A refinement of the first of ``nests``: tried from where that one was fitted, and never before.
     """
 
     name: str
@@ -96,6 +98,7 @@ class Effect:
     extras: tuple[str, ...] = ()
     requires: Mapping[str, Callable[[Mapping[str, float]], bool]] = field(default_factory=dict)
     requires_along: Mapping[str, Along] = field(default_factory=dict)
+    grows: bool = False
 
     def __str__(self) -> str:
         return self.name
@@ -279,6 +282,7 @@ def effect(
     initial: Mapping[str, str] | None = None,
     requires: Mapping[str, Callable[[Mapping[str, float]], bool]] | None = None,
     requires_along: Mapping[str, Along] | None = None,
+    grows: bool = False,
 ) -> Callable[[Callable[..., Any]], Effect]:
     """Make an effect of a function.
 
@@ -293,7 +297,7 @@ def effect(
         Names of hidden states separated by spaces, or name to unit template. They start at 0 unless ``initial`` says
         otherwise.
     name, family, same_as, limits, nests, experiment, formula, drives, downstream, sampled, linearises, angles, initial,
-    requires, requires_along
+    requires, requires_along, grows
         See :class:`Effect`; ``name`` is the function's own unless given.
 
     Returns
@@ -362,6 +366,7 @@ def effect(
             extras=extras,
             requires=dict(requires or {}),
             requires_along=dict(requires_along or {}),
+            grows=grows,
         )
 
     return decorate

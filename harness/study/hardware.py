@@ -71,8 +71,11 @@ def as_hardware(hidden: Hidden, context: Context, size: float) -> Hidden:
     if name in BRISTLES:
         stiffness = size / (_PRESLIDING * rms(context.q(at)))
         values[f"bs{i}"] = stiffness
+        damping = 0.0
         if name != "coulomb_friction":
-            values[f"bd{i}"] = 0.3 * (stiffness * context.inertia(at)) ** 0.5
+            damping = 0.3 * (stiffness * context.inertia(at)) ** 0.5
+            values[f"bd{i}"] = damping
+        hidden = _of_bristles(hidden, stiffness, damping)
     elif name == "hysteresis":
         values[f"slip{i}"] = 1.0
     elif name == "sublinear_friction":
@@ -88,6 +91,17 @@ def as_hardware(hidden: Hidden, context: Context, size: float) -> Hidden:
     else:
         values = _drive(name, values, context)
     return replace(hidden, truth=values, exact=name not in _NEVER_EXACT)
+
+
+def _of_bristles(hidden: Hidden, stiffness: float, damping: float) -> Hidden:
+    """Return a dry friction under the dictionary's name of its law with bristles."""
+    known = hidden.named
+    named = {**known, "tau": damping / stiffness}
+    if "mu" not in known:  # the typical load, over which its bristles slip, is the diagnosis' own
+        level = 0.5 * (known["Fp"] + known["Fm"]) if "Fp" in known else known.get("Fs", known["Fc"])
+        named["xs"] = level / stiffness
+    name = "lugre_friction" if hidden.name == "stribeck_friction" else f"lugre_{hidden.name}"
+    return replace(hidden, name=name, named=named)
 
 
 def _hardening(values: Mapping[str, float], context: Context) -> float:

@@ -43,6 +43,14 @@ _DAHL: dict[str, tuple[tuple[Group, ...], ...]] = {
 """The dry friction of hardware is Dahl's, which is the dictionary's hysteresis with beta = 1, term by term."""
 
 
+_CARRIED = {
+    "lugre_coulomb_friction": "coulomb_friction",
+    "lugre_friction": "stribeck_friction",
+    "lugre_asymmetric_friction": "asymmetric_friction",
+    "lugre_load_dependent_friction": "load_dependent_friction",
+    "lugre_position_dependent_friction": "position_dependent_friction",
+}
+"""Levels that are carried by bristles in hardware: either name says what is hidden there."""
 _ABSORBED = {"pendulum": frozenset({"input_gain@u"}), "cart-pole": frozenset({"input_gain@u", "sensor_offset@x"})}
 """Exactly the same as a common factor on all nominal parameters, which are free, or as another start."""
 
@@ -103,6 +111,27 @@ class Answer:
             self, verdict=verdict, accepted=tuple(effect for effect, _ in kept), ties=tuple(tie for _, tie in kept)
         )
 
+    def by_level(self) -> Answer:
+        """Return the answer with laws of bristles by the names of their levels.
+
+        Examples
+        --------
+        >>> Answer("effects_found", ("lugre_friction@x",)).by_level().accepted
+        ('stribeck_friction@x',)
+        """
+
+        def named_so(group: Group) -> Group:
+            return frozenset(map(_level_of, group))
+
+        ties = tuple(tuple(dict.fromkeys(map(named_so, tie))) for tie in self.ties)
+        return replace(self, accepted=tuple(map(_level_of, self.accepted)), ties=ties, unseen=named_so(self.unseen))
+
+
+def _level_of(name: str) -> str:
+    """Return an effect with the name of the level that its bristles carry, if it is one of these."""
+    law, _, at = name.partition("@")
+    return f"{_CARRIED.get(law, law)}@{at}"
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -130,7 +159,8 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str, engine: str
     are wrong, unless the report calls them a stand-in: then something was flagged, as where it says that the model does
     not fit, whatever it was tried with. An effect that names how the nominal structure is wrong
     (:func:`harness.study.disturbances.named`) may stand beside what is hidden; one without a name is missing all the
-    same, and is flagged as any law outside the dictionary is.
+    same, and is flagged as any law outside the dictionary is. In hardware bristles carry the dry frictions, and laws of
+    bristles count as those of their levels.
 
     Examples
     --------
@@ -140,10 +170,13 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str, engine: str
     'wrong'
     >>> judge_answer({"coulomb_friction@x"}, Answer("effects_found", ("hysteresis@x",)), "cart-pole", "hardware").word
     'tied'
+    >>> judge_answer({"stribeck_friction@x"}, Answer("effects_found", ("lugre_friction@x",)), "cart-pole").word
+    'wrong'
     >>> judge_answer({"backlash@x"}, Answer("model_does_not_fit", ("backlash@x",)), "cart-pole").word
     'flagged'
     """
     answer = answer.without(named(structure, plant))
+    answer = answer.by_level() if engine == "hardware" else answer
     wanted, accepted = frozenset(truth), frozenset(answer.accepted)
     if not accepted or answer.verdict == "model_does_not_fit":
         return _nothing_accepted(wanted, answer)

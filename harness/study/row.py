@@ -113,6 +113,7 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
     hidden = frozenset(str(lead.placed) for lead in found.not_visible) if silent else frozenset()
     imitates = [*found.stand_in, *found.misfit]
     answer = Answer(found.verdict, accepted, ties, hidden, bool(imitates))
+    rivals = (answer.by_level() if task.engine == "hardware" else answer).ties
     outcome = judge_answer(task.effects, answer, task.plant, task.engine, task.structure)
     before, after = _error(found.runs.before), _error(found.runs.after)
     oracle: float | None = before  # where nothing is hidden, the nominal fit knows all
@@ -128,7 +129,7 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
         "ties": "; ".join(
             " / ".join(sorted(" & ".join(sorted(member)) for member in tie)) for tie in ties if len(tie) > 1
         ),
-        "tie_size": max((len(tie) for name, tie in zip(accepted, ties, strict=True) if name != beside), default=0),
+        "tie_size": max((len(tie) for name, tie in zip(accepted, rivals, strict=True) if name != beside), default=0),
         "validation_before": _short(before),
         "validation_after": _short(after),
         "improvement": _short(before / after),

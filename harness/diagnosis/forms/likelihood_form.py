@@ -310,9 +310,16 @@ class LikelihoodForm(SystemForm[SystemT]):
 
         Initial states do not count: what is known of one comes from the first moments of a record and does not grow
         with its length, as that of a parameter does whose price is half the logarithm of the samples (Schwarz 1978).
+        Nor does a smoothing width or the like that lies on its bound: there the data say nothing more of it.
         """
         names = set(system.parameter_names)
-        counted = [name for name in best.names if not name.startswith("x0[")]
+        idle = {
+            placed.name(parameter.name)
+            for placed in effects
+            for parameter in placed.effect.parameters
+            if parameter.nuisance and placed.name(parameter.name) in best.on_bound
+        }
+        counted = [name for name in best.names if not name.startswith("x0[") and name not in idle]
         each = expected.price / sum(len(record) for record in self.records["validation"])
         fit = Fit(
             tuple(effects),

@@ -13,6 +13,7 @@ from harness.effects.effect import Placed
 
 __all__ = [
     "BEYOND",
+    "UNCONVERGED",
     "Comparison",
     "Judged",
     "compared",
@@ -23,6 +24,7 @@ __all__ = [
     "wrong_signs",
 ]
 
+UNCONVERGED = "its fit did not converge"
 BEYOND = "it was left on its way: its steps did not bring it near the best rival"
 _NEAR_BOUND = 1e-4
 """Share of a bound's size within which a value lies on it."""
@@ -112,7 +114,7 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
     if fit.beyond:
         reasons.append(BEYOND)
     elif not fit.converged:
-        reasons.append("its fit did not converge")
+        reasons.append(UNCONVERGED)
     asked = max(2 * policy.evidence, policy.gain_z * comparison.total_error)
     if comparison.total < asked:
         reasons.append(

@@ -10,6 +10,7 @@ import numpy as np
 from harness.diagnosis.policy import EFFORT, POLICY, Policy
 from harness.diagnosis.search.compare import (
     BEYOND,
+    UNCONVERGED,
     Judged,
     compared,
     difference,
@@ -19,6 +20,7 @@ from harness.diagnosis.search.compare import (
     wrong_signs,
 )
 from harness.diagnosis.search.fit import Begun, Fit, Form
+from harness.diagnosis.search.grown import grow
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
 from harness.diagnosis.search.ties import (
     WANTS,
@@ -120,6 +122,7 @@ def search(
     *,
     policy: Policy = POLICY,
     say: Say = lambda text: None,
+    sizes: Mapping[str, Mapping[str, float]] | None = None,
 ) -> Outcome:
     """Find the effects that a model lacks.
 
@@ -132,6 +135,8 @@ def search(
     policy : Policy
     say : callable
         Told what is done.
+    sizes : mapping, optional
+        Sizes of the data by port, for what laws that refine others start from.
 
     Returns
     -------
@@ -142,8 +147,10 @@ def search(
         base = outcome.model
         present = {str(placed) for placed in base.effects}
         untried = [placed for placed in candidates if str(placed) not in present]
-        test = score_test(form, base, untried, policy)
-        fits = _refitted(form, base, test, untried, policy, say)
+        laws = [placed for placed in untried if not placed.effect.grows]
+        test = score_test(form, base, laws, policy)
+        fits = _refitted(form, base, test, laws, policy, say)
+        grow(form, fits, base, untried, sizes or {}, policy, say)
         better = _polished(form, base, [fit for fit in fits.values() if fit is not None])
         if better is not base:  # nothing is compared with a model that is not at its maximum
             nominal = better if base is nominal else nominal
@@ -176,10 +183,14 @@ def _shown(rows: Sequence[Judged], policy: Policy) -> set[str]:
 
 
 def _asked_for(row: Judged, answer: set[str], forbidden: Sequence[str], policy: Policy) -> bool:
-    """Return True for a candidate beside a whole answer that would be accepted if its law allowed its values."""
+    """Return True for a candidate beside a whole answer that would be accepted if its law allowed its values.
+
+    One whose fit has not come to its end is as likely as it is at least.
+    """
     assert row.fit is not None
     beside = answer == {str(placed) for placed in row.fit.effects} - {str(placed) for placed in row.added}
-    return beside and set(row.reasons) <= set(forbidden) and row.fit.change(row.added[0]) >= policy.least
+    rest = set(row.reasons) - {*forbidden, UNCONVERGED}
+    return beside and not rest and row.fit.change(row.added[0]) >= policy.least
 
 
 def _contained(effects: Sequence[Placed]) -> set[str]:
@@ -404,7 +415,8 @@ def _pairs(form: Form, outcome: Outcome, nominal: Fit, candidates: Sequence[Plac
                 best = alone
         if fit is None:
             continue
-        others = [placed for placed in candidates if str(placed) not in {str(rival.added[0]), *ruled_out}]
+        tried = {str(rival.added[0]), *ruled_out}
+        others = [placed for placed in candidates if not placed.effect.grows and str(placed) not in tried]
         leads = [lead for lead in score_test(form, fit, others, policy).leads if lead.share >= policy.clear]
         for lead in leads[:2]:
             if outcome.accepted and total(rival) + 2 * lead.penalised < so_far + policy.tie:  # both uses gain alike

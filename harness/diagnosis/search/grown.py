@@ -1,0 +1,110 @@
+"""Laws that refine another one: fitted from where that one ended, if refining helps the likeliest of them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+
+from harness.diagnosis.policy import Policy
+from harness.diagnosis.search.compare import impossible
+from harness.diagnosis.search.fit import Fit, Form
+from harness.effects.effect import Placed
+
+__all__ = ["grow"]
+
+Fits = dict[Placed, Fit | None]
+
+
+def grow(
+    form: Form,
+    fits: Fits,
+    base: Fit,
+    untried: Sequence[Placed],
+    sizes: Mapping[str, Mapping[str, float]],
+    policy: Policy,
+    say: Callable[[str], None],
+) -> None:
+    """Add the fits of what refines the laws that were fitted.
+
+    What refines the likeliest law at a place is tried first. Where it brings what is asked of an effect, so may what
+    refines its rivals; where it does not, nothing there is refined.
+
+    Parameters
+    ----------
+    form : Form
+    fits : dict
+        By law, added to.
+    base : Fit
+    untried : sequence of Placed
+        All laws beside the base, those that grow among them.
+    sizes : mapping
+        Sizes of the data by port, for the parameters that only they have.
+    policy : Policy
+    say : callable
+        Told what is done.
+    """
+    refinements = [placed for placed in untried if placed.effect.grows]
+    before = base.log_likelihood("estimation")
+    done = {placed: fit for placed, fit in fits.items() if fit is not None}
+    most = max((fit.log_likelihood("estimation") - before for fit in done.values()), default=0.0)
+    for at in dict.fromkeys(placed.at for placed in refinements):
+        richer = {placed.effect.nests[0]: placed for placed in refinements if placed.at == at}
+        simple = [placed for placed in done if placed.at == at and placed.effect.name in richer]
+        if not simple:
+            continue
+        lawful = [placed for placed in simple if not impossible(placed, done[placed])]
+        ordered = sorted(lawful or simple, key=lambda placed: -done[placed].log_likelihood("estimation"))
+        likeliest = ordered[0]
+        if done[likeliest].log_likelihood("estimation") - before < max(policy.evidence, policy.reach * most):
+            continue
+        helps = None
+        starts = {
+            parameter.name: (fit.values[placed.name(parameter.name)],)
+            for placed, fit in done.items()
+            for parameter in placed.effect.parameters
+            if placed.at == at and placed not in simple
+        }
+        for law in [likeliest, *(placed for placed in simple if placed != likeliest)]:
+            rich = richer[law.effect.name]
+            say(str(rich))
+            grown = _grown(form, base, rich, law, done[law], starts, sizes.get(at, {}), helps)
+            if law == likeliest:
+                if grown is None or grown.penalised < done[law].penalised + policy.evidence:
+                    break
+                helps = grown
+            fits[rich] = grown
+
+
+def _grown(
+    form: Form,
+    base: Fit,
+    rich: Placed,
+    simple: Placed,
+    fit: Fit,
+    known: Mapping[str, Sequence[float]],
+    sizes: Mapping[str, float],
+    rival: Fit | None = None,
+) -> Fit | None:
+    """Return the fit of a law from where a special case of it ended; None where its first steps gain nothing."""
+    begun = form.begin([*base.effects, rich], starts_of(rich, simple, fit, known, sizes), fit)
+    if begun is None or begun.log_likelihood < fit.log_likelihood("estimation"):
+        return None
+    return form.finish(begun, fit, rival)
+
+
+def starts_of(
+    rich: Placed, simple: Placed, fit: Fit, known: Mapping[str, Sequence[float]], sizes: Mapping[str, float]
+) -> list[dict[str, float]]:
+    """Return where a law starts from the fit of the one that it refines.
+
+    What is new in it starts from the sizes of the data, and from what other laws of the place know of it.
+    """
+    shared = set(simple.effect.parameter_names)
+    choices = [
+        (fit.values[simple.name(parameter.name)],)
+        if parameter.name in shared
+        else (*known.get(parameter.name, ()), *parameter.starts(sizes))
+        for parameter in rich.effect.parameters
+    ]
+    names = [rich.name(parameter.name) for parameter in rich.effect.parameters]
+    return [{**fit.values, **dict(zip(names, choice, strict=True))} for choice in itertools.product(*choices)]
