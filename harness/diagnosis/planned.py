@@ -157,7 +157,8 @@ def isolability_of(
                 remedy="a smaller amplitude, a shorter record, or a controller as the scenario",
             )
         form.resize(fit)
-        candidates = place_all(system, dictionary)
+        # what refines a law is looked for where that law was found
+        candidates = [placed for placed in place_all(system, dictionary) if not placed.effect.grows]
         test = score_test(form, fit, candidates, replace(policy, seen=plan.visible))
         names, cosines = test.cosines(most=len(test.leads))
         both = np.minimum(cosines, cosines.T)

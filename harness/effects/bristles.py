@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import Any
 
 from harness.effects.effect import EffectParameter, effect, par
-from harness.effects.functions import absolute, cos, exp, larger, sqrt
+from harness.effects.functions import absolute, cos, exp, sign, sqrt
 
 __all__ = [
     "lugre_asymmetric_friction",
@@ -32,6 +32,9 @@ _UNLOADED = 1e-3
 _STILL = 1e-6
 """Speed below which a level that grows with the speed no longer changes [rad/s or m/s]."""
 
+_NOTHING = 1e-30
+"""Added to levels that are divided by each other, for the case that there are none."""
+
 
 def _level(name: str, scale: str, *, main: bool = False, meaning: str) -> EffectParameter:
     """Return a force level that should be positive."""
@@ -45,7 +48,7 @@ def _bristles() -> list[EffectParameter]:
             meaning="presliding length"),
         par("tau", "s", scale="4 dt", sign="+", minimum=0.0, nuisance=True,
             meaning="damping of the bristles over their stiffness"),
-        par("T", "s", scale="0.2 dt", sign="+", minimum=0.0, fixed=True, nuisance=True,
+        par("T", "s", scale="0.1 dt", sign="+", minimum=0.0, fixed=True, nuisance=True,
             meaning="shortest time in which the bristles settle"),
     ]  # fmt: skip
 
@@ -55,12 +58,11 @@ def _power(v: Any, a: Any) -> Any:
     return sqrt(v * v + _STILL**2) ** a
 
 
-def _carried(level: Any, slip: Any, s: Any, p: Any, v: Any) -> tuple[Any, list[Any]]:
-    """Return the force of bristles with a level at deflection xs, and the rate of z; ``slip`` is |v| over g."""
-    stiffness = level / p.xs
-    settles = stiffness * slip
+def _carried(level: Any, steady: Any, s: Any, p: Any, v: Any) -> tuple[Any, list[Any]]:
+    """Return the force of bristles and the rate of z, from the level at deflection xs and that of steady motion."""
+    settles = absolute(v) / p.xs * (level + _NOTHING) / (steady + _NOTHING)
     rate = (v - settles * s.z) / (1.0 + settles * p.T)
-    return -stiffness * (s.z + p.tau * rate), [rate]
+    return -level / p.xs * (s.z + p.tau * rate), [rate]
 
 
 @effect(
@@ -79,7 +81,7 @@ def _carried(level: Any, slip: Any, s: Any, p: Any, v: Any) -> tuple[Any, list[A
 )
 def lugre_coulomb_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Dry friction of bristles with one level (Dahl's, with damping)."""
-    return _carried(p.Fc, absolute(v) / p.Fc, s, p, v)
+    return _carried(p.Fc, p.Fc, s, p, v)
 
 
 @effect(
@@ -102,7 +104,7 @@ def lugre_coulomb_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any,
 )  # fmt: skip
 def lugre_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Dry friction of bristles that is higher near standstill (LuGre)."""
-    return _carried(p.Fs, absolute(v) / (p.Fc + (p.Fs - p.Fc) * exp(-((v / p.vs) ** 2))), s, p, v)
+    return _carried(p.Fs, p.Fc + (p.Fs - p.Fc) * exp(-((v / p.vs) ** 2)), s, p, v)
 
 
 @effect(
@@ -122,7 +124,7 @@ def lugre_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[An
 )
 def lugre_asymmetric_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Dry friction of bristles with another level in each direction."""
-    return _carried(0.5 * (p.Fp + p.Fm), larger(v, 0.0) / p.Fp + larger(-v, 0.0) / p.Fm, s, p, v)
+    return _carried(0.5 * (p.Fp + p.Fm), 0.5 * (p.Fp + p.Fm) + 0.5 * (p.Fp - p.Fm) * sign(v), s, p, v)
 
 
 @effect(
@@ -143,7 +145,7 @@ def lugre_asymmetric_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[A
 def lugre_load_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any, load: Any) -> tuple[Any, list[Any]]:
     """Dry friction of bristles in proportion to the force that the joint carries."""
     carries = sqrt(load * load + (_UNLOADED * p.L) ** 2)
-    return _carried(p.mu * p.L, absolute(v) / (p.mu * carries), s, p, v)
+    return _carried(p.mu * p.L, p.mu * carries, s, p, v)
 
 
 @effect(
@@ -166,7 +168,7 @@ def lugre_load_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any, load: 
 )
 def lugre_position_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Dry friction of bristles whose level depends on the angle."""
-    return _carried(p.Fc, absolute(v) / ((1.0 + p.a * cos(q + p.phi)) * p.Fc), s, p, v)
+    return _carried(p.Fc, (1.0 + p.a * cos(q + p.phi)) * p.Fc, s, p, v)
 
 
 @effect(
@@ -188,7 +190,7 @@ def lugre_position_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any) ->
 )
 def lugre_sublinear_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Friction of bristles whose level grows with the speed less than in proportion: grease and seals."""
-    return _carried(p.Fr, absolute(v) / (p.Fr * _power(v, p.a)), s, p, v)
+    return _carried(p.Fr, p.Fr * _power(v, p.a), s, p, v)
 
 
 @effect(
@@ -210,4 +212,4 @@ def lugre_sublinear_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[An
 )  # fmt: skip
 def lugre_yield_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Dry friction of bristles whose level grows with the speed less than in proportion: stiff grease."""
-    return _carried(p.Fc + p.Fr, absolute(v) / (p.Fc + p.Fr * _power(v, p.a)), s, p, v)
+    return _carried(p.Fc + p.Fr, p.Fc + p.Fr * _power(v, p.a), s, p, v)

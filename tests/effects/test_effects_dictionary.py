@@ -33,7 +33,9 @@ load_dependent_friction hysteresis position_dependent_friction linear_spring qua
 eccentric_load payload_step end_stop dead_zone saturation rate_limit input_delay actuator_lag input_gain force_bias
 backlash elasticity cogging sensor_offset sensor_gain sensor_cyclic_error sensor_delay sensor_rectification
 sensor_saturation sensor_quantisation sensor_nonlinearity position_dependent_damping maxwell_element input_compression
-periodic_disturbance overflow level_saturation leak yield_friction""".split()
+periodic_disturbance overflow level_saturation leak yield_friction
+lugre_friction lugre_coulomb_friction lugre_asymmetric_friction lugre_load_dependent_friction
+lugre_position_dependent_friction lugre_sublinear_friction lugre_yield_friction""".split()
 
 
 def test_every_name_of_the_dictionary_is_there_and_registered():

@@ -211,7 +211,9 @@ def _rest(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[
 
 
 _FRICTION = ("coulomb_friction", "stribeck_friction", "asymmetric_friction", "viscous_friction", "hysteresis",
-             "load_dependent_friction", "position_dependent_friction")  # fmt: skip
+             "load_dependent_friction", "position_dependent_friction", "sublinear_friction", "yield_friction",
+             "lugre_friction", "lugre_coulomb_friction", "lugre_asymmetric_friction", "lugre_load_dependent_friction",
+             "lugre_position_dependent_friction", "lugre_sublinear_friction", "lugre_yield_friction")  # fmt: skip
 _RULES: tuple[tuple[tuple[str, ...], str, _Plan | str], ...] = (
     (_FRICTION, "slow motion through standstill: the laws of friction differ there, at speed they are alike",
      _slow_triangle),
