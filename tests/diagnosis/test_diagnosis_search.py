@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.search.compare import compared, judged
+from harness.diagnosis.search.compare import BEYOND, UNCONVERGED, compared, judged
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.rounds import Outcome, Round, _pairs, _pruned, search
@@ -464,6 +464,21 @@ def test_a_further_law_of_the_wrong_sign_makes_the_answer_a_stand_in(size: float
         assert accepted(found) == {"quadratic_drag"}
         assert (better is not None) is (size < -0.1), "what is within chance is not asked for"
         assert better is None or better.name == "viscous_friction@theta"
+
+
+def test_a_forbidden_further_law_counts_before_its_fit_has_come_to_its_end() -> None:
+    """It is as likely as it is at least; one that was left on its way says nothing."""
+    form = LinearForm(linear_records(5, {"quadratic_drag": 0.6, "viscous_friction": -0.4}))
+    found = search(form, form.fit((), [], None), ALL)
+    for reason, counts in ((UNCONVERGED, True), (BEYOND, False)):
+        rounds = [
+            replace(past, candidates=tuple(
+                replace(row, reasons=(*row.reasons, reason)) if row.name == "viscous_friction@theta" else row
+                for row in past.candidates
+            )) for past in found.rounds
+        ]  # fmt: skip
+        better = replace(found, rounds=rounds).unlawful()
+        assert (better is not None and better.name == "viscous_friction@theta") is counts
 
 
 def test_an_effect_whose_own_law_forbids_what_is_left_of_it_is_not_left_alone() -> None:

@@ -26,8 +26,8 @@ def grow(
 ) -> None:
     """Add the fits of what refines the laws that were fitted.
 
-    What refines the likeliest law at a place is tried first. Where it brings what is asked of an effect, so may what
-    refines its rivals; where it does not, nothing there is refined.
+    What refines the likeliest law at a place is tried first, and that of the laws that its physics allows. Where it
+    brings what is asked of an effect, so may what refines their rivals; where it does not, nothing there is refined.
 
     Parameters
     ----------
@@ -52,27 +52,28 @@ def grow(
         simple = [placed for placed in done if placed.at == at and placed.effect.name in richer]
         if not simple:
             continue
+        simple.sort(key=lambda placed: -done[placed].log_likelihood("estimation"))
         lawful = [placed for placed in simple if not impossible(placed, done[placed])]
-        ordered = sorted(lawful or simple, key=lambda placed: -done[placed].log_likelihood("estimation"))
-        likeliest = ordered[0]
-        if done[likeliest].log_likelihood("estimation") - before < max(policy.evidence, policy.reach * most):
+        likeliest = dict.fromkeys([*lawful[:1], simple[0]])  # a law may be forbidden for want of bristles
+        if done[simple[0]].log_likelihood("estimation") - before < max(policy.evidence, policy.reach * most):
             continue
-        helps = None
         starts = {
             parameter.name: (fit.values[placed.name(parameter.name)],)
             for placed, fit in done.items()
             for parameter in placed.effect.parameters
             if placed.at == at and placed not in simple
         }
-        for law in [likeliest, *(placed for placed in simple if placed != likeliest)]:
+        helps: Fit | None = None
+        for law in dict.fromkeys([*likeliest, *simple]):
+            if law not in likeliest and helps is None:
+                break
             rich = richer[law.effect.name]
             say(str(rich))
             grown = _grown(form, base, rich, law, done[law], starts, sizes.get(at, {}), helps)
-            if law == likeliest:
-                if grown is None or grown.penalised < done[law].penalised + policy.evidence:
-                    break
-                helps = grown
+            if grown is None or (law in likeliest and grown.penalised < done[law].penalised + policy.evidence):
+                continue
             fits[rich] = grown
+            helps = helps or grown
 
 
 def _grown(

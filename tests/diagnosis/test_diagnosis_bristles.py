@@ -1,0 +1,183 @@
+"""Laws that refine another one: when they are tried, from where, and what records of bristles are called."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pytest
+
+from harness.diagnosis.algorithm import diagnose
+from harness.diagnosis.diagnosis import Diagnosis
+from harness.diagnosis.policy import POLICY
+from harness.diagnosis.search.fit import Begun, Fit
+from harness.diagnosis.search.grown import grow, starts_of
+from harness.diagnosis.stand_in import stand_in_reasons
+from harness.effects import builtin
+from harness.effects.effect import Placed
+from harness.physics import load_model
+from harness.study.plan import Task
+from harness.study.records import Records, make_records
+
+USED = 240_000
+"""The base of records that were looked at while this was written."""
+
+
+def law(name: str) -> Placed:
+    return Placed(builtin()[name], "theta")
+
+
+def a_fit(effects: Sequence[Placed], log_likelihood: float, values: Mapping[str, float] | None = None) -> Fit:
+    """Return a fit of 100 samples in each use with this log-likelihood."""
+    known = {placed.name(name): value for placed in effects for name, value in placed.effect.complete({}, {}).items()}
+    return Fit(
+        effects=tuple(effects),
+        system=None,  # type: ignore[arg-type]
+        values=known | dict(values or {}),
+        free=(),
+        count=sum(not parameter.fixed for placed in effects for parameter in placed.effect.parameters),
+        terms={use: [np.full(100, log_likelihood / 100)] for use in ("estimation", "validation")},
+        deviations={},
+        logarithmic=frozenset(),
+        converged=True,
+        on_bound=(),
+    )
+
+
+class Told:
+    """A form whose fits end where they are told to; only what ``grow`` asks of a form."""
+
+    def __init__(self, ends: Mapping[str, float]) -> None:
+        self.ends = ends
+        self.begun: list[str] = []
+        self.starts: dict[str, list[dict[str, float]]] = {}
+
+    def begin(
+        self, effects: Sequence[Placed], starts: Sequence[dict[str, float]], base: Fit, hope: float = -np.inf
+    ) -> Begun:
+        name = effects[-1].effect.name
+        self.begun.append(name)
+        self.starts[name] = list(starts)
+        return Begun(tuple(effects), self.ends[name], dict(starts[0]), None)
+
+    def finish(self, begun: Begun, base: Fit, rival: Fit | None = None) -> Fit:
+        return a_fit(begun.effects, begun.log_likelihood)
+
+
+def grown(ends: Mapping[str, float], **simple: float) -> tuple[Told, dict[Placed, Fit | None]]:
+    """Return what grows beside an empty base of log-likelihood 0."""
+    form = Told(ends)
+    fits: dict[Placed, Fit | None] = {law(name): a_fit([law(name)], value) for name, value in simple.items()}
+    untried = [law(name) for name in builtin() if builtin()[name].kinds == ("coordinate",)]
+    grow(form, fits, a_fit([], 0.0), untried, {}, POLICY, lambda text: None)  # type: ignore[arg-type]
+    return form, fits
+
+
+ENDS = {"lugre_coulomb_friction": 120.0, "lugre_asymmetric_friction": 121.0, "lugre_friction": 119.0}
+
+
+def test_what_refines_the_likeliest_lawful_law_goes_first_and_its_rivals_follow_where_it_helps() -> None:
+    form, fits = grown(ENDS, asymmetric_friction=52.0, coulomb_friction=60.0)
+    assert form.begun == ["lugre_coulomb_friction", "lugre_asymmetric_friction"]
+    assert {str(placed) for placed, fit in fits.items() if fit is not None} == {
+        "coulomb_friction@theta", "asymmetric_friction@theta",
+        "lugre_coulomb_friction@theta", "lugre_asymmetric_friction@theta",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("alone", [61.0, 120.0])
+def test_a_likelier_law_that_its_physics_forbids_is_refined_too(alone: float) -> None:
+    """It may be forbidden for want of bristles."""
+    form = Told({**ENDS, "lugre_coulomb_friction": alone})
+    backwards = a_fit([law("stribeck_friction")], 70.0, {"stribeck_friction@theta.Fs": -0.1})
+    fits: dict[Placed, Fit | None] = {
+        law("stribeck_friction"): backwards,
+        law("coulomb_friction"): a_fit([law("coulomb_friction")], 60.0),
+    }
+    untried = [law("lugre_friction"), law("lugre_coulomb_friction")]
+    grow(form, fits, a_fit([], 0.0), untried, {}, POLICY, lambda text: None)  # type: ignore[arg-type]
+    assert form.begun == ["lugre_coulomb_friction", "lugre_friction"]
+    assert fits[law("lugre_friction")] is not None
+    assert (fits.get(law("lugre_coulomb_friction")) is not None) is (alone > 100.0)
+
+
+@pytest.mark.parametrize("gains", [-1.0, 4.0])
+def test_where_bristles_do_not_help_nothing_else_is_refined(gains: float) -> None:
+    form, fits = grown(
+        {**ENDS, "lugre_coulomb_friction": 60.0 + gains}, asymmetric_friction=52.0, coulomb_friction=60.0
+    )
+    assert form.begun == ["lugre_coulomb_friction"]
+    assert len(fits) == 2
+
+
+def test_a_law_far_below_the_best_answer_and_one_that_says_nothing_are_not_refined() -> None:
+    assert grown(ENDS, coulomb_friction=60.0, linear_spring=500.0)[0].begun == []
+    assert grown(ENDS, coulomb_friction=3.0)[0].begun == []
+
+
+def test_it_starts_from_the_law_it_refines_and_from_what_others_know() -> None:
+    simple, rich = law("coulomb_friction"), law("lugre_coulomb_friction")
+    fit = a_fit([simple], 60.0, {"coulomb_friction@theta.Fc": 0.7, "J": 2.0})
+    starts = starts_of(rich, simple, fit, {"xs": (0.02,)}, {"q": 1.0, "dt": 0.01})
+    assert {start["lugre_coulomb_friction@theta.Fc"] for start in starts} == {0.7}
+    assert {start["J"] for start in starts} == {2.0}
+    lengths = [start["lugre_coulomb_friction@theta.xs"] for start in starts]
+    assert lengths == pytest.approx([0.02, 0.003, 0.0009, 0.009])
+    form, _ = grown(ENDS, coulomb_friction=60.0, hysteresis=58.0)
+    known = builtin()["hysteresis"].parameter("xs").start({})
+    assert form.starts["lugre_coulomb_friction"][0]["lugre_coulomb_friction@theta.xs"] == known
+
+
+def test_a_sum_of_two_dry_laws_is_neither_though_one_is_of_bristles() -> None:
+    (reason,) = stand_in_reasons([law("lugre_coulomb_friction"), law("hysteresis")], None)
+    assert "imitate it" in reason
+    assert stand_in_reasons([law("lugre_friction"), law("quadratic_drag")], None) == ()
+
+
+def closed(key: str, *names: str, shape: str = "gauss-markov") -> tuple[Records, Diagnosis]:
+    """Return a record of the study and its diagnosis with some effects of the dictionary."""
+    study, plant, engine, effect, level, noise, disturbance, index = key.split("|")
+    task = Task(study, plant, engine, (effect,), level, noise, float(disturbance), int(index), USED, shape=shape)
+    records = make_records(task)
+    dictionary = [builtin()[name] for name in names] or None
+    return records, diagnose(records.dataset, load_model(plant), dictionary=dictionary)
+
+
+@pytest.mark.slow
+def test_stribeck_friction_of_bristles_is_named_with_its_parameters() -> None:
+    """A truth in C. Without laws of bristles it was Coulomb friction and drag, which stood in for it."""
+    records, found = closed(
+        "confusion|pendulum|hardware|stribeck_friction@theta|quarter|high|0|0",
+        "coulomb_friction", "stribeck_friction", "quadratic_drag", "lugre_friction", "lugre_coulomb_friction",
+    )  # fmt: skip
+    assert [str(effect.placed) for effect in found.outcome.accepted] == ["lugre_friction@theta"]
+    assert (found.grade, found.stand_in) == ("explained", ())
+    (truth,) = (hidden.named for hidden in records.hidden)
+    for name in ("Fs", "Fc", "vs", "xs"):
+        low, high = found.final.interval(f"lugre_friction@theta.{name}")
+        assert low < truth[name] < high
+        assert high < 2.0 * low
+    after = np.concatenate(found.runs.after.validation)
+    assert np.sqrt(np.mean(after**2)) < 1.02  # the sensor noise
+
+
+@pytest.mark.slow
+def test_friction_of_another_engine_without_bristles_is_not_refined() -> None:
+    """Bullet's joint friction is an impulse."""
+    _, found = closed(
+        "confusion|pendulum|bullet|coulomb_friction@theta|nominal|high|0|0",
+        "coulomb_friction",
+        "lugre_coulomb_friction",
+    )
+    assert [str(effect.placed) for effect in found.outcome.accepted] == ["coulomb_friction@theta"]
+
+
+@pytest.mark.slow
+def test_a_width_on_its_bound_is_no_parameter() -> None:
+    """Faint friction under an unknown torque: a width that the samples do not show was asked 4 in log-likelihood."""
+    _, found = closed("confusion|pendulum|laws|load_dependent_friction@theta|quarter|high|0.02|0", shape="wheel")
+    (row,) = (row for row in found.outcome.rounds[0].candidates if row.name == "load_dependent_friction@theta")
+    assert row.fit is not None
+    assert "load_dependent_friction@theta.w" in row.fit.on_bound
+    assert row.fit.count == found.outcome.nominal.count + 1
+    assert [str(effect.placed) for effect in found.outcome.accepted] == ["load_dependent_friction@theta"]
