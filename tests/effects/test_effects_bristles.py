@@ -93,17 +93,17 @@ def test_within_the_presliding_length_it_is_a_spring_with_a_damper(name):
 def test_the_time_in_which_bristles_settle_bounds_the_steps_of_the_solver():
     x = moving(PENDULUM, {"theta": {"v": 2.0}})
     needed = {}
-    for settle in (0.0, 0.1 * DT):
+    for settle in (0.0, 0.2 * DT):
         values = {"Fc": 0.1, "xs": 1e-4, "tau": 0.0, "T": settle}
         system = compose(PENDULUM, [Placed(builtin()["lugre_coulomb_friction"], "theta", values)])
         needed[settle] = recommended_substeps(system, None, DT, x=np.append(x, 0.0))
     assert needed[0.0] > 50
-    assert needed[0.1 * DT] <= 5
+    assert needed[0.2 * DT] <= 3
 
 
-@pytest.mark.parametrize("settle", [0.0, 0.1 * DT])
+@pytest.mark.parametrize("settle", [0.0, 0.2 * DT])
 def test_a_pendulum_with_it_moves_as_in_the_truth_written_by_hand(settle):
-    """The truth is C, in steps of 0.2 ms; T spares steps, and costs less than a thousandth of what friction does."""
+    """The truth is C, in steps of 0.2 ms; T spares steps, and costs less than a ten thousandth of what friction does."""
     rng = np.random.default_rng(3)
     n = 2000
     u = np.interp(np.arange(n), np.arange(0, n + 50, 50), rng.standard_normal(n // 50 + 1)) * 0.5
@@ -116,9 +116,9 @@ def test_a_pendulum_with_it_moves_as_in_the_truth_written_by_hand(settle):
         PENDULUM.with_parameters({"J": 0.1, "mgl": 1.0, "b": 0.02}),
         [Placed(builtin()["lugre_friction"], "theta", values)],
     )
-    simulator = system.simulator(DT, backend="casadi", substeps=20 if settle == 0.0 else 5)
+    simulator = system.simulator(DT, backend="casadi", substeps=20 if settle == 0.0 else 3)
     y = simulator.rollout(system.vector(None), np.zeros(system.nx), u[:, None])
     error = np.abs(y[:, 0] - true).max()
     effect = np.abs(free - true).max()
     assert effect > 0.3
-    assert error < (1e-9 if settle == 0.0 else 1e-3) * effect
+    assert error < (1e-9 if settle == 0.0 else 1e-4) * effect
