@@ -103,7 +103,7 @@ def test_the_time_in_which_bristles_settle_bounds_the_steps_of_the_solver():
 
 @pytest.mark.parametrize("settle", [0.0, 0.2 * DT])
 def test_a_pendulum_with_it_moves_as_in_the_truth_written_by_hand(settle):
-    """The truth is C, in steps of 0.2 ms; T spares steps, and costs less than a ten thousandth of what friction does."""
+    """The truth is C, in steps of 0.2 ms; T costs less than a ten thousandth of what the friction does."""
     rng = np.random.default_rng(3)
     n = 2000
     u = np.interp(np.arange(n), np.arange(0, n + 50, 50), rng.standard_normal(n // 50 + 1)) * 0.5
