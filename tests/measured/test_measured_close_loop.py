@@ -14,7 +14,7 @@ MASS = (
 )
 MASS_BY_OUR_FIT = 0.01
 FRICTION = {"coulomb_friction", "stribeck_friction", "asymmetric_friction", "sublinear_friction", "yield_friction",
-            "hysteresis"}  # fmt: skip
+            "hysteresis", *(name for name, law in builtin().items() if law.grows)}  # fmt: skip
 
 
 def validation_error(report, when: str, output: str) -> float:
