@@ -36,11 +36,12 @@ def test_emps_lacks_friction_that_no_single_law_of_the_dictionary_describes(reco
     assert data["errors"]["after"]["simulation_error"]["horizon_s"] == 1.0
     assert data["parameters"]["after"]["M"]["value"] == pytest.approx(MASS, rel=MASS_BY_OUR_FIT)
     assert data["closed_loop"]["u"]["feedback"]
-    # a hysteresis has a state of its own: no residual force is set beside a one-step error
+    # bristles have a state of their own: no residual force is set beside a one-step error
     equation = {when: data["errors"][when]["equation_error"] for when in ("before", "after")}
     assert equation["before"]["meaning"] == equation["after"]["meaning"]
     assert equation["before"]["validation"]["q"]["unit"] == equation["after"]["validation"]["q"]["unit"] == "m"
-    assert equation["after"]["validation"]["q"]["rms"] < equation["before"]["validation"]["q"]["rms"]
+    # one step of 1 ms from readings of 27 nm knows nothing of bristles that slip within 25 um
+    assert max(equation[when]["validation"]["q"]["rms"] for when in equation) < 1e-6
 
 
 @pytest.mark.slow
