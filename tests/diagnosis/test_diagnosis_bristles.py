@@ -172,7 +172,6 @@ def test_friction_of_another_engine_without_bristles_is_not_refined() -> None:
     assert [str(effect.placed) for effect in found.outcome.accepted] == ["coulomb_friction@theta"]
 
 
-@pytest.mark.slow
 def test_a_width_on_its_bound_is_no_parameter() -> None:
     """Faint friction under an unknown torque: a width that the samples do not show was asked 4 in log-likelihood."""
     _, found = closed("confusion|pendulum|laws|load_dependent_friction@theta|quarter|high|0.02|0", shape="wheel")
