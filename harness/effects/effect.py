@@ -329,6 +329,13 @@ def effect(
         raise InputError(
             "kind of an effect", expected=f"among {', '.join(KINDS)}", got=repr(kind), remedy="name the ports it fits"
         )
+    if grows and not nests:
+        raise InputError(
+            "an effect that grows",
+            expected="nests, the law that it refines first",
+            got="no nests",
+            remedy="name that law in nests, or leave grows out",
+        )
     parameters = _parameters(params)
     hidden = dict.fromkeys(states.split(), "1") if isinstance(states, str) else dict(states)
 

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.effects import Placed, builtin, compose, nested
+from harness.effects import Placed, builtin, compose, effect, nested
 from harness.effects.compose import moving, recommended_substeps
+from harness.errors import InputError
 from harness.physics import load_model
 from harness.study.truths import DT
 from harness.study.truths import simulate as truth
@@ -62,6 +63,11 @@ def test_every_law_of_bristles_refines_one_and_says_so():
     for name in grown:
         assert not builtin()[builtin()[name].nests[0]].states
         assert builtin()[name].nests[0] in {law.name for law in nested(builtin()[name])}
+
+
+def test_a_law_that_refines_none_is_refused():
+    with pytest.raises(InputError, match="nests, the law that it refines"):
+        effect("coordinate", {"c": "F"}, grows=True)
 
 
 @given(
