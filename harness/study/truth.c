@@ -93,9 +93,9 @@ static double force(const double *p, int i, const double *x, double *dx, double 
         dx[HYST + i] = (v - 0.5 * fabs(v) * z - 0.5 * v * fabs(z)) / AT(P_xs, i);
     }
     if (AT(P_bs, i) > 0) { /* bristles of this stiffness and damping carry the dry friction */
-        /* where the level passes through nothing they slip at once, and no step follows that */
+        /* what settles sooner than a step follows comes to the same deflection, only later: at speed the force is g */
         const double g = level(p, i, v, x), z = x[BRISTLE + i], slips = AT(P_bs, i) * fabs(v);
-        dx[BRISTLE + i] = v - (slips < SOONEST * g ? slips / g : SOONEST) * z;
+        dx[BRISTLE + i] = slips < SOONEST * g ? v - slips / g * z : SOONEST * (g * sign(v) / AT(P_bs, i) - z);
         f -= AT(P_bs, i) * z + AT(P_bd, i) * dx[BRISTLE + i];
     }
     const double m = x[MAXWELL + i];

@@ -88,6 +88,14 @@ def test_every_friction_takes_energy_out(law):
     assert energy[-1] < energy[0] - 0.1
 
 
+@pytest.mark.parametrize("stiffness", [10.0, 200.0])
+def test_bristles_carry_their_level_at_any_speed(stiffness):
+    """At 9 rad/s those of a study settled sooner than its steps followed, and braked more than their level."""
+    plant = {"J": 0.1, "b0": 0.0, "mgl": 0.0, "Fss0": 0.05, "Fst0": 0.05, "vs0": 1.0, "bs0": stiffness, "bd0": 0.1}
+    motion = simulate(plant, np.zeros(250), start=np.array([0.0, 20.0]))
+    assert np.diff(motion.v[50:, 0]) == pytest.approx(np.full(199, -0.05 / 0.1 * 0.004), rel=1e-3)
+
+
 @pytest.mark.parametrize("law", [{"Fp0": 0.1, "Fm0": 0.1}, {"gap": 0.05, "kt": 50.0, "dt": 0.5, "Jm": 0.02}])
 def test_a_finer_step_changes_nothing_that_a_sensor_sees(law, command):
     coarse, fine = (simulate({**PENDULUM, **law}, command, start=np.zeros(2), substeps=n) for n in (20, 160))
