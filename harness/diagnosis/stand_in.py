@@ -11,11 +11,13 @@ __all__ = ["DRY", "is_dry", "stand_in_reasons"]
 DRY = frozenset({"coulomb_friction", "stribeck_friction", "asymmetric_friction", "hysteresis",
                  "position_dependent_friction", "sublinear_friction", "yield_friction"})  # fmt: skip
 """Laws of the whole dry friction of a joint: a sum of two is neither."""
+_MEMORY = frozenset({"bristles", "slip elements"})
+"""What makes a law of dry friction remember its last reversal: a joint has one presliding."""
 
 
 def is_dry(effect: Effect) -> bool:
-    """Return True for a law of the whole dry friction of a joint, or one that refines such a law."""
-    return effect.name in DRY or (effect.grows and effect.nests[0] in DRY)
+    """Return True for a law of the whole dry friction of a joint, or one with a presliding of its own."""
+    return effect.name in DRY or effect.grows in _MEMORY
 
 
 def stand_in_reasons(accepted: Sequence[Placed], left: str | None) -> tuple[str, ...]:

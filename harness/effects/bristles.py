@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import Any
 
 from harness.effects.effect import EffectParameter, effect, par
-from harness.effects.functions import absolute, cos, exp, sign, sqrt
+from harness.effects.functions import absolute, cos, exp, no_sooner, sign, sqrt
 
 __all__ = [
     "lugre_asymmetric_friction",
@@ -45,7 +45,8 @@ def _level(name: str, scale: str, *, main: bool = False, meaning: str) -> Effect
 def _bristles() -> list[EffectParameter]:
     """Return the parameters of the bristles."""
     return [
-        par("xs", "q", scale="0.003 q", floor="1e-5 q", sign="+", minimum=1e-9, grid=(1.0, 0.3, 3.0),
+        # no sample sees less than the way from rest within one
+        par("xs", "q", scale="0.003 q", floor="0.5 a dt^2", sign="+", minimum=1e-9, grid=(1.0, 0.3, 3.0),
             meaning="presliding length"),
         par("tau", "s", scale="4 dt", sign="+", minimum=0.0, nuisance=True,
             meaning="damping of the bristles over their stiffness"),
@@ -62,7 +63,7 @@ def _power(v: Any, a: Any) -> Any:
 def _carried(level: Any, steady: Any, s: Any, p: Any, v: Any) -> tuple[Any, list[Any]]:
     """Return the force of bristles and the rate of z, from the level at deflection xs and that of steady motion."""
     settles = absolute(v) / p.xs * (level + _NOTHING) / (steady + _NOTHING)
-    rate = (v - settles * s.z) / (1.0 + (settles * p.T) ** 4) ** 0.25
+    rate = no_sooner(v - settles * s.z, settles, p.T)
     return -level / p.xs * (s.z + p.tau * rate), [rate]
 
 
@@ -77,7 +78,7 @@ def _carried(level: Any, steady: Any, s: Any, p: Any, v: Any) -> tuple[Any, list
         "coulomb_friction": "for a presliding length xs far below the motion",
         "hysteresis": "for bristles without damping, where beta is 1 (Dahl 1968)",
     },
-    grows=True,
+    grows="bristles",
     experiment="reversals of several small amplitudes: within the presliding length the joint springs back",
 )
 def lugre_coulomb_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
@@ -100,7 +101,7 @@ def lugre_coulomb_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any,
     nests=("stribeck_friction", "coulomb_friction", "lugre_coulomb_friction"),
     requires={"the level near standstill Fs lies above the level at speed Fc": lambda p: p["Fs"] > p["Fc"]},
     limits={"stribeck_friction": "for a presliding length xs far below the motion"},
-    grows=True,
+    grows="bristles",
     experiment="slow triangles through zero speed, and reversals within the presliding length: small loops appear",
 )  # fmt: skip
 def lugre_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
@@ -120,7 +121,7 @@ def lugre_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[An
     family=("asymmetric_friction", "lugre_coulomb_friction", "force_bias"),
     nests=("asymmetric_friction", "coulomb_friction", "lugre_coulomb_friction"),
     limits={"asymmetric_friction": "for a presliding length xs far below the motion"},
-    grows=True,
+    grows="bristles",
     experiment="none on one joint tells its levels from one level and a bias; turning the joint round shows which",
 )
 def lugre_asymmetric_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
@@ -140,7 +141,7 @@ def lugre_asymmetric_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[A
     family=("load_dependent_friction", "lugre_coulomb_friction"),
     nests=("load_dependent_friction",),
     limits={"load_dependent_friction": "for a presliding length xs far below the motion"},
-    grows=True,
+    grows="bristles",
     experiment="the same motion with and without a payload: a level of its own stays, this one grows",
 )
 def lugre_load_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any, load: Any) -> tuple[Any, list[Any]]:
@@ -164,7 +165,7 @@ def lugre_load_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any, load: 
     requires={"the level 1 + a cos(q + phi) is nowhere negative": lambda p: abs(p["a"]) <= 1.0},
     limits={"position_dependent_friction": "for a presliding length xs far below the motion"},
     angles=True,
-    grows=True,
+    grows="bristles",
     experiment="slow full turns in both directions: the height of the force loop depends on the angle",
 )
 def lugre_position_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
@@ -186,7 +187,7 @@ def lugre_position_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any) ->
     family=("sublinear_friction", "lugre_coulomb_friction"),
     nests=("sublinear_friction", "coulomb_friction", "lugre_coulomb_friction"),
     limits={"sublinear_friction": "for a presliding length xs far below the motion"},
-    grows=True,
+    grows="bristles",
     experiment="slow and fast triangles: the force grows with the speed, less than in proportion",
 )
 def lugre_sublinear_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
@@ -208,7 +209,7 @@ def lugre_sublinear_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[An
     family=("yield_friction", "lugre_sublinear_friction"),
     nests=("yield_friction", "coulomb_friction", "lugre_sublinear_friction", "lugre_coulomb_friction"),
     limits={"yield_friction": "for a presliding length xs far below the motion"},
-    grows=True,
+    grows="bristles",
     experiment="slow and fast triangles: the force starts from a level, and grows with the speed, less and less",
 )  # fmt: skip
 def lugre_yield_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:

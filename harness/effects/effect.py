@@ -72,8 +72,9 @@ class Effect:
     requires_along : dict
         What it asks along the motion: a sentence, and a function of the values, of places (K,) and of the damping of
         all that brakes the coordinate there (K,), this effect included.
-    grows : bool
-        A refinement of the first of ``nests``: tried from where that one was fitted, and never before.
+    grows : str
+        What it adds to the first of ``nests``, if it refines that law: it is tried from where that one was fitted, and
+        never before, together with what adds the same to other laws.
     """
 
     name: str
@@ -98,7 +99,7 @@ class Effect:
     extras: tuple[str, ...] = ()
     requires: Mapping[str, Callable[[Mapping[str, float]], bool]] = field(default_factory=dict)
     requires_along: Mapping[str, Along] = field(default_factory=dict)
-    grows: bool = False
+    grows: str = ""
 
     def __str__(self) -> str:
         return self.name
@@ -282,7 +283,7 @@ def effect(
     initial: Mapping[str, str] | None = None,
     requires: Mapping[str, Callable[[Mapping[str, float]], bool]] | None = None,
     requires_along: Mapping[str, Along] | None = None,
-    grows: bool = False,
+    grows: str = "",
 ) -> Callable[[Callable[..., Any]], Effect]:
     """Make an effect of a function.
 

@@ -9,13 +9,14 @@ from __future__ import annotations
 from typing import Any
 
 from harness.effects.effect import EffectParameter, effect, par
-from harness.effects.functions import absolute, cos, exp, tanh
+from harness.effects.functions import absolute, cos, exp, no_sooner, tanh
 
 __all__ = [
     "asymmetric_friction",
     "coulomb_friction",
     "hysteresis",
     "load_dependent_friction",
+    "parallel_hysteresis",
     "position_dependent_damping",
     "position_dependent_friction",
     "quadratic_drag",
@@ -226,30 +227,33 @@ def position_dependent_damping(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     return -(p.c1 * q + p.c2 * q**2) * v
 
 
+def _slips() -> list[EffectParameter]:
+    """Return the parameters of hysteresis."""
+    return [
+        _level("Fh", "0.05 F", main=True, meaning="largest hysteretic force"),
+        par("xs", "q", scale="0.05 q", floor="0.001 q", sign="+", minimum=1e-9, grid=(1.0, 0.2, 5.0),
+            meaning="presliding length"),
+        # a smaller one gives energy, and runs away (Erlicher & Point 2004, C. R. Mecanique 332:51)
+        par("beta", "1", scale="0.75", minimum=0.5, maximum=1.0, nuisance=True,
+            meaning="1: Dahl; 1/2: elastic unloading"),
+    ]  # fmt: skip
+
+
+def _settles() -> EffectParameter:
+    """Return the time within which a hysteretic force follows the speed at once."""
+    return par("T", "s", scale="0.2 dt", sign="+", minimum=0.0, fixed=True, nuisance=True,
+               meaning="shortest time in which the force settles")  # fmt: skip
+
+
+def _slip_rate(z: Any, length: Any, p: Any, v: Any) -> Any:
+    """Return the rate of a hysteretic force, over its largest."""
+    speed = absolute(v) / length
+    return no_sooner(v / length - p.beta * speed * z - (1.0 - p.beta) * v / length * absolute(z), speed, p.T)
+
+
 @effect(
     "coordinate",
-    [
-        _level("Fh", "0.05 F", main=True, meaning="largest hysteretic force"),
-        par(
-            "xs",
-            "q",
-            scale="0.05 q",
-            floor="0.001 q",
-            sign="+",
-            minimum=1e-9,
-            grid=(1.0, 0.2, 5.0),
-            meaning="presliding length",
-        ),
-        par(
-            "beta",
-            "1",
-            scale="0.75",
-            minimum=0.5,  # a smaller one gives energy, and runs away (Erlicher & Point 2004, C. R. Mecanique 332:51)
-            maximum=1.0,
-            nuisance=True,
-            meaning="1: Dahl; 1/2: elastic unloading",
-        ),
-    ],
+    [*_slips(), _settles()],
     states={"z": "1"},
     formula="F = -Fh z, z' = [v - beta |v| z - (1 - beta) v |z|]/xs (Bouc-Wen of order 1, with k A = Fh/xs)",
     family=("coulomb_friction", "linear_spring", "stribeck_friction", "backlash", "maxwell_element"),
@@ -261,5 +265,28 @@ def position_dependent_damping(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 )
 def hysteresis(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Bouc-Wen hysteresis: friction that builds up over a presliding length."""
-    rate = (v - p.beta * absolute(v) * s.z - (1.0 - p.beta) * v * absolute(s.z)) / p.xs
-    return -p.Fh * s.z, [rate]
+    return -p.Fh * s.z, [_slip_rate(s.z, p.xs, p, v)]
+
+
+@effect(
+    "coordinate",
+    [
+        *_slips(),
+        par("share", "1", scale="0.3", sign="+", minimum=0.0, maximum=1.0,
+            meaning="share of the force that the shorter element carries"),
+        par("ratio", "1", scale="0.3", sign="+", minimum=0.01, maximum=1.0,
+            meaning="presliding length of the shorter element over that of the longer"),
+        _settles(),
+    ],
+    states={"z": "1", "zs": "1"},
+    formula="F = -Fh [(1 - share) z + share zs], both as in hysteresis, zs with the length ratio xs",
+    family=("hysteresis", "lugre_coulomb_friction", "coulomb_friction", "linear_spring", "maxwell_element"),
+    nests=("hysteresis",),
+    limits={"hysteresis": "for a share of 0, or equal lengths"},
+    grows="slip elements",
+    experiment="reversals of several small amplitudes: elements slip one after the other, the shortest first",
+)  # fmt: skip
+def parallel_hysteresis(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
+    """Hysteresis of two elements in parallel that slip one after the other (Iwan 1966), as gears and bearings have."""
+    rates = [_slip_rate(s.z, p.xs, p, v), _slip_rate(s.zs, p.ratio * p.xs, p, v)]
+    return -p.Fh * ((1.0 - p.share) * s.z + p.share * s.zs), rates

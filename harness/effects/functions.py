@@ -21,6 +21,7 @@ __all__ = [
     "floor",
     "hard_step",
     "larger",
+    "no_sooner",
     "sigmoid",
     "sign",
     "sin",
@@ -89,6 +90,19 @@ def smaller(x: Any, y: Any) -> Any:
     """Return the smaller of two."""
     module = _casadi(x, y)
     return module.fmin(x, y) if module else np.fmin(x, y)
+
+
+def no_sooner(rate: Any, eigenvalue: Any, time: Any) -> Any:
+    """Return a rate slowed down where its eigenvalue says that it settles within a time: what comes of it is the same.
+
+    It is divided by ``(1 + (eigenvalue time)^4)^(1/4)``, which is 1 as long as it is slow.
+
+    Examples
+    --------
+    >>> round(float(no_sooner(2.0, 1.0, 1e-3)), 9), round(float(no_sooner(2e6, 1e6, 1e-3)), 3)
+    (2.0, 2000.0)
+    """
+    return rate / (1.0 + (eigenvalue * time) ** 4) ** 0.25
 
 
 def hard_step(x: Any) -> Any:

@@ -2,6 +2,10 @@
 
 Hidden states are the motor's lead over the load, e, and the motor's own rate w (in the load's units): e = 0 and w = v
 is rest wherever the load stands.
+
+Two laws refine others, and are tried where those were fitted: a joint that stiffens with its twist, as those of
+harmonic drives do, and flanks that push and never pull (Nordin, Galic & Gutman 1997, Int. J. Adapt. Control Signal
+Process. 11:49: with a damper between the flanks a dead band in the force pulls them together as they part).
 """
 
 from __future__ import annotations
@@ -9,9 +13,9 @@ from __future__ import annotations
 from typing import Any
 
 from harness.effects.effect import EffectParameter, effect, par
-from harness.effects.functions import dead_band, dead_band_slope, sin
+from harness.effects.functions import dead_band, dead_band_slope, sigmoid, sin, softplus
 
-__all__ = ["backlash", "cogging", "elasticity"]
+__all__ = ["backlash", "cogging", "elasticity", "hardening_elasticity", "unilateral_backlash"]
 
 
 def _inertia(scale: str, grid: tuple[float, ...] = (1.0,)) -> EffectParameter:
@@ -53,6 +57,32 @@ def elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
 @effect(
     "coordinate",
     [
+        _stiffness("20 F/q", (1.0, 0.1, 10.0), main=True),
+        par("k3", "F/q^3", scale="2e3 F/q^3", sign="+", grid=(1.0, 30.0, 0.03),
+            meaning="cubic stiffness of the transmission"),
+        _inertia("0.4 F/a", (1.0, 0.2)),
+        _damping("0.2 F/v"),
+    ],
+    states={"e": "q", "w": "v"},
+    initial={"w": "v"},
+    formula="as elasticity, with k e + k3 e^3 + d e' passed on",
+    family=("elasticity", "backlash"),
+    nests=("elasticity",),
+    limits={"elasticity": "for small twists", "backlash": "for a joint that is soft at first: a rounded play"},
+    drives=True,
+    linearises=False,
+    grows="stiffening",
+    experiment="chirps of two sizes through the resonance, which moves up with the amplitude",
+)  # fmt: skip
+def hardening_elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
+    """Flexible transmission that stiffens with its twist, as harmonic drives do."""
+    passed = p.k * s.e + p.k3 * s.e**3 + p.d * (s.w - v)
+    return passed - f, [s.w - v, (f - passed) / p.Jm]
+
+
+def _play() -> list[EffectParameter]:
+    """Return the parameters of a play."""
+    return [
         par("gap", "q", scale="0.1 q", sign="+", minimum=0.0, main=True, grid=(1.0, 2.0, 0.3),
             meaning="half of the play"),
         _stiffness("50 F/q", main=False),
@@ -61,7 +91,12 @@ def elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
         # from a rounded corner a fit sees flanks that it does not touch yet; from a sharp one it ended where it began
         par("c", "1", scale="0.01", sign="+", minimum=0.01, maximum=0.5, nuisance=True, grid=(20.0,),
             meaning="length over which the flanks come into contact, over the gap"),
-    ],
+    ]  # fmt: skip
+
+
+@effect(
+    "coordinate",
+    _play(),
     states={"e": "q", "w": "v"},
     initial={"w": "v"},
     formula="as elasticity, with k dz(e) + d dz'(e) e' passed on: nothing within |e| < gap (corners of c gap)",
@@ -71,11 +106,37 @@ def elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     drives=True,
     linearises=False,
     experiment="small reversals, and a sensor on the load's side",
-)  # fmt: skip
+)
 def backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Play between a motor mass and the load, with an elastic contact."""
     smoothing = p.c * p.gap + 1e-12
     passed = p.k * dead_band(s.e, p.gap, smoothing) + p.d * dead_band_slope(s.e, p.gap, smoothing) * (s.w - v)
+    return passed - f, [s.w - v, (f - passed) / p.Jm]
+
+
+@effect(
+    "coordinate",
+    _play(),
+    states={"e": "q", "w": "v"},
+    initial={"w": "v"},
+    formula="as backlash, each flank passing on k (|e| - gap) + d |e|' where that pushes, and nothing where it pulls",
+    family=("backlash", "elasticity", "dead_zone", "hysteresis", "coulomb_friction"),
+    nests=("backlash",),
+    limits={"backlash": "for flanks without damping"},
+    drives=True,
+    linearises=False,
+    grows="parting flanks",
+    experiment="small fast reversals: flanks part at once",
+)
+def unilateral_backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
+    """Play between a motor mass and the load whose flanks push and never pull."""
+    smoothing = p.c * p.gap + 1e-12
+
+    def pushes(lead: Any, rate: Any) -> Any:
+        touches, force = (lead - p.gap) / smoothing, p.k * (lead - p.gap) + p.d * rate
+        return sigmoid(touches) * p.k * smoothing * softplus(force / (p.k * smoothing))
+
+    passed = pushes(s.e, s.w - v) - pushes(-s.e, v - s.w)
     return passed - f, [s.w - v, (f - passed) / p.Jm]
 
 

@@ -7,7 +7,7 @@ Coulomb friction                Dahl 1968: bristles of finite stiffness
 other dry frictions             LuGre (Canudas de Wit et al. 1995): the same level carried by bristles with damping
 hysteresis                      four slip elements in parallel (Iwan 1966), as in a gear
 sub-linear friction             logarithmic (Eyring 1936)
-backlash                        flanks that push and never pull, and harden
+backlash                        flanks that push and never pull
 elasticity                      a flexible joint that hardens
 end stop                        a contact after Hunt & Crossley 1975
 actuator lag                    a motor with inductance, back-EMF and bounded voltage under a current controller
@@ -48,7 +48,7 @@ LAWS = (
 )
 _PRESLIDING = 0.003
 """Length at which bristles slip, over the rms of the motion."""
-_NEVER_EXACT = ("hysteresis", "sublinear_friction", "backlash", "elasticity", "end_stop", "actuator_lag", "input_delay")
+_NEVER_EXACT = ("hysteresis", "sublinear_friction", "backlash", "end_stop", "actuator_lag", "input_delay")
 """No parameter of the dictionary's law is exactly one of these: the values only start the oracle's refit."""
 
 
@@ -84,8 +84,13 @@ def as_hardware(hidden: Hidden, context: Context, size: float) -> Hidden:
         values[f"root{i}"] *= speed**0.5
     elif name == "end_stop":
         values[f"hunt{i}"] = 0.1 * rms(context.q(at))
-    elif name in ("backlash", "elasticity"):
-        values["push" if name == "backlash" else "hard"] = 1.0 if name == "backlash" else _hardening(values, context)
+    elif name == "backlash":
+        values["push"] = 1.0
+        hidden = replace(hidden, name="unilateral_backlash")
+    elif name == "elasticity":
+        values["hard"] = _hardening(values, context)
+        stiffness = values["kt"] * values["hard"]
+        hidden = replace(hidden, name="hardening_elasticity", named={**hidden.named, "k3": stiffness})
     elif name == "payload_step":
         values["ramp"] = 0.1
     else:

@@ -43,14 +43,17 @@ _DAHL: dict[str, tuple[tuple[Group, ...], ...]] = {
 """The dry friction of hardware is Dahl's, which is the dictionary's hysteresis with beta = 1, term by term."""
 
 
-_CARRIED = {
+_REFINED = {
     "lugre_coulomb_friction": "coulomb_friction",
     "lugre_friction": "stribeck_friction",
     "lugre_asymmetric_friction": "asymmetric_friction",
     "lugre_load_dependent_friction": "load_dependent_friction",
     "lugre_position_dependent_friction": "position_dependent_friction",
+    "parallel_hysteresis": "hysteresis",
+    "hardening_elasticity": "elasticity",
+    "unilateral_backlash": "backlash",
 }
-"""Levels that are carried by bristles in hardware: either name says what is hidden there."""
+"""Laws as hardware has them, and the laws that they refine: either name says what is hidden there."""
 _ABSORBED = {"pendulum": frozenset({"input_gain@u"}), "cart-pole": frozenset({"input_gain@u", "sensor_offset@x"})}
 """Exactly the same as a common factor on all nominal parameters, which are free, or as another start."""
 
@@ -111,26 +114,26 @@ class Answer:
             self, verdict=verdict, accepted=tuple(effect for effect, _ in kept), ties=tuple(tie for _, tie in kept)
         )
 
-    def by_level(self) -> Answer:
-        """Return the answer with laws of bristles by the names of their levels.
+    def by_plain_law(self) -> Answer:
+        """Return the answer with laws that refine others by the names of these.
 
         Examples
         --------
-        >>> Answer("effects_found", ("lugre_friction@x",)).by_level().accepted
+        >>> Answer("effects_found", ("lugre_friction@x",)).by_plain_law().accepted
         ('stribeck_friction@x',)
         """
 
         def named_so(group: Group) -> Group:
-            return frozenset(map(_level_of, group))
+            return frozenset(map(_refined_by, group))
 
         ties = tuple(tuple(dict.fromkeys(map(named_so, tie))) for tie in self.ties)
-        return replace(self, accepted=tuple(map(_level_of, self.accepted)), ties=ties, unseen=named_so(self.unseen))
+        return replace(self, accepted=tuple(map(_refined_by, self.accepted)), ties=ties, unseen=named_so(self.unseen))
 
 
-def _level_of(name: str) -> str:
-    """Return an effect with the name of the level that its bristles carry, if it is one of these."""
+def _refined_by(name: str) -> str:
+    """Return an effect with the name of the law that it refines, if it does."""
     law, _, at = name.partition("@")
-    return f"{_CARRIED.get(law, law)}@{at}"
+    return f"{_REFINED.get(law, law)}@{at}"
 
 
 @dataclass(frozen=True)
@@ -159,8 +162,9 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str, engine: str
     are wrong, unless the report calls them a stand-in: then something was flagged, as where it says that the model does
     not fit, whatever it was tried with. An effect that names how the nominal structure is wrong
     (:func:`harness.study.disturbances.named`) may stand beside what is hidden; one without a name is missing all the
-    same, and is flagged as any law outside the dictionary is. In hardware bristles carry the dry frictions, and laws of
-    bristles count as those of their levels.
+    same, and is flagged as any law outside the dictionary is. In hardware bristles carry the dry frictions, joints
+    stiffen with their twist, flanks never pull and a hysteresis has several slip elements: laws that have this count as
+    those that they refine.
 
     Examples
     --------
@@ -176,7 +180,7 @@ def judge_answer(truth: Collection[str], answer: Answer, plant: str, engine: str
     'flagged'
     """
     answer = answer.without(named(structure, plant))
-    answer = answer.by_level() if engine == "hardware" else answer
+    answer = answer.by_plain_law() if engine == "hardware" else answer
     wanted, accepted = frozenset(truth), frozenset(answer.accepted)
     if not accepted or answer.verdict == "model_does_not_fit":
         return _nothing_accepted(wanted, answer)

@@ -113,7 +113,7 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
     hidden = frozenset(str(lead.placed) for lead in found.not_visible) if silent else frozenset()
     imitates = [*found.stand_in, *found.misfit]
     answer = Answer(found.verdict, accepted, ties, hidden, bool(imitates))
-    rivals = (answer.by_level() if task.engine == "hardware" else answer).ties
+    rivals = (answer.by_plain_law() if task.engine == "hardware" else answer).ties
     outcome = judge_answer(task.effects, answer, task.plant, task.engine, task.structure)
     before, after = _error(found.runs.before), _error(found.runs.after)
     oracle: float | None = before  # where nothing is hidden, the nominal fit knows all

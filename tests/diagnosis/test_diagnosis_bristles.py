@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
-from harness.diagnosis.policy import POLICY
+from harness.diagnosis.policy import EFFORT, POLICY
+from harness.diagnosis.search.compare import judged
 from harness.diagnosis.search.fit import Begun, Fit
 from harness.diagnosis.search.grown import grow, starts_of
+from harness.diagnosis.search.ties import held, tie_set
 from harness.diagnosis.stand_in import stand_in_reasons
 from harness.effects import builtin
 from harness.effects.effect import Placed
@@ -47,8 +50,9 @@ def a_fit(effects: Sequence[Placed], log_likelihood: float, values: Mapping[str,
 class Told:
     """A form whose fits end where they are told to; only what ``grow`` asks of a form."""
 
-    def __init__(self, ends: Mapping[str, float]) -> None:
+    def __init__(self, ends: Mapping[str, float], pace: float = 0.0) -> None:
         self.ends = ends
+        self.pace = pace
         self.begun: list[str] = []
         self.starts: dict[str, list[dict[str, float]]] = {}
 
@@ -58,10 +62,10 @@ class Told:
         name = effects[-1].effect.name
         self.begun.append(name)
         self.starts[name] = list(starts)
-        return Begun(tuple(effects), self.ends[name], dict(starts[0]), None)
+        return Begun(tuple(effects), self.ends.get(name, -1e9), dict(starts[0]), None, self.pace)
 
     def finish(self, begun: Begun, base: Fit, rival: Fit | None = None) -> Fit:
-        return a_fit(begun.effects, begun.log_likelihood)
+        return a_fit(begun.effects, begun.log_likelihood + 100.0 * self.pace)
 
 
 def grown(ends: Mapping[str, float], **simple: float) -> tuple[Told, dict[Placed, Fit | None]]:
@@ -110,6 +114,36 @@ def test_where_bristles_do_not_help_nothing_else_is_refined(gains: float) -> Non
     assert len(fits) == 2
 
 
+def test_what_gains_so_much_with_every_step_that_it_may_come_to_it_is_finished() -> None:
+    """Flanks that never pull began 300 below the play that they refine, and ended 1100 above it."""
+    for pace, begins in ((10.0, 45.0), (10.0, 30.0)):
+        form = Told({"lugre_coulomb_friction": begins}, pace)
+        fits: dict[Placed, Fit | None] = {law("coulomb_friction"): a_fit([law("coulomb_friction")], 60.0)}
+        untried = [law("lugre_coulomb_friction")]
+        grow(form, fits, a_fit([], 0.0), untried, {}, POLICY, lambda text: None)  # type: ignore[arg-type]
+        assert (law("lugre_coulomb_friction") in fits) is (begins + EFFORT.first_steps * pace > 60.0)
+
+
+def test_what_adds_another_thing_is_another_question() -> None:
+    """That bristles do not help says nothing of slip elements, nor a friction of a joint that stiffens."""
+    ends = {"parallel_hysteresis": 80.0, "hardening_elasticity": 90.0, "unilateral_backlash": 70.0}
+    simple = {"coulomb_friction": 60.0, "hysteresis": 58.0, "elasticity": 50.0, "backlash": 52.0}
+    form, fits = grown(ends, **simple)
+    assert set(form.begun) == {"lugre_coulomb_friction", *ends}
+    assert {placed.effect.name for placed, fit in fits.items() if fit is not None} == {*simple, *ends}
+
+
+def test_a_joint_has_its_bristles_once() -> None:
+    form = Told({"lugre_coulomb_friction": 500.0, "parallel_hysteresis": 500.0})
+    base = a_fit([law("lugre_friction")], 0.0)
+    fits: dict[Placed, Fit | None] = {
+        law(name): a_fit([*base.effects, law(name)], 60.0) for name in ("coulomb_friction", "hysteresis")
+    }
+    untried = [law("lugre_coulomb_friction"), law("parallel_hysteresis")]
+    grow(form, fits, base, untried, {}, POLICY, lambda text: None)  # type: ignore[arg-type]
+    assert form.begun == ["parallel_hysteresis"]
+
+
 def test_a_law_far_below_the_best_answer_and_one_that_says_nothing_are_not_refined() -> None:
     assert grown(ENDS, coulomb_friction=60.0, linear_spring=500.0)[0].begun == []
     assert grown(ENDS, coulomb_friction=3.0)[0].begun == []
@@ -123,15 +157,57 @@ def test_it_starts_from_the_law_it_refines_and_from_what_others_know() -> None:
     assert {start["J"] for start in starts} == {2.0}
     lengths = [start["lugre_coulomb_friction@theta.xs"] for start in starts]
     assert lengths == pytest.approx([0.02, 0.003, 0.0009, 0.009])
+    (short,) = (parameter for parameter in rich.effect.parameters if parameter.name == "xs")
+    assert short.lowest({"a": 10.0, "dt": 0.01}, np.inf) == pytest.approx(0.5 * 10.0 * 0.01**2), "the way in a sample"
     form, _ = grown(ENDS, coulomb_friction=60.0, hysteresis=58.0)
     known = builtin()["hysteresis"].parameter("xs").start({})
     assert form.starts["lugre_coulomb_friction"][0]["lugre_coulomb_friction@theta.xs"] == known
 
 
+class Typical(Told):
+    """A form that says how likely a law is with the exponent at its usual value."""
+
+    def __init__(self, usual: float) -> None:
+        super().__init__({})
+        self.usual = usual
+        self.asked: list[tuple[Placed, dict[str, float]]] = []
+
+    def fit(self, effects: Sequence[Placed], starts: Sequence[dict[str, float]], *more: Fit | None) -> Fit:
+        self.asked.append((effects[-1], dict(starts[0])))
+        return a_fit(effects, self.usual)
+
+
+@pytest.mark.parametrize(("usual", "tie"), [(99.0, True), (90.0, False)])
+def test_a_law_that_is_as_likely_on_a_bound_only_is_compared_where_it_is_typical(usual: float, tie: bool) -> None:
+    """On its bound a friction with an exponent is dry friction itself, and tells nothing of the law."""
+    base = a_fit([], 0.0)
+    best = judged([law("coulomb_friction")], a_fit([law("coulomb_friction")], 100.0), base, base)
+    power = a_fit([law("sublinear_friction")], 100.0, {"sublinear_friction@theta.a": 0.05})
+    rival = judged(
+        [law("sublinear_friction")],
+        replace(power, free=tuple(power.values), on_bound=("sublinear_friction@theta.a",)), base, base,
+    )  # fmt: skip
+    assert any("a lies on its bound 0.05" in text for text in rival.reasons)
+    form = Typical(usual)
+    (typical,) = held(form, best, [best, rival], base, base)  # type: ignore[arg-type]
+    ((asked, start),) = form.asked
+    assert asked.effect.parameter("a").fixed
+    assert start["sublinear_friction@theta.a"] == 0.5
+    assert typical.fit is not None
+    assert typical.fit.count == power.count - 1
+    names = {str(placed) for (placed,) in tie_set(best, [best, rival, typical])}
+    assert names == ({"coulomb_friction@theta", "sublinear_friction@theta"} if tie else {"coulomb_friction@theta"})
+    away = replace(rival, reasons=(*rival.reasons, "Fr = -1 has an unphysical sign"))
+    assert held(Typical(usual), best, [away], base, base) == []  # type: ignore[arg-type]
+
+
 def test_a_sum_of_two_dry_laws_is_neither_though_one_is_of_bristles() -> None:
     (reason,) = stand_in_reasons([law("lugre_coulomb_friction"), law("hysteresis")], None)
     assert "imitate it" in reason
+    for names in (("hysteresis", "lugre_load_dependent_friction"), ("parallel_hysteresis", "coulomb_friction")):
+        assert stand_in_reasons([law(name) for name in names], None) != (), "a joint has one presliding"
     assert stand_in_reasons([law("lugre_friction"), law("quadratic_drag")], None) == ()
+    assert stand_in_reasons([law("hardening_elasticity"), law("coulomb_friction")], None) == ()
 
 
 def closed(key: str, *names: str, shape: str = "gauss-markov") -> tuple[Records, Diagnosis]:

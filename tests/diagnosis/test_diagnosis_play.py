@@ -37,9 +37,16 @@ def test_play_is_found_from_every_start() -> None:
 
 
 @pytest.mark.parametrize(
-    "row", [("laws", "nominal", "high", 0.02, 20), ("hardware", "nominal", "high", 0.0, 2)], ids=lambda row: row[0]
+    ("row", "name"),
+    [
+        (("laws", "nominal", "high", 0.02, 20), "backlash@theta"),
+        (("hardware", "nominal", "high", 0.0, 2), "unilateral_backlash@theta"),  # its flanks never pull
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
-def test_play_is_named_and_not_the_elasticity_that_it_contains(row: tuple[str, str, str, float, int]) -> None:
+def test_play_is_named_and_not_the_elasticity_that_it_contains(
+    row: tuple[str, str, str, float, int], name: str
+) -> None:
     diagnosis = diagnose(make_records(task(*row)).dataset, load_model("pendulum"))
-    assert [str(one.placed) for one in diagnosis.outcome.accepted] == ["backlash@theta"]
+    assert [str(one.placed) for one in diagnosis.outcome.accepted] == [name]
     assert diagnosis.grade == "explained"

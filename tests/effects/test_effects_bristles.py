@@ -56,7 +56,7 @@ def settled(name: str, q: float, v: float, settle: float) -> float:
 
 
 def test_every_law_of_bristles_refines_one_and_says_so():
-    grown = {name for name, block in builtin().items() if block.grows}
+    grown = {name for name, block in builtin().items() if block.grows == "bristles"}
     assert grown == set(LAWS)
     refined = [builtin()[name].nests[0] for name in grown]
     assert len(set(refined)) == len(refined), "one law of bristles for each level"
@@ -67,7 +67,7 @@ def test_every_law_of_bristles_refines_one_and_says_so():
 
 def test_a_law_that_refines_none_is_refused():
     with pytest.raises(InputError, match="nests, the law that it refines"):
-        effect("coordinate", {"c": "F"}, grows=True)
+        effect("coordinate", {"c": "F"}, grows="bristles")
 
 
 @given(

@@ -144,7 +144,9 @@ def test_every_effect_gives_finite_columns_or_none():
             assert np.isfinite(block.columns).all()
     assert silent == {
         "backlash",
+        "unilateral_backlash",
         "elasticity",
+        "hardening_elasticity",
         "sensor_cyclic_error",
         "sensor_nonlinearity",
         "sensor_quantisation",
@@ -227,7 +229,9 @@ def test_what_leaves_no_force_on_the_measured_motion_is_not_claimable():
     names = [one for one in place_all(PENDULUM, builtin().values()) if not claimable(PENDULUM, one)]
     assert {one.effect.name for one in names} == {
         "elasticity",
+        "hardening_elasticity",
         "backlash",
+        "unilateral_backlash",
         "sensor_cyclic_error",
         "sensor_nonlinearity",
         "sensor_quantisation",

@@ -266,7 +266,7 @@ def test_hysteresis_is_a_spring_first_and_dry_friction_later():
     small, large = 1e-4, 1.0
     block = builtin()["hysteresis"]
     force, z = 0.0, 0.0
-    values = {"Fh": 2.0, "xs": 0.01, "beta": 0.5}
+    values = {"Fh": 2.0, "xs": 0.01, "beta": 0.5, "T": 0.0}
     for _ in range(100):
         force, (rate,) = block.evaluate(0.0, [z], values, 0.0, 1.0)
         z += rate * small / 100
@@ -284,7 +284,7 @@ def test_hysteresis_comes_back_from_any_deflection():
     for beta in np.linspace(shape.minimum, shape.maximum, 6):
         for speed in (1.0, -1.0):
             for z in (-5.0, -1.5, 1.5, 5.0):
-                _, (rate,) = block.evaluate(0.0, [z], {"Fh": 2.0, "xs": 0.01, "beta": beta}, 0.0, speed)
+                _, (rate,) = block.evaluate(0.0, [z], {"Fh": 2.0, "xs": 0.01, "beta": beta, "T": 0.0}, 0.0, speed)
                 assert rate * z < 0.0
 
 

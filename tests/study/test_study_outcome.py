@@ -51,6 +51,17 @@ def test_an_answer_counts_as_it_should(truth, answer, word):
     assert judge_answer(truth, answer, "cart-pole").word == word
 
 
+@pytest.mark.parametrize(
+    ("truth", "name"),
+    [("hysteresis@x", "parallel_hysteresis@x"), ("elasticity@x", "hardening_elasticity@x"),
+     ("backlash@x", "unilateral_backlash@x"), ("stribeck_friction@x", "lugre_friction@x")],
+)  # fmt: skip
+def test_what_hardware_has_may_be_named_by_the_law_that_says_so(truth: str, name: str) -> None:
+    found = Answer("effects_found", (name,))
+    assert judge_answer({truth}, found, "cart-pole", "hardware").word == "right"
+    assert judge_answer({truth}, found, "cart-pole", "laws").word == "wrong", "there the plain law is the truth"
+
+
 def test_a_stand_in_is_no_confident_name() -> None:
     two = ("coulomb_friction@x", "stribeck_friction@x")
     assert judge_answer({"root_friction@x"}, Answer("effects_found", two), "cart-pole").word == "wrong"

@@ -213,7 +213,8 @@ def _rest(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[
 _FRICTION = ("coulomb_friction", "stribeck_friction", "asymmetric_friction", "viscous_friction", "hysteresis",
              "load_dependent_friction", "position_dependent_friction", "sublinear_friction", "yield_friction",
              "lugre_friction", "lugre_coulomb_friction", "lugre_asymmetric_friction", "lugre_load_dependent_friction",
-             "lugre_position_dependent_friction", "lugre_sublinear_friction", "lugre_yield_friction")  # fmt: skip
+             "lugre_position_dependent_friction", "lugre_sublinear_friction", "lugre_yield_friction",
+             "parallel_hysteresis")  # fmt: skip
 _RULES: tuple[tuple[tuple[str, ...], str, _Plan | str], ...] = (
     (_FRICTION, "slow motion through standstill: the laws of friction differ there, at speed they are alike",
      _slow_triangle),
@@ -226,8 +227,8 @@ _RULES: tuple[tuple[tuple[str, ...], str, _Plan | str], ...] = (
     (("linear_spring", "quadratic_spring", "cubic_spring", "sensor_gain", "end_stop", "saturation"),
      "springs are alike at small angles; beyond 90 deg gravity turns back and a spring does not",
      _swing(np.radians(100.0))),
-    (("backlash", "elasticity", "dead_zone", "hysteresis"), "small reversals: play opens, an elastic joint does not",
-     _reversals),
+    (("backlash", "unilateral_backlash", "elasticity", "hardening_elasticity", "dead_zone", "hysteresis"),
+     "small reversals: play opens, an elastic joint does not", _reversals),
     (("quadratic_drag", "viscous_friction", "coulomb_friction"), "the decay of large swings: drag needs speed",
      _swing(np.radians(75.0))),
     (("periodic_disturbance", "cogging"), "without excitation a line in time stays, one in the angle goes", _rest),

@@ -13,6 +13,7 @@ from harness.effects.effect import Placed
 
 __all__ = [
     "BEYOND",
+    "ON_BOUND",
     "UNCONVERGED",
     "Comparison",
     "Judged",
@@ -26,6 +27,7 @@ __all__ = [
 
 UNCONVERGED = "its fit did not converge"
 BEYOND = "it was left on its way: its steps did not bring it near the best rival"
+ON_BOUND = "lies on its bound"
 _NEAR_BOUND = 1e-4
 """Share of a bound's size within which a value lies on it."""
 
@@ -130,10 +132,10 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
             f"validation gains {comparison.validation:.1f}, {policy.alone_z * comparison.error:.1f} asked of them alone"
         )
     if base is not nominal:
-        whole = compared(fit, nominal, policy).total
-        if comparison.total < policy.second_share * whole:
+        whole = fit.penalised - nominal.penalised  # of records that no effect was fitted to, one may explain most
+        if comparison.evidence < policy.second_share * whole:
             reasons.append(
-                f"it brings {100 * comparison.total / whole:.1f} % of what all effects bring: it changes nothing"
+                f"it brings {100 * comparison.evidence / whole:.1f} % of what all effects bring: it changes nothing"
             )
     for placed in added:
         reasons += impossible(placed, fit)
@@ -163,11 +165,12 @@ def impossible(placed: Placed, fit: Fit) -> list[str]:
         value = fit.values[name]
         bounds = [bound for bound in (parameter.minimum, parameter.maximum) if np.isfinite(bound) and bound != 0.0]
         near = [bound for bound in bounds if abs(value - bound) <= _NEAR_BOUND * abs(bound)]
-        # the data's sizes set a ceiling
-        if parameter.ceiling and name in fit.on_bound and not near and value != parameter.neutral:
+        # the data's sizes set a ceiling; and what refines a law no more than they could show does not refine it
+        sized = parameter.ceiling or (placed.effect.grows and parameter.floor)
+        if sized and name in fit.on_bound and not near and value != parameter.neutral:
             near = [value]
         if near and near[0] != parameter.neutral:
-            reasons.append(f"{parameter.name} lies on its bound {near[0]:.3g}")
+            reasons.append(f"{parameter.name} {ON_BOUND} {near[0]:.3g}")
     return reasons + violations(placed, fit)
 
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 
-from harness.diagnosis.policy import Policy
+import numpy as np
+
+from harness.diagnosis.policy import EFFORT, Policy
 from harness.diagnosis.search.compare import impossible
 from harness.diagnosis.search.fit import Fit, Form
+from harness.diagnosis.search.ties import value
 from harness.effects.effect import Placed
 
 __all__ = ["grow"]
@@ -26,8 +29,9 @@ def grow(
 ) -> None:
     """Add the fits of what refines the laws that were fitted.
 
-    What refines the likeliest law at a place is tried first, and that of the laws that its physics allows. Where it
-    brings what is asked of an effect, so may what refines their rivals; where it does not, nothing there is refined.
+    What adds the same (bristles, say) to several laws at a place is one question. What refines the one that would be
+    the answer is tried first, and the best of those that physics allows. Where it brings what is asked of an effect, so
+    may what refines their rivals; where it does not, none of them is refined.
 
     Parameters
     ----------
@@ -43,18 +47,22 @@ def grow(
     say : callable
         Told what is done.
     """
-    refinements = [placed for placed in untried if placed.effect.grows]
+    present = {(placed.at, placed.effect.grows) for placed in base.effects}
+    refinements = [
+        placed for placed in untried if placed.effect.grows and (placed.at, placed.effect.grows) not in present
+    ]  # a joint has its bristles once
     before = base.log_likelihood("estimation")
     done = {placed: fit for placed, fit in fits.items() if fit is not None}
     most = max((fit.log_likelihood("estimation") - before for fit in done.values()), default=0.0)
-    for at in dict.fromkeys(placed.at for placed in refinements):
-        richer = {placed.effect.nests[0]: placed for placed in refinements if placed.at == at}
+    for at, added in dict.fromkeys((placed.at, placed.effect.grows) for placed in refinements):
+        alike = [placed for placed in refinements if (placed.at, placed.effect.grows) == (at, added)]
+        richer = {placed.effect.nests[0]: placed for placed in alike}
         simple = [placed for placed in done if placed.at == at and placed.effect.name in richer]
         if not simple:
             continue
-        simple.sort(key=lambda placed: -done[placed].log_likelihood("estimation"))
+        simple.sort(key=lambda placed: -value(done[placed]))
         lawful = [placed for placed in simple if not impossible(placed, done[placed])]
-        likeliest = dict.fromkeys([*lawful[:1], simple[0]])  # a law may be forbidden for want of bristles
+        likeliest = dict.fromkeys([*lawful[:1], simple[0]])  # a law may be forbidden for want of a refinement
         if done[simple[0]].log_likelihood("estimation") - before < max(policy.evidence, policy.reach * most):
             continue
         starts = {
@@ -69,7 +77,7 @@ def grow(
                 break
             rich = richer[law.effect.name]
             say(str(rich))
-            grown = _grown(form, base, rich, law, done[law], starts, sizes.get(at, {}), helps)
+            grown = _grown(form, base, rich, law, done[law], starts, sizes.get(at, {}), helps, policy)
             if grown is None or (law in likeliest and grown.penalised < done[law].penalised + policy.evidence):
                 continue
             fits[rich] = grown
@@ -84,11 +92,16 @@ def _grown(
     fit: Fit,
     known: Mapping[str, Sequence[float]],
     sizes: Mapping[str, float],
-    rival: Fit | None = None,
+    rival: Fit | None,
+    policy: Policy,
 ) -> Fit | None:
-    """Return the fit of a law from where a special case of it ended; None where its first steps gain nothing."""
+    """Return the fit of a law from where a special case of it ended; None where its first steps promise nothing."""
     begun = form.begin([*base.effects, rich], starts_of(rich, simple, fit, known, sizes), fit)
-    if begun is None or begun.log_likelihood < fit.log_likelihood("estimation"):
+    more = sum(not parameter.fixed for parameter in rich.effect.parameters)
+    more -= sum(not parameter.fixed for parameter in simple.effect.parameters)
+    least = policy.reach * (policy.evidence + 0.5 * more * float(np.log(base.samples)))
+    promised = 0.0 if begun is None else begun.log_likelihood + EFFORT.first_steps * begun.pace
+    if begun is None or promised < fit.log_likelihood("estimation") + least:
         return None
     return form.finish(begun, fit, rival)
 

@@ -27,11 +27,13 @@ from harness.diagnosis.search.ties import (
     Accepted,
     asked_again,
     close,
+    held,
     own_values,
     physical,
     tie_set,
     tied,
     total,
+    typical_elsewhere,
     value,
 )
 from harness.effects import family, nested
@@ -160,7 +162,7 @@ def search(
         passed = [row for row in rows if row.passed]
         if passed:
             best = _answer(passed, policy)
-            _accept(outcome, best, tie_set(best, rows, policy))
+            _accept(outcome, best, tie_set(best, [*rows, *held(form, best, rows, base, nominal, policy)], policy))
         if len(outcome.accepted) > 1 and passed:
             _exchange(form, outcome, nominal, policy)
             _pruned(form, outcome, policy)
@@ -450,7 +452,7 @@ def _alone(form: Form, outcome: Outcome, placed: Placed, pair: Fit, nominal: Fit
 def _alike(placed: Placed, past: Round) -> tuple[tuple[Placed, ...], ...]:
     """Return an effect and what may be tied with it: what is like it, at its place, and was refitted in a round."""
     names = {placed.effect.name, *family(placed.effect).near}
-    near = [row.added[0] for row in past.candidates if row.added[0].effect.name in names and physical(row)]
+    near = [row.added[0] for row in past.candidates if row.added[0].effect.name in names and typical_elsewhere(row)]
     return ((placed,), *((other,) for other in near if other.at == placed.at and other != placed))
 
 

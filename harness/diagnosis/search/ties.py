@@ -8,11 +8,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from harness.diagnosis.policy import EFFORT, POLICY, Policy
-from harness.diagnosis.search.compare import Judged, difference, judged
+from harness.diagnosis.search.compare import ON_BOUND, UNCONVERGED, Judged, difference, judged
 from harness.diagnosis.search.fit import Fit, Form
 from harness.effects.effect import Placed
 
-__all__ = ["WANTS", "Accepted", "asked_again", "close", "own_values", "physical", "tie_set", "tied", "total", "value"]
+__all__ = [
+    "WANTS",
+    "Accepted",
+    "asked_again",
+    "close",
+    "held",
+    "own_values",
+    "physical",
+    "tie_set",
+    "tied",
+    "total",
+    "typical_elsewhere",
+    "value",
+]
 
 WANTS = ("evidence", "validation", "it brings", "it changes")
 """How reasons begin that are a want of evidence and nothing against the candidate."""
@@ -52,6 +65,11 @@ def physical(row: Judged) -> bool:
     return all(text.startswith(WANTS) for text in row.reasons)
 
 
+def typical_elsewhere(row: Judged) -> bool:
+    """Return True if nothing but a want of evidence, or a value on its bound, speaks against a candidate."""
+    return all(text.startswith((*WANTS, UNCONVERGED)) or ON_BOUND in text for text in row.reasons)
+
+
 def tied(best: Judged, other: Judged, policy: Policy = POLICY) -> bool:
     """Return True if the data do not tell two candidates apart."""
     assert best.fit is not None
@@ -75,6 +93,58 @@ def tie_set(best: Judged, rows: Sequence[Judged], policy: Policy = POLICY) -> tu
         if (physical(row) or lawless) and tied(best, row, policy):
             found.append(row.added)
     return tuple(found)
+
+
+def held(
+    form: Form, best: Judged, rows: Sequence[Judged], base: Fit, nominal: Fit, policy: Policy = POLICY
+) -> list[Judged]:
+    """Return laws that are as likely as an answer only on a bound, with what lies on it held at its usual value.
+
+    On its bound a law is another one: an exponent of 0.05 is dry friction. Whether the data tell the law itself from
+    the answer shows where it is typical.
+
+    Parameters
+    ----------
+    form : Form
+    best : Judged
+        The answer.
+    rows : sequence of Judged
+        Its rivals.
+    base, nominal : Fit
+        What all were judged against.
+    policy : Policy
+    """
+    found = []
+    for row in rows:
+        if best.fit is not None and (typical := _typical(best.fit, row, policy)) is not None:
+            fit = form.fit([*base.effects, typical], [_usual(row, typical)], row.fit)
+            found.append(judged([typical], fit, base, nominal, policy))
+    return found
+
+
+def _typical(answer: Fit, row: Judged, policy: Policy) -> Placed | None:
+    """Return a law with what lies on its bound held, if nothing else speaks against it; None where there is none."""
+    if row.fit is None or row.fit.beyond or len(row.added) != 1:
+        return None
+    placed = row.added[0]
+    bound = [
+        parameter
+        for parameter in placed.effect.parameters
+        if any(text.startswith(f"{parameter.name} {ON_BOUND}") for text in row.reasons)
+    ]
+    gap, _ = difference(answer, row.fit, ("estimation", "validation"), policy)
+    if len(bound) != 1 or not typical_elsewhere(row) or not close(answer, row.fit, gap, policy):
+        return None
+    usual = [replace(known, fixed=known.fixed or known is bound[0]) for known in placed.effect.parameters]
+    return replace(placed, effect=replace(placed.effect, parameters=tuple(usual)))
+
+
+def _usual(row: Judged, typical: Placed) -> dict[str, float]:
+    """Return the values of a fit, with what is held at its usual value."""
+    assert row.fit is not None
+    free = {parameter.name for parameter in row.added[0].effect.parameters if not parameter.fixed}
+    held_now = [known for known in typical.effect.parameters if known.fixed and known.name in free]
+    return {**row.fit.values, **{typical.name(known.name): known.start({}) for known in held_now}}
 
 
 def asked_again(
@@ -137,6 +207,9 @@ def _still_tied(
         return False
     trial = form.finish(begun, model, model)
     row = judged(member, trial, nominal, nominal, policy)
+    if (typical := _typical(model, row, policy)) is not None:
+        trial = form.fit([*others, typical], [_usual(row, typical)], trial)
+        row = judged([typical], trial, nominal, nominal, policy)
     if trial is None or trial.beyond or not physical(row):
         return False
     return close(model, trial, value(model) - value(trial), policy)
