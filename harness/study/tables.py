@@ -16,25 +16,27 @@ Row = dict[str, str]
 WORDS = ("right", "tied", "wrong", "flagged", "missed")
 
 LEGEND = """Each row of a table counts pairs of records (estimation and validation, 20 s at 250 Hz, positions only).
-*right*: the accepted set is the truth, effect and place (a dry friction of hardware by the name of its level, with
-bristles or without). *tied*: the truth is in the tie set; or it is exactly the same on this plant as what was accepted
+*right*: the accepted set is the truth, effect and place (a law of hardware also by the name of the law that it refines:
+friction with bristles or without, hysteresis of one slip element or two, a joint that stiffens or not, play whose
+flanks pull or not). *tied*: the truth is in the tie set; or it is exactly the same on this plant as what was accepted
 (gravity tilt, encoder offset and eccentric load on one joint; a late input and a late reading of the only sensor;
 asymmetric Coulomb friction, and Coulomb friction with a bias; Coulomb friction of hardware, which is Dahl's law, and
 hysteresis, which is that law where beta is 1); or nothing was accepted, and the report says that the truth cannot be
 told from the nominal parameters (input gain: a common scale of all of them; an offset of a position without reference).
-*wrong*: another set was accepted. *flagged*: the report says that something is missing, and names no cause:
-no effect accepted, or those accepted called a stand-in. *missed*: nothing said.
+*wrong*: another set was accepted. *flagged*: the report says that something is missing, and names no cause: no effect
+accepted, or those accepted called a stand-in. *missed*: nothing said.
 Truths: `bullet` and `pymunk` (their bodies and joints; what they do not have, actuators, sensors and forces on the
 driven coordinate, is put around them in steps of 0.2 ms; `balanced`: pymunk upright under LQR), `hardware` (C: Dahl and
-LuGre bristles, which the dictionary has too, and laws of another formulation than its own: slip elements, Hunt-Crossley
-contacts, a joint that hardens, a motor with back-EMF, current and voltage limits, a command held by a slower clock),
-`fmu` (C behind FMI: the formulas of `laws`, with which it agrees to rounding), `laws` (the dictionary's formulas in C,
-steps of 0.2 ms, friction with a true standstill, sharp corners). Sizes: nominal is 6 to 10 % of the rms torque, quarter
-a fourth; noise: low 1e-4, high 1e-3 (rad, m); disturbance: unknown torque of 2 % of the rms torque, Gauss-Markov or
-not. A third of the records have a nominal structure that is a little wrong: {structures}. Four of these have a name in
-the dictionary (damping that depends on the position, a drive whose gain falls with its command, a cyclic error and a
-bent scale of the sensor), and an answer that names it beside what is hidden is right; a heavy rod, a damper that warms
-up and a drive that tires at speed have none. Both models have viscous friction: it is not hidden."""
+LuGre bristles, a joint that hardens and flanks that never pull, which the dictionary has too, and laws of another
+formulation than its own: four slip elements, Hunt-Crossley contacts, a motor with back-EMF, current and voltage limits,
+a command held by a slower clock), `fmu` (C behind FMI: the formulas of `laws`, with which it agrees to rounding),
+`laws` (the dictionary's formulas in C, steps of 0.2 ms, friction with a true standstill, sharp corners). Sizes: nominal
+is 6 to 10 % of the rms torque, quarter a fourth; noise: low 1e-4, high 1e-3 (rad, m); disturbance: unknown torque of 2
+% of the rms torque, Gauss-Markov or not. A third of the records have a nominal structure that is a little wrong:
+{structures}. Four of these have a name in the dictionary (damping that depends on the position, a drive whose gain
+falls with its command, a cyclic error and a bent scale of the sensor), and an answer that names it beside what is
+hidden is right; a heavy rod, a damper that warms up and a drive that tires at speed have none. Both models have viscous
+friction: it is not hidden."""
 PART = " (the order is balanced within every part, so what is done is a fair sample)"
 NAMED = ("payload_step", "backlash", "sensor_offset", "end_stop")
 """Effects that the headline shows one by one."""
