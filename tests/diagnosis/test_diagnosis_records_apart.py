@@ -40,7 +40,10 @@ def test_a_law_that_leaves_one_record_no_force_is_not_refused_for_a_record_that_
 
 @pytest.mark.slow
 def test_friction_that_slips_within_one_sample_is_named_by_its_law() -> None:
-    """Dahl's law is in the dictionary twice: bristles without damping, and hysteresis where beta is 1."""
+    """Dahl's law is in the dictionary twice: bristles without damping, and hysteresis where beta is 1.
+
+    How it bends within a sample, beta, is not told: rounding decides between 0.84 and 1.
+    """
     records, found = closed(
         "confusion|cart-pole|hardware|coulomb_friction@theta|quarter|high|0|0",
         "coulomb_friction", "hysteresis", "lugre_coulomb_friction",
@@ -51,7 +54,6 @@ def test_friction_that_slips_within_one_sample_is_named_by_its_law() -> None:
     level = "Fh" if law.startswith("hysteresis") else "Fc"
     assert values[f"{law}.{level}"] == pytest.approx(truth["Fc"], rel=0.01)
     assert values[f"{law}.xs"] == pytest.approx(truth["xs"], rel=0.1)
-    assert values.get("hysteresis@theta.beta", 1.0) == pytest.approx(1.0, abs=0.1)
     after = np.concatenate(found.runs.after.validation)
     assert np.sqrt(np.mean(after**2)) < 1.02  # the sensor noise
 
