@@ -133,7 +133,7 @@ def _unpack(path: Path, structure: Structure, folder: Path) -> None:
                 )
             try:
                 archive.extract(component.source, folder)
-            # zipfile's own word for a compression method it does not know is NotImplementedError, a RuntimeError
+            # RuntimeError: a member under a password, or packed by a method that zipfile does not know
             except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError) as error:
                 raise InputError(
                     f"source of component {component.name!r}",

@@ -67,7 +67,8 @@ class Policy:
     blocks: int = _number(20, "blocks of a record, for standard errors under misspecified noise", "Kuensch 1989")
     second_share: float = _number(
         0.03,
-        "a further effect must bring this share of what all bring together: less is the rounded corner of the first",
+        "a further effect must bring this share of what all bring together where they are fitted: less is the rounded "
+        "corner of the first",
         "hidden laws have sharp corners, those of the dictionary rounded ones",
         "seeds below 1000",
     )

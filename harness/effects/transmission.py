@@ -10,6 +10,7 @@ Process. 11:49: with a damper between the flanks a dead band in the force pulls 
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 from harness.effects.effect import EffectParameter, effect, par
@@ -36,26 +37,36 @@ def _damping(scale: str) -> EffectParameter:
                meaning="damping in the transmission")  # fmt: skip
 
 
-@effect(
+_transmission = functools.partial(
+    effect,
     "coordinate",
-    [_stiffness("20 F/q", (1.0, 0.1, 10.0), main=True), _inertia("0.4 F/a", (1.0, 0.2)), _damping("0.2 F/v")],
     states={"e": "q", "w": "v"},
     initial={"w": "v"},
+    drives=True,
+    linearises=False,
+)
+"""What all transmissions are: hidden states in the way of the drive, of which no first-order test sees anything."""
+
+
+def _through(passed: Any, f: Any, s: Any, p: Any, v: Any) -> tuple[Any, list[Any]]:
+    """Return the force to add for what a transmission passes on in place of f, and the rates of its states."""
+    return passed - f, [s.w - v, (f - passed) / p.Jm]
+
+
+@_transmission(
+    [_stiffness("20 F/q", (1.0, 0.1, 10.0), main=True), _inertia("0.4 F/a", (1.0, 0.2)), _damping("0.2 F/v")],
     formula="force on the load = k e + d e' in place of f; e' = w - v, Jm w' = f - k e - d e'",
     family=("backlash", "actuator_lag", "input_delay"),
     limits={"parameter": "for large k: the two inertias add up to the nominal's", "backlash": "for zero gap"},
-    drives=True,
-    linearises=False,
     experiment="a chirp through the resonance and antiresonance of the two masses, with a sensor on each side",
 )
 def elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Flexible transmission between a motor mass and the load."""
     passed = p.k * s.e + p.d * (s.w - v)
-    return passed - f, [s.w - v, (f - passed) / p.Jm]
+    return _through(passed, f, s, p, v)
 
 
-@effect(
-    "coordinate",
+@_transmission(
     [
         _stiffness("20 F/q", (1.0, 0.1, 10.0), main=True),
         par("k3", "F/q^3", scale="2e3 F/q^3", sign="+", grid=(1.0, 30.0, 0.03),
@@ -63,21 +74,17 @@ def elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
         _inertia("0.4 F/a", (1.0, 0.2)),
         _damping("0.2 F/v"),
     ],
-    states={"e": "q", "w": "v"},
-    initial={"w": "v"},
     formula="as elasticity, with k e + k3 e^3 + d e' passed on",
     family=("elasticity", "backlash"),
     nests=("elasticity",),
     limits={"elasticity": "for small twists", "backlash": "for a joint that is soft at first: a rounded play"},
-    drives=True,
-    linearises=False,
     grows="stiffening",
     experiment="chirps of two sizes through the resonance, which moves up with the amplitude",
 )  # fmt: skip
 def hardening_elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Flexible transmission that stiffens with its twist, as harmonic drives do."""
     passed = p.k * s.e + p.k3 * s.e**3 + p.d * (s.w - v)
-    return passed - f, [s.w - v, (f - passed) / p.Jm]
+    return _through(passed, f, s, p, v)
 
 
 def _play() -> list[EffectParameter]:
@@ -94,37 +101,27 @@ def _play() -> list[EffectParameter]:
     ]  # fmt: skip
 
 
-@effect(
-    "coordinate",
+@_transmission(
     _play(),
-    states={"e": "q", "w": "v"},
-    initial={"w": "v"},
     formula="as elasticity, with k dz(e) + d dz'(e) e' passed on: nothing within |e| < gap (corners of c gap)",
     family=("elasticity", "dead_zone", "hysteresis", "coulomb_friction"),
     nests=("elasticity",),
     limits={"elasticity": "for zero gap"},
-    drives=True,
-    linearises=False,
     experiment="small reversals, and a sensor on the load's side",
 )
 def backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Play between a motor mass and the load, with an elastic contact."""
     smoothing = p.c * p.gap + 1e-12
     passed = p.k * dead_band(s.e, p.gap, smoothing) + p.d * dead_band_slope(s.e, p.gap, smoothing) * (s.w - v)
-    return passed - f, [s.w - v, (f - passed) / p.Jm]
+    return _through(passed, f, s, p, v)
 
 
-@effect(
-    "coordinate",
+@_transmission(
     _play(),
-    states={"e": "q", "w": "v"},
-    initial={"w": "v"},
     formula="as backlash, each flank passing on k (|e| - gap) + d |e|' where that pushes, and nothing where it pulls",
     family=("backlash", "elasticity", "dead_zone", "hysteresis", "coulomb_friction"),
     nests=("backlash",),
     limits={"backlash": "for flanks without damping"},
-    drives=True,
-    linearises=False,
     grows="parting flanks",
     experiment="small fast reversals: flanks part at once",
 )
@@ -137,7 +134,7 @@ def unilateral_backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, li
         return sigmoid(touches) * p.k * smoothing * softplus(force / (p.k * smoothing))
 
     passed = pushes(s.e, s.w - v) - pushes(-s.e, v - s.w)
-    return passed - f, [s.w - v, (f - passed) / p.Jm]
+    return _through(passed, f, s, p, v)
 
 
 @effect(

@@ -142,7 +142,7 @@ def filtered(tables: Mapping[str, Any], filters: Mapping[str, Any]) -> dict[str,
             kind = table.schema.field(column).type
             try:
                 wanted = pa.scalar(value).cast(kind)
-            except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:  # the latter: pyarrow has no such cast
+            except pa.ArrowException as error:  # no such value of this type, or pyarrow has no such cast
                 raise InputError(
                     f"filter {column}", expected=f"a value of type {kind}", got=repr(value), remedy="correct it",
                     place="filter",

@@ -124,13 +124,13 @@ class Answer:
         """
 
         def named_so(group: Group) -> Group:
-            return frozenset(map(_refined_by, group))
+            return frozenset(map(_plain_law, group))
 
         ties = tuple(tuple(dict.fromkeys(map(named_so, tie))) for tie in self.ties)
-        return replace(self, accepted=tuple(map(_refined_by, self.accepted)), ties=ties, unseen=named_so(self.unseen))
+        return replace(self, accepted=tuple(map(_plain_law, self.accepted)), ties=ties, unseen=named_so(self.unseen))
 
 
-def _refined_by(name: str) -> str:
+def _plain_law(name: str) -> str:
     """Return an effect with the name of the law that it refines, if it does."""
     law, _, at = name.partition("@")
     return f"{_REFINED.get(law, law)}@{at}"

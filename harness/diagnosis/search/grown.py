@@ -97,13 +97,12 @@ def _grown(
 ) -> Fit | None:
     """Return the fit of a law from where a special case of it ended; None where its first steps promise nothing."""
     begun = form.begin([*base.effects, rich], starts_of(rich, simple, fit, known, sizes), fit)
-    more = sum(not parameter.fixed for parameter in rich.effect.parameters)
-    more -= sum(not parameter.fixed for parameter in simple.effect.parameters)
-    least = policy.reach * (policy.evidence + 0.5 * more * float(np.log(base.samples)))
-    promised = 0.0 if begun is None else begun.log_likelihood + EFFORT.first_steps * begun.pace
-    if begun is None or promised < fit.log_likelihood("estimation") + least:
+    if begun is None:
         return None
-    return form.finish(begun, fit, rival)
+    free, before = (sum(not parameter.fixed for parameter in law.effect.parameters) for law in (rich, simple))
+    asked = policy.evidence + 0.5 * (free - before) * float(np.log(base.samples))
+    promised = begun.log_likelihood + EFFORT.first_steps * begun.pace - fit.log_likelihood("estimation")
+    return None if promised < policy.reach * asked else form.finish(begun, fit, rival)
 
 
 def starts_of(

@@ -101,7 +101,7 @@ def held(
     """Return laws that are as likely as an answer only on a bound, with what lies on it held at its usual value.
 
     On its bound a law is another one: an exponent of 0.05 is dry friction. Whether the data tell the law itself from
-    the answer shows where it is typical.
+    the answer shows where it is typical. Only what has no unit has a usual value whatever the data.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def _typical(answer: Fit, row: Judged, policy: Policy) -> Placed | None:
         if any(text.startswith(f"{parameter.name} {ON_BOUND}") for text in row.reasons)
     ]
     gap, _ = difference(answer, row.fit, ("estimation", "validation"), policy)
-    if len(bound) != 1 or not typical_elsewhere(row) or not close(answer, row.fit, gap, policy):
+    if len(bound) != 1 or bound[0].unit != "1" or not typical_elsewhere(row) or not close(answer, row.fit, gap, policy):
         return None
     usual = [replace(known, fixed=known.fixed or known is bound[0]) for known in placed.effect.parameters]
     return replace(placed, effect=replace(placed.effect, parameters=tuple(usual)))
