@@ -6,13 +6,13 @@ import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from harness.effects import actuator, bristles, external, friction, process, sensor, stiffness, transmission
+from harness.effects import actuator, bristles, drifting, external, friction, process, sensor, stiffness, transmission
 from harness.effects.effect import Effect
 from harness.errors import InputError
 
 __all__ = ["Confusions", "builtin", "family", "find", "nested"]
 
-_FILES = (friction, bristles, stiffness, actuator, transmission, sensor, external, process)
+_FILES = (friction, bristles, stiffness, actuator, transmission, sensor, drifting, external, process)
 
 
 @functools.cache

@@ -28,6 +28,7 @@ ACTUATOR = (
     "rate_limit",
     "input_gain",
     "input_compression",
+    "drifting_gain",
 )
 FORCES = (
     "hysteresis",
@@ -48,7 +49,8 @@ FORCES = (
     "force_step",
     "maxwell_element",
     "cubic_drag",
-    "warming_damper",
+    "drifting_damping",
+    "magnet",
     "tiring_drive",
 )
 """Effects whose force can be put on a driven coordinate from outside."""
@@ -60,7 +62,7 @@ def actuated(values: Mapping[str, float], u: FloatArray) -> FloatArray:
     Parameters
     ----------
     values : mapping
-        ``delay``, ``width``, ``limit``, ``tau``, ``R``, ``gain``, ``droop``, as the truth names them.
+        ``delay``, ``width``, ``limit``, ``tau``, ``R``, ``gain``, ``droop``, ``sag`` and ``sagt``, in the truth's names.
 
     Examples
     --------
@@ -73,6 +75,7 @@ def actuated(values: Mapping[str, float], u: FloatArray) -> FloatArray:
         f = np.concatenate([np.full(late, f[0]), f[:-late]])
     f = np.sign(f) * np.maximum(np.abs(f) - values.get("width", 0.0), 0.0)
     f = f * (1 - values.get("droop", 0.0) * np.abs(f))
+    f = f * (1 - values.get("sag", 0.0) * (np.arange(len(f)) * STEP - values.get("sagt", 0.0)))
     limit = values.get("limit", math.inf)
     f = np.clip(f, -limit, limit)
     if "tau" in values:
@@ -128,6 +131,11 @@ def _stop(values: Mapping[str, float], plant: str) -> Law:
     return law
 
 
+def _pull(off: float) -> float:
+    """Return the pull of a magnet to its place, over its size, at a distance over its width."""
+    return off * math.exp(-0.5 * off * off)
+
+
 def _bouc_wen(values: Mapping[str, float], plant: str) -> Law:
     z = 0.0
 
@@ -168,6 +176,7 @@ _TERMS: dict[str, Callable[[Mapping[str, float], str], Law]] = {
     "ripple": lambda values, plant: lambda q, v, t, u: values["ripple"] * u * math.cos(5 * q),
     "stepf": lambda values, plant: lambda q, v, t, u: values["stepf"] if t >= values["stept"] else 0.0,
     "drag3": lambda values, plant: lambda q, v, t, u: -values["drag3"] * v**3,
+    "mag": lambda values, plant: lambda q, v, t, u: -values["mag"] * _pull((q - values["magq"]) / values["magw"]),
     "warm": lambda values, plant: lambda q, v, t, u: -values["warm"] * (1 - t / values["warmt"]) * v,
     "tire": lambda values, plant: lambda q, v, t, u: -values["tire"] * u * abs(v),
     "und": lambda values, plant: lambda q, v, t, u: -values["und"] * math.cos(q) * v,

@@ -21,6 +21,7 @@ _COORDINATE = (
     "cubic_spring",
     "maxwell_element",
     "position_dependent_damping",
+    "drifting_damping",
     "force_bias",
     "payload_step",
     "end_stop",
@@ -29,7 +30,7 @@ _COORDINATE = (
 )
 _ANGLE = ("position_dependent_friction", "eccentric_load", "quadratic_spring")
 _INPUT = ("input_delay", "actuator_lag", "dead_zone", "saturation", "rate_limit", "input_gain",
-          "input_compression")  # fmt: skip
+          "input_compression", "drifting_gain")  # fmt: skip
 _DRIVEN = ("elasticity", "backlash")
 _OUTPUT = (
     "sensor_delay",
@@ -74,14 +75,14 @@ OUTSIDE = {
         "even_drag@theta",
         "torque_ripple@theta",
         "force_step@theta",
-        "warming_damper@theta",
+        "magnet@theta",
         "tiring_drive@theta",
     ),
     "cart-pole": (
         "even_drag@theta",
         "cubic_drag@x",
         "force_step@x",
-        "warming_damper@x",
+        "magnet@x",
         "tiring_drive@x",
     ),
 }

@@ -25,18 +25,22 @@ STRUCTURES = {
     "point mass farther out)",
     "bent-scale": "the angle reads with an error that grows with its square, 2 mrad at 1 rad",
     "warming-damper": "the viscous damping falls along a record, by 1 % of the rms torque",
+    "sagging-supply": "the drive's gain falls along a record, by 1 % of the rms command",
     "tiring-drive": "the drive's gain falls with the speed, by 1 % of the rms torque",
+    "rippling-drive": "the drive's gain ripples with the position, by 1 % of the rms torque",
 }
 """How the nominal structure is a little wrong: what is in every such truth and in no model."""
 TRUTH_ONLY = ("heavy-rod",)
 """Structures that only our own truth can have."""
-UNNAMED = ("warming-damper", "tiring-drive")
+UNNAMED = ("tiring-drive", "rippling-drive")
 """Structures that no model holds and the dictionary has no name for."""
 _NAMED = {
     "eccentric-encoder": "sensor_cyclic_error@theta",
     "bent-scale": "sensor_nonlinearity@theta",
     "drooping-drive": "input_compression@u",
     "uneven-damping": "position_dependent_damping",
+    "warming-damper": "drifting_damping",
+    "sagging-supply": "drifting_gain@u",
 }
 
 

@@ -30,9 +30,9 @@ from harness.signals import FloatArray
 from harness.study.context import PRE, Context, Hidden, Sensor, rms
 from harness.study.truths import DT, GRAVITY, SUBSTEPS
 
-__all__ = ["OUTSIDE", "force_size", "hide", "hide_outside"]
+__all__ = ["OUTSIDE", "falling_damping", "force_size", "hide", "hide_outside", "sagging_gain"]
 
-OUTSIDE = ("even_drag", "cubic_drag", "torque_ripple", "force_step", "warming_damper", "tiring_drive")
+OUTSIDE = ("even_drag", "cubic_drag", "torque_ripple", "force_step", "magnet", "tiring_drive")
 """Laws that the dictionary does not have."""
 _LEVEL = {"nominal": 1.0, "quarter": 0.25}
 
@@ -133,6 +133,25 @@ def _uneven(context: Context, at: str, scale: float, size: float, rng: np.random
     return Hidden("position_dependent_damping", at, _put(context, at, {"vdp": value}), {"c1": 0.0, "c2": value})
 
 
+def falling_damping(at: str, coordinate: int, more: float, middle: float) -> Hidden:
+    """Return a damping that begins above its nominal value by ``more`` and falls through it at an instant [s].
+
+    That is the middle of the record, counted from where the simulation begins, ``PRE`` samples before the record.
+    """
+    length = 2 * (middle - PRE * DT)
+    truth = {f"warm{coordinate}": more, f"warmt{coordinate}": middle}
+    return Hidden("drifting_damping", at, truth, {"d": -more * length / middle, "T": length})
+
+
+def _drifting(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    v = context.v(at)
+    middle = (PRE + 0.5 * (len(v) - PRE)) * DT
+    fall = 1 - np.arange(len(v)) * DT / middle
+    # no damper drives: at the end of a record a fifth of it is left at least, as much as that is
+    most = 0.8 * scale * context.values[f"b{context.coordinate(at)}"] * middle / (middle - PRE * DT)
+    return falling_damping(at, context.coordinate(at), min(size * context.torque(at) / rms(fall * v), most), middle)
+
+
 def _bias(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
     value = size * context.torque(at) * float(rng.choice([-1.0, 1.0]))
     return Hidden("force_bias", at, _put(context, at, {"F0": value}), {"F0": value})
@@ -225,6 +244,18 @@ def _gain(context: Context, at: str, scale: float, size: float, rng: np.random.G
 def _compression(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
     droop = size * rms(context.u) / rms(context.u**2)
     return Hidden("input_compression", at, {"droop": droop}, {"c": droop})
+
+
+def sagging_gain(at: str, u: FloatArray, size: float) -> Hidden:
+    """Return a gain that falls through 1 in the middle of the record, by a share ``size`` of the command's rms."""
+    middle = (PRE + 0.5 * (len(u) - PRE)) * DT
+    slope = size * rms(u) / rms((np.arange(len(u)) * DT - middle) * u)
+    length = 2 * (middle - PRE * DT)
+    return Hidden("drifting_gain", at, {"sag": slope, "sagt": middle}, {"g": -slope * length, "T": length})
+
+
+def _sagging(context: Context, at: str, scale: float, size: float, rng: np.random.Generator) -> Hidden:
+    return sagging_gain(at, context.u, size)
 
 
 def _two_masses(context: Context, share: float, hertz: float, ratio: float) -> dict[str, float]:
@@ -331,6 +362,7 @@ _MAKERS: dict[str, Callable[[Context, str, float, float, np.random.Generator], H
     "eccentric_load": _named("eccentric_load", _simple("A", "A", lambda q, v: np.cos(q))),
     "maxwell_element": _maxwell,
     "position_dependent_damping": _uneven,
+    "drifting_damping": _drifting,
     "force_bias": _bias,
     "gravity_tilt": _tilt,
     "payload_step": _payload,
@@ -342,6 +374,7 @@ _MAKERS: dict[str, Callable[[Context, str, float, float, np.random.Generator], H
     "rate_limit": _rate_limit,
     "input_gain": _gain,
     "input_compression": _compression,
+    "drifting_gain": _sagging,
     "elasticity": _elasticity,
     "backlash": _backlash,
     "cogging": _cogging,
@@ -367,10 +400,10 @@ def hide_outside(name: str, at: str, level: str, context: Context, rng: np.rando
     """
     force = 2 * _LEVEL[level] * float(rng.uniform(0.06, 0.10)) * context.torque(at)
     q, v = context.q(at), context.v(at)
-    if name == "warming_damper":  # the damping falls through its mean in the middle of a record
-        middle = (PRE + 0.5 * (len(v) - PRE)) * DT
-        fall = 1 - np.arange(len(v)) * DT / middle
-        values = {"warm": force / rms(fall * v), "warmt": middle}
+    if name == "magnet":  # it pulls to one place, and nowhere else
+        place, width = float(rng.uniform(-0.5, 0.5)) * rms(q), 0.2 * rms(q)
+        off = (q - place) / width
+        values = {"mag": force / rms(off * np.exp(-0.5 * off**2)), "magq": place, "magw": width}
     elif name == "force_step":
         values = {"stepf": 2 * force, "stept": (PRE + 0.5 * (len(v) - PRE)) * DT}
     else:

@@ -16,7 +16,7 @@ from harness.study.context import PRE, Context, Hidden, rms
 from harness.study.disturbances import disturbance, named, natural_frequency
 from harness.study.engines import BALANCE_BAND, OPTIONS, balanced_run, engine_run
 from harness.study.hardware import as_hardware
-from harness.study.hidden import force_size, hide, hide_outside
+from harness.study.hidden import falling_damping, force_size, hide, hide_outside, sagging_gain
 from harness.study.plan import NOISE, Task
 from harness.study.truths import DT, SUBSTEPS, Motion, simulate
 
@@ -194,7 +194,11 @@ def _structure(task: Task, context: Context) -> tuple[Hidden, ...]:
     if task.structure == "warming-damper":
         middle = (PRE + 0.5 * (len(u) - PRE)) * DT
         fall = 1 - np.arange(len(u)) * DT / middle
-        return (Hidden(name, at, {"warm0": 0.01 * rms(u) / rms(fall * v), "warmt0": middle}),)
+        return (falling_damping(at, 0, 0.01 * rms(u) / rms(fall * v), middle),)
+    if task.structure == "sagging-supply":
+        return (sagging_gain(at, u, 0.01),)
+    if task.structure == "rippling-drive":
+        return (Hidden(name, at, {"ripple0": 0.01 * rms(u) / rms(u * np.cos(5 * q))}),)
     if task.structure == "tiring-drive":
         return (Hidden(name, at, {"tire0": 0.01 * rms(u) / rms(u * v)}),)
     return (Hidden(name, at, {"rod": _HEAVY_ROD}),)

@@ -104,6 +104,10 @@ static double force(const double *p, int i, const double *x, double *dx, double 
     f -= AT(P_root, i) * (AT(P_rootv, i) > 0 ? asinh(v / AT(P_rootv, i)) : sign(v) * sqrt(fabs(v)));
     f -= AT(P_even, i) * v * v + AT(P_vdp, i) * q * q * v;
     f += AT(P_ripple, i) * u * cos(5 * q);
+    if (AT(P_mag, i) != 0) {
+        const double off = (q - AT(P_magq, i)) / AT(P_magw, i);
+        f -= AT(P_mag, i) * off * exp(-0.5 * off * off);
+    }
     f -= AT(P_drag3, i) * v * v * v + AT(P_warm, i) * (1 - t / AT(P_warmt, i)) * v + AT(P_tire, i) * u * fabs(v);
     if (t >= AT(P_stept, i)) f += AT(P_stepf, i);
     f -= AT(P_dG, i) * taken(t - AT(P_t0, i), p[P_ramp]) * sin(q);
@@ -244,6 +248,7 @@ __attribute__((visibility("default"))) int simulate(const double *p, const doubl
         }
         double f = play(u[command], p[P_width]);
         f *= 1 - p[P_droop] * fabs(f);
+        f *= 1 - p[P_sag] * (s * h - p[P_sagt]);
         if (fabs(f) > p[P_limit]) f = copysign(p[P_limit], f);
         if (p[P_te] == 0 && p[P_volt] < 1e29) /* no inductance: the back-EMF leaves less voltage at speed */
             f = fmax(-p[P_volt] - p[P_emf] * x[2], fmin(p[P_volt] - p[P_emf] * x[2], f));

@@ -77,6 +77,38 @@ def test_the_error_of_a_gain_is_that_of_a_sum_over_blocks() -> None:
     assert wider == pytest.approx(np.sqrt(40) * np.tile(blocks, 2).std(ddof=1))
 
 
+def predicting(e: FloatArray, s: float = 1.0) -> Fit:
+    """Return a fit with these innovations on the validation records."""
+    innovations = {use: [(e[:, None], np.full((len(e), 1), s))] for use in ("estimation", "validation")}
+    terms = -0.5 * (e**2 / s + np.log(2 * np.pi * s))
+    return a_fit(terms={use: [terms] for use in innovations}, innovations=innovations)
+
+
+def test_what_an_effect_does_in_one_place_only_is_no_error_of_its_gain() -> None:
+    """An end stop that is touched once: over many records its gain scatters by as much as the error says."""
+    missing = np.zeros(4000)
+    missing[1810:1860] = 1.0  # of one block of twenty
+    gains, errors = [], []
+    for seed in range(300):
+        e = np.random.default_rng(seed).standard_normal(4000)
+        gain, error = difference(predicting(e), predicting(e + missing), ("validation",))
+        gains.append(gain)
+        errors.append(error)
+    assert np.mean(gains) == pytest.approx(25.0, abs=2.0)  # half of what is missing, squared
+    assert np.std(gains) == pytest.approx(np.sqrt(50.0), rel=0.15)
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.sqrt(50.0), rel=0.15)
+
+
+def test_innovations_that_are_coloured_widen_the_error() -> None:
+    """They stay for a quarter of a block, and the model holds them for white: its gain is a matter of luck."""
+    rng = np.random.default_rng(1)
+    change = 0.1 * np.sin(np.arange(4000) / 300.0)
+    errors = []
+    for e in (rng.standard_normal(4000), np.repeat(rng.standard_normal(80), 50)):
+        errors.append(difference(predicting(e), predicting(e + change), ("validation",))[1])
+    assert errors[1] > 4.0 * errors[0]
+
+
 # ---- what is accepted ------------------------------------------------------------------------------------------------
 
 

@@ -32,6 +32,8 @@ TASK = Task("confusion", "pendulum", "bullet", (), "nominal", "high", 0.0, 0, 0)
         ("position_dependent_damping@theta", ("c2",), 0.15),
         ("input_compression@u", ("c",), 0.15),
         ("sensor_nonlinearity@theta", ("b",), 0.15),
+        ("drifting_damping@theta", ("d",), 0.05),
+        ("drifting_gain@u", ("g",), 0.05),
     ],
 )
 def test_what_imitates_other_effects_gets_its_own_name(effect: str, held: tuple[str, ...], within: float) -> None:
@@ -130,10 +132,14 @@ def test_a_force_over_speed_and_command_together_is_seen() -> None:
     assert found.leftover.best.name == "theta over theta_rate and u"
 
 
-def test_a_damper_that_warms_up_is_seen_and_not_named() -> None:
+DRIFTS = ("drifting_damping", "drifting_gain")
+
+
+def test_what_drifts_is_seen_where_the_dictionary_has_no_name_for_it() -> None:
     """Its mean is in the nominal damping; what is left follows the speed, and changes sign within every record."""
-    task = Task("outside", "pendulum", "laws", ("warming_damper@theta",), "nominal", "high", 0.0, 2, 0)
-    found = diagnose(make_records(task).dataset, load_model("pendulum"))
+    task = replace(TASK, effects=(), study="none", level="", structure="warming-damper")
+    without = [effect for name, effect in builtin().items() if name not in DRIFTS]
+    found = diagnose(make_records(task).dataset, load_model("pendulum"), dictionary=without)
     assert found.verdict == "unexplained"
     assert found.leftover.best is not None
     assert found.leftover.best.name == "theta over theta_rate, changing with time"

@@ -124,7 +124,9 @@ def test_an_unequal_input_and_a_wrong_structure_change_the_record():
         "eccentric-encoder",
         "bent-scale",
         "warming-damper",
+        "sagging-supply",
         "tiring-drive",
+        "rippling-drive",
     ):
         wrong = made(structure=structure)
         change = rms(wrong.dataset.estimation[0].y - plain.dataset.estimation[0].y)

@@ -163,6 +163,9 @@ def test_a_heavy_rod_is_a_lighter_point_mass_farther_out(command):
         ("laws", (), "bent-scale", ("sensor_nonlinearity@theta",), "yes"),
         ("laws", (), "bent-scale", (), "no"),
         ("laws", (), "warming-damper", (), "no"),
+        ("laws", (), "warming-damper", ("drifting_damping@theta",), "yes"),
+        ("laws", (), "sagging-supply", ("drifting_gain@u",), "yes"),
+        ("laws", (), "tiring-drive", ("drifting_gain@u",), "no"),
         ("laws", (), "uneven-damping", ("position_dependent_damping@theta",), "no"),
     ],
 )

@@ -15,6 +15,7 @@ from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.systems import Parametrised
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
+from harness.physics.kalman_pass import Filtered
 from harness.signals import FloatArray
 
 __all__ = ["USES", "Change", "Detail", "Equation", "RegressionForm", "TorqueRegression"]
@@ -200,7 +201,7 @@ class RegressionForm:
             )
             for k, error in enumerate(errors)
         )  # fmt: skip
-        value = sum(float(terms.sum()) for terms in self._terms(residual, "estimation", made))
+        value = -sum(Filtered(e, s).nll for e, s in self._innovations(residual, "estimation", made))
         return (value, p, made, converged) if np.isfinite(value) else None
 
     def _parameters(
@@ -279,18 +280,20 @@ class RegressionForm:
         ]
         relative = [abs(p[k]) if log else 1.0 for k, log in zip(free, logs, strict=True)]
 
+        innovations = {use: self._innovations(parts, use, errors) for use, parts in residual.items()}
+
         def change(placed: Placed) -> float:
             return self.changed_share(effects, values, residual["estimation"], placed)
 
         return Fit(
             tuple(effects), system, values, tuple(names[k] for k in free),
             len(free) + len(errors) * (POLICY.order + 1),
-            {use: self._terms(parts, use, errors) for use, parts in residual.items()},
+            {use: [-Filtered(e, s).terms for e, s in parts] for use, parts in innovations.items()},
             {names[k]: d / max(size, 1e-300) for k, d, size in zip(free, deviations, relative, strict=True)},
             frozenset(names[k] for k, log in zip(free, logs, strict=True) if log),
             converged, tuple(dict.fromkeys(bound)),
-            {names[free[k]]: values[names[free[k]]] + change for k, change in zip(own, refitted, strict=True)},
-            detail=Detail(errors, residual, jacobian), change=change,
+            own={names[free[k]]: values[names[free[k]]] + change for k, change in zip(own, refitted, strict=True)},
+            innovations=innovations, detail=Detail(errors, residual, jacobian), change=change,
         )  # fmt: skip
 
     def changed_share(
@@ -340,15 +343,18 @@ class RegressionForm:
             ]
         )
 
-    def _terms(self, residual: Sequence[FloatArray], use: str, errors: Sequence[Coloured]) -> list[FloatArray]:
-        """Return the log-density of every row, all joints together, 0 where none counts."""
-        densities = []
+    def _innovations(
+        self, residual: Sequence[FloatArray], use: str, errors: Sequence[Coloured]
+    ) -> list[tuple[FloatArray, FloatArray]]:
+        """Return for every record the innovations (rows, n) and their variances, NaN where none counts."""
+        found = []
         for part, before in zip(residual, self._before[use], strict=True):
-            terms = np.zeros(len(part))
+            e, s = np.full(part.shape, np.nan), np.ones(part.shape)
             for k, error in enumerate(errors):
-                terms[before[k].rows] += error.log_density(part[:, k], before[k])
-            densities.append(terms)
-        return densities
+                rows = before[k].rows
+                e[rows, k], s[rows, k] = error.innovations(part[:, k], before[k])
+            found.append((e, s))
+        return found
 
     # ---- what the score test needs -----------------------------------------------------------------------------------
 

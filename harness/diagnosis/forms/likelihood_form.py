@@ -335,7 +335,11 @@ class LikelihoodForm(SystemForm[SystemT]):
             frozenset(name for name, log in zip(best.names, best.logarithmic, strict=True) if log and name in names),
             best.converged,
             best.on_bound,
-            own,
+            own=own,
+            innovations={
+                "estimation": [(passed.e, passed.s) for passed in best.filtered],
+                "validation": [(passed.e, passed.s) for passed in outside],
+            },
             detail=Detail({"estimation": best.point, "validation": expected.point}, passes, best, expected, told),
             beyond=best.beyond,
         )

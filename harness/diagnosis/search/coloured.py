@@ -150,10 +150,10 @@ class Coloured:
             result -= weights[before.kind, k].reshape(shape) * chosen[before.place[:, k]]
         return result / left.reshape(shape), left
 
-    def log_density(self, values: FloatArray, before: Before) -> FloatArray:
-        """Return the logarithm of the density of every row that counts (n,)."""
+    def innovations(self, values: FloatArray, before: Before) -> tuple[FloatArray, FloatArray]:
+        """Return what of every row that counts the rows before it do not tell (n,), and its variance (n,)."""
         white, left = self._both(values, before)
-        return np.asarray(-0.5 * white**2 - np.log(left) - 0.5 * np.log(2 * np.pi))
+        return white * left, left**2
 
 
 def fitted_error(

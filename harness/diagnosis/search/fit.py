@@ -48,6 +48,8 @@ class Fit:
         By use, for each record the log-density of every sample (N,); of the validation records with initial states (and
         what belongs to a record) fitted there, noise from the estimation records, and parameters as uncertain as these
         leave them, what that costs spread evenly over the samples.
+    innovations : dict
+        By use, for each record the innovations (N, ny) and their variances (N, ny); empty where a form has none.
     deviations : dict
         Standard deviation of every free parameter, of its logarithm where ``logarithmic``.
     logarithmic : frozenset of str
@@ -80,6 +82,7 @@ class Fit:
     logarithmic: frozenset[str]
     converged: bool
     on_bound: tuple[str, ...]
+    innovations: dict[str, list[tuple[FloatArray, FloatArray]]] = field(default_factory=dict, repr=False)
     own: dict[str, float] = field(default_factory=dict)
     wandering: dict[str, float] = field(default_factory=dict)
     detail: Any = field(default=None, repr=False)
