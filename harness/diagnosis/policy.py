@@ -49,7 +49,7 @@ class Policy:
     gain_z: float = _number(
         2.0,
         "and that of both uses by at least this many standard errors over blocks",
-        "two standard errors: 97.5 %, whatever colour the noise has; where it is white the evidence asks as much",
+        "two standard errors of what surprises the model (Vuong 1989): 97.5 %, whatever colour the noise has",
         "tanks, drives; at 1.5 a payload was named in 1 of 174 disturbed records of base 230000 with nothing missing",
     )
     alone: float = _number(

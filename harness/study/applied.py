@@ -62,7 +62,7 @@ def actuated(values: Mapping[str, float], u: FloatArray) -> FloatArray:
     Parameters
     ----------
     values : mapping
-        ``delay``, ``width``, ``limit``, ``tau``, ``R``, ``gain``, ``droop``, ``sag`` and ``sagt``, in the truth's names.
+        ``delay``, ``width``, ``limit``, ``tau``, ``R``, ``gain``, ``droop``, ``sag``, ``sagt``, as the truth has them.
 
     Examples
     --------
