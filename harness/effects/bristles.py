@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import Any
 
 from harness.effects.effect import EffectParameter, effect, par
-from harness.effects.functions import absolute, cos, exp, no_sooner, sign, sqrt
+from harness.effects.functions import absolute, cos, exp, no_sooner, power, sign, sqrt
 
 __all__ = [
     "lugre_asymmetric_friction",
@@ -57,7 +57,7 @@ def _bristles() -> list[EffectParameter]:
 
 def _power(v: Any, a: Any) -> Any:
     """Return the power of a speed."""
-    return sqrt(v * v + _STILL**2) ** a
+    return power(v * v + _STILL**2, 0.5 * a)
 
 
 def _carried(level: Any, steady: Any, s: Any, p: Any, v: Any) -> tuple[Any, list[Any]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from harness.effects.effect import EffectParameter, effect, par
-from harness.effects.functions import absolute, cos, exp, no_sooner, tanh
+from harness.effects.functions import absolute, cos, exp, no_sooner, power, tanh
 
 __all__ = [
     "asymmetric_friction",
@@ -133,7 +133,7 @@ def asymmetric_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 )  # fmt: skip
 def sublinear_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Friction of grease and seals, which grows with the speed less than in proportion."""
-    return -p.Fr * v * (v * v + p.w * p.w) ** (0.5 * (p.a - 1.0))
+    return -p.Fr * v * power(v * v + p.w * p.w, 0.5 * (p.a - 1.0))
 
 
 @effect(
@@ -153,7 +153,7 @@ def sublinear_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 )  # fmt: skip
 def yield_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Dry friction and, beyond its level, a force that grows with the speed less than in proportion: stiff grease."""
-    return -p.Fc * tanh(v / p.w) - p.Fr * v * (v * v + p.w * p.w) ** (0.5 * (p.a - 1.0))
+    return -p.Fc * tanh(v / p.w) - p.Fr * v * power(v * v + p.w * p.w, 0.5 * (p.a - 1.0))
 
 
 @effect(

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.physics.ccode import Compilation
-from harness.physics.filter_kernels import kernels
+from harness.physics.filter_kernels import filter_kernels
 from harness.physics.filter_source import filter_source
 from harness.signals import FloatArray, Trajectory
 
@@ -138,7 +138,7 @@ class _Job(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_long) for name in _COUNTS),
         *((name, ctypes.c_double) for name in _NUMBERS),
-        *((name, ctypes.c_void_p) for name in (*_GIVEN, *_MADE, *_STORES, "read", "step")),
+        *((name, ctypes.c_void_p) for name in (*_GIVEN, *_MADE, *_STORES, "run")),
     )
 
 
@@ -201,7 +201,7 @@ class KalmanPass:
         self.sampled = self.simulator.sampled
         self._compilation: Compilation | None = None
         if compiled:
-            source = filter_source(self.simulator.functions, self.sampled.delay_columns, self.nl)
+            source = filter_source(self.simulator.functions, self.sampled.delay_columns)
             self._compilation = Compilation(source)
         self._seen: list[tuple[Any, Any, FloatArray, FloatArray | None]] = []
 
@@ -262,7 +262,7 @@ class KalmanPass:
             wide, square, tall = (samples, self.nx), (samples, self.nx, self.nx), (samples, self.ny, self.nx)
             made.path = Path(*(np.empty(shape) for shape in (wide, square, wide, square, square, tall, tall)))
         library = None if self._compilation is None else self._compilation.library()
-        steps = None if library is None else kernels(self.nx, self.ny, self.nl)
+        steps = None if library is None else filter_kernels(self.nx, self.ny, self.nl)
         if library is None or steps is None:
             made.e_noise = made.s_noise = None
             how = start, variance, decay, gained, noise, every
@@ -280,7 +280,7 @@ class KalmanPass:
         arrays = {name: value for name, value in given.items() if value is not None}
         job = _Job(
             n=len(u), substeps=1 if every > 1 else self.substeps, every=every, chosen=chosen,
-            foh=int(self.intersample != "zoh"), dt=step, t0=float(record.t[0]), read=steps.read, step=steps.step,
+            foh=int(self.intersample != "zoh"), dt=step, t0=float(record.t[0]), run=steps.run,
             **{name: value.ctypes.data for name, value in arrays.items()},
         )  # fmt: skip
         failed = library.sysid_filter(ctypes.byref(job))

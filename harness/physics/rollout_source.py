@@ -9,7 +9,7 @@ from harness.physics.ccode import FINE, c_function, near_zero
 if TYPE_CHECKING:
     from harness.physics.rollout_code import Functions, Linear
 
-__all__ = ["RUNGE_KUTTA", "STAGE", "rollout_source", "shared_source"]
+__all__ = ["RUNGE_KUTTA", "SAMPLE", "STAGE", "rollout_source", "shared_source"]
 
 
 def rollout_source(functions: Functions, sensitivities: bool, delay_columns: tuple[int, ...]) -> str:
@@ -160,6 +160,10 @@ def _source(name: str, parts: Linear, delay_columns: tuple[int, ...]) -> str:
     return "\n".join([head, "    double *to) {", "  (void)b; (void)f; (void)d; (void)place; (void)to;", *lines, "}"])
 
 
+SAMPLE = """\
+/* What a step sees of the inputs, here and at the next row, of their derivatives d, and of the parameters. */
+typedef struct { const double *u, *u_next, *d, *d_next, *p; const int *place; long foh, sources; } sample;"""
+
 _TYPES = """\
 #define ROOM(n) ((n) > 0 ? (n) : 1)
 #define NW (NU*ND)
@@ -179,12 +183,12 @@ typedef struct {
   double *cost, *squares, *gram, *gradient;
 } job;
 
-typedef struct { const double *u, *u_next, *d, *d_next, *p; const int *place; long foh, sources; } sample;
+SAMPLE
 
 static void blend(const double *a, const double *b, double share, int n, double *out) {
   int i;
   for (i = 0; i < n; i++) out[i] = share == 1.0 ? b[i] : a[i] + (b[i] - a[i])*share;
-}"""
+}""".replace("SAMPLE", SAMPLE)
 
 _TANGENT = """\
 /* A and B of a stage. */

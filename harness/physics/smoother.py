@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from harness.physics.filter_kernels import kernels
+from harness.physics.filter_kernels import smoother_kernels
 from harness.physics.kalman_pass import Filtered
 from harness.signals import FloatArray
 
@@ -37,7 +37,7 @@ def smoothed(passed: Filtered) -> Smoothed:
     assert path is not None
     n, nx = path.x_before.shape
     x, variance = np.empty((n, nx)), np.empty((n, nx))
-    compiled = kernels(nx, passed.e.shape[1], 0)
+    compiled = smoother_kernels(nx, passed.e.shape[1])
     if compiled is not None:
         given = (passed.e, passed.s, path.transition, path.gain, path.row, path.x_before, path.p_before)
         compiled.smooth(n, [np.ascontiguousarray(array) for array in given], [x, variance])
@@ -110,7 +110,7 @@ def innovation_response(
         if held is not None and held.any():
             mean[..., held] = forces[..., held]
         forces = mean
-    compiled = kernels(nx, ny, 0)
+    compiled = smoother_kernels(nx, ny)
     if compiled is not None:
         response = np.zeros((n, ny, m)) if readings is None else np.negative(readings)
         given_path = [np.ascontiguousarray(array) for array in (path.transition, path.gain, path.row)]

@@ -417,7 +417,7 @@ def test_the_compiled_smoother_and_response_are_those_in_python(monkeypatch) -> 
     forces, readings = rng.normal(size=(80, 2, 5)), rng.normal(size=(80, 2, 5))
     asked = ((forces, readings, None), (None, readings, None), (forces, None, DT))
     fast = smoothed(passed), [innovation_response(passed, f, r, rates_over=over) for f, r, over in asked]
-    monkeypatch.setattr("harness.physics.smoother.kernels", lambda *sizes: None)
+    monkeypatch.setattr("harness.physics.smoother.smoother_kernels", lambda *sizes: None)
     slow = smoothed(passed), [innovation_response(passed, f, r, rates_over=over) for f, r, over in asked]
     np.testing.assert_allclose(fast[0].x, slow[0].x, rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(fast[0].deviation, slow[0].deviation, rtol=1e-6, atol=1e-10)
