@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from harness.diagnosis.policy import POLICY
+from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.search.compare import BEYOND, UNCONVERGED, compared, judged
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.leftover import left_over
@@ -525,3 +525,27 @@ def test_what_was_left_on_its_way_is_said_to_be_and_not_that_it_did_not_converge
     (first, *_), (second, *_) = (judged(one.effects, one, nominal, nominal).reasons for one in (behind, stuck))
     assert "left on its way" in first
     assert second == "its fit did not converge"
+
+
+def test_what_no_law_allows_does_not_keep_a_smaller_effect_from_its_fit() -> None:
+    """A friction that drives explains ten times as much as the drag, and is no answer: the drag is one."""
+    form = LinearForm(linear_records(5, {"viscous_friction": -1.0, "quadratic_drag": 0.3}))
+    assert accepted(search(form, form.fit((), [], None), ALL)) == {"quadratic_drag"}
+
+
+def test_what_the_validation_records_refuse_puts_no_end_to_the_fit_of_another() -> None:
+    """A spring of the estimation records alone is chance; beside what was found before, it explained most there."""
+
+    class Form(LinearForm):
+        def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit:
+            fit: Fit = begun.detail
+            behind = rival is not None and begun.log_likelihood < rival.log_likelihood("estimation") - EFFORT.margin
+            return replace(fit, beyond=behind, converged=not behind)
+
+    records = linear_records(8, {"force_bias": 2.0, "quadratic_drag": 1.0, "linear_spring": 0.4})
+    for use, sign in (("estimation", 1.0), ("validation", -1.0)):
+        records.y[use] += sign * 0.7 * records.x[use]["cubic_spring"]
+    form = Form(records)
+    outcome = search(form, form.fit((), [], None), ALL)
+    assert accepted(outcome) == {"force_bias", "quadratic_drag", "linear_spring"}
+    assert not any(row.fit is not None and row.fit.beyond for row in outcome.rounds[-1].candidates)

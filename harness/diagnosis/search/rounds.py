@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 
@@ -42,6 +43,7 @@ from harness.effects.effect import Placed
 __all__ = ["Outcome", "Round", "in_its_place", "search"]
 
 Say = Callable[[str], None]
+Passes = Callable[[Placed, Fit], bool]
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +153,7 @@ def search(
         untried = [placed for placed in candidates if str(placed) not in present]
         laws = [placed for placed in untried if not placed.effect.grows]
         test = score_test(form, base, laws, policy)
-        fits = _refitted(form, base, test, laws, policy, say)
+        fits = _refitted(form, base, nominal, test, laws, policy, say)
         grow(form, fits, base, untried, sizes or {}, policy, say)
         better = _polished(form, base, [fit for fit in fits.values() if fit is not None])
         if better is not base:  # nothing is compared with a model that is not at its maximum
@@ -212,15 +214,24 @@ def _accept(outcome: Outcome, best: Judged, tie: tuple[tuple[Placed, ...], ...])
 
 
 def _refitted(
-    form: Form, base: Fit, test: ScoreTest, untried: Sequence[Placed], policy: Policy, say: Say
+    form: Form, base: Fit, nominal: Fit, test: ScoreTest, untried: Sequence[Placed], policy: Policy, say: Say
 ) -> dict[Placed, Fit | None]:
     """Begin the refits of all that promises something; finish those whose first steps keep up with the best."""
+
+    @cache
+    def passes(placed: Placed, fit: Fit) -> bool:
+        return judged([placed], fit, base, nominal, policy).passed
+
     origins: dict[Placed, Fit] = {}
     begun: dict[Placed, Begun | None] = {}
     before = base.log_likelihood("estimation")
 
     def enough() -> float:  # what is not refitted in the end need not be begun in full
-        gains = [refit.log_likelihood - before for refit in begun.values() if refit is not None]
+        gains = [  # what no law allows is no answer: it does not say how little an answer may gain
+            refit.log_likelihood - before
+            for placed, refit in begun.items()
+            if refit is not None and not wrong_signs(placed, refit.values)
+        ]
         return max(policy.lead, policy.reach * max(gains, default=0.0))
 
     for lead in [*chosen(test, policy), *_remembered(form, base, test, untried, policy)]:
@@ -270,7 +281,7 @@ def _refitted(
         first = begun[placed]
         assert first is not None
         say(f"{placed} to its maximum")
-        fits[placed] = form.finish(first, origins[placed], _best(fits, placed))
+        fits[placed] = form.finish(first, origins[placed], _best(fits, placed, passes))
     for placed in [
         simple
         for simple in begun
@@ -281,16 +292,18 @@ def _refitted(
         )
     ]:  # a law is no answer before its special cases were tried from where it ended
         fits[placed] = None
-    _share_starts(form, fits, base)
+    _share_starts(form, fits, base, passes)
     _lawful(form, fits, base, {lead.placed: lead.starts[0] for lead in test.leads})
     return fits
 
 
-def _best(fits: Mapping[Placed, Fit | None], beside: Placed) -> Fit | None:
-    """Return the likeliest of the other refits that reached a lawful maximum."""
-    done = [fit for placed, fit in fits.items() if fit is not None and fit.converged and placed != beside]
-    lawful = [fit for fit in done if not any(impossible(placed, fit) for placed in fit.effects)]
-    return max(lawful, key=lambda fit: fit.log_likelihood("estimation"), default=None)
+def _best(fits: Mapping[Placed, Fit | None], beside: Placed, passes: Passes) -> Fit | None:
+    """Return the likeliest of the other refits that may be the answer: nothing else puts an end to another fit.
+
+    What the validation records or its own law refuse says nothing of how near to it the answer may come.
+    """
+    done = [fit for placed, fit in fits.items() if fit is not None and placed != beside and passes(placed, fit)]
+    return max(done, key=lambda fit: fit.log_likelihood("estimation"), default=None)
 
 
 def chosen(test: ScoreTest, policy: Policy = POLICY) -> list[Lead]:
@@ -324,7 +337,7 @@ def _remembered(form: Form, base: Fit, test: ScoreTest, untried: Sequence[Placed
     return [lead for lead in leads if lead.penalised > 0.0 and lead.share >= policy.clear][: EFFORT.faint]
 
 
-def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None:
+def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit, passes: Passes) -> None:
     """Fit a law and its special cases from each other's ends: no rival loses by a bad start."""
     for rich, simple in [(a, b) for a in fits for b in fits if b.effect.name in a.effect.nests and a.at == b.at]:
         for mine, theirs in ((rich, simple), (simple, rich)):
@@ -337,7 +350,7 @@ def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit) -> None
                     start[mine.name(parameter.name)] = other.values[theirs.name(parameter.name)]
                 elif fit is not None:
                     start[mine.name(parameter.name)] = fit.values[mine.name(parameter.name)]
-            again = form.fit([*base.effects, mine], [start], other, _best(fits, mine))
+            again = form.fit([*base.effects, mine], [start], other, _best(fits, mine, passes))
             if again is not None and (fit is None or value(again) > value(fit)):
                 fits[mine] = again
 
