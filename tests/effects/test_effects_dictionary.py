@@ -186,3 +186,9 @@ def test_the_narrowest_dry_friction_holds_a_joint_where_it_stands():
     simulator = stuck.simulator(0.01, backend="casadi")
     theta = simulator.rollout(stuck.vector(values), [0.0, 0.0], np.full((50, 1), 0.3))[:, 0]
     assert 0 < theta[-1] < 1e-3
+
+
+def test_a_drive_that_clips_the_peaks_of_a_sine_has_a_start_that_does():
+    """Where no start clips a little, the likelihood is flat above and far worse below, and nothing leads there."""
+    limits = builtin()["saturation"].parameter("limit").starts({"u": np.sqrt(0.5)})
+    assert any(0.87 < limit < 0.97 for limit in limits), limits
