@@ -137,6 +137,7 @@ def test_a_damper_that_warms_up_is_seen_and_not_named() -> None:
     assert found.verdict == "unexplained"
     assert found.leftover.best is not None
     assert found.leftover.best.name == "theta over theta_rate, changing with time"
+    assert not any("check" in warning for warning in found.warnings), "the columns are right"
 
 
 @pytest.mark.parametrize(
