@@ -9,7 +9,7 @@ from pathlib import Path
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Equations, Kind
-from harness.diagnosis.misfit import misfit_reasons, mostly_noise
+from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.search.rounding import add_rounding
@@ -105,4 +105,7 @@ def diagnose(
     )
     if apart is not None and diagnosis.disagree:
         diagnosis.warnings.append(apart.words(outcome.model.values))
+    if diagnosis.verdict == "unexplained":  # a column may be wrong though the model follows the records after a fashion
+        with one_thread():
+            diagnosis.warnings += likely_mistakes(form, outcome.model, policy)
     return diagnosis

@@ -14,7 +14,7 @@ from harness.diagnosis.search.fit import Fit
 from harness.physics.likelihood_fit import sensor_noise
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
-__all__ = ["misfit_reasons", "mistakes", "mostly_noise"]
+__all__ = ["likely_mistakes", "misfit_reasons", "mistakes", "mostly_noise"]
 
 DEGREES = np.pi / 180
 MOSTLY = 0.5
@@ -64,7 +64,7 @@ def misfit_reasons(
     if bound and reasons:
         reasons.append(f"{', '.join(bound)} ended on a bound")
     if reasons:
-        reasons += _likely(form, final, policy)
+        reasons += likely_mistakes(form, final, policy)
     return tuple(reasons)
 
 
@@ -151,7 +151,7 @@ def _length(runs: FreeRuns) -> str:
     return "whole records" if runs.horizon.seconds is None else f"windows of {runs.horizon.seconds:g} s"
 
 
-def _likely(form: WholeForm, final: Fit, policy: Policy) -> list[str]:
+def likely_mistakes(form: WholeForm, final: Fit, policy: Policy) -> list[str]:
     """Return the mistakes whose repair makes the nominal model much likelier, all that do so about as well."""
     least = final.log_likelihood("estimation") + policy.misfit_gain
     likelier = []

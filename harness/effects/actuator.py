@@ -35,8 +35,8 @@ def dead_zone(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 
 @effect(
     "input",
-    [par("limit", "u", scale="1.2 u", sign="+", minimum=0.0, main=True, grid=(1.0, 0.7, 1.5, 2.0, 2.4),
-         meaning="largest command that passes")],
+    [par("limit", "u", scale="1.2 u", sign="+", minimum=0.0, main=True, grid=(1.0, 0.7, 1.1, 1.5, 2.0, 2.4),
+         meaning="largest command that passes")],  # times 1.1 it clips the peaks of a sine, which lie at 1.41 u
     formula="u' = clip(u, -limit, limit) (corner rounded over limit/1000)",
     family=("rate_limit", "input_gain"),
     limits={"input_gain": "if the command is always beyond the limit"},

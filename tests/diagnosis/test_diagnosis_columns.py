@@ -88,6 +88,18 @@ def test_degrees_and_radians_are_told_from_a_factor_of_1000(foreign_pendulum, fa
     assert doubt.certain
 
 
+@pytest.mark.parametrize("turns", [-0.5, 0.5, 0.0])
+def test_an_angle_from_the_upright_is_said_before_anything_is_named(foreign_pendulum, turns: float) -> None:
+    """It was a payload that turns gravity round, of a pendulum without any."""
+    record = foreign_pendulum(5, n=600).estimation[0]
+    found = doubts(load_model("pendulum"), replace(record, y=record.y + 2 * np.pi * turns))
+    assert len(found) == bool(turns)
+    for doubt in found:
+        assert "theta is half a turn off" in doubt.words
+        assert "degrees" not in doubt.words
+        assert doubt.certain
+
+
 def test_degrees_are_told_where_declared_values_are_placeholders(foreign_pendulum) -> None:
     small = load_model("pendulum")
     small = small.with_parameters({one.name: one.value / 80 for one in small.parameters})

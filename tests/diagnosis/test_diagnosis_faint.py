@@ -82,6 +82,17 @@ def test_a_law_of_size_zero_changes_nothing() -> None:
     assert changed_share([trace_of(whole, values, x, u)], whole, nominal, [1]) < 1e-9
 
 
+def test_what_other_parameters_do_as_well_is_no_change() -> None:
+    """A second viscous friction beside the nominal's own: with that one moved along, nothing is left of it."""
+    nominal, (x, u) = load_model("pendulum"), some_motion(3)
+    law = Placed(builtin()["viscous_friction"], "theta")
+    whole = compose(nominal, [law])
+    trace = trace_of(whole, {**PENDULUM, "b": 0.04, law.main(): 0.01}, x, u)  # type: ignore[dict-item]
+    assert changed_share([trace], whole, nominal, [1]) > 1e-3
+    assert changed_share([trace], whole, nominal, [1], PENDULUM) < 1e-9
+    assert changed_share([trace], whole, nominal, [1], {**PENDULUM, "b": 0.06}) > 1e-3
+
+
 # ---- without the motor -----------------------------------------------------------------------------------------------
 
 

@@ -143,6 +143,7 @@ def test_what_drifts_is_seen_where_the_dictionary_has_no_name_for_it() -> None:
     assert found.verdict == "unexplained"
     assert found.leftover.best is not None
     assert found.leftover.best.name == "theta over theta_rate, changing with time"
+    assert not any("check" in warning for warning in found.warnings), "the columns are right"
 
 
 @pytest.mark.parametrize(

@@ -481,6 +481,20 @@ def test_a_forbidden_further_law_counts_before_its_fit_has_come_to_its_end() -> 
         assert (better is not None and better.name == "viscous_friction@theta") is counts
 
 
+@pytest.mark.parametrize(("distance", "counts"), [(0.002, False), (0.004, True)])
+def test_a_forbidden_further_law_must_do_more_than_round_the_corners(distance: float, counts: bool) -> None:
+    """Exact sensors are sure of the step of an engine: what changes 2 % of what the answer changes is none."""
+    form = LinearForm(linear_records(5, {"quadratic_drag": 0.6, "viscous_friction": -0.4}))
+    found = search(form, form.fit((), [], None), ALL)
+    rounds = [
+        replace(past, base=replace(past.base, change=lambda law: 0.1), candidates=tuple(
+            replace(row, fit=replace(row.fit, distance=lambda base: distance)) for row in past.candidates
+            if row.fit is not None
+        )) for past in found.rounds
+    ]  # fmt: skip
+    assert (replace(found, rounds=rounds).unlawful() is not None) is counts
+
+
 def test_an_effect_whose_own_law_forbids_what_is_left_of_it_is_not_left_alone() -> None:
     """Without the drag, the spring would be negative and explain as much: the drag is not needless then."""
     records = linear_records(14, {"quadratic_drag": 0.4})

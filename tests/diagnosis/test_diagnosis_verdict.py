@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.close import close_loop
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.forms.apart import Apart
@@ -235,6 +236,17 @@ def test_an_input_that_is_late_or_early_is_named_with_the_samples(foreign_pendul
         assert words in text
         rows = slice(10, -10)
         np.testing.assert_array_equal(repaired.estimation[0].u[rows], good.estimation[0].u[20:-20][rows])
+
+
+def test_an_input_that_is_late_is_named_where_the_model_fits_after_a_fashion(foreign_pendulum) -> None:
+    """No effect answers before its cause: the record was unexplained, by a force that changes with time."""
+    good = foreign_pendulum(3, n=1000)
+    runs = tuple(
+        replace(run, trajectory=replace(run.trajectory, u=np.roll(run.trajectory.u, 3, axis=0))[20:-20]) for run in good
+    )
+    found = diagnose(replace(good, runs=runs), load_model("pendulum"))
+    assert (found.verdict, found.outcome.accepted) == ("unexplained", [])
+    assert any("whether u is recorded about 3 samples late" in warning for warning in found.warnings)
 
 
 def test_likely_mistakes_are_signs_and_degrees() -> None:

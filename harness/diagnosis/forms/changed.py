@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -18,7 +18,13 @@ _LOOKED_AT = 1000
 """Samples of a record, evenly spread, from which one step is made with and without the effect: an rms needs no more."""
 
 
-def changed_share(traces: Sequence[Trace], whole: System, less: System, rows: Sequence[int]) -> float:
+def changed_share(
+    traces: Sequence[Trace],
+    whole: System,
+    less: System,
+    rows: Sequence[int],
+    values: Mapping[str, float] | None = None,
+) -> float:
     """Return what a part of a model changes, over all that happens: of the largest, rates or readings.
 
     From each smoothed state one sample is simulated with and without the part. The rms of the difference stands over
@@ -33,6 +39,8 @@ def changed_share(traces: Sequence[Trace], whole: System, less: System, rows: Se
         With and without the part.
     rows : sequence of int
         States that forces act on: rates of coordinates, levels of a process.
+    values : mapping, optional
+        Parameters without the part, where they are others than with it: they take over what they can.
 
     Returns
     -------
@@ -41,12 +49,12 @@ def changed_share(traces: Sequence[Trace], whole: System, less: System, rows: Se
     """
     names = [channel.name for channel in whole.states]
     kept = [names.index(channel.name) for channel in less.states]
-    known = [whole.parameter_names.index(name) for name in less.parameter_names]
     moved, apart, read, off = [], [], [], []
     for trace in traces:
         x, p = trace.x[:, : whole.nx], trace.p
         after, readings = _stepped(trace, whole, x, p)
-        others, bare = _stepped(trace, less, x[:, kept], p[known])
+        given = {**dict(zip(whole.parameter_names, p, strict=True)), **(values or {})}
+        others, bare = _stepped(trace, less, x[:, kept], np.array([given[name] for name in less.parameter_names]))
         moved.append((after - x[: -1 : _apart(len(x))])[:, rows])
         apart.append(after[:, rows] - others[:, rows])
         read.append(readings - readings.mean(axis=0))

@@ -164,8 +164,18 @@ class EquationsForm(LikelihoodForm[System]):
         whole = fit.model
         assert by_equations(whole)
         less = self.composed([other for other in fit.effects if str(other) != str(placed)])
-        rates = [coordinate.v for coordinate in self.nominal.coordinates] or range(self.nominal.nx)
-        return changed_share(self._traces(fit, USES[:1])["estimation"], whole, less, list(rates))
+        return changed_share(self._traces(fit, USES[:1])["estimation"], whole, less, self._rates())
+
+    def distance(self, fit: Fit, other: Fit) -> float:
+        """Return how far another fit is from one along the estimation records, as a share of rates or readings."""
+        whole, less = fit.model, other.model
+        assert by_equations(whole)
+        assert by_equations(less)
+        return changed_share(self._traces(fit, USES[:1])["estimation"], whole, less, self._rates(), other.values)
+
+    def _rates(self) -> list[int]:
+        """Return the states that forces act on."""
+        return [coordinate.v for coordinate in self.nominal.coordinates] or list(range(self.nominal.nx))
 
     def _braking(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
         """Return places along the motion of a coordinate, and the damping of all that brakes it there."""

@@ -343,7 +343,12 @@ class LikelihoodForm(SystemForm[SystemT]):
             detail=Detail({"estimation": best.point, "validation": expected.point}, passes, best, expected, told),
             beyond=best.beyond,
         )
-        fit = replace(fit, change=lambda placed: self.change(fit, placed), braking=lambda at: self._braking(fit, at))
+        fit = replace(
+            fit,
+            change=lambda placed: self.change(fit, placed),
+            distance=lambda other: self.distance(fit, other),
+            braking=lambda at: self._braking(fit, at),
+        )
         repeating = [placed for placed in effects if "phi" in OWN.get(placed.effect.name, ())]
         if not (self.latent and best.converged and repeating):  # elsewhere the innovations are coloured
             return fit

@@ -73,6 +73,10 @@ class SystemForm(ABC, Generic[SystemT]):
     def change(self, fit: Fit, placed: Placed) -> float:
         """Return how much an effect changes of rates or readings along the estimation records, as a share of them."""
 
+    def distance(self, fit: Fit, other: Fit) -> float:
+        """Return how far another fit is from one, as such a share; infinity where nobody can tell."""
+        return float("inf")
+
     def _braking(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
         """Return places along the motion of a coordinate and what brakes it there; None where forces have no text."""
         return None

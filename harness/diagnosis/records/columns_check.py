@@ -1,11 +1,11 @@
-"""Columns that the model cannot mean: a wrong unit, two columns exchanged. Only a model can see these.
+"""Columns that the model cannot mean: a wrong unit or zero, two columns exchanged. Only a model can see these.
 
 The model and its declared parameters predict the records. Where they do not, the rough fit is repeated with one column
-repaired (scaled by 1000 or by 180/pi, exchanged with another) and the parameters near the declared ones. All are
-tried; the best one is named if it leaves far less than the records as they are do with any parameters within a factor
-of 100. Where the declared values say nothing, and the records as they are cannot be followed at all, the same is asked
-with free parameters. Degrees for radians are a factor of 57 only, which a linear model follows with other parameters:
-they are named if they alone bring all parameters to what was declared.
+repaired (scaled by 1000 or by 180/pi, turned by half a turn, exchanged with another) and the parameters near the
+declared ones. All are tried; the best one is named if it leaves far less than the records as they are do with any
+parameters within a factor of 100. Where the declared values say nothing, and the records as they are cannot be followed
+at all, the same is asked with free parameters. Degrees for radians are a factor of 57 only, which a linear model
+follows with other parameters: they are named if they alone bring all parameters to what was declared.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def _by_angle(
 
 
 def repairs(record: Trajectory) -> Iterator[Repair]:
-    """Yield what may be wrong with the columns: degrees and radians, a factor of 1000, two of one kind exchanged.
+    """Yield what may be wrong: degrees and radians, half a turn, a factor of 1000, two columns of one kind exchanged.
 
     Parameters
     ----------
@@ -174,6 +174,15 @@ def repairs(record: Trajectory) -> Iterator[Repair]:
                 _scaled(record, kind, columns, 1 / DEGREE),
                 angle=True,
             )
+        for k in angles if kind == "y" else ():
+            if channels[k].unit == "rad":
+                values = record.y.copy()
+                values[:, k] += np.pi
+                name = channels[k].name
+                words = f"{name} is half a turn off: 0 where the model's is 180 deg, as upright instead of hanging"
+                yield Repair(
+                    words, f"add half a turn to {name}: offset = 3.14159, or 180 in deg", replace(record, y=values)
+                )
         for k, channel in enumerate(channels):
             for factor, word in ((1e-3, "large"), (1e3, "small")):
                 yield Repair(

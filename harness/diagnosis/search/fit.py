@@ -24,6 +24,11 @@ def _untold(placed: Placed) -> float:
     return float("inf")
 
 
+def _far(other: Fit) -> float:
+    """Return infinity: nobody told how far apart two fits are."""
+    return float("inf")
+
+
 def _unbraked(at: str) -> None:
     """Return nothing: nobody told what brakes a coordinate."""
 
@@ -65,6 +70,9 @@ class Fit:
     change : callable
         How much one of the effects changes of rates or readings, as a share of them; found when it is asked for.
         Infinite where a form cannot tell.
+    distance : callable
+        How far another fit, all of whose states this one has, is from this one, as such a share: what an effect does
+        beyond what the other parameters can do as well. Infinite where a form cannot tell.
     braking : callable
         Places along the motion of a coordinate and the damping of all that brakes it there; None where unknown. See
         :func:`harness.diagnosis.forms.braking.braking`.
@@ -88,6 +96,7 @@ class Fit:
     detail: Any = field(default=None, repr=False)
     beyond: bool = False
     change: Callable[[Placed], float] = field(default=_untold, repr=False)
+    distance: Callable[[Fit], float] = field(default=_far, repr=False)
     braking: Callable[[str], tuple[FloatArray, FloatArray] | None] = field(default=_unbraked, repr=False)
 
     @property

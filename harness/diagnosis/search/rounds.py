@@ -75,7 +75,7 @@ class Outcome:
         """
         best: tuple[float, Judged] | None = None
         answer = {str(placed) for placed in self.model.effects}
-        for rival in (row for past in self.rounds for row in past.candidates):
+        for base, rival in ((past.base, row) for past in self.rounds for row in past.candidates):
             if rival.fit is None:
                 continue
             forbidden = [
@@ -85,7 +85,7 @@ class Outcome:
             ]
             if not forbidden:
                 continue
-            if answer <= _contained(rival.fit.effects) and not _asked_for(rival, answer, forbidden, policy):
+            if answer <= _contained(rival.fit.effects) and not _asked_for(rival, base, answer, forbidden, policy):
                 continue
             gap = compared(rival.fit, self.model, policy).total
             _, error = difference(rival.fit, self.model, ("estimation", "validation"), policy)
@@ -186,15 +186,20 @@ def _shown(rows: Sequence[Judged], policy: Policy) -> set[str]:
     return {str(row.added[0]) for row in clear}
 
 
-def _asked_for(row: Judged, answer: set[str], forbidden: Sequence[str], policy: Policy) -> bool:
+def _asked_for(row: Judged, base: Fit, answer: set[str], forbidden: Sequence[str], policy: Policy) -> bool:
     """Return True for a candidate beside a whole answer that would be accepted if its law allowed its values.
 
-    One whose fit has not come to its end is as likely as it is at least.
+    One whose fit has not come to its end is as likely as it is at least. With exact sensors the data are sure of the
+    rounded corners of the answer too, and of the step of the engine that wrote them: what other parameters cannot do as
+    well must be a part of what the answer changes.
     """
     assert row.fit is not None
     beside = answer == {str(placed) for placed in row.fit.effects} - {str(placed) for placed in row.added}
     rest = set(row.reasons) - {*forbidden, UNCONVERGED}
-    return beside and not rest and row.fit.change(row.added[0]) >= policy.least
+    if not beside or rest or row.fit.change(row.added[0]) < policy.least:
+        return False
+    whole = max((base.change(placed) for placed in base.effects), default=0.0)
+    return row.fit.distance(base) >= policy.second_share * whole
 
 
 def _contained(effects: Sequence[Placed]) -> set[str]:
