@@ -45,7 +45,8 @@ def linear_spring(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     ],
     states={"z": "q"},
     formula="F = -k z, z' = v - z/tau",
-    family=("hysteresis", "linear_spring", "viscous_friction", "elasticity"),
+    family=("hysteresis", "viscous_friction", "elasticity"),
+    nests=("linear_spring",),
     limits={
         "linear_spring": "for a relaxation time far above a period of the motion",
         "viscous_friction": "for a relaxation time far below a period of the motion",

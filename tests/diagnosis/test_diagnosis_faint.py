@@ -89,8 +89,51 @@ def test_what_other_parameters_do_as_well_is_no_change() -> None:
     whole = compose(nominal, [law])
     trace = trace_of(whole, {**PENDULUM, "b": 0.04, law.main(): 0.01}, x, u)  # type: ignore[dict-item]
     assert changed_share([trace], whole, nominal, [1]) > 1e-3
-    assert changed_share([trace], whole, nominal, [1], PENDULUM) < 1e-9
-    assert changed_share([trace], whole, nominal, [1], {**PENDULUM, "b": 0.06}) > 1e-3
+    moved, wrong = (trace_of(nominal, {**PENDULUM, "b": b}, x, u) for b in (0.05, 0.06))
+    assert changed_share([trace], whole, nominal, [1], [moved]) < 1e-9
+    assert changed_share([trace], whole, nominal, [1], [wrong]) > 1e-3
+
+
+@pytest.mark.parametrize(("relaxation", "other"), [(1e6, False), (1.0, True)])
+def test_a_maxwell_element_that_never_relaxes_is_the_spring_and_one_that_does_is_not(
+    relaxation: float, other: bool
+) -> None:
+    """In one sample either is nearly a spring; what was lost in the samples before stands in the hidden strain."""
+    nominal = load_model("pendulum")
+    spring, maxwell = (Placed(builtin()[name], "theta") for name in ("linear_spring", "maxwell_element"))
+    less, whole = compose(nominal, [spring]), compose(nominal, [maxwell])
+    t = np.arange(2000) * DT
+    x, u = np.column_stack([np.sin(3 * t), 3 * np.cos(3 * t)]), np.cos(t)
+    strain = np.zeros(len(t))
+    for k in range(len(t) - 1):
+        strain[k + 1] = strain[k] + DT * (x[k, 1] - strain[k] / relaxation)
+    mine = trace_of(
+        whole, {**PENDULUM, maxwell.name("k"): 0.5, maxwell.name("tau"): relaxation}, np.column_stack([x, strain]), u
+    )
+    theirs = trace_of(less, {**PENDULUM, spring.name("k"): 0.5}, x, u)
+    share = changed_share([mine], whole, less, [1], [theirs])
+    assert share > 0.01 if other else share < 1e-3
+
+
+def test_a_law_differs_by_its_own_values_and_hidden_states() -> None:
+    nominal, (x, u) = load_model("pendulum"), some_motion(4)
+    plain, refined = (
+        Placed(builtin()[name], "theta") for name in ("lugre_coulomb_friction", "lugre_asymmetric_friction")
+    )
+    less, whole = compose(nominal, [plain]), compose(nominal, [refined])
+    bristles = {"xs": 0.3, "tau": 0.01, "T": 0.001}
+    bent = 0.2 * np.tanh(x[:, 1])
+    own = {plain.name(key): size for key, size in {**bristles, "Fc": 0.2}.items()}
+    shares = []
+    for forwards, backwards, hidden in ((0.2, 0.2, 1.0), (0.3, 0.1, 1.0), (0.2, 0.2, 0.5)):
+        sizes = {**bristles, "Fp": forwards, "Fm": backwards}
+        mine = trace_of(whole, {**PENDULUM, **{refined.name(key): size for key, size in sizes.items()}},
+                        np.column_stack([x, bent]), u)  # fmt: skip
+        theirs = trace_of(less, {**PENDULUM, **own}, np.column_stack([x, hidden * bent]), u)
+        shares.append(changed_share([mine], whole, less, [1], [theirs]))
+    assert shares[0] < 1e-9, "the same levels, the same bristles"
+    assert shares[1] > 0.001, "other levels"
+    assert shares[2] > 0.001, "other bristles"
 
 
 # ---- without the motor -----------------------------------------------------------------------------------------------

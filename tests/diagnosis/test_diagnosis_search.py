@@ -345,6 +345,33 @@ def test_rivals_that_the_data_tell_apart_are_no_tie() -> None:
     assert tie_of(outcome, "linear_spring") == {"linear_spring"}
 
 
+@pytest.mark.parametrize(("own", "rivals"), [(0.02, {"cubic_spring"}), (1e-4, set())])
+@pytest.mark.parametrize("later", [{}, {"quadratic_drag": 0.3}])
+def test_a_general_law_is_a_rival_only_if_its_model_is_another_one(
+    own: float, rivals: set[str], later: Mapping[str, float]
+) -> None:
+    """It is as likely in either case; what differs by a ten-thousandth of what happens is the special case itself."""
+    records = linear_records(5, {"linear_spring": 1.0, **later})
+    mixed(records, "cubic_spring", linear_spring=1.0, cubic_spring=own)
+
+    class Told(LinearForm):
+        def fit(self, *args: Any, **more: Any) -> Fit:
+            made = super().fit(*args, **more)
+
+            def moved(fit: Fit) -> FloatArray:
+                return self._matrix(fit.effects, "estimation") @ np.array(list(fit.values.values()))
+
+            return replace(made, distance=lambda other: float((moved(made) - moved(other)).std() / moved(made).std()))
+
+    form = Told(records)
+    general = Placed(replace(placed("cubic_spring").effect, nests=("linear_spring",)), "theta")
+    outcome = search(
+        form, form.fit((), [], None), [*(one for one in ALL if one.effect.name != "cubic_spring"), general]
+    )
+    assert accepted(outcome) == {"linear_spring", *later}
+    assert tie_of(outcome, "linear_spring") == {"linear_spring", *rivals}
+
+
 def test_a_rival_that_a_later_effect_tells_apart_is_no_longer_tied() -> None:
     """Alone, the cubic spring is as likely as the linear one, as it takes up some of the drag; beside the drag not."""
     records = linear_records(16, {"linear_spring": 0.4, "quadratic_drag": 0.3})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -19,11 +19,7 @@ _LOOKED_AT = 1000
 
 
 def changed_share(
-    traces: Sequence[Trace],
-    whole: System,
-    less: System,
-    rows: Sequence[int],
-    values: Mapping[str, float] | None = None,
+    traces: Sequence[Trace], whole: System, less: System, rows: Sequence[int], own: Sequence[Trace] | None = None
 ) -> float:
     """Return what a part of a model changes, over all that happens: of the largest, rates or readings.
 
@@ -39,8 +35,9 @@ def changed_share(
         With and without the part.
     rows : sequence of int
         States that forces act on: rates of coordinates, levels of a process.
-    values : mapping, optional
-        Parameters without the part, where they are others than with it: they take over what they can.
+    own : sequence of Trace, optional
+        The same records as the system without the part has smoothed them, for its own values and hidden states: what a
+        hidden state remembers shows in no single sample. By default it has those of the whole.
 
     Returns
     -------
@@ -48,13 +45,18 @@ def changed_share(
         0 where nothing changes, about 1 where it makes the motion.
     """
     names = [channel.name for channel in whole.states]
-    kept = [names.index(channel.name) for channel in less.states]
+    plant = sum("@" not in channel.name for channel in less.states)  # hidden states come last
+    kept = [] if own is not None else [names.index(channel.name) for channel in less.states]
+    known = [] if own is not None else [whole.parameter_names.index(name) for name in less.parameter_names]
     moved, apart, read, off = [], [], [], []
-    for trace in traces:
+    for number, trace in enumerate(traces):
         x, p = trace.x[:, : whole.nx], trace.p
         after, readings = _stepped(trace, whole, x, p)
-        given = {**dict(zip(whole.parameter_names, p, strict=True)), **(values or {})}
-        others, bare = _stepped(trace, less, x[:, kept], np.array([given[name] for name in less.parameter_names]))
+        if own is None:
+            others, bare = _stepped(trace, less, x[:, kept], p[known])
+        else:
+            hidden = own[number].x[:, plant : less.nx]
+            others, bare = _stepped(trace, less, np.hstack([x[:, :plant], hidden]), own[number].p)
         moved.append((after - x[: -1 : _apart(len(x))])[:, rows])
         apart.append(after[:, rows] - others[:, rows])
         read.append(readings - readings.mean(axis=0))

@@ -171,7 +171,8 @@ class EquationsForm(LikelihoodForm[System]):
         whole, less = fit.model, other.model
         assert by_equations(whole)
         assert by_equations(less)
-        return changed_share(self._traces(fit, USES[:1])["estimation"], whole, less, self._rates(), other.values)
+        mine, theirs = (self._traces(either, USES[:1])["estimation"] for either in (fit, other))
+        return changed_share(mine, whole, less, self._rates(), theirs)
 
     def _rates(self) -> list[int]:
         """Return the states that forces act on."""

@@ -71,8 +71,8 @@ class Fit:
         How much one of the effects changes of rates or readings, as a share of them; found when it is asked for.
         Infinite where a form cannot tell.
     distance : callable
-        How far another fit, all of whose states this one has, is from this one, as such a share: what an effect does
-        beyond what the other parameters can do as well. Infinite where a form cannot tell.
+        How far another fit to the same records is from this one, as such a share, each with its own values and hidden
+        states: what an effect does beyond what the other parameters can do as well. Infinite where a form cannot tell.
     braking : callable
         Places along the motion of a coordinate and the damping of all that brakes it there; None where unknown. See
         :func:`harness.diagnosis.forms.braking.braking`.

@@ -10,6 +10,7 @@ import numpy as np
 from harness.diagnosis.policy import EFFORT, POLICY, Policy
 from harness.diagnosis.search.compare import ON_BOUND, UNCONVERGED, Judged, difference, judged
 from harness.diagnosis.search.fit import Fit, Form
+from harness.effects import nested
 from harness.effects.effect import Placed
 
 __all__ = [
@@ -20,10 +21,12 @@ __all__ = [
     "held",
     "own_values",
     "physical",
+    "refines",
     "tie_set",
     "tied",
     "total",
     "typical_elsewhere",
+    "undecided",
     "value",
 ]
 
@@ -78,6 +81,39 @@ def tied(best: Judged, other: Judged, policy: Policy = POLICY) -> bool:
     return close(best.fit, other.fit, total(best) - total(other), policy)
 
 
+def refines(rival: Sequence[Placed], placed: Placed) -> bool:
+    """Return True for a law of which another one at the same place is a special case."""
+    return len(rival) == 1 and rival[0].at == placed.at and placed.effect.name in map(str, nested(rival[0].effect))
+
+
+def undecided(
+    answer: Fit, placed: Placed, rival: Fit, law: Sequence[Placed], gap: float, policy: Policy = POLICY
+) -> bool:
+    """Return True if the data do not decide between an effect of an answer and a rival.
+
+    The rival is as likely, or lost by no more than chance makes what is as good lose (Vuong 1989). A more general law
+    whose model differs by less than anybody would miss is no rival: it is the answer, with a parameter that does
+    nothing.
+
+    Parameters
+    ----------
+    answer : Fit
+    placed : Placed
+        The effect.
+    rival : Fit
+        With another law in its place.
+    law : sequence of Placed
+        That law.
+    gap : float
+        By which it is less likely.
+    policy : Policy
+    """
+    _, error = difference(answer, rival, ("estimation", "validation"), policy)
+    if gap >= max(policy.tie, policy.tie_z * error):
+        return False
+    return not (refines(law, placed) and rival.distance(answer) < policy.least)
+
+
 def tie_set(best: Judged, rows: Sequence[Judged], policy: Policy = POLICY) -> tuple[tuple[Placed, ...], ...]:
     """Return the tie set of an answer: what passes, or fails only for a want of evidence, and is as likely.
 
@@ -88,9 +124,11 @@ def tie_set(best: Judged, rows: Sequence[Judged], policy: Policy = POLICY) -> tu
     for row in sorted(rows, key=lambda row: -total(row)):
         if row is best or row.comparison is None or row.comparison.evidence < 0 or row.comparison.total < 0:
             continue
-        general = best.added[-1].effect.name in row.added[0].effect.nests and row.added[0].at == best.added[-1].at
+        general = refines(row.added, best.added[-1])
         lawless = general and all(text.startswith(("not so", *WANTS)) for text in row.reasons)
-        if (physical(row) or lawless) and tied(best, row, policy):
+        if row.fit is None or best.fit is None or not (physical(row) or lawless):
+            continue
+        if undecided(best.fit, best.added[-1], row.fit, row.added, total(best) - total(row), policy):
             found.append(row.added)
     return tuple(found)
 
@@ -212,10 +250,10 @@ def _still_tied(
         row = judged([typical], trial, nominal, nominal, policy)
     if trial is None or trial.beyond or not physical(row):
         return False
-    return close(model, trial, value(model) - value(trial), policy)
+    return undecided(model, placed, trial, member, value(model) - value(trial), policy)
 
 
 def close(best: Fit, other: Fit, gap: float, policy: Policy) -> bool:
-    """Return whether a gap of the log-likelihoods is within what does not tell two fits apart."""
+    """Return whether a gap of the log-likelihoods is too small to prefer the better one, were the other simpler."""
     _, error = difference(best, other, ("estimation", "validation"), policy)
     return gap < max(policy.tie, policy.tie_z * error)
