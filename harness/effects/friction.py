@@ -28,12 +28,8 @@ __all__ = [
 
 
 def _width() -> EffectParameter:
-    """Return the smoothing width of a sign.
-
-    A joint that sticks creeps at up to this speed. Its floor keeps that below the noise of a usual encoder for half a
-    second: where it was ten times as wide, a feedback loop's sticking was laid to a Stribeck peak.
-    """
-    return par("w", "v", scale="0.02 v", floor="0.0003 v", sign="+", minimum=1e-6, nuisance=True,
+    """Return the smoothing width of a sign."""
+    return par("w", "v", scale="0.02 v", floor="0.003 v", sign="+", minimum=1e-6, nuisance=True,
                meaning="smoothing width of the sign")  # fmt: skip
 
 
