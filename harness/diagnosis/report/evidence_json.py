@@ -321,7 +321,12 @@ def _candidates(found: Diagnosis, together: Sequence[str]) -> list[dict[str, Any
         for lead in [*step.test.leads, *step.test.hidden]:
             if str(lead.placed) in refitted:
                 continue
-            hidden = lead.share < found.policy.seen
+            if lead.share < found.policy.seen:
+                reason = "cannot be told from the nominal parameters"
+            elif str(lead.placed) in step.left:
+                reason = "the first steps of its refit gained too little"
+            else:
+                reason = "the score test promises less"
             rows.append(
                 {
                     "name": lead.placed.effect.name,
@@ -329,9 +334,7 @@ def _candidates(found: Diagnosis, together: Sequence[str]) -> list[dict[str, Any
                     "round": number,
                     "refitted": False,
                     "accepted": False,
-                    "reason": "cannot be told from the nominal parameters"
-                    if hidden
-                    else "the score test promises less",
+                    "reason": reason,
                     "promise": known(lead.gain),
                     "evidence": None,
                 }
