@@ -444,7 +444,7 @@ def _summary(data: dict[str, Any], least: float) -> str:
             stand = "stands" if len(data["effects"]) == 1 else "stand"
             text = (
                 f"{names}{more} {stand} in for what {data['model']} lacks, which the dictionary does not have "
-                f"({data['stand_in']['reasons'][0]})"
+                f"({data['stand_in']['reasons'][0]}){_still_left(data['noise']['after']['forces'])}"
             )
         else:
             text = f"{data['model']} lacks {names}{more}"
@@ -474,6 +474,15 @@ def _summary(data: dict[str, Any], least: float) -> str:
         f"something is missing in {data['model']}, and no effect of the dictionary explains it: {cause} "
         f"({plain} {units}; {words})"
     )
+
+
+def _still_left(forces: Mapping[str, Any]) -> str:
+    """Return how large the force is that nobody measured, where it is largest: a stand-in may leave little or much."""
+    shares = {port: force["share"] for port, force in forces.items() if force["share"] is not None}
+    if not shares:
+        return ""
+    port = max(shares, key=lambda name: shares[name])
+    return f", and leaves a force of {_short(100 * shares[port])} % of what moves {port}"
 
 
 def _short(value: float | None) -> str:
