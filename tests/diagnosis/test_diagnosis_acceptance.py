@@ -230,6 +230,15 @@ def test_a_second_effect_that_changes_next_to_nothing_is_left_out() -> None:
         assert (not any("changes nothing" in text for text in second.reasons)) is passes
 
 
+def test_what_brings_less_than_nothing_is_told_no_share() -> None:
+    """A negative part of a negative whole was "119 % of what all effects bring: it changes nothing"."""
+    one, gain = placed("quadratic_drag"), np.full(400, 0.5)
+    for first in (a_fit((gain, gain), count=4), a_fit((-gain, -gain), count=4)):
+        second = judged([one], a_fit((first.terms["estimation"][0] - 0.1, gain), [one], count=5), first, a_fit())
+        assert not second.passed
+        assert not any("brings" in text for text in second.reasons)
+
+
 def test_what_the_first_effect_brings_where_none_was_fitted_makes_no_second_one_small() -> None:
     """A delay brought 360 where it was fitted and 7200 on a record of another load; friction beside it brought 93."""
     one, gain = placed("quadratic_drag"), np.full(400, 0.5)

@@ -106,7 +106,8 @@ def forces(share: float) -> dict[str, Any]:
         (
             "effects_found",
             {"stand_in": {"flagged": True, "reasons": ["two laws"]}},
-            "stands in for what pendulum lacks",
+            "stands in for what pendulum lacks, which the dictionary does not have (two laws), and leaves a force of "
+            "0.001 % of what moves theta; validation",
         ),
         ("nothing_missing", {}, "nothing is missing in pendulum: validation simulation error theta 0.1 rad"),
         (

@@ -65,6 +65,18 @@ def test_a_model_that_does_not_fit_gets_no_praise_and_says_first_what_to_check()
     assert "99.57 %" in render_evidence(report("effects_found"), {})
 
 
+def test_the_size_of_the_unknown_force_counts_its_white_part_as_its_share_does() -> None:
+    """A force of 2e-7 N m was 0.08 % of what moves the joint, as 2e-4 N m of it was white and not told."""
+
+    def noise(white: float) -> dict[str, Any]:
+        force = {"s": 0.03, "tau_s": 0.2, "w": white, "share": 0.05, "unit": "N m", "at_least": False}
+        return {"sensors": {"theta": {"r": 1e-3, "unit": "rad"}}, "forces": {"theta": force}}
+
+    found = report("effects_found", noise={"before": noise(0.4), "after": noise(0.04)})
+    words = text_of(render_evidence(found, {"residual": "<svg></svg>"})).replace("&nbsp;", " ")
+    assert "theta 0.4011 → 0.05 N m (0.03 of it drawn here and fading in 0.2 s, the rest white; 5 % of what" in words
+
+
 def test_a_misfit_is_no_finding_in_a_real_report_either(foreign_pendulum, tmp_path) -> None:
     data = foreign_pendulum(1, command=lambda u: -u, n=600)
     found = close_loop(data, "pendulum", dictionary=[builtin()["input_compression"]], out=tmp_path).data

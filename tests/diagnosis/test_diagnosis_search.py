@@ -508,6 +508,16 @@ def test_a_forbidden_further_law_counts_before_its_fit_has_come_to_its_end() -> 
         assert (better is not None and better.name == "viscous_friction@theta") is counts
 
 
+def test_what_was_begun_and_left_is_told_from_what_was_never_begun() -> None:
+    """The next round finds it; the report of the first one said that the score test promised less."""
+    form = LinearForm(linear_records(5, {"quadratic_drag": 0.8, "linear_spring": 0.15}))
+    found = search(form, form.fit((), [], None), ALL)
+    assert accepted(found) == {"quadratic_drag", "linear_spring"}
+    first = found.rounds[0]
+    assert "linear_spring@theta" in first.left
+    assert not first.left & {row.name for row in first.candidates}
+
+
 @pytest.mark.parametrize(("distance", "counts"), [(0.002, False), (0.004, True)])
 def test_a_forbidden_further_law_must_do_more_than_round_the_corners(distance: float, counts: bool) -> None:
     """Exact sensors are sure of the step of an engine: what changes 2 % of what the answer changes is none."""

@@ -321,7 +321,12 @@ def _candidates(found: Diagnosis, together: Sequence[str]) -> list[dict[str, Any
         for lead in [*step.test.leads, *step.test.hidden]:
             if str(lead.placed) in refitted:
                 continue
-            hidden = lead.share < found.policy.seen
+            if lead.share < found.policy.seen:
+                reason = "cannot be told from the nominal parameters"
+            elif str(lead.placed) in step.left:
+                reason = "the first steps of its refit gained too little"
+            else:
+                reason = "the score test promises less"
             rows.append(
                 {
                     "name": lead.placed.effect.name,
@@ -329,9 +334,7 @@ def _candidates(found: Diagnosis, together: Sequence[str]) -> list[dict[str, Any
                     "round": number,
                     "refitted": False,
                     "accepted": False,
-                    "reason": "cannot be told from the nominal parameters"
-                    if hidden
-                    else "the score test promises less",
+                    "reason": reason,
                     "promise": known(lead.gain),
                     "evidence": None,
                 }
@@ -441,7 +444,7 @@ def _summary(data: dict[str, Any], least: float) -> str:
             stand = "stands" if len(data["effects"]) == 1 else "stand"
             text = (
                 f"{names}{more} {stand} in for what {data['model']} lacks, which the dictionary does not have "
-                f"({data['stand_in']['reasons'][0]})"
+                f"({data['stand_in']['reasons'][0]}){_still_left(data['noise']['after']['forces'])}"
             )
         else:
             text = f"{data['model']} lacks {names}{more}"
@@ -471,6 +474,15 @@ def _summary(data: dict[str, Any], least: float) -> str:
         f"something is missing in {data['model']}, and no effect of the dictionary explains it: {cause} "
         f"({plain} {units}; {words})"
     )
+
+
+def _still_left(forces: Mapping[str, Any]) -> str:
+    """Return how large the force is that nobody measured, where it is largest: a stand-in may leave little or much."""
+    shares = {port: force["share"] for port, force in forces.items() if force["share"] is not None}
+    if not shares:
+        return ""
+    port = max(shares, key=lambda name: shares[name])
+    return f", and leaves a force of {_short(100 * shares[port])} % of what moves {port}"
 
 
 def _short(value: float | None) -> str:

@@ -156,7 +156,7 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
         )
     if base is not nominal:
         whole = fit.penalised - nominal.penalised  # of records that no effect was fitted to, one may explain most
-        if comparison.evidence < policy.second_share * whole:
+        if policy.alone <= comparison.evidence < policy.second_share * whole:  # what brings less than nothing was said
             reasons.append(
                 f"it brings {100 * comparison.evidence / whole:.1f} % of what all effects bring: it changes nothing"
             )

@@ -48,11 +48,12 @@ Passes = Callable[[Placed, Fit], bool]
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One round: the score test beside a model, and the refits that followed."""
+    """One round: the score test beside a model, the refits that followed, and what was begun and left."""
 
     base: Fit
     test: ScoreTest
     candidates: tuple[Judged, ...]
+    left: frozenset[str] = frozenset()
 
 
 @dataclass(eq=False)
@@ -153,14 +154,14 @@ def search(
         untried = [placed for placed in candidates if str(placed) not in present]
         laws = [placed for placed in untried if not placed.effect.grows]
         test = score_test(form, base, laws, policy)
-        fits = _refitted(form, base, nominal, test, laws, policy, say)
+        fits, left = _refitted(form, base, nominal, test, laws, policy, say)
         grow(form, fits, base, untried, sizes or {}, policy, say)
         better = _polished(form, base, [fit for fit in fits.values() if fit is not None])
         if better is not base:  # nothing is compared with a model that is not at its maximum
             nominal = better if base is nominal else nominal
             base = outcome.model = better
         rows = [judged([placed], fit, base, nominal, policy) for placed, fit in fits.items()]
-        outcome.rounds.append(Round(base, test.with_shown(_shown(rows, policy)), tuple(rows)))
+        outcome.rounds.append(Round(base, test.with_shown(_shown(rows, policy)), tuple(rows), left))
         passed = [row for row in rows if row.passed]
         if passed:
             best = _answer(passed, policy)
@@ -220,8 +221,11 @@ def _accept(outcome: Outcome, best: Judged, tie: tuple[tuple[Placed, ...], ...])
 
 def _refitted(
     form: Form, base: Fit, nominal: Fit, test: ScoreTest, untried: Sequence[Placed], policy: Policy, say: Say
-) -> dict[Placed, Fit | None]:
-    """Begin the refits of all that promises something; finish those whose first steps keep up with the best."""
+) -> tuple[dict[Placed, Fit | None], frozenset[str]]:
+    """Begin the refits of all that promises something; finish those whose first steps keep up with the best.
+
+    Returns them, and the names of those that were begun and left.
+    """
 
     @cache
     def passes(placed: Placed, fit: Fit) -> bool:
@@ -299,7 +303,7 @@ def _refitted(
         fits[placed] = None
     _share_starts(form, fits, base, passes)
     _lawful(form, fits, base, {lead.placed: lead.starts[0] for lead in test.leads})
-    return fits
+    return fits, frozenset(str(placed) for placed in begun if placed not in fits)
 
 
 def _best(fits: Mapping[Placed, Fit | None], beside: Placed, passes: Passes) -> Fit | None:
