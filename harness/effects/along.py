@@ -127,13 +127,18 @@ def along(
     return whole(x.T, signals.u, p, signals.t[:, None], *more)[0]
 
 
-def hidden_states(system: System, signals: Signals, p: FloatArray) -> FloatArray | None:
-    """Return the states besides coordinates along a motion, by Runge-Kutta steps with the motion interpolated."""
+def hidden_states(system: System, signals: Signals, p: FloatArray, *, substeps: int | None = None) -> FloatArray | None:
+    """Return the states besides coordinates along a motion, by Runge-Kutta steps with the motion interpolated.
+
+    So many steps in a sample as the system needs at rest, if ``substeps`` does not say how many; what slips within a
+    short length does so the faster the faster the joint turns, and may need more.
+    """
     n = len(system.coordinates)
     count = system.nx - 2 * n
     if count == 0:
         return None
-    substeps = recommended_substeps(system, dict(zip(system.parameter_names, p, strict=True)), signals.dt)
+    if substeps is None:
+        substeps = recommended_substeps(system, dict(zip(system.parameter_names, p, strict=True)), signals.dt)
     known: dict[tuple[float, int], tuple[Any, Any]] = system.__dict__.setdefault("_hidden_steps", {})
     key = (signals.dt, substeps)
     if key not in known:

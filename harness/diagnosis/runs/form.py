@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.signs import signs_by_model
-from harness.diagnosis.runs.states import carried_states, settled_states, state_bases
+from harness.diagnosis.runs.states import carried_states, led_states, settled_states, state_bases
 from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed
@@ -151,14 +151,18 @@ class FreeRunForm:
             ``estimation``, ``validation`` or ``test``.
         horizon : float or None
         start : {"estimated", "data"}
-            Initial states fitted to each window, or read off the smoothed measurement.
+            Initial states fitted to each window, or read off the smoothed measurement, those of effects where the
+            measured motion up to there left them.
         """
         system = fitted.system
         p = system.vector({**fitted.values, **(fitted.refitted if use != "estimation" else {})})
         windows = self.windows(system, p, use, horizon, always=True)
-        x0 = windows.starts_from([self.from_data(windows.simulator, run, p)[0] for run in self.records[use]])
+        states = [self.from_data(windows.simulator, run, p)[0] for run in self.records[use]]
         if start == "estimated":
-            x0 = settled_states(self, system, p, use, windows, x0)
+            x0 = settled_states(self, system, p, use, windows, windows.starts_from(states))
+        else:
+            runs = zip(self.records[use], states, strict=True)
+            x0 = windows.starts_from([led_states(windows.simulator, run, p, x) for run, x in runs])
         result = windows.evaluate(p, x0, keep=True)
         return windows.together(result.residuals), windows.together(result.states), list(x0)
 

@@ -13,11 +13,14 @@ import numpy as np
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.windowed import WindowedForm
 from harness.diagnosis.systems import AnySystem
+from harness.effects.along import Signals, hidden_states
 from harness.physics.levenberg import minimise
+from harness.physics.simulator import Simulator
+from harness.physics.system import System
 from harness.physics.windows import Windows
-from harness.signals import FloatArray
+from harness.signals import FloatArray, Trajectory
 
-__all__ = ["PER_RECORD", "carried_states", "on_validation", "settled_states", "state_bases"]
+__all__ = ["PER_RECORD", "carried_states", "led_states", "on_validation", "settled_states", "state_bases"]
 
 PER_RECORD = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
 """Parameters that belong to a record: refitted on validation."""
@@ -109,6 +112,22 @@ def carried_states(
         if np.isfinite(end).all():
             away = end[first:] - simulator.hidden_start(end, record.u[-1], p)
     return result
+
+
+def led_states(simulator: Simulator, record: Trajectory, p: FloatArray, x: FloatArray) -> FloatArray:
+    """Return states (N, nx) read off a record, the hidden ones of effects where the motion from its first sample led.
+
+    In the middle of a motion bristles are bent: at their declared start the friction would be missing for a while.
+    """
+    system = simulator.system
+    n = len(system.coordinates)
+    if not (isinstance(system, System) and system.hidden_count and system.nx - system.hidden_count == 2 * n):
+        return x  # an FMU, or states that nothing tells
+    u = simulator.sampled.inputs(record.u[None], p[None], False)[0][0]
+    q, v = x[:, :n], x[:, n : 2 * n]
+    motion = Signals(record.t, u, q, v, 0.0 * v, ramps=simulator.intersample != "zoh")
+    hidden = hidden_states(system, motion, p, substeps=simulator.substeps)
+    return x if hidden is None or not np.isfinite(hidden).all() else np.hstack([q, v, hidden])
 
 
 def state_bases(form: WindowedForm, base: Fitted, use: str) -> tuple[list[FloatArray], list[tuple[int, int, int]]]:
