@@ -12,10 +12,11 @@ import numpy as np
 
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.windowed import WindowedForm
-from harness.diagnosis.systems import AnySystem, by_equations
+from harness.diagnosis.systems import AnySystem
 from harness.effects.along import Signals, hidden_states
 from harness.physics.levenberg import minimise
 from harness.physics.simulator import Simulator
+from harness.physics.system import System
 from harness.physics.windows import Windows
 from harness.signals import FloatArray, Trajectory
 
@@ -120,7 +121,7 @@ def led_states(simulator: Simulator, record: Trajectory, p: FloatArray, x: Float
     """
     system = simulator.system
     n = len(system.coordinates)
-    if not (by_equations(system) and system.hidden_count and system.nx - system.hidden_count == 2 * n):
+    if not (isinstance(system, System) and system.hidden_count and system.nx - system.hidden_count == 2 * n):
         return x  # an FMU, or states that nothing tells
     u = simulator.sampled.inputs(record.u[None], p[None], False)[0][0]
     q, v = x[:, :n], x[:, n : 2 * n]
