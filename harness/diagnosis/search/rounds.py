@@ -16,6 +16,7 @@ from harness.diagnosis.search.compare import (
     difference,
     impossible,
     judged,
+    pays,
     violations,
     wrong_signs,
 )
@@ -247,6 +248,9 @@ def _refitted(
         free = sum(not parameter.fixed for parameter in placed.effect.parameters)
         return max(least, policy.reach * (policy.evidence + penalty * free))
 
+    def worth(placed: Placed) -> float:  # below it a maximum is no rival and no answer, whatever its last digits are
+        return before + penalty * sum(not known.fixed for known in placed.effect.parameters) - policy.evidence
+
     def place(placed: Placed) -> tuple[bool, float]:  # what no law allows must not take the place of what one does
         first = begun[placed]
         assert first is not None
@@ -270,13 +274,16 @@ def _refitted(
         first = begun[placed]
         assert first is not None
         say(f"{placed} to its maximum")
-        fits[placed] = form.finish(first, origins[placed], _best(fits, placed))
+        fits[placed] = form.finish(first, origins[placed], _best(fits, placed), worth(placed))
     for placed in [
         simple
         for simple in begun
         if simple not in fits
         and any(
-            fit is not None and simple.at == rich.at and simple.effect.name in rich.effect.nests
+            fit is not None
+            and pays(fit, base, policy)
+            and simple.at == rich.at
+            and simple.effect.name in rich.effect.nests
             for rich, fit in fits.items()
         )
     ]:  # a law is no answer before its special cases were tried from where it ended
