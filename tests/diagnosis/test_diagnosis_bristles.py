@@ -151,7 +151,7 @@ def test_a_law_far_below_the_best_answer_and_one_that_says_nothing_are_not_refin
 
 @pytest.mark.parametrize(("gains", "refined"), [(6.0, False), (8.0, True)])
 def test_a_law_that_does_not_pay_for_its_parameters_is_not_refined(gains: float, refined: bool) -> None:
-    """The five parameters of a play cost 11.5 at 100 samples: what lacks more than the evidence of it is no law here."""
+    """The five parameters of a play cost 11.5 at 100 samples: what lacks more than the evidence is no law."""
     form, _ = grown({"unilateral_backlash": 50.0}, backlash=gains)
     assert (form.begun == ["unilateral_backlash"]) is refined
 

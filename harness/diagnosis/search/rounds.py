@@ -484,7 +484,7 @@ def _exchange(form: Form, outcome: Outcome, nominal: Fit, policy: Policy) -> Non
             begun = form.begin([*others, new], [start], outcome.model)
             if begun is None or begun.log_likelihood < best.log_likelihood("estimation") - EFFORT.margin:
                 continue
-            fit = form.finish(begun, outcome.model)
+            fit = form.finish(begun, outcome.model, best)
             trial = judged([new], fit, nominal, nominal, policy)
             if fit is not None and trial.passed and value(fit) > value(best) + policy.tie:
                 best, placed = fit, new
@@ -499,7 +499,7 @@ def _pruned(form: Form, outcome: Outcome, policy: Policy) -> None:
     for earlier in outcome.accepted[:-1]:
         left = [accepted.placed for accepted in outcome.accepted if accepted is not earlier]
         starts = [outcome.model.values, *in_its_place(outcome.model.values, earlier.placed, left)]
-        without = form.fit(left, starts, outcome.model)
+        without = form.fit(left, starts, outcome.model, outcome.model)
         if without is None or not without.converged or any(impossible(placed, without) for placed in left):
             continue
         if value(without) > value(outcome.model) - policy.tie:
