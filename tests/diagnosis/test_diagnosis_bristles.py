@@ -69,7 +69,7 @@ class Told:
         self.starts[name] = list(starts)
         return Begun(tuple(effects), self.ends.get(name, -1e9), dict(starts[0]), None, self.pace)
 
-    def finish(self, begun: Begun, base: Fit, rival: Fit | None = None) -> Fit:
+    def finish(self, begun: Begun, base: Fit, rival: Fit | None = None, least: float = -np.inf) -> Fit:
         return a_fit(begun.effects, begun.log_likelihood + 100.0 * self.pace)
 
 
@@ -152,6 +152,13 @@ def test_a_joint_has_its_bristles_once() -> None:
 def test_a_law_far_below_the_best_answer_and_one_that_says_nothing_are_not_refined() -> None:
     assert grown(ENDS, coulomb_friction=60.0, linear_spring=500.0)[0].begun == []
     assert grown(ENDS, coulomb_friction=3.0)[0].begun == []
+
+
+@pytest.mark.parametrize(("gains", "refined"), [(6.0, False), (8.0, True)])
+def test_a_law_that_does_not_pay_for_its_parameters_is_not_refined(gains: float, refined: bool) -> None:
+    """The five parameters of a play cost 11.5 at 100 samples: what lacks more than the evidence is no law."""
+    form, _ = grown({"unilateral_backlash": 50.0}, backlash=gains)
+    assert (form.begun == ["unilateral_backlash"]) is refined
 
 
 def test_it_starts_from_the_law_it_refines_and_from_what_others_know() -> None:

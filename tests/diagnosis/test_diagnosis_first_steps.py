@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from harness.diagnosis.forms.likelihood_form import LikelihoodForm
+from harness.diagnosis.kinds import Equations
 from harness.diagnosis.policy import EFFORT
+from harness.diagnosis.search.compare import BEYOND, judged
+from harness.effects import builtin
+from harness.effects.effect import Placed
+from harness.physics import load_model
+from harness.signals import Dataset, PlantSpec, Run, Trajectory
 
 
 @dataclass
@@ -58,3 +64,35 @@ def test_without_a_hope_every_start_takes_its_first_steps_and_no_more() -> None:
     slope = Slope()
     LikelihoodForm._looked(LikelihoodForm, slope, [Valley(116.0, (68.0,) * 30)], hope=-np.inf)  # type: ignore[arg-type, type-var, misc]
     assert slope.steps == EFFORT.first_steps
+
+
+def test_a_maximum_below_what_is_asked_of_it_is_left_without_its_last_digits() -> None:
+    """It costs as much as the rest, where the law is stiff: it is no answer, whatever they are."""
+    system, dt, n = load_model("oscillator"), 0.01, 600
+    rng = np.random.default_rng(0)
+    spec = PlantSpec(system.inputs, system.outputs, dt)
+    runs = []
+    for use in ("estimation", "validation"):
+        u = np.repeat(rng.normal(size=(n // 20, 1)), 20, axis=0)
+        y = system.simulator(dt).rollout(system.vector(None), np.zeros(system.nx), u)
+        runs.append(Run(Trajectory(np.arange(n) * dt, u, y + 1e-3 * rng.normal(size=y.shape), spec), use))
+    form = Equations().form(system, Dataset("oscillator", tuple(runs)))
+    nominal = form.fit((), form.first_starts(), None)
+    assert nominal is not None
+    law = Placed(builtin()["cubic_spring"], "q")
+    begun = form.begin([law], [{**nominal.values, law.name("k3"): 0.1}], nominal)
+    assert begun is not None
+    whole = form.finish(begun, nominal)
+    assert whole is not None
+    assert whole.converged
+    before = whole.log_likelihood("estimation")
+    asked = form.finish(begun, nominal, None, before - 5.0)
+    assert asked is not None
+    assert asked.converged
+    assert asked.values == whole.values
+    left = form.finish(begun, nominal, None, before + 5.0)
+    assert left is not None
+    assert left.beyond
+    assert not left.converged
+    assert BEYOND in judged([law], left, nominal, nominal).reasons
+    assert left.log_likelihood("estimation") == pytest.approx(before, abs=0.5)

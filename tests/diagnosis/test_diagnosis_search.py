@@ -135,7 +135,7 @@ class LinearForm:
         made = self.fit(effects, starts, base)
         return Begun(tuple(effects), made.log_likelihood("estimation"), made.values, made)
 
-    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit:
+    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit:
         made: Fit = begun.detail
         return made
 

@@ -160,7 +160,7 @@ class RegressionForm:
         names = equation.system.parameter_names
         return Begun(tuple(effects), value, dict(zip(names, map(float, p), strict=True)), (equation, best))
 
-    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit | None:
+    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         del base
         equation, (value, p, errors, converged) = begun.detail

@@ -231,7 +231,7 @@ class LikelihoodForm(SystemForm[SystemT]):
                 continue
         return sorted(fits, key=lambda fit: fit.nll)
 
-    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit | None:
+    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         system, passes, likelihood, tried = begun.detail
         reach = np.inf if rival is None else EFFORT.margin - rival.log_likelihood("estimation")
@@ -247,7 +247,8 @@ class LikelihoodForm(SystemForm[SystemT]):
                     break
                 passes = self.passes(system, needed)
                 likelihood = self._likelihood(system, "estimation", passes)
-                best = likelihood.maximise(best.point, reach=reach, exact=False)
+                best = _hopeful(likelihood.maximise(best.point, reach=reach, exact=False), least)
+            best = _hopeful(best, least)
             if best.nll < close and not best.beyond:  # elsewhere nothing is decided by what the last steps add
                 best = likelihood.maximise(best, reach=reach, near=best.converged)
             own, told, expected = self._validated(system, passes, best, base)
@@ -615,6 +616,11 @@ def _within(system: AnySystem, values: dict[str, float]) -> dict[str, float]:
         parameter.name: float(np.clip(values[parameter.name], parameter.minimum, parameter.maximum))
         for parameter in system.parameters
     }
+
+
+def _hopeful(fit: LikelihoodFit, least: float) -> LikelihoodFit:
+    """Return a fit, left on its way where its maximum is known and lies below a log-likelihood."""
+    return replace(fit, converged=False, beyond=True) if fit.converged and -fit.nll < least else fit
 
 
 def _may_reach(fit: LikelihoodFit, hope: float) -> bool:

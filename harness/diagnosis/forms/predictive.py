@@ -136,6 +136,7 @@ def predictive(
         if promise < _ENOUGH or number == _MOST:
             break
         moves = [part.start(step) for part in parts]
+        lost: list[float] = []
         for halving in range(_HALVINGS):
             share = 0.5**halving
             new = moved + share * step
@@ -144,9 +145,30 @@ def predictive(
             if better < value:
                 point, moved, value = trial, new, better
                 break
-        else:
+            lost.append(better - value)
+            if not _may_gain(lost[-2:]):
+                break
+        if len(lost) > halving:
             break
     return Predictive(point, moved, price)
+
+
+def _may_gain(lost: Sequence[float]) -> bool:
+    """Return whether a shorter step may bring something, by the parabola through what two steps have lost.
+
+    The second is half of the first. Gains are held fixed in the derivatives: where little is left, the likelihood may
+    fall along the step from its beginning.
+
+    Examples
+    --------
+    >>> _may_gain([0.50, 0.22]), _may_gain([54.8, 10.2])
+    (False, True)
+    """
+    if len(lost) < 2 or not np.isfinite(lost).all():
+        return True
+    whole, half = lost
+    slope, bend = 4.0 * half - whole, 2.0 * (whole - 2.0 * half)
+    return slope < 0.0 and slope**2 > 4.0 * bend * _ENOUGH
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,7 +48,7 @@ class Remembered:
         """Begin as it is asked for: first steps are cheap, and the same each time."""
         return self.form.begin(effects, starts, base, hope)
 
-    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit | None:
+    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
         """Finish a fit; one that was finished before is the same, and a failure is kept too."""
         name = " + ".join(sorted(map(str, begun.effects))) or "nominal"
         self._number[name] = self._number.get(name, 0) + 1
@@ -56,7 +56,7 @@ class Remembered:
         known = self.store.get(key)
         if known is not None:
             return self.form.restored(begun.effects, known) if known else None
-        fit = self.form.finish(begun, base, rival)
+        fit = self.form.finish(begun, base, rival, least)
         self.store.put(key, {} if fit is None else self.form.record(fit))
         return fit
 

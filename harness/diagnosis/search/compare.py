@@ -22,12 +22,13 @@ __all__ = [
     "difference",
     "impossible",
     "judged",
+    "pays",
     "violations",
     "wrong_signs",
 ]
 
 UNCONVERGED = "its fit did not converge"
-BEYOND = "it was left on its way: its steps did not bring it near the best rival"
+BEYOND = "it was left on its way: its steps did not bring it near the best rival, or to what its parameters cost"
 ON_BOUND = "lies on its bound"
 _NEAR_BOUND = 1e-4
 """Share of a bound's size within which a value lies on it."""
@@ -176,6 +177,11 @@ def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, po
         if share < policy.least:
             reasons.append(f"it changes {100 * share:.2g} % of rates or readings, {100 * policy.least:g} % asked")
     return Judged(tuple(added), fit, comparison, tuple(reasons))
+
+
+def pays(fit: Fit, base: Fit, policy: Policy = POLICY) -> bool:
+    """Return True if a fit pays for its parameters, or comes as near to it as an effect has to go beyond it."""
+    return fit.penalised > base.penalised - policy.evidence
 
 
 def impossible(placed: Placed, fit: Fit) -> list[str]:

@@ -61,7 +61,7 @@ class Fit:
     converged : bool
     on_bound : tuple of str
     beyond : bool
-        True if it was left on its way because it could not come near a rival any more.
+        True if it was left on its way because it could not come near a rival any more, or not to what it costs.
     own : dict
         Parameters of the validation records themselves.
     wandering : dict
@@ -215,10 +215,11 @@ class Form(Protocol):
         """
         ...
 
-    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit | None:
+    def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
         """Return the fit that was begun at its maximum, tried on the validation records.
 
-        One that cannot come near a rival any more is left on its way there, not converged.
+        One that cannot come near a rival any more is left on its way there, not converged; so is one whose maximum
+        lies below the log-likelihood ``least``, before the last digits of it are found.
         """
         ...
 

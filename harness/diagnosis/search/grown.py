@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from harness.diagnosis.policy import EFFORT, Policy
-from harness.diagnosis.search.compare import impossible
+from harness.diagnosis.search.compare import impossible, pays
 from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.ties import value
 from harness.effects.effect import Placed
@@ -63,6 +63,8 @@ def grow(
         simple.sort(key=lambda placed: -value(done[placed]))
         lawful = [placed for placed in simple if not impossible(placed, done[placed])]
         likeliest = dict.fromkeys([*lawful[:1], simple[0]])  # a law may be forbidden for want of a refinement
+        if not any(pays(done[law], base, policy) for law in likeliest):
+            continue
         if done[simple[0]].log_likelihood("estimation") - before < max(policy.evidence, policy.reach * most):
             continue
         starts = {

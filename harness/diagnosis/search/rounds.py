@@ -17,6 +17,7 @@ from harness.diagnosis.search.compare import (
     difference,
     impossible,
     judged,
+    pays,
     violations,
     wrong_signs,
 )
@@ -267,6 +268,9 @@ def _refitted(
         free = sum(not parameter.fixed for parameter in placed.effect.parameters)
         return max(least, policy.reach * (policy.evidence + penalty * free))
 
+    def worth(placed: Placed) -> float:  # below it a maximum is no rival and no answer, whatever its last digits are
+        return before + penalty * sum(not known.fixed for known in placed.effect.parameters) - policy.evidence
+
     def place(placed: Placed) -> tuple[bool, float]:  # what no law allows must not take the place of what one does
         first = begun[placed]
         assert first is not None
@@ -290,13 +294,16 @@ def _refitted(
         first = begun[placed]
         assert first is not None
         say(f"{placed} to its maximum")
-        fits[placed] = form.finish(first, origins[placed], _best(fits, placed, passes))
+        fits[placed] = form.finish(first, origins[placed], _best(fits, placed, passes), worth(placed))
     for placed in [
         simple
         for simple in begun
         if simple not in fits
         and any(
-            fit is not None and simple.at == rich.at and simple.effect.name in rich.effect.nests
+            fit is not None
+            and pays(fit, base, policy)
+            and simple.at == rich.at
+            and simple.effect.name in rich.effect.nests
             for rich, fit in fits.items()
         )
     ]:  # a law is no answer before its special cases were tried from where it ended
@@ -499,7 +506,7 @@ def _exchange(form: Form, outcome: Outcome, nominal: Fit, policy: Policy) -> Non
             begun = form.begin([*others, new], [start], outcome.model)
             if begun is None or begun.log_likelihood < best.log_likelihood("estimation") - EFFORT.margin:
                 continue
-            fit = form.finish(begun, outcome.model)
+            fit = form.finish(begun, outcome.model, best)
             trial = judged([new], fit, nominal, nominal, policy)
             if fit is not None and trial.passed and value(fit) > value(best) + policy.tie:
                 best, placed = fit, new
@@ -514,7 +521,7 @@ def _pruned(form: Form, outcome: Outcome, policy: Policy) -> None:
     for earlier in outcome.accepted[:-1]:
         left = [accepted.placed for accepted in outcome.accepted if accepted is not earlier]
         starts = [outcome.model.values, *in_its_place(outcome.model.values, earlier.placed, left)]
-        without = form.fit(left, starts, outcome.model)
+        without = form.fit(left, starts, outcome.model, outcome.model)
         if without is None or not without.converged or any(impossible(placed, without) for placed in left):
             continue
         if value(without) > value(outcome.model) - policy.tie:
