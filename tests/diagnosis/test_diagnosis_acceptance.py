@@ -11,6 +11,7 @@ import pytest
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.compare import compared, difference, impossible, judged
 from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.ties import undecided
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
@@ -107,6 +108,18 @@ def test_innovations_that_are_coloured_widen_the_error() -> None:
     for e in (rng.standard_normal(4000), np.repeat(rng.standard_normal(80), 50)):
         errors.append(difference(predicting(e), predicting(e + change), ("validation",))[1])
     assert errors[1] > 4.0 * errors[0]
+
+
+@pytest.mark.parametrize(
+    ("gap", "distance", "rival"), [(1.0, 1e-5, False), (-1.0, 1e-5, True), (1.0, 1e-2, True), (50.0, 1e-2, False)]
+)
+def test_a_general_law_is_a_rival_where_it_is_another_model_or_pays_for_its_parameter(
+    gap: float, distance: float, rival: bool
+) -> None:
+    simple, general = placed("coulomb_friction"), placed("stribeck_friction")
+    answer = a_fit(effects=[simple])
+    other = a_fit(effects=[general], distance=lambda fit: distance)
+    assert undecided(answer, simple, other, [general], gap) is rival
 
 
 # ---- what is accepted ------------------------------------------------------------------------------------------------

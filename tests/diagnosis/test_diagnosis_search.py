@@ -588,7 +588,7 @@ def test_what_the_validation_records_refuse_puts_no_end_to_the_fit_of_another() 
     """A spring of the estimation records alone is chance; beside what was found before, it explained most there."""
 
     class Form(LinearForm):
-        def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None) -> Fit:
+        def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit:
             fit: Fit = begun.detail
             behind = rival is not None and begun.log_likelihood < rival.log_likelihood("estimation") - EFFORT.margin
             return replace(fit, beyond=behind, converged=not behind)

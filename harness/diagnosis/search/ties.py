@@ -92,8 +92,8 @@ def undecided(
     """Return True if the data do not decide between an effect of an answer and a rival.
 
     The rival is as likely, or lost by no more than chance makes what is as good lose (Vuong 1989). A more general law
-    whose model differs by less than anybody would miss is no rival: it is the answer, with a parameter that does
-    nothing.
+    whose model differs by less than anybody would miss, and that does not pay for its parameter, is no rival: it is the
+    answer, with a parameter that does nothing.
 
     Parameters
     ----------
@@ -111,7 +111,8 @@ def undecided(
     _, error = difference(answer, rival, ("estimation", "validation"), policy)
     if gap >= max(policy.tie, policy.tie_z * error):
         return False
-    return not (refines(law, placed) and rival.distance(answer) < policy.least)
+    pays = gap < 0.0  # what its parameter explains is worth more than the parameter
+    return pays or not (refines(law, placed) and rival.distance(answer) < policy.least)
 
 
 def tie_set(best: Judged, rows: Sequence[Judged], policy: Policy = POLICY) -> tuple[tuple[Placed, ...], ...]:
