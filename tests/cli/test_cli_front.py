@@ -36,6 +36,14 @@ def sysid(*arguments: object, **environment: str) -> subprocess.CompletedProcess
     )
 
 
+def test_the_package_runs_as_the_command() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "harness", "list", "effects"], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    assert "drifting_damping" in done.stdout
+
+
 def ended(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
     """Return the status and the one line on standard error."""
     with pytest.raises(SystemExit) as caught:
