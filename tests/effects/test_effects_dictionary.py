@@ -177,17 +177,6 @@ def test_parameters_in_a_list_keep_their_main_one():
     assert two.main.name == "b"
 
 
-def test_the_narrowest_dry_friction_holds_a_joint_where_it_stands():
-    """A pendulum with swings of 2.8 rad/s sticks for half a second: its creep must stay below what encoders read."""
-    law = Placed(builtin()["coulomb_friction"], "theta")
-    width = law.effect.parameter("w").lowest({"v": 2.8}, np.inf)
-    stuck = compose(pendulum().system(), [law])
-    values = {"J": 0.27, "b": 0.03, "mgl": 3.4, law.name("Fc"): 0.38, law.name("w"): width}
-    simulator = stuck.simulator(0.01, backend="casadi")
-    theta = simulator.rollout(stuck.vector(values), [0.0, 0.0], np.full((50, 1), 0.3))[:, 0]
-    assert 0 < theta[-1] < 1e-3
-
-
 def test_a_drive_that_clips_the_peaks_of_a_sine_has_a_start_that_does():
     """Where no start clips a little, the likelihood is flat above and far worse below, and nothing leads there."""
     limits = builtin()["saturation"].parameter("limit").starts({"u": np.sqrt(0.5)})
