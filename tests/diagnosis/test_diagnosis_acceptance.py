@@ -100,6 +100,17 @@ def test_what_an_effect_does_in_one_place_only_is_no_error_of_its_gain() -> None
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.sqrt(50.0), rel=0.15)
 
 
+def test_a_first_sample_that_one_fit_holds_for_exact_decides_nothing() -> None:
+    """Its initial state is fitted to it: a sensor without noise gives that one reading a variance of nothing."""
+    rng = np.random.default_rng(0)
+    e, missing = rng.standard_normal(4000), 0.2 * np.sin(np.arange(4000) / 50.0)
+    _, usual = difference(predicting(e), predicting(e + missing), ("validation",))
+    exact = predicting(e + missing)
+    exact.innovations["validation"][0][1][0] = 1e-16
+    _, error = difference(predicting(e), exact, ("validation",))
+    assert error == pytest.approx(usual, rel=0.05)
+
+
 def test_innovations_that_are_coloured_widen_the_error() -> None:
     """They stay for a quarter of a block, and the model holds them for white: its gain is a matter of luck."""
     rng = np.random.default_rng(1)
