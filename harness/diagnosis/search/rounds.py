@@ -264,12 +264,14 @@ def _refitted(
     least = enough()
     penalty = 0.5 * float(np.log(base.samples))
 
+    def price(placed: Placed) -> float:
+        return penalty * sum(not parameter.fixed for parameter in placed.effect.parameters)
+
     def needed(placed: Placed) -> float:  # nothing is accepted that does not pay for its parameters
-        free = sum(not parameter.fixed for parameter in placed.effect.parameters)
-        return max(least, policy.reach * (policy.evidence + penalty * free))
+        return max(least, policy.reach * (policy.evidence + price(placed)))
 
     def worth(placed: Placed) -> float:  # below it a maximum is no rival and no answer, whatever its last digits are
-        return before + penalty * sum(not known.fixed for known in placed.effect.parameters) - policy.evidence
+        return before + price(placed) - policy.evidence
 
     def place(placed: Placed) -> tuple[bool, float]:  # what no law allows must not take the place of what one does
         first = begun[placed]

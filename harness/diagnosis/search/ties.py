@@ -108,8 +108,7 @@ def undecided(
         By which it is less likely.
     policy : Policy
     """
-    _, error = difference(answer, rival, ("estimation", "validation"), policy)
-    if gap >= max(policy.tie, policy.tie_z * error):
+    if not close(answer, rival, gap, policy):
         return False
     pays = gap < 0.0  # what its parameter explains is worth more than the parameter
     return pays or not (refines(law, placed) and rival.distance(answer) < policy.least)
