@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import gc
+import os
 import sys
 from collections.abc import Sequence
 
@@ -24,6 +25,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         with Interrupts() as interrupts:
             try:
+                from harness.workers import THREAD_VARIABLES
+
+                for name in THREAD_VARIABLES if arguments is None else ():
+                    os.environ.setdefault(name, "1")  # matrices are small: more threads wait for each other
                 from harness.cli import run
 
                 status = run(arguments, interrupts)

@@ -68,17 +68,13 @@ def _gain(target: FloatArray, other: FloatArray) -> float:
         return np.column_stack([scaled[_LAGS - lag : len(scaled) - lag] for lag in range(1, _LAGS + 1)])
 
     goal = ((target - target.mean()) / target.std())[_LAGS:]
-    own = lagged(target)
-    alone = _rms(own, goal)
+    # of the triangular factor's last column: what the signal's own past leaves, and at its end what both pasts leave
+    factor = np.asarray(np.linalg.qr(np.column_stack([lagged(target), lagged(other), goal]), mode="r"))
+    left = factor[_LAGS:, -1]
+    alone = float(np.linalg.norm(left)) / np.sqrt(len(goal))
     if alone < 1e-9:  # predicted perfectly by itself: says nothing
         return 1.0
-    return alone / max(_rms(np.hstack([own, lagged(other)]), goal), 1e-12)
-
-
-def _rms(regressors: FloatArray, goal: FloatArray) -> float:
-    """Return the rms of a least-squares residual."""
-    solution = np.linalg.lstsq(regressors, goal, rcond=1e-12)[0]
-    return float(np.sqrt(np.mean((goal - regressors @ solution) ** 2)))
+    return float(alone / max(abs(left[-1]) / np.sqrt(len(goal)), 1e-12))
 
 
 def units_between_runs(runs: Sequence[Run]) -> list[str]:
