@@ -233,6 +233,12 @@ class Effort:
         "where phases and instants of a validation record are looked for, as parts of a turn or of the record",
         "the middles of four quarters",
     )
+    instants: int = _number(
+        48,
+        "instants of a record that are tried where something happened once, after the fit from the nearest start",
+        "one every 0.4 s of 20 s: a quarter of the period of the slowest motion of the study",
+        "judged records of 290000, which judge no more",
+    )
     negligible: float = _number(
         1e-3,
         "latent force over the typical force below which play and hidden resonances have nothing to explain",

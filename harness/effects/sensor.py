@@ -57,12 +57,12 @@ def sensor_gain(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     "output",
     [
         par("A", "y", scale="0.01 y", neutral=0.0, main=True, linear=True, meaning="amplitude"),
-        # k times the travel (2 sqrt(2) rms) reaches pi/2: over less than a quarter of a period nothing repeats
-        par("k", "rad/y", scale="2", floor="0.56 y^-1", minimum=0.9, maximum=1000.0,
+        # k times the travel (2 sqrt(2) rms) reaches pi/4: over less than an eighth of a period a sine is a parabola
+        par("k", "rad/y", scale="2", floor="0.28 y^-1", minimum=0.7, maximum=1000.0,
             grid=(1.0, 0.5, 1.5, 2.0, 3.0, 4.0), meaning="periods per turn"),
         par("phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), meaning="phase"),
     ],
-    formula="y' = y + A sin(k y + phi), k >= 0.9",
+    formula="y' = y + A sin(k y + phi), k >= 0.7",
     family=("sensor_gain", "sensor_offset", "cogging", "eccentric_load"),
     limits={
         "sensor_gain": "if the motion covers less than half a period about a zero",

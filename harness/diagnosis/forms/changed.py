@@ -19,7 +19,7 @@ _LOOKED_AT = 1000
 
 
 def changed_share(
-    traces: Sequence[Trace], whole: System, less: System, rows: Sequence[int], own: Sequence[Trace] | None = None
+    traces: Sequence[Trace], whole: System, less: System, states: Sequence[str], own: Sequence[Trace] | None = None
 ) -> float:
     """Return what a part of a model changes, over all that happens: of the largest, rates or readings.
 
@@ -33,8 +33,9 @@ def changed_share(
         Smoothed records of the whole model.
     whole, less : System
         With and without the part.
-    rows : sequence of int
-        States that forces act on: rates of coordinates, levels of a process.
+    states : sequence of str
+        States that forces act on: rates of coordinates, levels of a process, a motor's speed behind an elastic joint.
+        Those that both systems have are looked at.
     own : sequence of Trace, optional
         The same records as the system without the part has smoothed them, for its own values and hidden states: what a
         hidden state remembers shows in no single sample. By default it has those of the whole.
@@ -44,7 +45,9 @@ def changed_share(
     float
         0 where nothing changes, about 1 where it makes the motion.
     """
-    names = [channel.name for channel in whole.states]
+    names, others = ([channel.name for channel in system.states] for system in (whole, less))
+    both = [name for name in states if name in names and name in others]
+    mine, theirs = [names.index(name) for name in both], [others.index(name) for name in both]
     plant = sum("@" not in channel.name for channel in less.states)  # hidden states come last
     kept = [] if own is not None else [names.index(channel.name) for channel in less.states]
     known = [] if own is not None else [whole.parameter_names.index(name) for name in less.parameter_names]
@@ -53,12 +56,12 @@ def changed_share(
         x, p = trace.x[:, : whole.nx], trace.p
         after, readings = _stepped(trace, whole, x, p)
         if own is None:
-            others, bare = _stepped(trace, less, x[:, kept], p[known])
+            without, bare = _stepped(trace, less, x[:, kept], p[known])
         else:
             hidden = own[number].x[:, plant : less.nx]
-            others, bare = _stepped(trace, less, np.hstack([x[:, :plant], hidden]), own[number].p)
-        moved.append((after - x[: -1 : _apart(len(x))])[:, rows])
-        apart.append(after[:, rows] - others[:, rows])
+            without, bare = _stepped(trace, less, np.hstack([x[:, :plant], hidden]), own[number].p)
+        moved.append((after - x[: -1 : _apart(len(x))])[:, mine])
+        apart.append(after[:, mine] - without[:, theirs])
         read.append(readings - readings.mean(axis=0))
         off.append(readings - bare)
     return max(_ratio(apart, moved), _ratio(off, read))

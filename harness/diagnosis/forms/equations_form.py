@@ -164,7 +164,7 @@ class EquationsForm(LikelihoodForm[System]):
         whole = fit.model
         assert by_equations(whole)
         less = self.composed([other for other in fit.effects if str(other) != str(placed)])
-        return changed_share(self._traces(fit, USES[:1])["estimation"], whole, less, self._rates())
+        return changed_share(self._traces(fit, USES[:1])["estimation"], whole, less, self._moved(fit))
 
     def distance(self, fit: Fit, other: Fit) -> float:
         """Return how far another fit is from one along the estimation records, as a share of rates or readings."""
@@ -172,11 +172,18 @@ class EquationsForm(LikelihoodForm[System]):
         assert by_equations(whole)
         assert by_equations(less)
         mine, theirs = (self._traces(either, USES[:1])["estimation"] for either in (fit, other))
-        return changed_share(mine, whole, less, self._rates(), theirs)
+        return changed_share(mine, whole, less, self._moved(fit), theirs)
 
-    def _rates(self) -> list[int]:
-        """Return the states that forces act on."""
-        return [coordinate.v for coordinate in self.nominal.coordinates] or list(range(self.nominal.nx))
+    def _moved(self, fit: Fit) -> list[str]:
+        """Return the states that forces act on: what drives a motor acts on its speed, and on the joint only later."""
+        names = [channel.name for channel in self.nominal.states]
+        motors = [
+            placed.name(name)
+            for placed in fit.effects
+            for name, unit in zip(placed.effect.states, placed.effect.state_units, strict=True)
+            if unit == "v"
+        ]
+        return [*([names[coordinate.v] for coordinate in self.nominal.coordinates] or names), *motors]
 
     def _braking(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
         """Return places along the motion of a coordinate, and the damping of all that brakes it there."""

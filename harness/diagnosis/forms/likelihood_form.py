@@ -104,6 +104,8 @@ class LikelihoodForm(SystemForm[SystemT]):
             system = self.composed(effects)
             vectors = [_within(system, _awake(system, _known(system, start))) for start in starts]
             substeps = int(np.median([self.substeps(system, values) for values in vectors]))
+            if base is not None and {*map(str, base.effects)} <= {*map(str, effects)}:
+                substeps = max(substeps, base.detail.passes.substeps)  # coarser ones would be compared with finer ones
             for finer in range(EFFORT.finer):  # what diverges may do so by its steps alone
                 passes = self.passes(system, substeps * 2**finer)
                 likelihood, points = self._to_start(system, passes, vectors, starts, effects, base)
@@ -218,6 +220,28 @@ class LikelihoodForm(SystemForm[SystemT]):
             tried = sorted([*more, *tried[1:]], key=lambda fit: fit.nll)
         return tried
 
+    def _instants(
+        self, likelihood: Likelihood, fit: LikelihoodFit, *, free: Sequence[str] | None = None, reach: float = np.inf
+    ) -> LikelihoodFit:
+        """Return a fit that goes on from a likelier instant of what happens once in a record, as long as there is one.
+
+        Along an instant the likelihood is a staircase, whose treads are where nothing moves: steps stop on any of them.
+        """
+        names = [name for name in fit.names if _happens(name)]
+        longest = max(len(record) for record in likelihood.records) * self.dt
+        for name in names if not fit.beyond else ():
+            k = likelihood.system.parameter_names.index(name)
+            tried = []
+            for part in (np.arange(EFFORT.instants) + 0.5) / EFFORT.instants:
+                p = fit.point.p.copy()
+                p[k] = part * longest
+                tried.append(replace(fit.point, p=p))
+            values = [likelihood.nll(point) for point in tried]
+            if min(values) < fit.nll - POLICY.tie:
+                moved = likelihood.maximise(tried[int(np.argmin(values))], free=free, reach=reach, exact=False)
+                fit = moved if moved.nll < fit.nll else fit
+        return fit
+
     @staticmethod
     def _stepped(
         likelihood: Likelihood, points: Sequence[Point | LikelihoodFit], most: int, free: Sequence[str] | None = None
@@ -248,7 +272,7 @@ class LikelihoodForm(SystemForm[SystemT]):
                 passes = self.passes(system, needed)
                 likelihood = self._likelihood(system, "estimation", passes)
                 best = _hopeful(likelihood.maximise(best.point, reach=reach, exact=False), least)
-            best = _hopeful(best, least)
+            best = self._instants(likelihood, _hopeful(best, least), reach=reach)
             if best.nll < close and not best.beyond:  # elsewhere nothing is decided by what the last steps add
                 best = likelihood.maximise(best, reach=reach, near=best.converged)
             own, told, expected = self._validated(system, passes, best, base)
@@ -421,6 +445,7 @@ class LikelihoodForm(SystemForm[SystemT]):
         chosen = tried[0]
         if not chosen.converged:
             chosen = likelihood.maximise(chosen, free=free, exact=False)
+        chosen = self._instants(likelihood, chosen, free=free)
         shared = [name for name in best.names if name in system.parameter_names]
         expected = predictive(likelihood, chosen.point, shared, spread_of(best, shared, own))
         phases = [name for name in own if name.endswith(".phi")]
@@ -589,6 +614,13 @@ def _states(passes: Pass, point: Point) -> dict[str, float]:
         for number, x0 in enumerate(point.x0)
         for name, value in zip(passes.state_names, x0, strict=True)
     }
+
+
+def _happens(name: str) -> bool:
+    """Return whether a parameter is the instant of what happens once in a record."""
+    effect, _, rest = name.partition("@")
+    short = rest.rpartition(".")[2]
+    return short == "t0" and short in OWN.get(effect, ())
 
 
 def _known(system: AnySystem, values: Mapping[str, float]) -> dict[str, float]:

@@ -102,7 +102,9 @@ class Outcome:
         """
         asked = (*WANTS, "amplitude and phase", "beside it")
         rows = [row for row in self.rounds[-1].candidates if row.fit is not None and row.reasons]
-        held = [row for row in rows if not any(text.startswith(asked) for text in row.reasons)]
+        held = [
+            row for row in rows if not any(text.startswith(asked) for text in row.reasons) or _elsewhere(row, policy)
+        ]
         best = max(held, key=total, default=None)
         if best is None or best.fit is None or best.fit.change(best.added[0]) < policy.least:
             return None
@@ -162,6 +164,7 @@ def search(
             nominal = better if base is nominal else nominal
             base = outcome.model = better
         rows = [judged([placed], fit, base, nominal, policy) for placed, fit in fits.items()]
+        rows = _ended(form, rows, base, nominal, policy)
         outcome.rounds.append(Round(base, test.with_shown(_shown(rows, policy)), tuple(rows), left))
         passed = [row for row in rows if row.passed]
         if passed:
@@ -180,6 +183,37 @@ def search(
     _simplified(form, outcome, rows, policy)
     outcome.accepted = asked_again(form, outcome.model, outcome.accepted, rows, nominal, policy)
     return outcome
+
+
+def _elsewhere(row: Judged, policy: Policy) -> bool:
+    """Return True for a candidate beyond doubt where it was fitted, of which the validation records show nothing."""
+    if row.comparison is None or row.comparison.evidence < policy.misfit_gain:
+        return False
+    return all(text.startswith("validation gains") for text in row.reasons) and row.comparison.validation > 0.0
+
+
+def _ended(form: Form, rows: Sequence[Judged], base: Fit, nominal: Fit, policy: Policy) -> list[Judged]:
+    """Return candidates of which those go to their end that nothing speaks against but that they have not come there.
+
+    Only those that would be the answer or tie with it: both uses decide that, and a fit is left by one of them.
+    """
+    found = list(rows)
+    for _ in range(EFFORT.onward):
+        best = max((row for row in found if row.passed), key=total, default=None)
+        waiting = [
+            number
+            for number, row in enumerate(found)
+            if row.fit is not None
+            and row.reasons in ((BEYOND,), (UNCONVERGED,))
+            and (best is None or tied(best, row, policy))
+        ]
+        for number in waiting:
+            fit = found[number].fit
+            assert fit is not None
+            found[number] = judged(found[number].added, form.fit(fit.effects, [fit.values], fit), base, nominal, policy)
+        if not waiting:
+            break
+    return found
 
 
 def _shown(rows: Sequence[Judged], policy: Policy) -> set[str]:
@@ -504,9 +538,11 @@ def _exchange(form: Form, outcome: Outcome, nominal: Fit, policy: Policy) -> Non
             if str(new) in {str(placed) for placed in outcome.model.effects}:
                 continue
             assert row.fit is not None
-            start = {**outcome.model.values, **own_values(new, row.fit)}
-            begun = form.begin([*others, new], [start], outcome.model)
-            if begun is None or begun.log_likelihood < best.log_likelihood("estimation") - EFFORT.margin:
+            # what the nominal parameters are beside the one or the other of both
+            starts = [{**outcome.model.values, **values} for values in (own_values(new, row.fit), row.fit.values)]
+            hope = best.log_likelihood("estimation") - EFFORT.margin
+            begun = form.begin([*others, new], starts, outcome.model, hope)
+            if begun is None or begun.log_likelihood < hope:
                 continue
             fit = form.finish(begun, outcome.model, best)
             trial = judged([new], fit, nominal, nominal, policy)
