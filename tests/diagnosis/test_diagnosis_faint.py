@@ -23,6 +23,7 @@ from harness.signals import Channel, PlantSpec, Trajectory
 
 DT = 0.002
 PENDULUM = {"J": 0.25, "b": 0.05, "mgl": 4.9}
+RATE = [load_model("pendulum").states[1].name]
 
 
 def trace_of(system: Any, values: dict[str, float], x: np.ndarray, u: np.ndarray) -> Trace:
@@ -49,7 +50,7 @@ def test_the_share_of_a_force_is_its_rms_over_that_of_all_forces(seed: int, size
     whole = compose(nominal, [law])
     values = {**PENDULUM, law.main(): 10.0**size}
     x, u = some_motion(seed)
-    found = changed_share([trace_of(whole, values, x, u)], whole, nominal, [1])
+    found = changed_share([trace_of(whole, values, x, u)], whole, nominal, RATE)
     held = u[:-1]
     force = held - PENDULUM["b"] * x[:-1, 1] - PENDULUM["mgl"] * np.sin(x[:-1, 0]) + values[law.main()]
     assert found == pytest.approx(10.0**size / np.sqrt(np.mean(force**2)), rel=0.02)
@@ -63,15 +64,30 @@ def test_the_share_of_a_sensor_is_that_of_its_readings_and_of_a_delay_that_of_la
     values = {**PENDULUM, gain.name(free[0].name): 1.002}
     read = 1.002 * x[:, 0]
     expected = np.sqrt(np.mean((0.002 * x[:, 0]) ** 2)) / (read - read.mean()).std()
-    assert changed_share([trace_of(whole, values, x, u)], whole, nominal, [1]) == pytest.approx(expected, rel=0.01)
+    assert changed_share([trace_of(whole, values, x, u)], whole, nominal, RATE) == pytest.approx(expected, rel=0.01)
     delay = Placed(builtin()["input_delay"], "u")
     whole = compose(nominal, [delay])
     shares = []
     for late in (1e-6, 1e-4):
         shares.append(
-            changed_share([trace_of(whole, {**PENDULUM, delay.main(): late}, x, u)], whole, nominal, [1])  # type: ignore[dict-item]
+            changed_share([trace_of(whole, {**PENDULUM, delay.main(): late}, x, u)], whole, nominal, RATE)  # type: ignore[dict-item]
         )
     assert shares[1] / shares[0] == pytest.approx(100.0, rel=0.05)
+
+
+def test_what_drives_a_motor_changes_its_speed_before_the_joint_moves() -> None:
+    """Within one sample a torque behind an elastic joint moves the motor alone: the joint's rate would not show it."""
+    nominal, (x, u) = load_model("pendulum"), some_motion(5)
+    joint, gain = Placed(builtin()["elasticity"], "theta"), Placed(builtin()["input_gain"], "u")
+    less, whole = compose(nominal, [joint]), compose(nominal, [joint, gain])
+    motor = joint.name("w")
+    own = {joint.name("k"): 40.0, joint.name("Jm"): 0.03, joint.name("d"): 0.05}
+    states = np.column_stack([x, np.zeros((len(x), 2))])
+    trace = trace_of(whole, {**PENDULUM, **own, gain.main(): 0.97}, states, u)  # type: ignore[dict-item]
+    seen, unseen = (changed_share([trace], whole, less, names) for names in ([*RATE, motor], RATE))
+    assert seen > 0.01
+    assert unseen < 0.01 * seen
+    assert changed_share([trace], whole, nominal, [*RATE, motor]) > 0.1, "a state that one of them lacks is left out"
 
 
 def test_a_law_of_size_zero_changes_nothing() -> None:
@@ -79,7 +95,7 @@ def test_a_law_of_size_zero_changes_nothing() -> None:
     law = Placed(builtin()["coulomb_friction"], "theta")
     whole = compose(nominal, [law])
     values = {**PENDULUM, **{law.name(one.name): 0.1 for one in law.effect.parameters}, law.main(): 0.0}
-    assert changed_share([trace_of(whole, values, x, u)], whole, nominal, [1]) < 1e-9
+    assert changed_share([trace_of(whole, values, x, u)], whole, nominal, RATE) < 1e-9
 
 
 def test_what_other_parameters_do_as_well_is_no_change() -> None:
@@ -88,10 +104,10 @@ def test_what_other_parameters_do_as_well_is_no_change() -> None:
     law = Placed(builtin()["viscous_friction"], "theta")
     whole = compose(nominal, [law])
     trace = trace_of(whole, {**PENDULUM, "b": 0.04, law.main(): 0.01}, x, u)  # type: ignore[dict-item]
-    assert changed_share([trace], whole, nominal, [1]) > 1e-3
+    assert changed_share([trace], whole, nominal, RATE) > 1e-3
     moved, wrong = (trace_of(nominal, {**PENDULUM, "b": b}, x, u) for b in (0.05, 0.06))
-    assert changed_share([trace], whole, nominal, [1], [moved]) < 1e-9
-    assert changed_share([trace], whole, nominal, [1], [wrong]) > 1e-3
+    assert changed_share([trace], whole, nominal, RATE, [moved]) < 1e-9
+    assert changed_share([trace], whole, nominal, RATE, [wrong]) > 1e-3
 
 
 @pytest.mark.parametrize(("relaxation", "other"), [(1e6, False), (1.0, True)])
@@ -111,7 +127,7 @@ def test_a_maxwell_element_that_never_relaxes_is_the_spring_and_one_that_does_is
         whole, {**PENDULUM, maxwell.name("k"): 0.5, maxwell.name("tau"): relaxation}, np.column_stack([x, strain]), u
     )
     theirs = trace_of(less, {**PENDULUM, spring.name("k"): 0.5}, x, u)
-    share = changed_share([mine], whole, less, [1], [theirs])
+    share = changed_share([mine], whole, less, RATE, [theirs])
     assert share > 0.01 if other else share < 1e-3
 
 
@@ -130,7 +146,7 @@ def test_a_law_differs_by_its_own_values_and_hidden_states() -> None:
         mine = trace_of(whole, {**PENDULUM, **{refined.name(key): size for key, size in sizes.items()}},
                         np.column_stack([x, bent]), u)  # fmt: skip
         theirs = trace_of(less, {**PENDULUM, **own}, np.column_stack([x, hidden * bent]), u)
-        shares.append(changed_share([mine], whole, less, [1], [theirs]))
+        shares.append(changed_share([mine], whole, less, RATE, [theirs]))
     assert shares[0] < 1e-9, "the same levels, the same bristles"
     assert shares[1] > 0.001, "other levels"
     assert shares[2] > 0.001, "other bristles"

@@ -96,3 +96,29 @@ def test_a_maximum_below_what_is_asked_of_it_is_left_without_its_last_digits() -
     assert not left.converged
     assert BEYOND in judged([law], left, nominal, nominal).reasons
     assert left.log_likelihood("estimation") == pytest.approx(before, abs=0.5)
+
+
+def test_a_candidate_is_simulated_with_steps_as_fine_as_what_it_is_compared_with() -> None:
+    """With coarser ones it loses by its steps and not by its law; without what needed them it may take its own."""
+    system, dt, n = load_model("oscillator"), 0.01, 400
+    rng = np.random.default_rng(1)
+    spec = PlantSpec(system.inputs, system.outputs, dt)
+    u = np.repeat(rng.normal(size=(n // 20, 1)), 20, axis=0)
+    y = system.simulator(dt).rollout(system.vector(None), np.zeros(system.nx), u)
+    runs = [
+        Run(Trajectory(np.arange(n) * dt, u, y + 1e-3 * rng.normal(size=y.shape), spec), use)
+        for use in ("estimation", "validation")
+    ]
+    form = Equations().form(system, Dataset("oscillator", tuple(runs)))
+    nominal = form.fit((), form.first_starts(), None)
+    assert nominal is not None
+    first, second = (Placed(builtin()[name], "q") for name in ("cubic_spring", "quadratic_drag"))
+    base = form.fit([first], [{**nominal.values, first.name("k3"): 0.1}], nominal)
+    assert base is not None
+    own = base.detail.passes.substeps
+    base.detail.passes = form.passes(base.system, 4 * own)
+    start = {**base.values, second.name("c"): 0.01}
+    beside, alone = (form.begin(effects, [start], base) for effects in ([first, second], [second]))
+    assert beside is not None
+    assert alone is not None
+    assert [one.detail[1].substeps for one in (beside, alone)] == [4 * own, own]

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from harness.diagnosis.policy import EFFORT, POLICY
-from harness.diagnosis.search.compare import BEYOND, UNCONVERGED, compared, judged
+from harness.diagnosis.search.compare import BEYOND, UNCONVERGED, Comparison, Judged, compared, judged
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.leftover import left_over
-from harness.diagnosis.search.rounds import Outcome, Round, _pairs, _pruned, search
+from harness.diagnosis.search.rounds import Outcome, Round, _ended, _exchange, _pairs, _pruned, search
 from harness.diagnosis.search.score_test import score_test
 from harness.diagnosis.search.ties import Accepted, tied, total
 from harness.effects import builtin
@@ -586,10 +586,12 @@ def test_what_no_law_allows_does_not_keep_a_smaller_effect_from_its_fit() -> Non
 
 def test_what_the_validation_records_refuse_puts_no_end_to_the_fit_of_another() -> None:
     """A spring of the estimation records alone is chance; beside what was found before, it explained most there."""
+    ended: set[str] = set()
 
     class Form(LinearForm):
         def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit:
             fit: Fit = begun.detail
+            ended.update(one.effect.name for one in (rival.effects if rival else ()))
             behind = rival is not None and begun.log_likelihood < rival.log_likelihood("estimation") - EFFORT.margin
             return replace(fit, beyond=behind, converged=not behind)
 
@@ -600,3 +602,71 @@ def test_what_the_validation_records_refuse_puts_no_end_to_the_fit_of_another() 
     outcome = search(form, form.fit((), [], None), ALL)
     assert accepted(outcome) == {"force_bias", "quadratic_drag", "linear_spring"}
     assert not any(row.fit is not None and row.fit.beyond for row in outcome.rounds[-1].candidates)
+    assert "cubic_spring" not in ended
+
+
+def left_on_its_way(form: LinearForm, name: str, nominal: Fit) -> Judged:
+    """Return a candidate whose fit was left on its way."""
+    fit = replace(form.fit([placed(name)], [], nominal), converged=False, beyond=True)
+    return judged(fit.effects, fit, nominal, nominal)
+
+
+@pytest.mark.parametrize(("behind", "followed"), [("linear_spring", True), ("quadratic_drag", False)])
+def test_what_was_left_on_its_way_is_followed_if_both_uses_make_it_a_rival(behind: str, followed: bool) -> None:
+    """The fits are left by the estimation records; what is a rival both uses decide."""
+    records = linear_records(16, {"linear_spring": 0.4, "quadratic_drag": 0.2}, alike={"cubic_spring": "linear_spring"})
+    form = LinearForm(records)
+    nominal = form.fit((), [], None)
+    spring = judged([placed("cubic_spring")], form.fit([placed("cubic_spring")], [], nominal), nominal, nominal)
+    rows = [spring, left_on_its_way(form, behind, nominal)]
+    assert [row.passed for row in rows] == [True, False]
+    assert [row.passed for row in _ended(form, rows, nominal, nominal, POLICY)] == [True, followed]
+
+
+def test_what_would_be_the_answer_but_for_its_last_steps_takes_them() -> None:
+    form = LinearForm(linear_records(16, {"linear_spring": 0.4}))
+    nominal = form.fit((), [], None)
+    fit = replace(form.fit([placed("linear_spring")], [], nominal), converged=False)
+    (row,) = _ended(form, [judged(fit.effects, fit, nominal, nominal)], nominal, nominal, POLICY)
+    assert row.passed
+
+
+def test_a_rival_takes_the_place_of_an_earlier_effect_from_its_own_nominal_parameters() -> None:
+    """What the nominal parameters were beside the earlier effect may lie far from what they are beside its rival."""
+    starts: list[Mapping[str, float]] = []
+
+    class Form(LinearForm):
+        def begin(self, effects: Any, given: Any, base: Fit | None, hope: float = -np.inf) -> Begun:
+            starts.extend(given)
+            return super().begin(effects, given, base, hope)
+
+    form = Form(linear_records(17, {"linear_spring": 0.4, "quadratic_drag": 0.4}))
+    nominal = form.fit((), [], None)
+    wrong, right, later = placed("cubic_spring"), placed("linear_spring"), placed("quadratic_drag")
+    alone = form.fit([right], [], nominal)
+    alone = replace(alone, values={**alone.values, "a": 7.0})
+    past = Round(nominal, score_test(form, nominal, ALL), (judged([right], alone, nominal, nominal),))
+    outcome = Outcome(
+        nominal,
+        form.fit([wrong, later], [], nominal),
+        [Accepted(one, ((one,),), 1, 1) for one in (wrong, later)],
+        [past, past],
+    )
+    _exchange(form, outcome, nominal, POLICY)
+    assert accepted(outcome) == {"linear_spring", "quadratic_drag"}
+    assert {start["a"] for start in starts} == {7.0, form.fit([wrong, later], [], nominal).values["a"]}
+    assert all(main("quadratic_drag") in start for start in starts), "the later effect stays where it is"
+
+
+@pytest.mark.parametrize(
+    ("evidence", "validation", "sure"), [(830.0, 1.0, True), (30.0, 1.0, False), (830.0, -1.0, False)]
+)
+def test_what_the_estimation_records_alone_are_sure_of_is_told(evidence: float, validation: float, sure: bool) -> None:
+    """An end stop that the validation records do not touch: nothing can be named, and something is missing."""
+    form = LinearForm(linear_records(15, {}))
+    nominal = form.fit((), [], None)
+    reason = f"validation gains {validation:.1f}, 6.7 asked of them alone"
+    fit = replace(form.fit([placed("cubic_spring")], [], nominal), change=lambda effect: 0.1)
+    row = Judged(fit.effects, fit, Comparison(evidence, validation, 6.7, 48.0), (reason,))
+    outcome = Outcome(nominal, nominal, rounds=[Round(nominal, score_test(form, nominal, ALL), (row,))])
+    assert (outcome.promised() is row) == sure

@@ -1,0 +1,53 @@
+"""What happens once in a record is found at its instant, where it was fitted and where it is judged."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from harness.diagnosis.kinds import Equations
+from harness.effects import builtin
+from harness.effects.effect import Placed
+from harness.physics import load_model
+from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
+
+DT, N = 0.01, 2000
+J, B, MGL, MORE_J, MORE_G = 0.1, 0.05, 1.0, 0.01, 0.15
+LAW = Placed(builtin()["payload_step"], "theta")
+
+
+def record(seed: int, instant: float) -> Trajectory:
+    """Return a pendulum that is pushed from time to time and picks up a load, by Heun's method in fine steps."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.normal(size=N // 100), 100) * np.tile([1.0, 0.0], N // 200).repeat(100) * 0.4
+
+    def rates(x: np.ndarray, torque: float, t: float) -> np.ndarray:
+        loaded = t >= instant
+        force = torque - B * x[1] - (MGL + MORE_G * loaded) * np.sin(x[0])
+        return np.array([x[1], force / (J + MORE_J * loaded)])
+
+    x, angles, fine = np.array([0.3, 0.0]), [], 5
+    for k in range(N):
+        angles.append(x[0])
+        for part in range(fine):
+            t, h = k * DT + part * DT / fine, DT / fine
+            first = rates(x, u[k], t)
+            x = x + 0.5 * h * (first + rates(x + h * first, u[k], t + h))
+    y = np.array(angles)[:, None] + 1e-3 * rng.normal(size=(N, 1))
+    spec = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad", period=2 * np.pi),), DT)
+    return Trajectory(np.arange(N) * DT, u[:, None], y, spec)
+
+
+@pytest.mark.parametrize(("fitted", "judged", "begun"), [(7.3, 13.9, 7.0), (13.9, 5.6, 11.5)])
+def test_a_load_is_found_when_it_was_picked_up(fitted: float, judged: float, begun: float) -> None:
+    """Along the instant the likelihood is a staircase: steps stop on the tread that they begin on."""
+    runs = Run(record(0, fitted), "estimation"), Run(record(1, judged), "validation")
+    form = Equations().form(load_model("pendulum"), Dataset("load", runs))
+    nominal = form.fit((), form.first_starts(), None)
+    assert nominal is not None
+    start = {LAW.name("dJ"): MORE_J, LAW.name("dG"): MORE_G, LAW.name("t0"): begun}
+    fit = form.fit([LAW], [{**nominal.values, **start}], nominal)
+    assert fit is not None
+    assert fit.values[LAW.name("t0")] == pytest.approx(fitted, abs=0.1)
+    assert fit.own[LAW.name("t0")] == pytest.approx(judged, abs=0.1)
+    assert fit.values[LAW.name("dG")] == pytest.approx(MORE_G, rel=0.1)
