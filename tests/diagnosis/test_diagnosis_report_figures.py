@@ -115,16 +115,45 @@ def forces(share: float) -> dict[str, Any]:
             {"noise": forces(0.054)},
             "beside a force at theta that nobody measured (0.05 N m, 5.4 % of what moves it): validation",
         ),
-        ("unexplained", {}, "too large for a disturbance"),
+        ("unexplained", {}, "no effect of the dictionary explains it: gremlins would ("),
         ("model_does_not_fit", {}, "pendulum does not fit these data: the sign is wrong"),
     ],
 )
 def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: dict[str, Any], words: str) -> None:
-    text = evidence_json._summary(data(verdict, **more), POLICY.least)
+    text = evidence_json._summary(data(verdict, **more), POLICY.least, "gremlins would")
     assert words in text
     assert "100 %" not in text
     if verdict != "model_does_not_fit":
         assert "99.99 % of the validation motion" in text
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"best": "theta over theta_rate", "rival": (60.0, 1.0)}, "a force at theta over theta_rate would"),
+        ({"withdrawn": True, "rival": (60.0, 1.0)}, "quadratic drag at theta would by the likelihood, and takes free"),
+        (
+            {"rival": (60.0, 1.0)},
+            "quadratic drag at theta would in the estimation records, by 60 in log-likelihood, and the validation "
+            "records show nothing of it; excite it in both",
+        ),
+        ({"rival": (60.0, 40.0)}, "by 60 in log-likelihood, but it was refused"),
+        ({"disagree": True}, "the validation records want other parameters"),
+        ({}, "the force that nobody measured is too large for a disturbance"),
+    ],
+)
+def test_what_is_missing_without_a_name_is_told_by_what_speaks_for_it(more: dict[str, Any], words: str) -> None:
+    gain = more.get("rival")
+    row = None if gain is None else Judged((DRAG,), a_fit(), Comparison(*gain, 4.0, 8.0), ("it was refused",))
+    found = SimpleNamespace(
+        leftover=SimpleNamespace(best=SimpleNamespace(name=more["best"]) if "best" in more else None),
+        outcome=SimpleNamespace(
+            withdrawn=[SimpleNamespace(placed=DRAG)] if "withdrawn" in more else [], promised=lambda policy: row
+        ),
+        policy=POLICY,
+        disagree=more.get("disagree", False),
+    )
+    assert words in evidence_json._cause(found)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -170,7 +170,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "warnings": list(dict.fromkeys(warnings)),
         "seconds": round(found.seconds, 2),
     }  # fmt: skip
-    data["summary"] = _summary(data, found.policy.least)
+    data["summary"] = _summary(data, found.policy.least, _cause(found))
     return data
 
 
@@ -419,7 +419,7 @@ def _closed_loop(found: Diagnosis, fit: Fit) -> dict[str, Any]:
     return result
 
 
-def _summary(data: dict[str, Any], least: float) -> str:
+def _summary(data: dict[str, Any], least: float, cause: str) -> str:
     """Return the verdict in one line; forces that nobody measured are told above the share ``least``."""
     before = data["errors"]["before"]["simulation_error"]["validation"]
     after = data["errors"]["after"]["simulation_error"]["validation"]
@@ -462,18 +462,35 @@ def _summary(data: dict[str, Any], least: float) -> str:
         ]
         beside = f" beside {' and '.join(forces)}" if forces else ""
         return f"nothing is missing in {data['model']}{beside}: validation simulation error {plain} {units}; {words}"
-    best = data["left_over"][0] if data["left_over"] else None
-    if best and best["evidence"] + best["validation"] > 0:
-        cause = f"a force at {best['axis']} would"
-    elif data["withdrawn"]:
-        names = " and ".join(f"{effect['name'].replace('_', ' ')} at {effect['at']}" for effect in data["withdrawn"])
-        cause = f"{names} would by the likelihood, and takes free runs further from the validation records"
-    else:
-        cause = "the force that nobody measured is too large for a disturbance"
     return (
         f"something is missing in {data['model']}, and no effect of the dictionary explains it: {cause} "
         f"({plain} {units}; {words})"
     )
+
+
+def _cause(found: Diagnosis) -> str:
+    """Return why something is said to be missing that has no name, in words; what speaks for it most clearly."""
+    best = found.leftover.best
+    if best is not None:
+        return f"a force at {best.name} would"
+    if found.outcome.withdrawn:
+        names = " and ".join(_words(accepted.placed) for accepted in found.outcome.withdrawn)
+        return f"{names} would by the likelihood, and takes free runs further from the validation records"
+    refused = found.outcome.promised(found.policy)
+    if refused is not None and refused.comparison is not None:
+        names = " and ".join(map(_words, refused.added))
+        gain = f"{names} would in the estimation records, by {refused.comparison.evidence:.0f} in log-likelihood"
+        if refused.comparison.validation < refused.comparison.error:
+            return f"{gain}, and the validation records show nothing of it; excite it in both"
+        return f"{gain}, but {'; '.join(refused.reasons)}"
+    if found.disagree:
+        return "the validation records want other parameters than the estimation records"
+    return "the force that nobody measured is too large for a disturbance"
+
+
+def _words(placed: Placed) -> str:
+    """Return an effect and its place in words."""
+    return f"{placed.effect.name.replace('_', ' ')} at {placed.at}"
 
 
 def _still_left(forces: Mapping[str, Any]) -> str:
