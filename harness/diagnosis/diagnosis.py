@@ -5,6 +5,8 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from harness.diagnosis.forms.apart import Apart
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import PLAN_POLICY, Policy
@@ -15,7 +17,7 @@ from harness.diagnosis.search.rounds import Outcome
 from harness.diagnosis.search.score_test import Lead, ScoreTest
 from harness.diagnosis.stand_in import stand_in_reasons
 from harness.diagnosis.systems import AnySystem
-from harness.signals import Dataset
+from harness.signals import Dataset, FloatArray
 
 __all__ = ["Diagnosis"]
 
@@ -106,9 +108,23 @@ class Diagnosis:
     @property
     def latent_share(self) -> float:
         """Size of the latent force of the final model over the typical force, the largest of all ports."""
-        noise = self.final.detail.points["estimation"].noise
-        size = (noise.s**2 + noise.w**2) ** 0.5 / self.form.noise_model.force_scale
-        return float(size.max(initial=0.0))
+        return float(self._latent_shares(self.final).max(initial=0.0))
+
+    def _latent_shares(self, fit: Fit) -> FloatArray:
+        """Return the sizes of the latent forces of a fit (nl,), each over the typical force of its port."""
+        noise = fit.detail.points["estimation"].noise
+        return np.asarray(np.sqrt(noise.s**2 + noise.w**2) / self.form.noise_model.force_scale)
+
+    def _explains_nothing(self) -> bool:
+        """Return True where what acts on the motion brings free runs no nearer and leaves the latent force as it was.
+
+        A law of the plant does the one or the other. What only makes the innovations whiter is the law of something
+        else, whose force is still there.
+        """
+        if all(set(accepted.placed.effect.kinds) == {"output"} for accepted in self.outcome.accepted):
+            return False  # a sensor moves nothing
+        before, after = (float(np.linalg.norm(self._latent_shares(fit))) for fit in (self.nominal, self.final))
+        return not self.runs.nearer(self.policy) and after >= before
 
     @functools.cached_property
     def stand_in(self) -> tuple[str, ...]:
@@ -117,6 +133,8 @@ class Diagnosis:
         reasons = stand_in_reasons(
             [accepted.placed for accepted in self.outcome.accepted], None if best is None else best.name
         )
+        if self.outcome.accepted and self.form.latent and self._explains_nothing():
+            reasons = (*reasons, "free runs come no nearer, and the force that nobody measured gets no smaller")
         unlawful = self.outcome.unlawful(self.policy) if self.outcome.accepted else None
         if unlawful is None:
             return reasons

@@ -56,13 +56,33 @@ class FreeRuns:
             return False
         if self.after is None or not self.after.finite:
             return True
+        change, error = self._change(policy)
+        return change > policy.tie_z * error
+
+    def nearer(self, policy: Policy) -> bool:
+        """Return True if the final model runs nearer to the validation records than the nominal one, by as much.
+
+        And by a share of the mean square that is worth it: that which a model that explains all may leave.
+        """
+        if self.after is None or not self.after.finite or self.after is self.before:
+            return False
+        if self.before is None or not self.before.finite:
+            return True
+        change, error = self._change(policy)
+        whole = sum(float((errors**2).sum()) for errors in self.before.validation)
+        return change < -max(policy.tie_z * error, policy.explained * whole)
+
+    def _change(self, policy: Policy) -> tuple[float, float]:
+        """Return by how much the sum of squared errors grows, and its standard error over blocks."""
+        assert self.before is not None
+        assert self.after is not None
         sums: list[float] = []
         for new, old in zip(self.after.validation, self.before.validation, strict=True):
             edges = np.linspace(0, len(new), policy.blocks + 1).astype(int)
             change = np.concatenate([[0.0], np.cumsum((new**2 - old**2).sum(axis=1))])
             sums += list(np.diff(change[edges]))
         more = np.array(sums)
-        return bool(more.sum() > policy.tie_z * np.sqrt(len(more)) * more.std(ddof=1))
+        return float(more.sum()), float(np.sqrt(len(more)) * more.std(ddof=1))
 
 
 def free_runs(output: FreeRunForm, horizon: Horizon, nominal: Fit, final: Fit) -> FreeRuns:
