@@ -42,28 +42,53 @@ def diagnosis(
     worse: bool = False,
     apart: float = 0.0,
     promised: str = "",
+    nearer: bool = True,
+    before: float | None = None,
+    law: Placed = DRAG,
 ) -> Diagnosis:
     """Return a diagnosis with what verdict and grade look at; the typical force is 2."""
     noise = SimpleNamespace(s=np.array([2 * latent]), w=np.array([2 * white]))
     model = SimpleNamespace(detail=SimpleNamespace(points={"estimation": SimpleNamespace(noise=noise)}))
+    first = SimpleNamespace(s=np.array([2 * (latent if before is None else before)]), w=np.array([0.0]))
+    nominal = SimpleNamespace(detail=SimpleNamespace(points={"estimation": SimpleNamespace(noise=first)}))
     outcome: Any = SimpleNamespace(
-        accepted=[SimpleNamespace(placed=DRAG)] if accepted else [],
+        accepted=[SimpleNamespace(placed=law)] if accepted else [],
         model=model,
-        nominal=model,
+        nominal=nominal,
         withdrawn=[SimpleNamespace(placed=DRAG)] if withdrawn else [],
         unlawful=lambda policy: SimpleNamespace(name=rival) if rival else None,
         promised=lambda policy: SimpleNamespace(name=promised) if promised else None,
     )
     best = SimpleNamespace(name="theta over theta_rate") if left_over else None
-    form: Any = SimpleNamespace(noise_model=SimpleNamespace(force_scale=np.array([2.0])))
+    form: Any = SimpleNamespace(noise_model=SimpleNamespace(force_scale=np.array([2.0])), latent=True)
     rest: dict[str, Any] = {
         "leftover": SimpleNamespace(best=best),
-        "runs": SimpleNamespace(left=left, worse=lambda policy: worse),
+        "runs": SimpleNamespace(left=left, worse=lambda policy: worse, nearer=lambda policy: nearer),
     }
     nothing: Any = None
     made = Diagnosis(nothing, nothing, form, outcome, rest["leftover"], rest["runs"], misfit, POLICY)
     made.apart = Apart(apart, [np.full(1000, apart / 1000)], "J", 0.05)
     return made
+
+
+@pytest.mark.parametrize(
+    ("name", "nearer", "before", "flagged"),
+    [
+        ("elasticity@theta", False, 0.03, True),
+        ("elasticity@theta", True, 0.03, False),
+        ("elasticity@theta", False, 0.05, False),
+        ("sensor_delay@theta", False, 0.03, False),
+    ],
+)
+def test_what_brings_nothing_nearer_and_takes_up_no_force_is_a_stand_in(
+    name: str, nearer: bool, before: float, flagged: bool
+) -> None:
+    """It makes innovations whiter, as an elastic joint does those of a torque ripple, whose force is still there."""
+    effect, _, at = name.partition("@")
+    law = Placed(builtin()[effect], at)
+    reasons = diagnosis(accepted=True, latent=0.04, nearer=nearer, before=before, law=law).stand_in
+    assert bool(reasons) == flagged
+    assert diagnosis(latent=0.04, nearer=False, before=0.03).stand_in == (), "nothing was named"
 
 
 def test_the_verdict_asks_first_whether_the_model_fits() -> None:

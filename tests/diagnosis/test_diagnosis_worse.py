@@ -41,6 +41,22 @@ def test_worse_is_more_than_chance_over_the_records(seed: int) -> None:
     assert not runs(None, shown(*old)).worse(POLICY)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_nearer_is_more_than_chance_and_worth_it(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    old = [rng.normal(size=(1000, 2)) for _ in range(2)]
+    burst = [old[0].copy(), old[1]]
+    burst[0][500:550] *= 8.0  # one block of forty
+    still = shown(*old)
+    assert runs(still, shown(*(0.9 * one for one in old))).nearer(POLICY), "19 % of the mean square"
+    assert not runs(still, shown(*(0.99 * one for one in old))).nearer(POLICY), "surely nearer, by 2 % of it"
+    assert not runs(shown(*burst), still).nearer(POLICY), "chance"
+    assert not runs(still, shown(*(1.1 * one for one in old))).nearer(POLICY)
+    assert not runs(still, None).nearer(POLICY)
+    assert not runs(still, still).nearer(POLICY)
+    assert runs(shown(*(np.nan * one for one in old)), still).nearer(POLICY), "it ran away before"
+
+
 def test_an_encoder_that_errs_is_given_no_friction() -> None:
     """Twice a turn by 2 mrad: the likelihood finds a force for it, with which the model runs further away."""
     tasks = plan("false-alarms", base=0, plants=("pendulum",), records=None, cells=4, alarms=400)
