@@ -123,7 +123,7 @@ def run(arguments: Sequence[str] | None, interrupts: Interrupts) -> int:
         code = get_command(app).main(
             args=None if arguments is None else list(arguments), prog_name="sysid", standalone_mode=False
         )
-        if code == INTERRUPTED:  # the library turns Ctrl-C into a status
+        if code == INTERRUPTED or interrupts.seen:  # a library turns Ctrl-C into a status, or swallows it
             raise KeyboardInterrupt
         sys.stdout.flush()
         return code if isinstance(code, int) else 0

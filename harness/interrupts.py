@@ -8,7 +8,7 @@ import threading
 from types import FrameType
 from typing import Any
 
-__all__ = ["INTERRUPTED", "Interrupts"]
+__all__ = ["INTERRUPTED", "Interrupts", "stop_if_asked"]
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C (128 and the number of the signal)."""
@@ -22,6 +22,9 @@ class Interrupts:
     ignored (nohup), it stays ignored.
     """
 
+    listening: Interrupts | None = None
+    """What hears Ctrl-C at the moment."""
+
     def __init__(self) -> None:
         self.seen = False
         self._before: Any = None
@@ -30,14 +33,22 @@ class Interrupts:
         here = threading.current_thread() is threading.main_thread()
         if here and signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
             self._before = signal.signal(signal.SIGINT, self._met)
+            Interrupts.listening = self
         return self
 
     def __exit__(self, *exc: object) -> None:
         if self._before is not None:
             signal.signal(signal.SIGINT, self._before)
+            Interrupts.listening = None
 
     def _met(self, _number: int, _frame: FrameType | None) -> None:
         if self.seen:
             signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
         self.seen = True
+        raise KeyboardInterrupt
+
+
+def stop_if_asked() -> None:
+    """Raise KeyboardInterrupt once more if Ctrl-C was heard and a library swallowed it; long work asks now and then."""
+    if Interrupts.listening is not None and Interrupts.listening.seen:
         raise KeyboardInterrupt
