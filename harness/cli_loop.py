@@ -11,7 +11,6 @@ import typer
 from harness import api
 from harness.cli_options import AsJson, Force, ModelName, Resume, ScenarioPairs, Seed, Undriven, Validation
 from harness.errors import InputError
-from harness.interrupts import stop_if_asked
 from harness.terminal import (
     completed,
     jobs_bar,
@@ -70,7 +69,6 @@ def close_loop(
         task = bar.add_task(dataset, total=1.0)
 
         def show(fraction: float, what: str) -> None:
-            stop_if_asked()
             bar.update(task, completed=fraction, description=what)
 
         report = api.close_loop(

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
 
 from harness.errors import InputError
+from harness.interrupts import stop_if_asked
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -131,6 +132,7 @@ class Lines:
         self, task: TaskID, *, completed: float = 0.0, total: float | None = None, description: str | None = None
     ) -> None:
         """Print a line if the last one is some seconds old."""
+        stop_if_asked()
         if time.monotonic() < self.next:
             return
         self.next = time.monotonic() + 5.0
@@ -166,7 +168,12 @@ def progress_bar(title: str) -> Iterator[Progress | Lines]:
         TimeRemainingColumn,
     )
 
-    with Progress(
+    class Bar(Progress):
+        def update(self, *arguments: Any, **options: Any) -> None:
+            stop_if_asked()
+            super().update(*arguments, **options)
+
+    with Bar(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn() if title.startswith("benchmark") else TextColumn("{task.percentage:>3.0f}%"),

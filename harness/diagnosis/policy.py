@@ -138,7 +138,10 @@ class Policy:
         "seeds below 1000, recordings",
     )
     misfit_gain: float = _number(
-        50.0, "log-likelihood that the repair of a column must gain to be named", "ten times the evidence of an effect"
+        50.0,
+        "log-likelihood that the repair of a column must gain to be named, and an effect where it was fitted to be "
+        "told though the validation records show nothing of it",
+        "ten times the evidence of an effect",
     )
     disturbed: float = _number(
         0.05,
@@ -157,7 +160,11 @@ class Policy:
         "noise in a band of B hertz loses its phase within some 1/B seconds: 10 s to 1.25 s of a record of 20 s",
         "judged records from 150000 and of 220000, which judge no more",
     )
-    explained: float = _number(0.05, "share of the variance left, at most, to call a model adequate", "a fit of 95 %")
+    explained: float = _number(
+        0.05,
+        "share of the variance left, at most, to call a model adequate, and by which free runs must come nearer",
+        "a fit of 95 %",
+    )
     chance: float = _number(
         0.02,
         "probability that a reading lies within 1 % of a step of a grid point though there is no grid",
@@ -236,7 +243,7 @@ class Effort:
     instants: int = _number(
         48,
         "instants of a record that are tried where something happened once, after the fit from the nearest start",
-        "one every 0.4 s of 20 s: a quarter of the period of the slowest motion of the study",
+        "one every 0.4 s of 20 s: along such a grid the likelihood of payload steps rose to one top",
         "judged records of 290000, which judge no more",
     )
     negligible: float = _number(

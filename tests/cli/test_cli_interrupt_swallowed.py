@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
+import time
 
 import pytest
 
 from harness import cli
-from harness.interrupts import INTERRUPTED, Interrupts, stop_if_asked
+from harness.interrupts import INTERRUPTED, Interrupts
+from harness.terminal import progress_bar
 
 
 def swallowed() -> None:
     """Meet Ctrl-C as a library does that catches everything."""
     try:
         os.kill(os.getpid(), signal.SIGINT)
-        signal.sigtimedwait([], 1.0)
+        time.sleep(1.0)
     except KeyboardInterrupt:
         return
     raise AssertionError("nothing was heard")
@@ -28,17 +31,21 @@ def usual_handler() -> object:
     signal.signal(signal.SIGINT, before)
 
 
-def test_long_work_stops_at_its_next_step() -> None:
-    with Interrupts():
-        stop_if_asked()
-        swallowed()
-        with pytest.raises(KeyboardInterrupt):
-            stop_if_asked()
-    stop_if_asked()
+@pytest.mark.parametrize("terminal", [False, True])
+def test_long_work_stops_at_the_next_step_of_its_progress(terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal, raising=False)
+    with progress_bar("working") as bar:
+        task = bar.add_task("one", total=1.0)
+        with Interrupts():
+            bar.update(task, completed=0.1)
+            swallowed()
+            with pytest.raises(KeyboardInterrupt):
+                bar.update(task, completed=0.2)
+        bar.update(task, completed=0.3)
 
 
 def test_a_command_that_came_to_its_end_says_that_it_was_interrupted(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     with Interrupts() as interrupts:
         assert cli.run(["--version"], interrupts) == 0

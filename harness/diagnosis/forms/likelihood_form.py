@@ -223,13 +223,14 @@ class LikelihoodForm(SystemForm[SystemT]):
     def _instants(
         self, likelihood: Likelihood, fit: LikelihoodFit, *, free: Sequence[str] | None = None, reach: float = np.inf
     ) -> LikelihoodFit:
-        """Return a fit that goes on from a likelier instant of what happens once in a record, as long as there is one.
+        """Return a fit that goes on from a likelier instant of what happens once in a record, if there is one.
 
         Along an instant the likelihood is a staircase, whose treads are where nothing moves: steps stop on any of them.
         """
-        names = [name for name in fit.names if _happens(name)]
+        if fit.beyond:
+            return fit
         longest = max(len(record) for record in likelihood.records) * self.dt
-        for name in names if not fit.beyond else ():
+        for name in set(_own(likelihood.system.effects, "s")).intersection(fit.names):
             k = likelihood.system.parameter_names.index(name)
             tried = []
             for part in (np.arange(EFFORT.instants) + 0.5) / EFFORT.instants:
@@ -414,12 +415,7 @@ class LikelihoodForm(SystemForm[SystemT]):
         be judged as if there could be none in another, where a motion that amplifies small errors has to be followed.
         """
         likelihood = self._likelihood(system, "validation", passes)
-        own = [
-            placed.name(name)
-            for placed in system.effects
-            for name in OWN.get(placed.effect.name, ())
-            if not system.parameter(placed.name(name)).fixed
-        ]
+        own = [name for name in _own(system.effects) if not system.parameter(name).fixed]
         free = [name for name in likelihood.names if name.startswith(("x0[", *NOISE))] + own
         noises = [best.point.noise] if base is None else [best.point.noise, base.detail.points["validation"].noise]
         longest = max(len(run) for run in self.records["validation"]) * self.dt
@@ -571,7 +567,7 @@ class LikelihoodForm(SystemForm[SystemT]):
 
     def linearised(self, fit: Fit) -> Linearised:
         """See :class:`harness.diagnosis.search.fit.Form`."""
-        own = [placed.name(name) for placed in fit.effects for name in OWN.get(placed.effect.name, ())]
+        own = _own(fit.effects)
         spread = spread_of(fit.detail.best, fit.free, own)
         states = _states(fit.detail.passes, fit.detail.points["estimation"])
         return linearised(fit, {use: self.paths(fit, use)[0] for use in USES}, spread, states)
@@ -616,11 +612,14 @@ def _states(passes: Pass, point: Point) -> dict[str, float]:
     }
 
 
-def _happens(name: str) -> bool:
-    """Return whether a parameter is the instant of what happens once in a record."""
-    effect, _, rest = name.partition("@")
-    short = rest.rpartition(".")[2]
-    return short == "t0" and short in OWN.get(effect, ())
+def _own(effects: Sequence[Placed], unit: str = "") -> list[str]:
+    """Return the names of the parameters of effects that belong to a record, of one unit if it is given."""
+    return [
+        placed.name(name)
+        for placed in effects
+        for name in OWN.get(placed.effect.name, ())
+        if unit in ("", placed.effect.parameter(name).unit)
+    ]
 
 
 def _known(system: AnySystem, values: Mapping[str, float]) -> dict[str, float]:

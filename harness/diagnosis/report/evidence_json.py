@@ -170,7 +170,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "warnings": list(dict.fromkeys(warnings)),
         "seconds": round(found.seconds, 2),
     }  # fmt: skip
-    data["summary"] = _summary(data, found.policy.least, _cause(found))
+    data["summary"] = _summary(data, found.policy.least, _cause(found) if found.verdict == "unexplained" else "")
     return data
 
 
@@ -420,7 +420,10 @@ def _closed_loop(found: Diagnosis, fit: Fit) -> dict[str, Any]:
 
 
 def _summary(data: dict[str, Any], least: float, cause: str) -> str:
-    """Return the verdict in one line; forces that nobody measured are told above the share ``least``."""
+    """Return the verdict in one line; forces that nobody measured are told above the share ``least``.
+
+    ``cause`` is what speaks for something that has no name.
+    """
     before = data["errors"]["before"]["simulation_error"]["validation"]
     after = data["errors"]["after"]["simulation_error"]["validation"]
     if data["verdict"] == "model_does_not_fit":

@@ -103,7 +103,9 @@ class Outcome:
         asked = (*WANTS, "amplitude and phase", "beside it")
         rows = [row for row in self.rounds[-1].candidates if row.fit is not None and row.reasons]
         held = [
-            row for row in rows if not any(text.startswith(asked) for text in row.reasons) or _elsewhere(row, policy)
+            row
+            for row in rows
+            if not any(text.startswith(asked) for text in row.reasons) or _sure_where_fitted(row, policy)
         ]
         best = max(held, key=total, default=None)
         if best is None or best.fit is None or best.fit.change(best.added[0]) < policy.least:
@@ -185,7 +187,7 @@ def search(
     return outcome
 
 
-def _elsewhere(row: Judged, policy: Policy) -> bool:
+def _sure_where_fitted(row: Judged, policy: Policy) -> bool:
     """Return True for a candidate beyond doubt where it was fitted, of which the validation records show nothing."""
     if row.comparison is None or row.comparison.evidence < policy.misfit_gain:
         return False
@@ -208,9 +210,10 @@ def _ended(form: Form, rows: Sequence[Judged], base: Fit, nominal: Fit, policy: 
             and (best is None or tied(best, row, policy))
         ]
         for number in waiting:
-            fit = found[number].fit
-            assert fit is not None
-            found[number] = judged(found[number].added, form.fit(fit.effects, [fit.values], fit), base, nominal, policy)
+            row = found[number]
+            assert row.fit is not None
+            again = form.fit(row.fit.effects, [row.fit.values], row.fit)
+            found[number] = row if again is None else judged(row.added, again, base, nominal, policy)
         if not waiting:
             break
     return found
@@ -538,7 +541,7 @@ def _exchange(form: Form, outcome: Outcome, nominal: Fit, policy: Policy) -> Non
             if str(new) in {str(placed) for placed in outcome.model.effects}:
                 continue
             assert row.fit is not None
-            # what the nominal parameters are beside the one or the other of both
+            # nominal parameters as they are beside the effect that would go, and as they were beside its rival
             starts = [{**outcome.model.values, **values} for values in (own_values(new, row.fit), row.fit.values)]
             hope = best.log_likelihood("estimation") - EFFORT.margin
             begun = form.begin([*others, new], starts, outcome.model, hope)
