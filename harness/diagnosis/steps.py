@@ -15,7 +15,7 @@ from harness.diagnosis.records.stretches import stretched, windowed
 from harness.diagnosis.runs.compare import FreeRuns, free_runs
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Leftover, left_over
-from harness.diagnosis.search.rounds import Outcome
+from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import Effect, Placed
 from harness.errors import FitError

@@ -17,7 +17,7 @@ from harness.diagnosis.runs.compare import seen
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.search.compare import judged
 from harness.diagnosis.search.fit import Begun, Fit
-from harness.diagnosis.search.grown import grow, starts_of
+from harness.diagnosis.search.grown import grow, refined, starts_of
 from harness.diagnosis.search.ties import held, tie_set
 from harness.diagnosis.stand_in import stand_in_reasons
 from harness.effects import builtin, compose
@@ -60,6 +60,7 @@ class Told:
         self.pace = pace
         self.begun: list[str] = []
         self.starts: dict[str, list[dict[str, float]]] = {}
+        self.least: dict[str, float] = {}
 
     def begin(
         self, effects: Sequence[Placed], starts: Sequence[dict[str, float]], base: Fit, hope: float = -np.inf
@@ -70,6 +71,7 @@ class Told:
         return Begun(tuple(effects), self.ends.get(name, -1e9), dict(starts[0]), None, self.pace)
 
     def finish(self, begun: Begun, base: Fit, rival: Fit | None = None, least: float = -np.inf) -> Fit:
+        self.least[begun.effects[-1].effect.name] = least
         return a_fit(begun.effects, begun.log_likelihood + 100.0 * self.pace)
 
 
@@ -127,6 +129,29 @@ def test_what_gains_so_much_with_every_step_that_it_may_come_to_it_is_finished()
         untried = [law("lugre_coulomb_friction")]
         grow(form, fits, a_fit([], 0.0), untried, {}, POLICY, lambda text: None)  # type: ignore[arg-type]
         assert (law("lugre_coulomb_friction") in fits) is (begins + EFFORT.first_steps * pace > 60.0)
+
+
+def test_a_refinement_that_cannot_come_near_the_law_that_it_refines_is_left_before_its_last_digits() -> None:
+    """At steps as fine as stiff bristles ask for they cost as much as all the rest: 22 of 42 s in one record."""
+    form, _ = grown(ENDS, coulomb_friction=60.0)
+    free, before = (
+        sum(not parameter.fixed for parameter in builtin()[name].parameters)
+        for name in ("lugre_coulomb_friction", "coulomb_friction")
+    )
+    price = 0.5 * (free - before) * np.log(100)
+    assert form.least["lugre_coulomb_friction"] == pytest.approx(60.0 + price - POLICY.evidence)
+
+
+def test_what_refines_an_earlier_law_takes_its_place_beside_what_came_later() -> None:
+    untried = [law(name) for name in builtin() if builtin()[name].kinds == ("coordinate",)]
+    for later, expected in (("linear_spring", ["lugre_coulomb_friction@theta"]), ("lugre_friction", [])):
+        form = Told(ENDS)
+        model = a_fit([law("coulomb_friction"), law(later)], 60.0, {"coulomb_friction@theta.Fc": 0.3})
+        found = refined(form, model, law("coulomb_friction"), untried, {}, POLICY, lambda text: None)  # type: ignore[arg-type]
+        assert [str(rich) for rich, _ in found] == expected, "a joint has its bristles once"
+        for rich, fit in found:
+            assert fit.effects == (law(later), rich), "not beside the law that it refines"
+            assert {start[rich.name("Fc")] for start in form.starts["lugre_coulomb_friction"]} == {0.3}
 
 
 def test_what_adds_another_thing_is_another_question() -> None:

@@ -14,7 +14,7 @@ from harness.diagnosis.kinds import Equations
 from harness.diagnosis.search.compare import impossible
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Axis, Leftover
-from harness.diagnosis.search.rounds import chosen
+from harness.diagnosis.search.refits import chosen
 from harness.diagnosis.search.score_test import score_test
 from harness.effects import Placed, builtin, compose
 from harness.physics import load_model

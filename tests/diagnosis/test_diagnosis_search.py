@@ -13,9 +13,11 @@ from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.search.compare import BEYOND, UNCONVERGED, Comparison, Judged, compared, judged
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.leftover import left_over
-from harness.diagnosis.search.rounds import Outcome, Round, _ended, _exchange, _pairs, _pruned, search
+from harness.diagnosis.search.outcome import Outcome, Round
+from harness.diagnosis.search.revised import contradictions, displace, exchange, prune, tried_pairs
+from harness.diagnosis.search.rounds import _ended, search
 from harness.diagnosis.search.score_test import score_test
-from harness.diagnosis.search.ties import Accepted, tied, total
+from harness.diagnosis.search.ties import Accepted, tied, total, value
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
@@ -229,6 +231,33 @@ def test_a_start_that_moves_too_far_leaves_what_was_free_where_it_is() -> None:
     for one, names in ((stays, set()), (placed("cubic_spring"), {"a", "b"})):
         (lead,) = score_test(form, nominal, [one]).leads
         assert set(lead.starts[0]) == {main("cubic_spring"), *names}
+
+
+def test_a_law_that_cannot_be_a_tenth_of_itself_starts_where_it_is_whole() -> None:
+    """A limit that clips ten times as much gains most as a tenth of itself; the one that clips enough is the start."""
+    hidden, records = 0.9, linear_records(3, {})
+    limited = Placed(builtin()["saturation"], "u")
+    for use in USES:
+        own = records.x[use]
+        own["enough"] = own["linear_spring"] + 0.3 * own["a"]
+        own["ten times"] = 10.0 * (own["linear_spring"] + 0.05 * own["cubic_spring"])
+        records.y[use] += hidden * own["linear_spring"] + 0.05 * own["cubic_spring"]
+
+    class Form(LinearForm):
+        def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
+            return [
+                Column(limited, {"limit": limit}, ("effect",), *(-self.records.x[use][name][:, None] for use in USES))
+                for name, limit in (("ten times", 1.0), ("enough", 4.0))
+            ]
+
+    form = Form(records)
+    nominal = form.fit((), [], None)
+    (lead,) = score_test(form, nominal, [limited]).leads
+    assert [start["saturation@u.limit"] for start in lead.starts] == [4.0, 1.0]
+    own = records.x["estimation"]
+    with_it = np.linalg.lstsq(np.column_stack([own["a"], own["b"]]), own["enough"], rcond=None)[0]
+    for name, share in zip("ab", with_it, strict=True):
+        assert lead.starts[0][name] == pytest.approx(nominal.values[name] - share), "what is free moves for all of it"
 
 
 def test_what_the_nominal_parameters_take_up_cannot_be_seen() -> None:
@@ -449,7 +478,7 @@ def test_a_pair_has_no_member_that_would_not_pass_beside_the_other() -> None:
     assert judged([drag], both, alone, nominal).passed, "the drag counts beside the spring"
     first = Round(nominal, score_test(form, nominal, ALL), (judged([spring], alone, nominal, nominal),))
     outcome = Outcome(nominal, nominal, rounds=[first])
-    _pairs(form, outcome, nominal, ALL, POLICY, lambda text: None)
+    tried_pairs(form, outcome, nominal, ALL, POLICY, lambda text: None)
     assert not outcome.accepted
 
 
@@ -459,7 +488,7 @@ def test_an_effect_that_later_ones_make_needless_is_dropped_and_one_that_counts_
     for earlier, stays in (("cubic_spring", False), ("linear_spring", True)):
         chosen = [placed(earlier), placed("quadratic_drag")]
         outcome = Outcome(nominal, form.fit(chosen, [], nominal), [Accepted(one, ((one,),), 1, 1) for one in chosen])
-        _pruned(form, outcome, POLICY)
+        prune(form, outcome, POLICY)
         assert accepted(outcome) == ({earlier, "quadratic_drag"} if stays else {"quadratic_drag"})
         assert len(outcome.model.effects) == len(outcome.accepted)
 
@@ -545,7 +574,7 @@ def test_an_effect_whose_own_law_forbids_what_is_left_of_it_is_not_left_alone() 
     alone = form.fit(chosen[1:], [], nominal)
     assert alone.values[main("viscous_friction")] < 0, "its sign is forbidden"
     assert compared(alone, outcome.model).total > -POLICY.tie, "and it explains as much"
-    _pruned(form, outcome, POLICY)
+    prune(form, outcome, POLICY)
     assert accepted(outcome) == {"quadratic_drag", "viscous_friction"}
 
 
@@ -631,6 +660,64 @@ def test_what_would_be_the_answer_but_for_its_last_steps_takes_them() -> None:
     assert row.passed
 
 
+@pytest.mark.parametrize(("beside", "goes"), [(-0.05, True), (0.3, False)])
+def test_an_effect_that_is_no_law_beside_a_likelier_one_gives_way_to_it(beside: float, goes: bool) -> None:
+    """A drag that would have to push beside friction was friction: the data want one of them."""
+    records = linear_records(21, {"viscous_friction": 0.6})
+    mixed(records, "quadratic_drag", viscous_friction=1.0, quadratic_drag=0.4)
+    for use in USES:
+        records.y[use] += beside * records.x[use]["quadratic_drag"]
+    form = LinearForm(records)
+    nominal = form.fit((), [], None)
+    drag, friction, spring = placed("quadratic_drag"), placed("viscous_friction"), placed("linear_spring")
+    base = form.fit([drag], [], nominal)
+    both = judged([friction], form.fit([drag, friction], [], base), base, nominal)
+    assert both.comparison is not None
+    assert both.comparison.evidence > POLICY.evidence
+    assert any("no such law" in text for text in both.reasons) is goes
+    first = Round(nominal, score_test(form, nominal, ALL), (judged([drag], base, nominal, nominal),))
+
+    def answer(rows: Sequence[Judged]) -> tuple[bool, set[str], Outcome]:
+        outcome = Outcome(nominal, base, [Accepted(drag, ((drag,),), 1, 1)], [first, replace(first, base=base)])
+        trials = contradictions(form, outcome, rows, POLICY)
+        return displace(outcome, trials, rows, nominal, POLICY), accepted(outcome), outcome
+
+    changed, names, outcome = answer([both])
+    assert (changed, names) == (goes, {"viscous_friction"} if goes else {"quadratic_drag"})
+    if goes:
+        assert outcome.model.effects == (friction,)
+        assert outcome.accepted[0].tie == ((friction,), (drag,)), "what went is asked again at the end"
+        assert outcome.accepted[0].found == 1, "its rivals are those of the round that found it"
+        assert both.fit is not None
+        for ahead, stays in ((0.5 * POLICY.tie, False), (2.0 * POLICY.tie, True)):
+            more = value(outcome.model) + ahead - value(both.fit)
+            terms = {**both.fit.terms, "validation": [each + more / len(each) for each in both.fit.terms["validation"]]}
+            passing = replace(both, added=(spring,), fit=replace(both.fit, terms=terms), reasons=())
+            expected = (False, {"quadratic_drag"}) if stays else (True, {"viscous_friction"})
+            assert answer([both, passing])[:2] == expected, "a likelier candidate comes first; one that ties does not"
+
+
+def test_an_early_law_is_refined_where_only_a_later_effect_shows_what_it_lacks() -> None:
+    """A drag hides what stiffens: alone the linear spring explains as much as the stiffening one."""
+    records = linear_records(23, {})
+    size, share = 0.5, 0.3
+    for use in USES:
+        own = records.x[use]
+        hidden = own["cubic_spring"].copy()
+        own["cubic_spring"] = own["linear_spring"] + share * hidden
+        own["quadratic_drag"] = own["quadratic_drag"] - share / size * hidden
+        records.y[use] += own["cubic_spring"] + size * own["quadratic_drag"]
+    form = LinearForm(records)
+    nominal = form.fit((), [], None)
+    stiffening = replace(placed("cubic_spring").effect, nests=("linear_spring",), grows="stiffening")
+    others = [one for one in ALL if one.effect.name != "cubic_spring"]
+    outcome = search(form, nominal, [*others, Placed(stiffening, "theta")])
+    assert accepted(outcome) == {"cubic_spring", "quadratic_drag"}
+    assert {one.effect.name for one in outcome.model.effects} == accepted(outcome)
+    whole = compared(outcome.model, nominal)
+    assert sum(one.evidence for one in outcome.accepted) == pytest.approx(whole.evidence), "what it gained is its own"
+
+
 def test_a_rival_takes_the_place_of_an_earlier_effect_from_its_own_nominal_parameters() -> None:
     """What the nominal parameters were beside the earlier effect may lie far from what they are beside its rival."""
     starts: list[Mapping[str, float]] = []
@@ -652,7 +739,7 @@ def test_a_rival_takes_the_place_of_an_earlier_effect_from_its_own_nominal_param
         [Accepted(one, ((one,),), 1, 1) for one in (wrong, later)],
         [past, past],
     )
-    _exchange(form, outcome, nominal, POLICY)
+    exchange(form, outcome, nominal, POLICY)
     assert accepted(outcome) == {"linear_spring", "quadratic_drag"}
     assert {start["a"] for start in starts} == {7.0, form.fit([wrong, later], [], nominal).values["a"]}
     assert all(main("quadratic_drag") in start for start in starts), "the later effect stays where it is"

@@ -106,10 +106,10 @@ def test_declared_parameters_that_are_far_off_make_no_gain_of_the_input() -> Non
 
 
 def test_an_accepted_law_is_not_polished_into_what_it_forbids(monkeypatch: pytest.MonkeyPatch) -> None:
-    from harness.diagnosis.search import rounds
+    from harness.diagnosis.search.refits import polished
 
     law = builtin()["coulomb_friction"]
-    placed = rounds.Placed(law, "theta")
+    placed = Placed(law, "theta")
 
     class Stub:
         def __init__(self, level: float, penalised: float) -> None:
@@ -125,7 +125,7 @@ def test_an_accepted_law_is_not_polished_into_what_it_forbids(monkeypatch: pytes
     for level, kept in ((-0.17, True), (0.12, False)):
         better = Stub(level, 160.0)
         form.finish = lambda begun, fit, better=better: better
-        assert (rounds._polished(form, base, [rival]) is base) is kept  # type: ignore[arg-type, list-item]
+        assert (polished(form, base, [rival]) is base) is kept  # type: ignore[arg-type, list-item]
 
 
 # ---- what is left, over a motion that no straight line follows ------------------------------------------------------

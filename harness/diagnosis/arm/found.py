@@ -15,7 +15,7 @@ from harness.diagnosis.arm.wide import WideResult
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Axis, Leftover
-from harness.diagnosis.search.rounds import Outcome
+from harness.diagnosis.search.outcome import Outcome
 from harness.physics.arm import ArmModel
 from harness.signals import Dataset, FloatArray
 

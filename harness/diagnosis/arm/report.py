@@ -39,7 +39,7 @@ from harness.diagnosis.report.words import SAME, change_text
 from harness.diagnosis.runs.closed_loop_bias import BiasTest
 from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.fit import Fit
-from harness.diagnosis.search.rounds import Outcome
+from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.ties import Accepted
 from harness.diagnosis.stand_in import stand_in_reasons
 

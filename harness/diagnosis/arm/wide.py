@@ -18,7 +18,8 @@ from harness.diagnosis.arm.motion import ArmRun, moving_rows
 from harness.diagnosis.arm.regression import USES, Change, RegressionForm
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
 from harness.diagnosis.search.fit import Fit
-from harness.diagnosis.search.rounds import Outcome, search
+from harness.diagnosis.search.outcome import Outcome
+from harness.diagnosis.search.rounds import search
 from harness.diagnosis.search.ties import Accepted
 from harness.effects.effect import Placed
 from harness.errors import FitError

@@ -13,7 +13,7 @@ from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.ties import value
 from harness.effects.effect import Placed
 
-__all__ = ["grow"]
+__all__ = ["grow", "refined"]
 
 Fits = dict[Placed, Fit | None]
 
@@ -79,16 +79,57 @@ def grow(
                 break
             rich = richer[law.effect.name]
             say(str(rich))
-            grown = _grown(form, base, rich, law, done[law], starts, sizes.get(at, {}), helps, policy)
+            grown = _grown(form, base.effects, rich, law, done[law], starts, sizes.get(at, {}), helps, policy)
             if grown is None or (law in likeliest and grown.penalised < done[law].penalised + policy.evidence):
                 continue
             fits[rich] = grown
             helps = helps or grown
 
 
+def refined(
+    form: Form,
+    model: Fit,
+    law: Placed,
+    untried: Sequence[Placed],
+    sizes: Mapping[str, Mapping[str, float]],
+    policy: Policy,
+    say: Callable[[str], None],
+) -> list[tuple[Placed, Fit]]:
+    """Return what refines a law of a model, with its fit in the place of that law, where the first steps promise it.
+
+    Beside what was found later a refinement may help that did not when the law stood alone.
+
+    Parameters
+    ----------
+    form : Form
+    model : Fit
+    law : Placed
+        One of its effects.
+    untried : sequence of Placed
+        What the model does not have.
+    sizes : mapping
+        Sizes of the data by port.
+    policy : Policy
+    say : callable
+        Told what is done.
+    """
+    present = {(placed.at, placed.effect.grows) for placed in model.effects}
+    others = [placed for placed in model.effects if placed != law]
+    found = []
+    for rich in untried:
+        grows = rich.effect.grows
+        if not grows or (rich.at, grows) in present or (rich.at, rich.effect.nests[0]) != (law.at, law.effect.name):
+            continue
+        say(str(rich))
+        fit = _grown(form, others, rich, law, model, {}, sizes.get(law.at, {}), None, policy)
+        if fit is not None:
+            found.append((rich, fit))
+    return found
+
+
 def _grown(
     form: Form,
-    base: Fit,
+    others: Sequence[Placed],
     rich: Placed,
     simple: Placed,
     fit: Fit,
@@ -98,13 +139,16 @@ def _grown(
     policy: Policy,
 ) -> Fit | None:
     """Return the fit of a law from where a special case of it ended; None where its first steps promise nothing."""
-    begun = form.begin([*base.effects, rich], starts_of(rich, simple, fit, known, sizes), fit)
+    begun = form.begin([*others, rich], starts_of(rich, simple, fit, known, sizes), fit)
     if begun is None:
         return None
     free, before = (sum(not parameter.fixed for parameter in law.effect.parameters) for law in (rich, simple))
-    asked = policy.evidence + 0.5 * (free - before) * float(np.log(base.samples))
-    promised = begun.log_likelihood + EFFORT.first_steps * begun.pace - fit.log_likelihood("estimation")
-    return None if promised < policy.reach * asked else form.finish(begun, fit, rival)
+    price = 0.5 * (free - before) * float(np.log(fit.samples))
+    likelihood = fit.log_likelihood("estimation")
+    promised = begun.log_likelihood + EFFORT.first_steps * begun.pace - likelihood
+    if promised < policy.reach * (policy.evidence + price):
+        return None
+    return form.finish(begun, fit, rival, likelihood + price - policy.evidence)
 
 
 def starts_of(

@@ -8,7 +8,7 @@ import numpy as np
 
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.fit import Form
-from harness.diagnosis.search.rounds import Outcome
+from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.ties import Accepted
 from harness.effects.effect import Placed
 from harness.effects.sensor import quantisation_test

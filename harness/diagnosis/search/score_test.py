@@ -32,8 +32,9 @@ class Lead:
     share : float
         Part of its column that nothing free can take up; below ``policy.seen`` it cannot be told from that.
     starts : tuple of dict
-        Values by full name: those that the gain is for first, then of the next best choices of what is not linear.
-        With the effect's own, the values of what is free already, initial states too, moved along at first order.
+        Values by full name, those that gain most where they lie first: one choice of what is not linear may gain most
+        as a tenth of its effect, which no value of the law is. With the effect's own, the values of what is free
+        already, initial states too, moved along at first order.
     direction : array (n,)
         The whitened innovations that it would explain, nuisance projected out, of length 1.
     span : array (n, k)
@@ -49,6 +50,8 @@ class Lead:
     span: FloatArray = field(repr=False)
     taken: FloatArray = field(repr=False)
     """What the effect at its start does to the whitened innovations (n,)."""
+    started: float = 0.0
+    """What is gained at the start, at first order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +116,10 @@ def score_test(form: Form, fit: Fit, candidates: Sequence[Placed], policy: Polic
 
 
 def _joined(several: list[Lead], policy: Policy) -> Lead:
-    """Return the best choice of an effect's parameters, with the starts of the next best ones."""
-    ordered = sorted(several, key=lambda lead: (-lead.gain, -lead.share))
-    starts = tuple(lead.starts[0] for lead in ordered[: EFFORT.starts])
-    return replace(ordered[0], starts=starts)
+    """Return the best choice of an effect's parameters, with the starts of those that gain most where they lie."""
+    best = min(several, key=lambda lead: (-lead.gain, -lead.share))
+    ordered = sorted(several, key=lambda lead: (-lead.started, -lead.gain, -lead.share))
+    return replace(best, starts=tuple(lead.starts[0] for lead in ordered[: EFFORT.starts]))
 
 
 def projected(form: Form, fit: Fit) -> tuple[FloatArray, FloatArray]:
@@ -134,10 +137,11 @@ def _lead(column: Column, basis: FloatArray, residual: FloatArray, penalty: floa
     assert column.placed is not None
     with np.errstate(over="ignore"):  # what diverges is as good as not seen: nothing is left of it over its size
         size = np.linalg.norm(column.estimation, axis=0)
-    use = size > 0
+    use = (size > 0) & np.isfinite(size)
     coefficients = np.zeros(len(size))
     direction, span = np.zeros(len(residual)), np.zeros((len(residual), 0))
-    gain = share = 0.0
+    gain = share = started = 0.0
+    start, realised = _start(column, coefficients)
     if use.any():
         unit = column.estimation[:, use] / size[use]
         left = unit - basis @ (basis.T @ unit)
@@ -147,12 +151,15 @@ def _lead(column: Column, basis: FloatArray, residual: FloatArray, penalty: floa
         along = -(u[:, keep].T @ residual)  # the innovations must go down
         gain = 0.5 * float(along @ along)
         coefficients[use] = vt[keep].T @ (along / s[keep]) / size[use]
+        start, realised = _start(column, coefficients)
+        there = left @ (realised[use] * size[use])
+        started = float(-residual @ there - 0.5 * there @ there)
         span = u[:, keep]
         direction = span @ along if gain > 0 else span.sum(axis=1)
         direction = direction / (np.linalg.norm(direction) or 1.0)
-    starts = (_start(column, coefficients),)
     penalised = gain - penalty * _free(column.placed)
-    return Lead(column.placed, gain, penalised, share, starts, direction, span, column.estimation @ coefficients)
+    taken = column.estimation @ realised
+    return Lead(column.placed, gain, penalised, share, (start,), direction, span, taken, started)
 
 
 def _mover(form: Form, fit: Fit) -> Callable[[Lead], Lead]:
@@ -183,18 +190,23 @@ def _free(placed: Placed) -> int:
     return sum(not parameter.fixed for parameter in placed.effect.parameters)
 
 
-def _start(column: Column, coefficients: FloatArray) -> dict[str, float]:
-    """Return the parameters that a column and its coefficients stand for, by full name, within their bounds."""
+def _start(column: Column, coefficients: FloatArray) -> tuple[dict[str, float], FloatArray]:
+    """Return the parameters that a column and its coefficients stand for, by full name, within their bounds.
+
+    With them, the coefficients as they are there: a law that does not vanish with its main parameter stays whole.
+    """
     placed = column.placed
     assert placed is not None
     values = dict(column.given)
+    realised = coefficients.copy()
     for name, coefficient in zip(column.names, coefficients, strict=True):
         if name == "effect":  # the whole effect counts this many times: its main parameter scales so, at first order
             main = placed.effect.main
+            realised[0] = 1.0
             if main is not None and main.name in values:
                 nothing = 0.0 if main.unit == "s" else main.neutral  # a lag of no time is none
                 if nothing is not None:
-                    part = float(np.clip(coefficient, 0.1, 3.0))
+                    realised[0] = part = float(np.clip(coefficient, 0.1, 3.0))
                     values[main.name] = nothing + part * (values[main.name] - nothing)
         elif name in placed.effect.parameter_names:
             values[name] = (placed.effect.parameter(name).neutral or 0.0) + float(coefficient)
@@ -208,4 +220,4 @@ def _start(column: Column, coefficients: FloatArray) -> dict[str, float]:
         if name in placed.effect.parameter_names:
             parameter = placed.effect.parameter(name)
             bounded[placed.name(name)] = float(np.clip(value, parameter.minimum, parameter.maximum))
-    return bounded
+    return bounded, realised

@@ -38,7 +38,8 @@ WANTS = ("evidence", "validation", "it brings", "it changes")
 class Accepted:
     """One accepted effect with all that these data cannot tell from it, itself first, and its evidence.
 
-    ``beside`` names the effects beside which the tie set was asked for, None where it was not asked for yet.
+    ``beside`` names the effects beside which the tie set was asked for, None where it was not asked for yet;
+    ``found`` counts the rounds before the one that found it, with its rivals.
     """
 
     placed: Placed
@@ -46,6 +47,7 @@ class Accepted:
     evidence: float
     validation: float
     beside: frozenset[str] | None = None
+    found: int = 0
 
 
 def total(row: Judged) -> float:
