@@ -233,31 +233,27 @@ def test_a_start_that_moves_too_far_leaves_what_was_free_where_it_is() -> None:
         assert set(lead.starts[0]) == {main("cubic_spring"), *names}
 
 
-def test_a_law_that_cannot_be_a_tenth_of_itself_starts_where_it_is_whole() -> None:
-    """A limit that clips ten times as much gains most as a tenth of itself; the one that clips enough is the start."""
-    hidden, records = 0.9, linear_records(3, {})
+def test_what_is_free_moves_along_with_the_whole_of_a_law_that_cannot_be_a_tenth_of_itself() -> None:
+    """A limit that clips ten times as much gains most as a tenth of itself; a start has all of it."""
+    records = linear_records(3, {"linear_spring": 0.3})
     limited = Placed(builtin()["saturation"], "u")
     for use in USES:
         own = records.x[use]
-        own["enough"] = own["linear_spring"] + 0.3 * own["a"]
-        own["ten times"] = 10.0 * (own["linear_spring"] + 0.05 * own["cubic_spring"])
-        records.y[use] += hidden * own["linear_spring"] + 0.05 * own["cubic_spring"]
+        own["ten times"] = 3.0 * own["linear_spring"] + 0.5 * own["a"]
 
     class Form(LinearForm):
         def columns(self, fit: Fit, candidates: Sequence[Placed]) -> list[Column]:
-            return [
-                Column(limited, {"limit": limit}, ("effect",), *(-self.records.x[use][name][:, None] for use in USES))
-                for name, limit in (("ten times", 1.0), ("enough", 4.0))
-            ]
+            x = [-self.records.x[use]["ten times"][:, None] for use in USES]
+            return [Column(limited, {"limit": 4.0}, ("effect",), *x)]
 
     form = Form(records)
     nominal = form.fit((), [], None)
     (lead,) = score_test(form, nominal, [limited]).leads
-    assert [start["saturation@u.limit"] for start in lead.starts] == [4.0, 1.0]
     own = records.x["estimation"]
-    with_it = np.linalg.lstsq(np.column_stack([own["a"], own["b"]]), own["enough"], rcond=None)[0]
+    with_it = np.linalg.lstsq(np.column_stack([own["a"], own["b"]]), own["ten times"], rcond=None)[0]
+    assert lead.starts[0]["saturation@u.limit"] == 4.0
     for name, share in zip("ab", with_it, strict=True):
-        assert lead.starts[0][name] == pytest.approx(nominal.values[name] - share), "what is free moves for all of it"
+        assert lead.starts[0][name] == pytest.approx(nominal.values[name] - share)
 
 
 def test_what_the_nominal_parameters_take_up_cannot_be_seen() -> None:

@@ -32,9 +32,9 @@ class Lead:
     share : float
         Part of its column that nothing free can take up; below ``policy.seen`` it cannot be told from that.
     starts : tuple of dict
-        Values by full name, those that gain most where they lie first: one choice of what is not linear may gain most
-        as a tenth of its effect, which no value of the law is. With the effect's own, the values of what is free
-        already, initial states too, moved along at first order.
+        Values by full name: those that the gain is for first, then of the next best choices of what is not linear.
+        With the effect's own, the values of what is free already, initial states too, moved along at first order: for
+        the whole of an effect that cannot be a tenth of itself.
     direction : array (n,)
         The whitened innovations that it would explain, nuisance projected out, of length 1.
     span : array (n, k)
@@ -50,8 +50,6 @@ class Lead:
     span: FloatArray = field(repr=False)
     taken: FloatArray = field(repr=False)
     """What the effect at its start does to the whitened innovations (n,)."""
-    started: float = 0.0
-    """What is gained at the start, at first order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +114,10 @@ def score_test(form: Form, fit: Fit, candidates: Sequence[Placed], policy: Polic
 
 
 def _joined(several: list[Lead], policy: Policy) -> Lead:
-    """Return the best choice of an effect's parameters, with the starts of those that gain most where they lie."""
-    best = min(several, key=lambda lead: (-lead.gain, -lead.share))
-    ordered = sorted(several, key=lambda lead: (-lead.started, -lead.gain, -lead.share))
-    return replace(best, starts=tuple(lead.starts[0] for lead in ordered[: EFFORT.starts]))
+    """Return the best choice of an effect's parameters, with the starts of the next best ones."""
+    ordered = sorted(several, key=lambda lead: (-lead.gain, -lead.share))
+    starts = tuple(lead.starts[0] for lead in ordered[: EFFORT.starts])
+    return replace(ordered[0], starts=starts)
 
 
 def projected(form: Form, fit: Fit) -> tuple[FloatArray, FloatArray]:
@@ -140,8 +138,7 @@ def _lead(column: Column, basis: FloatArray, residual: FloatArray, penalty: floa
     use = (size > 0) & np.isfinite(size)
     coefficients = np.zeros(len(size))
     direction, span = np.zeros(len(residual)), np.zeros((len(residual), 0))
-    gain = share = started = 0.0
-    start, realised = _start(column, coefficients)
+    gain = share = 0.0
     if use.any():
         unit = column.estimation[:, use] / size[use]
         left = unit - basis @ (basis.T @ unit)
@@ -151,15 +148,12 @@ def _lead(column: Column, basis: FloatArray, residual: FloatArray, penalty: floa
         along = -(u[:, keep].T @ residual)  # the innovations must go down
         gain = 0.5 * float(along @ along)
         coefficients[use] = vt[keep].T @ (along / s[keep]) / size[use]
-        start, realised = _start(column, coefficients)
-        there = left @ (realised[use] * size[use])
-        started = float(-residual @ there - 0.5 * there @ there)
         span = u[:, keep]
         direction = span @ along if gain > 0 else span.sum(axis=1)
         direction = direction / (np.linalg.norm(direction) or 1.0)
     penalised = gain - penalty * _free(column.placed)
-    taken = column.estimation @ realised
-    return Lead(column.placed, gain, penalised, share, (start,), direction, span, taken, started)
+    start, realised = _start(column, coefficients)
+    return Lead(column.placed, gain, penalised, share, (start,), direction, span, column.estimation @ realised)
 
 
 def _mover(form: Form, fit: Fit) -> Callable[[Lead], Lead]:
