@@ -680,6 +680,9 @@ def test_an_effect_that_is_no_law_beside_a_likelier_one_gives_way_to_it(beside: 
 
     changed, names, outcome = answer([both])
     assert (changed, names) == (goes, {"viscous_friction"} if goes else {"quadratic_drag"})
+    if not goes:
+        refused = replace(both, reasons=(UNCONVERGED,))
+        assert answer([refused])[:2] == (False, {"quadratic_drag"}), "two laws that are ones beside each other stay"
     if goes:
         assert outcome.model.effects == (friction,)
         assert outcome.accepted[0].tie == ((friction,), (drag,)), "what went is asked again at the end"
