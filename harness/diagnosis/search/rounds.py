@@ -83,12 +83,12 @@ def search(
         rows = _ended(form, rows, base, nominal, policy)
         outcome.rounds.append(Round(base, test.with_shown(_shown(rows, policy)), tuple(rows), left))
         passed = [row for row in rows if row.passed]
+        best = _answer(passed, policy) if passed else None
         trials = contradictions(form, outcome, rows, policy)
-        if not passed or second_friction(base, _answer(passed, policy)):
+        if best is None or second_friction(base, best):
             trials += refinements(form, outcome, untried, sizes or {}, policy, say)
         displaced = displace(outcome, trials, rows, nominal, policy)
-        if passed and not displaced:
-            best = _answer(passed, policy)
+        if best is not None and not displaced:
             _accept(outcome, best, tie_set(best, [*rows, *held(form, best, rows, base, nominal, policy)], policy))
         if len(outcome.accepted) > 1 and (passed or displaced):
             exchange(form, outcome, nominal, policy)

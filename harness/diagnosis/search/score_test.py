@@ -135,7 +135,7 @@ def _lead(column: Column, basis: FloatArray, residual: FloatArray, penalty: floa
     assert column.placed is not None
     with np.errstate(over="ignore"):  # what diverges is as good as not seen: nothing is left of it over its size
         size = np.linalg.norm(column.estimation, axis=0)
-    use = (size > 0) & np.isfinite(size)
+    use = size > 0
     coefficients = np.zeros(len(size))
     direction, span = np.zeros(len(residual)), np.zeros((len(residual), 0))
     gain = share = 0.0
