@@ -37,7 +37,8 @@ def compose(
         A nominal system, or one that has effects already: the new ones come after these.
     placed : sequence of Placed
         Input effects act on the command in this order, then force effects (transmissions last, so that the others see
-        the motor's side), then output effects in this order. Delays and rounding are carried out on samples.
+        the motor's side), then output effects in this order, but what cuts a reading off (``cuts``) after what bends
+        it. Delays and rounding are carried out on samples.
     sizes : mapping, optional
         Sizes of the data by port (``str(placed)``, ``placed.at`` or ``""`` for all), for start values that are not
         given; see :meth:`harness.effects.EffectParameter.start`.
@@ -313,7 +314,8 @@ def _placing_order(system: System, placed: Sequence[Placed]) -> list[Placed]:
 
     forces = sorted(those("coordinate"), key=lambda force: force.effect.drives)
     tanks = sorted(those("process"), key=lambda tank: system.process.index(tank.at))
-    return [*forces, *those("base"), *tanks, *reversed(those("input")), *those("output")]
+    readings = sorted(those("output"), key=lambda reading: reading.effect.cuts)
+    return [*forces, *those("base"), *tanks, *reversed(those("input")), *readings]
 
 
 def _refuse_twice(placed: Sequence[Placed]) -> None:

@@ -75,6 +75,9 @@ class Effect:
     grows : str
         What it adds to the first of ``nests``, if it refines that law: it is tried from where that one was fitted, and
         never before, together with what adds the same to other laws.
+    cuts : bool
+        What it takes from a reading is lost (values beyond a limit, the sign): in a model it comes after all that bends
+        or shifts the scale of that output.
     """
 
     name: str
@@ -100,6 +103,7 @@ class Effect:
     requires: Mapping[str, Callable[[Mapping[str, float]], bool]] = field(default_factory=dict)
     requires_along: Mapping[str, Along] = field(default_factory=dict)
     grows: str = ""
+    cuts: bool = False
 
     def __str__(self) -> str:
         return self.name
@@ -284,6 +288,7 @@ def effect(
     requires: Mapping[str, Callable[[Mapping[str, float]], bool]] | None = None,
     requires_along: Mapping[str, Along] | None = None,
     grows: str = "",
+    cuts: bool = False,
 ) -> Callable[[Callable[..., Any]], Effect]:
     """Make an effect of a function.
 
@@ -298,7 +303,7 @@ def effect(
         Names of hidden states separated by spaces, or name to unit template. They start at 0 unless ``initial`` says
         otherwise.
     name, family, same_as, limits, nests, experiment, formula, drives, downstream, sampled, linearises, angles, initial,
-    requires, requires_along, grows
+    requires, requires_along, grows, cuts
         See :class:`Effect`; ``name`` is the function's own unless given.
 
     Returns
@@ -375,6 +380,7 @@ def effect(
             requires=dict(requires or {}),
             requires_along=dict(requires_along or {}),
             grows=grows,
+            cuts=cuts,
         )
 
     return decorate

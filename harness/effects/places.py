@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from harness.effects.effect import Effect, Placed
@@ -15,7 +17,7 @@ __all__ = ["carried_load", "fits", "obstacle", "place_all", "port_of"]
 
 
 def place_all(system: System, effects: Iterable[Effect] | None = None) -> list[Placed]:
-    """Return every effect at every port of a system that it fits.
+    """Return every effect at every port of a system that it fits; where nothing turns, without what needs an angle.
 
     Parameters
     ----------
@@ -37,8 +39,20 @@ def place_all(system: System, effects: Iterable[Effect] | None = None) -> list[P
     for effect in effects:
         for port in system.ports:
             if port.kind in effect.kinds and obstacle(system, effect, port) is None:
-                found.append(Placed(effect, port.name))
+                found.append(Placed(effect if port.unit == "rad" else _straight(effect), port.name))
     return found
+
+
+@functools.cache
+def _straight(effect: Effect) -> Effect:
+    """Return an effect with the parameters that need an angle held where they do nothing."""
+    if not any(parameter.angle_only for parameter in effect.parameters):
+        return effect
+    held = [
+        replace(parameter, fixed=True, scale=f"{parameter.neutral or 0.0:g}") if parameter.angle_only else parameter
+        for parameter in effect.parameters
+    ]
+    return replace(effect, parameters=tuple(held))
 
 
 def fits(system: System, placed: Placed) -> bool:

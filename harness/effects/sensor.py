@@ -109,6 +109,7 @@ def sensor_delay(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     formula="y' = |y|",
     family=("sensor_saturation", "sensor_offset"),
     experiment="reverse the motion: the reading does not change its sign",
+    cuts=True,
 )
 def sensor_rectification(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Loss of the sign in a sensor (pulse counter, tachometer without direction)."""
@@ -123,6 +124,7 @@ def sensor_rectification(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     family=("end_stop", "level_saturation", "sensor_gain"),
     limits={"level_saturation": "while the level stays at the limit"},
     experiment="a histogram of the readings: they pile up at one value while the input goes on",
+    cuts=True,
 )  # fmt: skip
 def sensor_saturation(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Largest value that a sensor can read."""

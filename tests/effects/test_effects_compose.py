@@ -7,7 +7,8 @@ import pickle
 import numpy as np
 import pytest
 
-from harness.effects import Placed, builtin, compose, place_all, recommended_substeps
+from harness.effects import Placed, builtin, column_blocks, compose, place_all, recommended_substeps
+from harness.effects.columns import Signals
 from harness.errors import InputError
 from harness.physics import fit_output_error
 from harness.physics.models import BUILT_IN, drive, oscillator, pendulum, two_tanks
@@ -442,3 +443,28 @@ def test_what_is_faster_than_the_samples_is_as_good_as_at_once(name, at, fast):
 def _bounds(system, name):
     one = system.parameter(name)
     return one.minimum, one.maximum
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_what_cuts_a_reading_off_comes_after_what_bends_it(order):
+    """A sensor cannot read beyond its limit, in whichever order its errors were found."""
+    errors = [put("sensor_saturation", "theta", limit=0.2), put("sensor_nonlinearity", "theta", b=0.5)]
+    composed = compose(PENDULUM, [errors[k] for k in order])
+    y = simulate(composed, 3.0 * excitation(PENDULUM), 0.02)
+    assert y.max() == pytest.approx(0.2, rel=1e-3)
+    assert y.min() == pytest.approx(-0.2, rel=1e-3)
+    assert [str(effect) for effect in composed.effects] == [str(errors[k]) for k in order]
+
+
+def test_where_nothing_turns_no_weight_is_lifted():
+    """A load on a cart has no gravity along its rail: held at 0, and no column of a score test."""
+    places = {one.at: one for one in place_all(MODELS["cart-pole"]) if one.effect.name == "payload_step"}
+    assert places["x"].effect.parameter("dG").fixed
+    assert not places["theta"].effect.parameter("dG").fixed
+    assert places["x"].effect.parameter("dG").start({"F": 5.0}) == 0.0
+    t = np.arange(40) * 0.1
+    turning = Signals(t, np.ones((40, 1)), np.ones((40, 2)), np.ones((40, 2)), np.ones((40, 2)))
+    columns = {
+        at: {block.names for block in column_blocks(MODELS["cart-pole"], one, turning)} for at, one in places.items()
+    }
+    assert columns == {"x": {("dJ",)}, "theta": {("dJ", "dG")}}
