@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from harness.effects import actuator, bristles, drifting, external, friction, process, sensor, stiffness, transmission
-from harness.effects.effect import Effect
+from harness.effects.effect import Effect, Placed
 from harness.errors import InputError
 
-__all__ = ["Confusions", "builtin", "family", "find", "nested"]
+__all__ = ["Confusions", "builtin", "contained", "family", "find", "nested"]
 
 _FILES = (friction, bristles, stiffness, actuator, transmission, sensor, drifting, external, process)
 
@@ -84,6 +84,20 @@ def nested(effect: Effect, known: Mapping[str, Effect] | None = None) -> tuple[E
             found[name] = effects[name]
             waiting.extend(effects[name].nests)
     return tuple(sorted(found.values(), key=lambda effect: -len(effect.parameters)))
+
+
+def contained(effects: Iterable[Placed]) -> set[str]:
+    """Return the names, ``effect@place``, of effects and of all that are special cases of them.
+
+    Examples
+    --------
+    >>> from harness.effects.effect import Placed
+    >>> sorted(contained([Placed(find("stribeck_friction"), "x")]))
+    ['coulomb_friction@x', 'stribeck_friction@x']
+    """
+    return {
+        f"{name}@{placed.at}" for placed in effects for name in (placed.effect.name, *map(str, nested(placed.effect)))
+    }
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,10 @@ _TOLD = 1e-12
 """Curvature along a direction, over the largest, below which it is rounding: nothing is told along it."""
 _PARTLY = 1e-3
 """Share of such a direction from which on an entry is undetermined."""
+_CORNERS = 3
+"""Parameters along which a likelihood may have a corner at once: limits of two outputs, and one to spare."""
+_SIDES = tuple(side * part for part in (1.0, 0.1, 0.01, 1e-3) for side in (1.0, -1.0))
+"""Of a Newton step along one parameter, to both sides, that must all be worse on a corner."""
 _LONGEST = 1.5
 """Longest step of a logarithm."""
 _DAMPING = 1e-3
@@ -572,6 +576,12 @@ class Likelihood:
                 # where steps of the solver follow the motion, difference quotients may be rounding: without them then;
                 # where they pass over a corner of a law, the likelihood is as rough as that
                 converged = min(first, plain) < _BROKEN
+                if not converged:
+                    converged, better = self._at_corner(z, value, gradient, matrix, entries, live)
+                    if better is not None:
+                        gain, (z, value, found) = value - better[1], better
+                        last, damping = False, _DAMPING
+                        continue
                 message = "" if converged else "no step raises the likelihood"
                 break
             else:
@@ -580,6 +590,34 @@ class Likelihood:
             message = f"no maximum after {most} iterations"
         fit = self._finished(z, value, found, entries, matrix, converged, count, message)
         return replace(fit, beyond=beyond, pace=0.0 if converged else gain, damping=damping)
+
+    def _at_corner(
+        self, z: FloatArray, value: float, gradient: FloatArray, matrix: FloatArray, entries: Any, live: Any
+    ) -> tuple[bool, tuple[FloatArray, float, list[Filtered]] | None]:
+        """Return whether a place that no step leads away from is a maximum on a corner, or a likelier place beside it.
+
+        Where a sample changes sides (a reading at its limit, say) the likelihood has a corner along one parameter, and
+        a gradient there that no step keeps. It is a maximum if it falls to both sides of every such parameter, and the
+        others, with these held, promise nothing.
+        """
+        _, _, low, high = self._layout()
+        rest = np.array(live, dtype=bool)
+        curvature = np.maximum(np.diag(matrix), 1e-12)
+        promises = np.where(rest, 0.5 * gradient**2 / curvature, 0.0)
+        for row in np.argsort(-promises)[:_CORNERS]:
+            if promises[row] < _ENOUGH:
+                break
+            for part in _SIDES:
+                trial = z.copy()
+                step = part * abs(gradient[row]) / curvature[row]
+                trial[entries[row]] = np.clip(trial[entries[row]] + step, low[entries[row]], high[entries[row]])
+                new, passes = self._value(trial)
+                if passes is not None and new < value - _ENOUGH:
+                    return False, (trial, new, passes)
+            rest[row] = False
+            if _undamped(matrix[np.ix_(rest, rest)], gradient[rest]) < _BROKEN:
+                return True, None
+        return False, None
 
     def _finished(
         self, z: FloatArray, value: float, found: Any, entries: Any, matrix: FloatArray, converged: bool, count: int,

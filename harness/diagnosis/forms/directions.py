@@ -178,7 +178,7 @@ def _forces(
 ) -> list[Direction]:
     """Return the directions of an effect whose force follows from the motion."""
     if "periodic" in placed.effect.name:
-        lines = [placed.with_values({"omega": omega}) for omega in _frequencies(traces["estimation"])]
+        lines = [placed.with_values({"omega": omega}) for omega in _frequencies(traces["estimation"], nominal)]
         return [
             direction for line in lines for direction in _blocks(traces, signals, nominal, known, line, sizes, "phi")
         ]
@@ -230,22 +230,49 @@ def _blocks(
     return directions
 
 
-def _frequencies(traces: Sequence[Trace]) -> list[float]:
-    """Return the angular frequencies of the strongest lines of the latent forces [rad/s]."""
+def _frequencies(traces: Sequence[Trace], nominal: System) -> list[float]:
+    """Return the angular frequencies of the strongest lines of the latent forces [rad/s].
+
+    Lines are looked for in what remembers alone, and with the white part: where that is the larger one, the other may
+    be nothing.
+    """
     trace = max(traces, key=lambda trace: len(trace.record))
     n, dt = len(trace.record), trace.record.spec.sample_time
     window = np.hanning(n)
+    omega = 2 * np.pi * np.arange(2 * n + 1) / (4 * n * dt)
     frequencies: list[float] = []
     for row in range(trace.passes.nl):
-        force = trace.x[:, trace.passes.start_size + row]
-        power = np.abs(np.fft.rfft((force - force.mean()) * window, 4 * n)) ** 2
-        omega = 2 * np.pi * np.arange(len(power)) / (4 * n * dt)
-        power[omega * n * dt < 2 * 2 * np.pi] = 0.0
-        for _ in range(3):
-            peak = int(np.argmax(power))
-            frequencies.append(float(omega[peak]))
-            power[max(peak - 12, 0) : peak + 13] = 0.0
-    return [frequency for frequency in frequencies if frequency > 0]
+        coloured = trace.x[:, trace.passes.start_size + row]
+        for force in (coloured, coloured + _white_force(trace, nominal, row)):
+            power = np.abs(np.fft.rfft((force - force.mean()) * window, 4 * n)) ** 2
+            power[omega * n * dt < 2 * 2 * np.pi] = 0.0
+            for _ in range(3):
+                peak = int(np.argmax(power))
+                if omega[peak] > 0 and not any(abs(omega[peak] - known) * n * dt < np.pi for known in frequencies):
+                    frequencies.append(float(omega[peak]))
+                power[max(peak - 12, 0) : peak + 13] = 0.0
+    return frequencies
+
+
+def _white_force(trace: Trace, nominal: System, row: int) -> FloatArray:
+    """Return what the smoothed motion asks of a force from sample to sample (K,), beyond the one that remembers.
+
+    The change of the speed that the equations do not give, over what a force of one does to it.
+    """
+    function, n = trace.passes.simulator.functions.derivative.map(len(trace.record)), len(trace.record)
+    v = nominal.coordinates[row].v
+    p, column = np.tile(trace.p[:, None], n), trace.passes.start_size + row
+
+    def rate(x: FloatArray, u: FloatArray) -> FloatArray:
+        return np.asarray(function(x.T, u.T, p, trace.record.t).full()[v])
+
+    pushed = trace.x.copy()
+    pushed[:, column] += 1.0
+    here = rate(trace.x, trace.record.u)
+    there = rate(trace.x, trace.record.u[np.maximum(np.arange(n) - 1, 0)])  # at its end a sample still has its input
+    force = np.zeros(n)
+    force[:-1] = np.diff(trace.x[:, v]) / trace.dt - 0.5 * (here[:-1] + there[1:])
+    return force / (rate(pushed, trace.record.u) - here)
 
 
 def _waves(values: FloatArray, placed: Placed) -> list[float]:

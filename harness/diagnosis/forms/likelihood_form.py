@@ -19,6 +19,7 @@ from harness.diagnosis.forms.system_form import SystemForm
 from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.search.fit import Begun, Fit, Linearised, Suspect
 from harness.diagnosis.systems import AnySystem, SystemT
+from harness.effects import contained
 from harness.effects.effect import Placed
 from harness.errors import FitError, HarnessError
 from harness.physics.kalman_pass import Filtered, Noise, Pass
@@ -104,7 +105,7 @@ class LikelihoodForm(SystemForm[SystemT]):
             system = self.composed(effects)
             vectors = [_within(system, _awake(system, _known(system, start))) for start in starts]
             substeps = int(np.median([self.substeps(system, values) for values in vectors]))
-            if base is not None and {*map(str, base.effects)} <= {*map(str, effects)}:
+            if base is not None and _within_it(base, effects):
                 substeps = max(substeps, base.detail.passes.substeps)  # coarser ones would be compared with finer ones
             for finer in range(EFFORT.finer):  # what diverges may do so by its steps alone
                 passes = self.passes(system, substeps * 2**finer)
@@ -259,7 +260,8 @@ class LikelihoodForm(SystemForm[SystemT]):
     def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         system, passes, likelihood, tried = begun.detail
-        reach = np.inf if rival is None else EFFORT.margin - rival.log_likelihood("estimation")
+        bars = [fit for fit in (rival, base) if fit is not None and (fit is rival or _within_it(fit, begun.effects))]
+        reach = EFFORT.margin - max((fit.log_likelihood("estimation") for fit in bars), default=-np.inf)
         close = np.inf if rival is None else EFFORT.close - rival.log_likelihood("estimation")
         try:
             near = [fit for fit in tried if fit.nll < tried[0].nll + EFFORT.close]
@@ -270,9 +272,13 @@ class LikelihoodForm(SystemForm[SystemT]):
                 needed = self.substeps(system, {**system.values(), **_known(system, best.parameters)})
                 if needed <= passes.substeps or best.beyond:
                     break
-                passes = self.passes(system, needed)
-                likelihood = self._likelihood(system, "estimation", passes)
-                best = _hopeful(likelihood.maximise(best.point, reach=reach, exact=False), least)
+                finer = self.passes(system, needed)
+                likelihood = self._likelihood(system, "estimation", finer)
+                followed = likelihood.maximise(best.point, reach=reach, exact=False)
+                if followed.beyond:  # what the coarse ones seemed to gain was their own error
+                    best = replace(best, converged=False, beyond=True)
+                    break
+                best, passes = _hopeful(followed, least), finer
             best = self._instants(likelihood, _hopeful(best, least), reach=reach)
             if best.nll < close and not best.beyond:  # elsewhere nothing is decided by what the last steps add
                 best = likelihood.maximise(best, reach=reach, near=best.converged)
@@ -647,6 +653,11 @@ def _within(system: AnySystem, values: dict[str, float]) -> dict[str, float]:
         parameter.name: float(np.clip(values[parameter.name], parameter.minimum, parameter.maximum))
         for parameter in system.parameters
     }
+
+
+def _within_it(base: Fit, effects: Sequence[Placed]) -> bool:
+    """Return True for a base that a model with these effects contains: it cannot explain the records worse."""
+    return {str(placed) for placed in base.effects} <= contained(effects)
 
 
 def _hopeful(fit: LikelihoodFit, least: float) -> LikelihoodFit:
