@@ -12,6 +12,7 @@ import pytest
 from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.search.compare import BEYOND, UNCONVERGED, Comparison, Judged, compared, judged
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
+from harness.diagnosis.search.grown import as_good
 from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.outcome import Outcome, Round
 from harness.diagnosis.search.revised import contradictions, displace, exchange, prune, tried_pairs
@@ -656,6 +657,42 @@ def test_what_would_be_the_answer_but_for_its_last_steps_takes_them() -> None:
     assert row.passed
 
 
+@pytest.mark.parametrize(
+    ("start", "evidence", "passes"), [("bad", 0.4, True), ("good", 0.4, False), ("bad", 0.1, False)]
+)
+def test_what_the_validation_records_alone_refuse_is_tried_there_once_more(
+    start: str, evidence: float, passes: bool
+) -> None:
+    """Play whose first contact was begun on the wrong side: what belongs to the other records had stopped beside it."""
+    form = LinearForm(linear_records(16, {"linear_spring": evidence}))
+    nominal = form.fit((), [], None)
+    fit = form.fit([placed("linear_spring")], [], nominal)
+    spoilt = [terms - 0.5 for terms in fit.terms["validation"]]
+    begun_badly = replace(fit, terms={**fit.terms, "validation": spoilt})
+    if start == "good":  # wherever it is begun, they refuse it
+        form.fit = lambda *args: begun_badly  # type: ignore[method-assign, assignment]
+    row = judged(fit.effects, begun_badly, nominal, nominal)
+    assert not row.passed
+    (again,) = _ended(form, [row], nominal, nominal, POLICY)
+    assert again.passed is passes
+
+
+@pytest.mark.parametrize(
+    ("estimation", "validation", "good"), [(0.0, 5.0, True), (0.0, 31.0, False), (2.0, 0.0, False)]
+)
+def test_a_law_that_contains_another_may_be_worse_on_neither_use(
+    estimation: float, validation: float, good: bool
+) -> None:
+    """What it fits too closely costs it some of the validation records; more than that, and it was started badly."""
+    form = LinearForm(linear_records(3, {"linear_spring": 0.4}))
+    rich = form.fit([placed("linear_spring")], [], None)
+    better = {
+        use: [terms + gain / len(terms) for terms in rich.terms[use]]
+        for use, gain in (("estimation", estimation), ("validation", validation))
+    }
+    assert as_good(rich, replace(rich, terms=better), contains=True) is good
+
+
 @pytest.mark.parametrize(("beside", "goes"), [(-0.05, True), (0.3, False)])
 def test_an_effect_that_is_no_law_beside_a_likelier_one_gives_way_to_it(beside: float, goes: bool) -> None:
     """A drag that would have to push beside friction was friction: the data want one of them."""
@@ -694,6 +731,29 @@ def test_an_effect_that_is_no_law_beside_a_likelier_one_gives_way_to_it(beside: 
             passing = replace(both, added=(spring,), fit=replace(both.fit, terms=terms), reasons=())
             expected = (False, {"quadratic_drag"}) if stays else (True, {"viscous_friction"})
             assert answer([both, passing])[:2] == expected, "a likelier candidate comes first; one that ties does not"
+
+
+@pytest.mark.parametrize(("first", "refined"), [("coulomb_friction", True), ("linear_spring", False)])
+def test_a_second_friction_keeps_no_refinement_of_the_first_from_its_place(first: str, refined: bool) -> None:
+    """Two frictions at a joint imitate one law: what refines the first is that law, though the two explain more."""
+    form = LinearForm(linear_records(24, {}))
+    for own in form.records.x.values():
+        own |= {name: own["cubic_spring"] for name in ("coulomb_friction", "stribeck_friction", "sublinear_friction")}
+    nominal = form.fit((), [], None)
+    law, rich, second = placed(first), placed("stribeck_friction"), placed("sublinear_friction")
+
+    def likelier(effects: Sequence[Placed], gain: float) -> Fit:
+        terms = {use: [each + gain / len(each) for each in parts] for use, parts in nominal.terms.items()}
+        values = nominal.values | {one.name(name): 1.0 for one in effects for name in one.effect.parameter_names}
+        return replace(nominal, effects=tuple(effects), values=values, terms=terms, change=lambda _: 1.0)
+
+    base, both, instead = likelier([law], 100.0), likelier([law, second], 130.0), likelier([rich], 120.0)
+    empty = Round(nominal, score_test(form, nominal, ALL), ())
+    outcome = Outcome(nominal, base, [Accepted(law, ((law,),), 100, 100)], [empty, replace(empty, base=base)])
+    row = judged([second], both, base, nominal)
+    assert row.passed
+    trial = (0, replace(rich, effect=replace(rich.effect, requires={})), instead)
+    assert displace(outcome, [trial], [row], nominal, POLICY) is refined
 
 
 def test_an_early_law_is_refined_where_only_a_later_effect_shows_what_it_lacks() -> None:

@@ -13,7 +13,7 @@ from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.ties import value
 from harness.effects.effect import Placed
 
-__all__ = ["grow", "refined"]
+__all__ = ["as_good", "grow", "refined", "start_between"]
 
 Fits = dict[Placed, Fit | None]
 
@@ -84,6 +84,40 @@ def grow(
                 continue
             fits[rich] = grown
             helps = helps or grown
+        _from_special_cases(form, fits, base, [richer[law.effect.name] for law in simple])
+
+
+def _from_special_cases(form: Form, fits: Fits, base: Fit, grown: Sequence[Placed]) -> None:
+    """Fit what was refined once more from where a special case of it ended that explains the records better."""
+    for rich, simple in [(a, b) for a in grown for b in grown if b.effect.name in a.effect.nests]:
+        fit, other = fits.get(rich), fits.get(simple)
+        if fit is None or other is None or as_good(fit, other, contains=True):
+            continue
+        again = form.fit([*base.effects, rich], [start_between(rich, fit, simple, other)], other, other)
+        if again is not None and value(again) > value(fit):
+            fits[rich] = again
+
+
+def start_between(mine: Placed, fit: Fit | None, theirs: Placed, other: Fit) -> dict[str, float]:
+    """Return where a law starts from the end of one that it contains or is contained in; the rest as it was."""
+    start = dict(other.values)
+    for parameter in mine.effect.parameters:
+        if parameter.name in theirs.effect.parameter_names:
+            start[mine.name(parameter.name)] = other.values[theirs.name(parameter.name)]
+        elif fit is not None:
+            start[mine.name(parameter.name)] = fit.values[mine.name(parameter.name)]
+    return start
+
+
+def as_good(fit: Fit, other: Fit, *, contains: bool) -> bool:
+    """Return True if a fit has nothing to learn from where another ended; a law that contains it may not be worse.
+
+    What it fits too closely costs a law that contains the other some of the validation records' likelihood, not much.
+    """
+    if contains:
+        lost = other.log_likelihood("validation") - fit.log_likelihood("validation")
+        return lost < EFFORT.close and fit.log_likelihood("estimation") > other.log_likelihood("estimation") - 1.0
+    return value(fit) > value(other) - 1.0
 
 
 def refined(

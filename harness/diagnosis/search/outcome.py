@@ -21,8 +21,7 @@ from harness.diagnosis.search.ties import (
     Accepted,
     total,
 )
-from harness.effects import nested
-from harness.effects.effect import Placed
+from harness.effects import contained
 
 __all__ = ["Outcome", "Round"]
 
@@ -67,7 +66,7 @@ class Outcome:
             ]
             if not forbidden:
                 continue
-            if answer <= _contained(rival.fit.effects) and not _asked_for(rival, base, answer, forbidden, policy):
+            if answer <= contained(rival.fit.effects) and not _asked_for(rival, base, answer, forbidden, policy):
                 continue
             gap = compared(rival.fit, self.model, policy).total
             _, error = difference(rival.fit, self.model, ("estimation", "validation"), policy)
@@ -126,10 +125,3 @@ def _asked_for(row: Judged, base: Fit, answer: set[str], forbidden: Sequence[str
         return False
     whole = max((base.change(placed) for placed in base.effects), default=0.0)
     return row.fit.distance(base) >= policy.second_share * whole
-
-
-def _contained(effects: Sequence[Placed]) -> set[str]:
-    """Return the effects with their special cases."""
-    return {
-        f"{name}@{placed.at}" for placed in effects for name in (placed.effect.name, *map(str, nested(placed.effect)))
-    }

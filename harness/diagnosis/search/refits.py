@@ -16,10 +16,9 @@ from harness.diagnosis.search.compare import (
     wrong_signs,
 )
 from harness.diagnosis.search.fit import Begun, Fit, Form
+from harness.diagnosis.search.grown import as_good, start_between
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
-from harness.diagnosis.search.ties import (
-    value,
-)
+from harness.diagnosis.search.ties import value
 from harness.effects import family
 from harness.effects.effect import Placed
 
@@ -171,24 +170,12 @@ def _share_starts(form: Form, fits: dict[Placed, Fit | None], base: Fit, passes:
     for rich, simple in [(a, b) for a in fits for b in fits if b.effect.name in a.effect.nests and a.at == b.at]:
         for mine, theirs in ((rich, simple), (simple, rich)):
             fit, other = fits[mine], fits[theirs]
-            if other is None or (fit is not None and _as_good(fit, other, contains=mine is rich)):
+            if other is None or (fit is not None and as_good(fit, other, contains=mine is rich)):
                 continue
-            start = dict(other.values)
-            for parameter in mine.effect.parameters:
-                if parameter.name in theirs.effect.parameter_names:
-                    start[mine.name(parameter.name)] = other.values[theirs.name(parameter.name)]
-                elif fit is not None:
-                    start[mine.name(parameter.name)] = fit.values[mine.name(parameter.name)]
+            start = start_between(mine, fit, theirs, other)
             again = form.fit([*base.effects, mine], [start], other, _best(fits, mine, passes))
             if again is not None and (fit is None or value(again) > value(fit)):
                 fits[mine] = again
-
-
-def _as_good(fit: Fit, other: Fit, *, contains: bool) -> bool:
-    """Return True if a fit has nothing to learn from where another ended; a law that contains it may not be worse."""
-    if contains:
-        return fit.log_likelihood("estimation") > other.log_likelihood("estimation") - 1.0
-    return value(fit) > value(other) - 1.0
 
 
 def _lawful(form: Form, fits: dict[Placed, Fit | None], base: Fit, starts: Mapping[Placed, dict[str, float]]) -> None:

@@ -66,7 +66,7 @@ def contradictions(form: Form, outcome: Outcome, rows: Sequence[Judged], policy:
                 continue
             others = [accepted.placed for accepted in outcome.accepted if accepted is not earlier]
             starts = [row.fit.values, *in_its_place(row.fit.values, earlier.placed, [new])]
-            if (fit := form.fit([*others, new], starts, base)) is not None:
+            if (fit := form.fit([*others, new], starts, base, base)) is not None:
                 trials.append((number, new, fit))
     return trials
 
@@ -100,10 +100,12 @@ def refinements(
 def displace(outcome: Outcome, trials: Sequence[Trial], rows: Sequence[Judged], nominal: Fit, policy: Policy) -> bool:
     """Put the likeliest of some trials in the place of an earlier effect, if no candidate beside that one is likelier.
 
-    It must be likelier than the model so far; with a candidate it may tie, which is one effect more.
+    It must be likelier than the model so far; with a candidate it may tie, which is one effect more. A second friction
+    at a joint only imitates what one law is, and does not keep one from its place.
     """
     base = outcome.model
-    beside = [value(row.fit) - policy.tie for row in rows if row.passed and row.fit is not None]
+    rivals = [row for row in rows if row.passed and not second_friction(base, row)]
+    beside = [value(row.fit) - policy.tie for row in rivals if row.fit is not None]
     best, least = None, max([value(base) + policy.tie, *beside])
     for number, new, fit in trials:
         if judged([new], fit, nominal, nominal, policy).passed and value(fit) > least:

@@ -33,6 +33,7 @@ from harness.diagnosis.search.ties import (
     tie_set,
     tied,
     total,
+    value,
 )
 from harness.effects.effect import Placed
 
@@ -108,26 +109,43 @@ def search(
 def _ended(form: Form, rows: Sequence[Judged], base: Fit, nominal: Fit, policy: Policy) -> list[Judged]:
     """Return candidates of which those go to their end that nothing speaks against but that they have not come there.
 
-    Only those that would be the answer or tie with it: both uses decide that, and a fit is left by one of them.
+    Only those that would be the answer or tie with it: both uses decide that, and a fit is left by one of them. What
+    explains the estimation records far better than they do, and is refused by the validation records alone, is tried on
+    these once more from where it ended: they may have been started badly.
     """
     found = list(rows)
+    again: set[int] = set()
     for _ in range(EFFORT.onward):
         best = max((row for row in found if row.passed), key=total, default=None)
         waiting = [
             number
             for number, row in enumerate(found)
             if row.fit is not None
-            and row.reasons in ((BEYOND,), (UNCONVERGED,))
-            and (best is None or tied(best, row, policy))
+            and (
+                (row.reasons in ((BEYOND,), (UNCONVERGED,)) and (best is None or tied(best, row, policy)))
+                or (number not in again and _refused_by_validation_alone(row, best, policy))
+            )
         ]
         for number in waiting:
             row = found[number]
             assert row.fit is not None
-            again = form.fit(row.fit.effects, [row.fit.values], row.fit)
-            found[number] = row if again is None else judged(row.added, again, base, nominal, policy)
+            fit = form.fit(row.fit.effects, [row.fit.values], row.fit)
+            if fit is not None and (row.fit.beyond or not row.fit.converged or value(fit) > value(row.fit)):
+                found[number] = judged(row.added, fit, base, nominal, policy)
+        again |= {*waiting}
         if not waiting:
             break
     return found
+
+
+def _refused_by_validation_alone(row: Judged, best: Judged | None, policy: Policy) -> bool:
+    """Return True for what the estimation records are far surer of than of any answer, and the others refuse."""
+    if row.comparison is None or not row.reasons:
+        return False
+    known = 0.0 if best is None or best.comparison is None else best.comparison.evidence
+    return row.comparison.evidence > known + policy.misfit_gain and all(
+        text.startswith(("evidence", "validation gains")) for text in row.reasons
+    )
 
 
 def _shown(rows: Sequence[Judged], policy: Policy) -> set[str]:
