@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from harness.study.outcome import has_double
+from harness.study.power import SURE
 from harness.study.statistics import clopper_pearson
 
 __all__ = ["alone", "figures", "share"]
@@ -34,8 +35,11 @@ def figures(rows: Sequence[Row]) -> str:
             lines.append(f"| **right, no rival tied**, {words} disturbance | {goal} | {_of(alone, here)} |")
             able = [row for row in here if not has_double(row["truth"].split(" + "), row["plant"], row["engine"])]
             if able and len(able) < len(here):
+                lines.append(f"| the same where nothing is exactly like the truth, {words} | | {_of(alone, able)} |")
+            told = [row for row in able if row["told"] and float(row["told"]) >= SURE]
+            if told:
                 lines.append(
-                    f"| the same where nothing is exactly like the truth, {words} | 95 % | {_of(alone, able)} |"
+                    f"| the same where the experiment can tell it apart, {words} | 95 % | {_of(alone, told)} |"
                 )
             lines.append(f"| sizes of the tie sets of right or tied answers, {words} disturbance | | {_sizes(here)} |")
     for level, goals in (("nominal", ("97 %", "95 %")), ("quarter", ("95 %", "90 %"))):
@@ -45,6 +49,9 @@ def figures(rows: Sequence[Row]) -> str:
                 words = f"{level} size, {'with' if shaken else 'without'} disturbance"
                 own = ("85 %", "75 %")[shaken] if rows[0]["study"] == "two" else goal
                 lines.append(f"| right or tied, {words} | {own} | {_of(_good, here)} |")
+                shown = [row for row in here if row["shown"] and float(row["shown"]) >= SURE]
+                if shown and len(shown) < len(here):
+                    lines.append(f"| the same where the experiment can show it, {words} | | {_of(_good, shown)} |")
     for words, wrong in (("right", False), ("a little wrong", True)):
         here = [row for row in rows if bool(row["structure"]) == wrong]
         if here and len(here) < len(rows):

@@ -8,7 +8,7 @@ from itertools import product
 
 from harness.study.disturbances import UNNAMED, named
 
-__all__ = ["STAND_IN", "Answer", "Outcome", "has_double", "judge_answer"]
+__all__ = ["STAND_IN", "Answer", "Outcome", "has_double", "judge_answer", "plain_law"]
 
 Group = frozenset[str]
 STAND_IN = "said to be a stand-in"
@@ -124,14 +124,20 @@ class Answer:
         """
 
         def named_so(group: Group) -> Group:
-            return frozenset(map(_plain_law, group))
+            return frozenset(map(plain_law, group))
 
         ties = tuple(tuple(dict.fromkeys(map(named_so, tie))) for tie in self.ties)
-        return replace(self, accepted=tuple(map(_plain_law, self.accepted)), ties=ties, unseen=named_so(self.unseen))
+        return replace(self, accepted=tuple(map(plain_law, self.accepted)), ties=ties, unseen=named_so(self.unseen))
 
 
-def _plain_law(name: str) -> str:
-    """Return an effect with the name of the law that it refines, if it does."""
+def plain_law(name: str) -> str:
+    """Return an effect with the name of the law that it refines, if it does.
+
+    Examples
+    --------
+    >>> plain_law("lugre_friction@x"), plain_law("cogging@x")
+    ('stribeck_friction@x', 'cogging@x')
+    """
     law, _, at = name.partition("@")
     return f"{_REFINED.get(law, law)}@{at}"
 

@@ -13,12 +13,14 @@ from harness.errors import HarnessError
 from harness.study.cost import timed_command
 from harness.study.disturbances import UNNAMED, named
 from harness.study.hardware import LAWS
-from harness.study.outcome import Answer, judge_answer
+from harness.study.outcome import Answer, judge_answer, plain_law
 from harness.study.plan import Task
 from harness.study.records import SAMPLES, Records, make_records
 
 if TYPE_CHECKING:
+    from harness.diagnosis.search.fit import Fit
     from harness.effects.effect import Placed
+    from harness.study.power import Power
 
 __all__ = ["COLUMNS", "do_row"]
 
@@ -48,6 +50,9 @@ COLUMNS = (
     "accepted",
     "ties",
     "tie_size",
+    "shown",
+    "told",
+    "nearest",
     "validation_before",
     "validation_after",
     "validation_oracle",
@@ -117,8 +122,10 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
     outcome = judge_answer(task.effects, answer, task.plant, task.engine, task.structure)
     before, after = _error(found.runs.before), _error(found.runs.after)
     oracle: float | None = before  # where nothing is hidden, the nominal fit knows all
+    known: Fit | None = None
     if records.known:
-        oracle = None if task.study == "outside" else _oracle(found, records)
+        known = None if task.study == "outside" else _oracle(found, records)
+        oracle = None if known is None else _free_run(found, known)
     row: dict[str, Any] = {
         "outcome": outcome.word,
         "how": outcome.how,
@@ -141,6 +148,9 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
         row.update(
             validation_oracle=_short(oracle), ratio=_short(after / oracle), oracle_improvement=_short(before / oracle)
         )
+    if task.study == "confusion" and known is not None:
+        power = _power(task, found, found.final if outcome.word == "right" else known)
+        row.update(shown=f"{power.shown:.3f}", told=f"{min(power.shown, power.told):.3f}", nearest=power.nearest)
     strangers = set(accepted) - {*task.effects, beside} if outcome.word == "wrong" else set()
     row.update(_coverage(found.final, records, strangers))
     row["holds_truth"] = "yes" if _holds(task, [effect.placed for effect in found.outcome.accepted], records) else "no"
@@ -152,15 +162,13 @@ def _holds(task: Task, accepted: Sequence[Placed], records: Records) -> bool:
 
     Laws of another formulation than the dictionary's are in no model, though their names may be right.
     """
-    from harness.effects import nested
+    from harness.effects import contained
 
     if task.structure in UNNAMED or not all(effect.exact for effect in records.known):
         return False
     if task.engine == "hardware" and any(effect.name in LAWS for effect in records.known):
         return False
-    names = {
-        f"{name}@{placed.at}" for placed in accepted for name in (placed.effect.name, *map(str, nested(placed.effect)))
-    }
+    names = contained(accepted)
     return all(f"{effect.name}@{effect.at}" in names for effect in records.known)
 
 
@@ -205,12 +213,11 @@ def _error(fitted: Any) -> float:
     return float(np.sqrt(np.mean(np.concatenate(fitted.validation) ** 2)))
 
 
-def _oracle(found: Any, records: Records) -> float | None:
-    """Return the validation error of a refit that knows which effects are there; None where it cannot be made.
+def _oracle(found: Any, records: Records) -> Fit | None:
+    """Return a refit that knows which effects are there; None where it cannot be made.
 
     It starts from the true values, so it does not lose by a local minimum.
     """
-    from harness.diagnosis.runs.compare import seen
     from harness.effects import builtin
     from harness.effects.effect import Placed
 
@@ -222,11 +229,27 @@ def _oracle(found: Any, records: Records) -> float | None:
         placed.append(here)
         values = here.effect.complete(effect.named, found.form.sizes.get(effect.at, found.form.sizes.get("base", {})))
         start.update({here.name(name): value for name, value in values.items()})
-    fit = found.form.fit(placed, [start], found.nominal)
-    if fit is None:
-        return None
+    fit: Fit | None = found.form.fit(placed, [start], found.nominal)
+    return fit
+
+
+def _free_run(found: Any, fit: Fit) -> float | None:
+    """Return the validation error of a fit; None where its free run diverges."""
+    from harness.diagnosis.runs.compare import seen
+
     fitted = seen(found.runs.output, fit)
     return None if fitted is None or not fitted.finite else _error(fitted)
+
+
+def _power(task: Task, found: Any, oracle: Fit) -> Power:
+    """Return what these records can tell of what is hidden."""
+    from harness.study.power import power
+
+    def counted(name: str) -> str:
+        return plain_law(name) if task.engine == "hardware" else name
+
+    hidden = [placed for placed in oracle.effects if counted(str(placed)) in map(counted, task.effects)]
+    return power(found, oracle, hidden, counted)
 
 
 def _nominal_truth(values: Mapping[str, float], truth: Mapping[str, float]) -> dict[str, float]:

@@ -232,16 +232,21 @@ def test_an_answer_with_rivals_tied_is_not_right_alone():
     assert "1: 2, 2: 1, 3: 1, 4 or more: 0" in text
 
 
-def test_what_no_experiment_tells_apart_is_left_out_of_a_figure_of_its_own():
+def test_what_no_experiment_tells_apart_is_left_out_of_figures_of_its_own():
     rows = [
-        row(0, truth="gravity_tilt@base", plant="pendulum", tie_size="3"),
-        row(1, truth="coulomb_friction@theta", plant="pendulum", engine="bullet", tie_size="1"),
+        row(0, truth="gravity_tilt@base", plant="pendulum", tie_size="3", shown="1.000", told="0.100"),
+        row(1, truth="coulomb_friction@theta", plant="pendulum", engine="bullet", tie_size="1", told="0.960"),
         row(2, truth="coulomb_friction@theta", plant="pendulum", engine="hardware", tie_size="2"),
-        row(3, truth="dead_zone@u", plant="pendulum", tie_size="2"),
+        row(3, truth="dead_zone@u", plant="pendulum", tie_size="2", shown="0.990", told="0.940"),
+        row(4, "missed", truth="dead_zone@u", plant="pendulum", shown="0.400", told="0.400"),
+        row(5, truth="dead_zone@u", plant="pendulum", tie_size="2", shown="0.990", told="0.980"),
     ]
-    text = summary(rows, seeds="tuning", planned=4, keys={one["key"] for one in rows})
-    assert "| **right, no rival tied**, without disturbance | 85 % | 1 of 4" in text
-    assert "| the same where nothing is exactly like the truth, without | 95 % | 1 of 2" in text
+    text = summary(rows, seeds="tuning", planned=6, keys={one["key"] for one in rows})
+    assert "| **right, no rival tied**, without disturbance | 85 % | 1 of 6" in text
+    assert "| the same where nothing is exactly like the truth, without | | 1 of 4" in text
+    assert "| the same where the experiment can tell it apart, without | 95 % | 1 of 2" in text
+    assert "| right or tied, nominal size, without disturbance | 97 % | 5 of 6" in text
+    assert "| the same where the experiment can show it, nominal size, without disturbance | | 3 of 3" in text
 
 
 def test_false_alarms_are_counted_by_what_nobody_modelled():

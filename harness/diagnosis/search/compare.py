@@ -20,6 +20,7 @@ __all__ = [
     "Judged",
     "compared",
     "difference",
+    "expected_difference",
     "impossible",
     "judged",
     "pays",
@@ -114,6 +115,15 @@ def difference(fit: Fit, base: Fit, uses: Sequence[str], policy: Policy = POLICY
             edges = np.linspace(0, len(change), policy.blocks + 1).astype(int)
             surprises += list(np.diff(np.concatenate([[0.0], np.cumsum(change - mean)])[edges]))
     return gain, float(np.sqrt(len(surprises)) * np.std(surprises, ddof=1))
+
+
+def expected_difference(fit: Fit, base: Fit, uses: Sequence[str]) -> float:
+    """Return the mean of the difference of log-likelihoods over some uses, were the first of two fits true.
+
+    It is the information that records of this kind have for telling the second from the first, whatever their noise
+    did: Kullback & Leibler's divergence, the noncentrality that Atkinson & Fedorov 1975 (Biometrika 62:57) design for.
+    """
+    return sum(float(part.sum()) for use in uses for part in _expected(fit, base, use))
 
 
 def _expected(fit: Fit, base: Fit, use: str) -> list[FloatArray]:

@@ -19,6 +19,7 @@ __all__ = [
     "asked_again",
     "close",
     "held",
+    "may_tie",
     "own_values",
     "physical",
     "refines",
@@ -75,6 +76,16 @@ def typical_elsewhere(row: Judged) -> bool:
     return all(text.startswith((*WANTS, UNCONVERGED)) or ON_BOUND in text for text in row.reasons)
 
 
+def may_tie(row: Judged, placed: Placed) -> bool:
+    """Return True if nothing but a want of evidence keeps a candidate from being an answer in the place of an effect.
+
+    A more general law may be a rival though its values ended outside its own physics: within it, it is the answer
+    itself or something beside it.
+    """
+    lawless = refines(row.added, placed) and all(text.startswith(("not so", *WANTS)) for text in row.reasons)
+    return physical(row) or lawless
+
+
 def tied(best: Judged, other: Judged, policy: Policy = POLICY) -> bool:
     """Return True if the data do not tell two candidates apart."""
     assert best.fit is not None
@@ -117,18 +128,12 @@ def undecided(
 
 
 def tie_set(best: Judged, rows: Sequence[Judged], policy: Policy = POLICY) -> tuple[tuple[Placed, ...], ...]:
-    """Return the tie set of an answer: what passes, or fails only for a want of evidence, and is as likely.
-
-    A more general law that is as likely stays in it though its values ended outside its own physics: within it, it is
-    the answer itself or something beside it.
-    """
+    """Return the tie set of an answer: what may tie with it (:func:`may_tie`), and is as likely."""
     found = [best.added]
     for row in sorted(rows, key=lambda row: -total(row)):
         if row is best or row.comparison is None or row.comparison.evidence < 0 or row.comparison.total < 0:
             continue
-        general = refines(row.added, best.added[-1])
-        lawless = general and all(text.startswith(("not so", *WANTS)) for text in row.reasons)
-        if row.fit is None or best.fit is None or not (physical(row) or lawless):
+        if row.fit is None or best.fit is None or not may_tie(row, best.added[-1]):
             continue
         if undecided(best.fit, best.added[-1], row.fit, row.added, total(best) - total(row), policy):
             found.append(row.added)
