@@ -25,14 +25,15 @@ J, B, MGL = 0.1, 0.05, 1.0
 
 
 def swing(seed: int, *, line: float = 0.0) -> Trajectory:
-    """Return a pendulum under a slow torque and one of 15 rad/s that nobody records, by Heun's method in fine steps."""
+    """Return a pendulum under a torque, and one of 15 rad/s and slower ones that nobody records, by Heun's method."""
     rng = np.random.default_rng(seed)
     t, fine = np.arange(N) * DT, 10
     u = 0.5 * sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 6)) for f in (0.3, 0.7, 1.1))
     h = DT / fine
 
     def rates(x: FloatArray, torque: float, at: float) -> FloatArray:
-        force = torque + line * np.sin(15.0 * at + 1.0) - B * x[1] - MGL * np.sin(x[0])
+        slow = sum(0.25 * np.sin(omega * at) for omega in (1.5, 4.1, 6.7))
+        force = torque + line * (np.sin(15.0 * at + 1.0) + slow) - B * x[1] - MGL * np.sin(x[0])
         return np.array([x[1], force / J])
 
     x, angles = np.array([0.2, 0.0]), []
@@ -151,8 +152,9 @@ def test_a_line_is_seen_though_the_latent_force_is_white(white: bool) -> None:
     form = form_of(swing(0, line=0.05), swing(1, line=0.05))
     nominal = nominal_of(form)
     if white:
+        one = np.ones(1)
         points = {
-            use: replace(point, noise=replace(point.noise, s=1e-6 + 0 * point.noise.s, w=0.1 + 0 * point.noise.w))
+            use: replace(point, noise=replace(point.noise, s=1e-6 * one, tau=4.0 * one, w=0.1 * one))
             for use, point in nominal.detail.points.items()
         }
         nominal = replace(nominal, detail=replace(nominal.detail, points=points, paths={}, smooth={}))

@@ -658,7 +658,8 @@ def test_what_would_be_the_answer_but_for_its_last_steps_takes_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ("start", "evidence", "passes"), [("bad", 0.4, True), ("good", 0.4, False), ("bad", 0.1, False)]
+    ("start", "evidence", "passes"),
+    [("bad", 0.4, True), ("good", 0.4, False), ("worse", 0.4, False), ("bad", 0.25, False)],
 )
 def test_what_the_validation_records_alone_refuse_is_tried_there_once_more(
     start: str, evidence: float, passes: bool
@@ -671,10 +672,14 @@ def test_what_the_validation_records_alone_refuse_is_tried_there_once_more(
     begun_badly = replace(fit, terms={**fit.terms, "validation": spoilt})
     if start == "good":  # wherever it is begun, they refuse it
         form.fit = lambda *args: begun_badly  # type: ignore[method-assign, assignment]
+    worse = replace(begun_badly, terms={**fit.terms, "validation": [terms - 0.6 for terms in fit.terms["validation"]]})
+    if start == "worse":
+        form.fit = lambda *args: worse  # type: ignore[method-assign, assignment]
     row = judged(fit.effects, begun_badly, nominal, nominal)
     assert not row.passed
     (again,) = _ended(form, [row], nominal, nominal, POLICY)
     assert again.passed is passes
+    assert again.fit is not worse, "a fit that is worse takes no place"
 
 
 @pytest.mark.parametrize(
