@@ -14,10 +14,8 @@ from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.ties import may_tie, own_values, refines, total
 from harness.effects.effect import Placed
 
-__all__ = ["RIVALS", "SURE", "Power", "power", "power_of"]
+__all__ = ["RIVALS", "Power", "power", "power_of"]
 
-SURE = 0.95
-"""Power from which on an experiment is said to tell two models apart: as much as is asked of the answers there."""
 RIVALS = 3
 """Rivals of the truth that are fitted beside it: cost."""
 _USES = ("estimation", "validation")
