@@ -92,7 +92,8 @@ def recommended_substeps(
     -------
     int
         So that the fastest eigenvalue times a step stays below 1.4 at rest (half of what RK4 endures), and below 2.5
-        in the states ``x``, where what slips has done so before: there it need not be followed. At most 64.
+        in the states ``x``, where what slips has done so before: there it need not be followed. Where a force takes
+        the sign of a speed, steps near zero are divided by themselves (``System.switches``). At most 64.
 
     Examples
     --------
@@ -101,6 +102,8 @@ def recommended_substeps(
     1
     """
     import casadi as ca
+
+    from harness.physics.ccode import FINE
 
     jacobian = system.__dict__.get("_jacobian_function")
     if jacobian is None:
@@ -119,12 +122,20 @@ def recommended_substeps(
     rests = len(points)
     if x is not None:
         points.extend(np.atleast_2d(np.asarray(x, dtype=float)))
+
+    def fastest(point: FloatArray, values: FloatArray) -> float:
+        matrix = jacobian(point, np.zeros(system.nu), values, 0.0).full()
+        return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0)) if np.isfinite(matrix).all() else 0.0
+
+    smooth = p.copy()  # signs are steep at rest only
+    smooth[[system.parameter_names.index(name) for _, name in system.switches]] = 1e9
+    fine = FINE if system.switches else 1
     needed = 1.0
     for number, point in enumerate(points):
-        matrix = jacobian(point, np.zeros(system.nu), p, 0.0).full()
-        if np.isfinite(matrix).all():
-            reach = _FOLLOWED if number < rests else _STABLE
-            needed = max(needed, float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0)) * dt / reach)
+        if number < rests:
+            needed = max(needed, max(fastest(point, smooth), fastest(point, p) / fine) * dt / _FOLLOWED)
+        else:
+            needed = max(needed, fastest(point, p) * dt / _STABLE)
     return int(np.clip(np.ceil(needed), 1, _LARGEST_SUBSTEPS))
 
 

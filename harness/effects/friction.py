@@ -28,8 +28,8 @@ __all__ = [
 
 
 def _width() -> EffectParameter:
-    """Return the smoothing width of a sign."""
-    return par("w", "v", scale="0.02 v", floor="0.003 v", sign="+", minimum=1e-6, nuisance=True,
+    """Return the smoothing width of a sign, which turns over within the motion: wider ones are viscous friction."""
+    return par("w", "v", scale="0.02 v", floor="0.003 v", ceiling="1 v", sign="+", minimum=1e-6, nuisance=True,
                meaning="smoothing width of the sign")  # fmt: skip
 
 

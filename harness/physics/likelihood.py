@@ -339,6 +339,12 @@ class Likelihood:
         return (float(total), found) if np.isfinite(total) else (np.inf, None)
 
     def _derivatives(
+        self, z: FloatArray, found: list[Filtered], which: npt.NDArray[np.intp], exact: bool
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return gradient and Fisher matrix of minus the log-likelihood by the chosen entries of the vector."""
+        return _scored(found, *self._jacobians(z, found, which, exact))
+
+    def _jacobians(
         self,
         z: FloatArray,
         found: list[Filtered],
@@ -346,7 +352,7 @@ class Likelihood:
         exact: bool,
         deviations: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return gradient and Fisher matrix of minus the log-likelihood by the chosen entries of the vector.
+        """Return what the chosen entries of the vector do to innovations, over their deviations, and to log variances.
 
         ``deviations`` are standard deviations of the entries, as far as they are known: difference quotients are taken
         over a small part of them.
@@ -417,13 +423,7 @@ class Likelihood:
             e2, s2 = _joined(other)
             by_e[row, known] = (e2[known] - e[known]) / h * root[known]
             by_s[row, known] = np.log(s2[known] / s[known]) / h
-        normal = np.where(known, e, 0.0) * root
-        gradient, matrix = scale * (by_e @ normal), (by_e @ by_e.T) * np.outer(scale, scale)
-        spread = np.flatnonzero(by_s.any(axis=1))
-        part = by_s[spread]
-        gradient[spread] += 0.5 * (part @ (1.0 - normal**2))
-        matrix[np.ix_(spread, spread)] += 0.5 * (part @ part.T)
-        return gradient, matrix
+        return scale[:, None] * by_e, by_s
 
     def _noise_lanes(self) -> list[int]:
         """Return where a pass has the derivative by each logarithm of the noise, in the order of the vector."""
@@ -516,13 +516,14 @@ class Likelihood:
             count += 1
             assert found is not None
             with np.errstate(all="ignore"):
-                gradient, matrix = self._derivatives(z, found, entries, False, deviations)
+                by_e, by_s = self._jacobians(z, found, entries, False, deviations)
+                gradient, matrix = _scored(found, by_e, by_s)
                 if last and counted:
                     if more is None:
                         plain = _undamped(matrix, gradient)
-                        whole = self._derivatives(z, found, entries, True, deviations)
-                        more, seen = (whole[0] - gradient, whole[1] - matrix), value
-                    gradient, matrix = gradient + more[0], _positive(matrix + more[1], matrix)
+                        whole = self._jacobians(z, found, entries, True, deviations)
+                        more, seen = (whole[0] - by_e, whole[1] - by_s), value
+                    gradient, matrix = _scored(found, by_e + more[0], by_s + more[1])
             deviations = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
             if not (np.isfinite(gradient).all() and np.isfinite(matrix).all()):
                 message = "derivatives are not finite"
@@ -705,13 +706,6 @@ def interval(value: float, half: float, logarithmic: bool) -> tuple[float, float
     return float(value * np.exp(-min(half, 50.0))), float(value * np.exp(min(half, 50.0)))
 
 
-def _positive(matrix: FloatArray, instead: FloatArray) -> FloatArray:
-    """Return a matrix if it is positive definite within rounding, else another."""
-    size = np.sqrt(np.maximum(np.diag(instead), 1e-12))
-    least = np.linalg.eigvalsh(matrix / np.outer(size, size))[0] if np.isfinite(matrix).all() else -np.inf
-    return matrix if least > -1e-9 else instead
-
-
 def _log(values: FloatArray, least: FloatArray) -> FloatArray:
     """Return logarithms, of what is 0 that of almost nothing."""
     return np.asarray(np.log(np.maximum(values, least)))
@@ -721,3 +715,15 @@ def _joined(found: list[Filtered]) -> tuple[FloatArray, FloatArray]:
     """Return innovations and variances of all records, one after the other."""
     e = np.concatenate([passed.e.ravel() for passed in found])
     return e, np.concatenate([passed.s.ravel() for passed in found])
+
+
+def _scored(found: list[Filtered], by_e: FloatArray, by_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return gradient and Fisher matrix for derivatives of innovations, over their deviations, and log variances."""
+    e, s = _joined(found)
+    normal = np.where(np.isfinite(e), e, 0.0) / np.sqrt(s)
+    gradient, matrix = by_e @ normal, by_e @ by_e.T
+    spread = np.flatnonzero(by_s.any(axis=1))
+    part = by_s[spread]
+    gradient[spread] += 0.5 * (part @ (1.0 - normal**2))
+    matrix[np.ix_(spread, spread)] += 0.5 * (part @ part.T)
+    return gradient, matrix

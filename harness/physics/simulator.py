@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import math
 from typing import Any, Literal
 
 import casadi as ca
@@ -33,12 +34,15 @@ _OVER = 5.0
 _SMOOTH_PIECES = 4
 
 
-def default_substeps(system: Equations, dt: float, p: FloatArray | None = None) -> int:
+def default_substeps(system: Equations, dt: float, p: FloatArray | None = None, *, followed: float = math.inf) -> int:
     """Return how many Runge-Kutta steps a sample needs, from the eigenvalues of the system at rest.
 
     The classical method's error per step is (lambda h)^5 / 120: 0.35 for an oscillation, 0.7 for a decay, and 1.4 for
     one that is over within the sample: of that one, all steps together leave as little as there is. Where a force takes
     the sign of a speed, steps near zero are divided by themselves (``Equations.switches``).
+
+    ``followed`` is how far [rad] an oscillation turns within a sample at most if its phase is to be right; a faster one
+    gets steps of 1.4, at which the method is stable. At pi, half of the sampling frequency, readings lose its phase.
     """
     n = system.nx
     if n == 0:
@@ -56,7 +60,8 @@ def default_substeps(system: Equations, dt: float, p: FloatArray | None = None) 
             return 1.0
         eigenvalues = dt * np.linalg.eigvals(a)
         decay = float(np.abs(eigenvalues.real).max())
-        return max(min(decay, _OVER) / 0.7, decay / 1.4, float(np.abs(eigenvalues.imag).max()) / 0.35)
+        turn = float(np.abs(eigenvalues.imag).max())
+        return max(min(decay, _OVER) / 0.7, decay / 1.4, min(turn, followed) / 0.35, turn / 1.4)
 
     need = needed(values)
     if system.switches:  # signs are steep at rest only, and there the steps are finer by themselves

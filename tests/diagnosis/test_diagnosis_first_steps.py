@@ -66,6 +66,15 @@ def test_without_a_hope_every_start_takes_its_first_steps_and_no_more() -> None:
     assert slope.steps == EFFORT.first_steps
 
 
+def test_a_start_that_is_behind_goes_on_where_its_steps_may_bring_it_to_the_best_one() -> None:
+    """The best start after two looks led a play to a maximum 430 below that of the one that was left."""
+    slope = Slope()
+    best, behind, lost = (Valley(nll, (gain,) * 30) for nll, gain in ((100.0, 1.0), (200.0, 30.0), (200.0, 5.0)))
+    tried = LikelihoodForm._looked(LikelihoodForm, slope, [best, behind, lost])  # type: ignore[arg-type, type-var, list-item, misc]
+    assert [fit.nll for fit in tried] == [200.0 - 5 * 30.0, 100.0 - 5 * 1.0, 200.0 - 2 * 5.0]
+    assert slope.steps == 2 * EFFORT.first_steps + EFFORT.looks
+
+
 def test_a_maximum_below_what_is_asked_of_it_is_left_without_its_last_digits() -> None:
     """It costs as much as the rest, where the law is stiff: it is no answer, whatever they are."""
     system, dt, n = load_model("oscillator"), 0.01, 600

@@ -176,6 +176,23 @@ def test_a_stiff_transmission_is_rigid_with_the_sum_of_the_inertias():
     assert np.abs(simulate(stiff, u, 0.01, x0=[0.15, 0.15], substeps=substeps) - whole).max() < 1e-3
 
 
+def test_a_sign_is_followed_by_the_finer_steps_about_its_zero_and_no_others():
+    """Friction as sharp as fits make it took 64 steps for every sample, each near zero in eight again."""
+    u = excitation(PENDULUM, 600)
+    dry = compose(PENDULUM, [put("coulomb_friction", "theta", Fc=0.1, w=1e-4)])
+    substeps = recommended_substeps(dry, None, 0.01)
+    assert substeps <= 10
+    near, far = (simulate(dry, u, 0.01, x0=[0.15, 0.15], substeps=many) for many in (substeps, 50 * substeps))
+    assert np.abs(near - far).max() < 1e-4 * np.abs(far).max()
+
+
+def test_the_width_of_a_sign_stays_within_the_motion():
+    sizes = {"theta": {"v": 0.4, "q": 0.3, "a": 1.0, "F": 1.0, "dt": 0.01, "T": 10.0}}
+    for name in ("coulomb_friction", "stribeck_friction", "load_dependent_friction"):
+        system = compose(PENDULUM, [Placed(builtin()[name], "theta")], sizes=sizes)
+        assert _bounds(system, f"{name}@theta.w")[1] == pytest.approx(0.4), "a wider one is viscous friction"
+
+
 def test_backlash_lets_the_motor_turn_alone_within_the_gap():
     loose = compose(DRIVE, [put("backlash", "q", gap=0.1, k=500.0, Jm=0.1, d=1.0)])
     simulator = loose.simulator(0.001, backend="casadi")

@@ -65,9 +65,9 @@ class EquationsForm(LikelihoodForm[System]):
         return compose(self.nominal, list(effects), sizes=self.sizes) if effects else self.nominal
 
     def substeps(self, system: System, values: Mapping[str, float]) -> int:
-        """Return the steps of the solver within a sample."""
+        """Return the steps of the solver within a sample; what is too fast for the readings need only be stable."""
         return max(
-            default_substeps(system, self.dt, system.vector(values)),
+            default_substeps(system, self.dt, system.vector(values), followed=np.pi),
             recommended_substeps(system, values, self.dt, x=moving(system, self.sizes)),
         )
 

@@ -209,7 +209,7 @@ class LikelihoodForm(SystemForm[SystemT]):
         """
         halved = spare and (len(points) > 1 or hope > -np.inf)
         tried = self._stepped(likelihood, points, EFFORT.looks if halved else EFFORT.first_steps, free)
-        near = [fit for fit in tried if halved and fit.nll < tried[0].nll + EFFORT.close]
+        near = _in_sight(tried) if halved else []
         if any(_may_reach(fit, hope) for fit in near):
             more = self._stepped(likelihood, near, EFFORT.first_steps - EFFORT.looks, free)
             tried = sorted([*more, *tried[len(near) :]], key=lambda fit: fit.nll)
@@ -264,8 +264,7 @@ class LikelihoodForm(SystemForm[SystemT]):
         reach = EFFORT.margin - max((fit.log_likelihood("estimation") for fit in bars), default=-np.inf)
         close = np.inf if rival is None else EFFORT.close - rival.log_likelihood("estimation")
         try:
-            near = [fit for fit in tried if fit.nll < tried[0].nll + EFFORT.close]
-            ends = [likelihood.maximise(fit, reach=reach, exact=False) for fit in near[:2]]
+            ends = [likelihood.maximise(fit, reach=reach, exact=False) for fit in _in_sight(tried)[:2]]
             best = min(ends, key=lambda fit: fit.nll)
             best = best if best.converged or best.beyond else likelihood.maximise(best, reach=reach, exact=False)
             for _ in range(EFFORT.finer):  # coarse steps keep a fit from where its law is fast
@@ -663,6 +662,11 @@ def _within_it(base: Fit, effects: Sequence[Placed]) -> bool:
 def _hopeful(fit: LikelihoodFit, least: float) -> LikelihoodFit:
     """Return a fit, left on its way where its maximum is known and lies below a log-likelihood."""
     return replace(fit, converged=False, beyond=True) if fit.converged and -fit.nll < least else fit
+
+
+def _in_sight(tried: Sequence[LikelihoodFit]) -> list[LikelihoodFit]:
+    """Return which fits, likeliest first, are near the first one or may come to where it is."""
+    return [fit for fit in tried if fit.nll < tried[0].nll + EFFORT.close or _may_reach(fit, -tried[0].nll)]
 
 
 def _may_reach(fit: LikelihoodFit, hope: float) -> bool:

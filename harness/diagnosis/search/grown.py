@@ -13,7 +13,7 @@ from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.ties import value
 from harness.effects.effect import Placed
 
-__all__ = ["as_good", "grow", "refined", "start_between"]
+__all__ = ["as_good", "grow", "refined", "refined_twice", "start_between"]
 
 Fits = dict[Placed, Fit | None]
 
@@ -47,10 +47,7 @@ def grow(
     say : callable
         Told what is done.
     """
-    present = {(placed.at, placed.effect.grows) for placed in base.effects}
-    refinements = [
-        placed for placed in untried if placed.effect.grows and (placed.at, placed.effect.grows) not in present
-    ]  # a joint has its bristles once
+    refinements = [placed for placed in untried if placed.effect.grows and not refined_twice([*base.effects, placed])]
     before = base.log_likelihood("estimation")
     done = {placed: fit for placed, fit in fits.items() if fit is not None}
     most = max((fit.log_likelihood("estimation") - before for fit in done.values()), default=0.0)
@@ -85,6 +82,12 @@ def grow(
             fits[rich] = grown
             helps = helps or grown
         _from_special_cases(form, fits, base, [richer[law.effect.name] for law in simple])
+
+
+def refined_twice(effects: Sequence[Placed]) -> bool:
+    """Return True if two effects add the same to their laws at a place: a joint has its bristles once."""
+    grows = [(placed.at, placed.effect.grows) for placed in effects if placed.effect.grows]
+    return len({*grows}) < len(grows)
 
 
 def _from_special_cases(form: Form, fits: Fits, base: Fit, grown: Sequence[Placed]) -> None:
@@ -147,12 +150,12 @@ def refined(
     say : callable
         Told what is done.
     """
-    present = {(placed.at, placed.effect.grows) for placed in model.effects}
     others = [placed for placed in model.effects if placed != law]
     found = []
     for rich in untried:
-        grows = rich.effect.grows
-        if not grows or (rich.at, grows) in present or (rich.at, rich.effect.nests[0]) != (law.at, law.effect.name):
+        if not rich.effect.grows or (rich.at, rich.effect.nests[0]) != (law.at, law.effect.name):
+            continue
+        if refined_twice([*model.effects, rich]):
             continue
         say(str(rich))
         fit = _grown(form, others, rich, law, model, {}, sizes.get(law.at, {}), None, policy)
@@ -179,7 +182,7 @@ def _grown(
     free, before = (sum(not parameter.fixed for parameter in law.effect.parameters) for law in (rich, simple))
     price = 0.5 * (free - before) * float(np.log(fit.samples))
     likelihood = fit.log_likelihood("estimation")
-    promised = begun.log_likelihood + EFFORT.first_steps * begun.pace - likelihood
+    promised = begun.log_likelihood + EFFORT.onward * EFFORT.first_steps * begun.pace - likelihood  # it goes far
     if promised < policy.reach * (policy.evidence + price):
         return None
     return form.finish(begun, fit, rival, likelihood + price - policy.evidence)

@@ -15,7 +15,7 @@ from harness.diagnosis.search.compare import (
     wrong_signs,
 )
 from harness.diagnosis.search.fit import Fit, Form
-from harness.diagnosis.search.grown import refined
+from harness.diagnosis.search.grown import refined, refined_twice
 from harness.diagnosis.search.outcome import Outcome, Round
 from harness.diagnosis.search.refits import Say
 from harness.diagnosis.search.score_test import score_test
@@ -132,7 +132,8 @@ def tried_pairs(
     """Try the best rivals of the first answer to their end and with a second effect: one law may stand in for two.
 
     What was tried beside the answer and is impossible there is not tried beside what is like it. Each of a pair has to
-    pass beside the other, as if it had been found last.
+    pass beside the other, as if it had been found last, and both together must bring more than the answer by what is
+    asked of one effect: it is one more.
     """
     so_far = compared(outcome.model, nominal, policy).total
     ruled_out = {str(row.added[0]) for past in outcome.rounds[1:] for row in past.candidates if not physical(row)}
@@ -160,7 +161,8 @@ def tried_pairs(
         others = [placed for placed in candidates if not placed.effect.grows and str(placed) not in tried]
         leads = [lead for lead in score_test(form, fit, others, policy).leads if lead.share >= policy.clear]
         for lead in leads[:2]:
-            if outcome.accepted and total(rival) + 2 * lead.penalised < so_far + policy.tie:  # both uses gain alike
+            promised = 2 * lead.penalised / policy.reach  # both uses gain alike; columns are of first order
+            if outcome.accepted and total(rival) + promised < so_far + 2 * policy.evidence:
                 continue
             say(f"{rival.added[0]} + {lead.placed}")
             pair = form.fit([*fit.effects, lead.placed], [{**fit.values, **start} for start in lead.starts], fit)
@@ -172,7 +174,7 @@ def tried_pairs(
             alone_too = _alone(form, outcome, lead.placed, pair, nominal)
             if judged(rival.added, pair, alone_too, nominal, policy).passed:
                 best = whole
-    if best is None or total(best) < so_far + policy.tie:
+    if best is None or total(best) < so_far + (2 * policy.evidence if len(best.added) > 1 else policy.tie):
         return
     assert best.fit is not None
     assert best.comparison is not None
@@ -212,7 +214,7 @@ def exchange(form: Form, outcome: Outcome, nominal: Fit, policy: Policy) -> None
         best, placed = outcome.model, earlier.placed
         for row in sorted(rivals, key=lambda row: -total(row))[: EFFORT.pairs + 1]:
             new = row.added[0]
-            if str(new) in {str(placed) for placed in outcome.model.effects}:
+            if str(new) in {str(placed) for placed in outcome.model.effects} or refined_twice([*others, new]):
                 continue
             assert row.fit is not None
             # nominal parameters as they are beside the effect that would go, and as they were beside its rival
@@ -245,13 +247,15 @@ def prune(form: Form, outcome: Outcome, policy: Policy) -> None:
 
 
 def simplify(form: Form, outcome: Outcome, rows: Sequence[Judged], policy: Policy) -> None:
-    """Take a special case of an earlier law where it ties beside what was accepted later, as among the first answers.
+    """Take a special case of a law where it ties beside what did not stand beside the law when that was accepted.
 
-    What was general alone may have been so for what a later effect explains.
+    What was general there may have been so for what another effect explains.
     """
-    for number, earlier in enumerate(outcome.accepted[:-1]):
+    for number, earlier in enumerate(outcome.accepted):
         rich, model = earlier.placed, outcome.model
         others = [placed for placed in model.effects if str(placed) != str(rich)]
+        if earlier.beside == {*map(str, others)}:
+            continue
         special = {
             row.added[0]: row.fit
             for row in rows
