@@ -254,7 +254,7 @@ def simplify(form: Form, outcome: Outcome, rows: Sequence[Judged], policy: Polic
     for number, earlier in enumerate(outcome.accepted):
         rich, model = earlier.placed, outcome.model
         others = [placed for placed in model.effects if str(placed) != str(rich)]
-        if earlier.beside == {*map(str, others)}:
+        if earlier.beside == frozenset(map(str, others)):
             continue
         special = {
             row.added[0]: row.fit
