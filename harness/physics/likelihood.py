@@ -338,12 +338,6 @@ class Likelihood:
         total = np.inf if found is None else sum(passed.nll for passed in found)
         return (float(total), found) if np.isfinite(total) else (np.inf, None)
 
-    def _derivatives(
-        self, z: FloatArray, found: list[Filtered], which: npt.NDArray[np.intp], exact: bool
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return gradient and Fisher matrix of minus the log-likelihood by the chosen entries of the vector."""
-        return _scored(found, *self._jacobians(z, found, which, exact))
-
     def _jacobians(
         self,
         z: FloatArray,
@@ -517,13 +511,14 @@ class Likelihood:
             assert found is not None
             with np.errstate(all="ignore"):
                 by_e, by_s = self._jacobians(z, found, entries, False, deviations)
-                gradient, matrix = _scored(found, by_e, by_s)
                 if last and counted:
                     if more is None:
+                        gradient, matrix = _scored(found, by_e, by_s)
                         plain = _undamped(matrix, gradient)
                         whole = self._jacobians(z, found, entries, True, deviations)
                         more, seen = (whole[0] - by_e, whole[1] - by_s), value
-                    gradient, matrix = _scored(found, by_e + more[0], by_s + more[1])
+                    by_e, by_s = by_e + more[0], by_s + more[1]
+                gradient, matrix = _scored(found, by_e, by_s)
             deviations = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
             if not (np.isfinite(gradient).all() and np.isfinite(matrix).all()):
                 message = "derivatives are not finite"

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from harness.physics import fit_output_error
 from harness.physics.kalman_pass import KalmanPass, Noise
 from harness.physics.latent import with_latent_forces
-from harness.physics.likelihood import Likelihood, NoiseModel, Point
+from harness.physics.likelihood import Likelihood, NoiseModel, Point, _scored
 from harness.physics.likelihood_fit import fit_likelihood
 from harness.physics.models import cart_pole, linear, oscillator, pendulum
 from harness.physics.smoother import innovation_response, smoothed
@@ -239,7 +239,7 @@ def test_the_gradient_is_that_of_the_exact_likelihood(make, s, tau, seed) -> Non
     z = likelihood._pack(point)
     _, found = likelihood._value(z)
     entries = np.arange(len(z))
-    gradient, matrix = likelihood._derivatives(z, found, entries, True)
+    gradient, matrix = _scored(found, *likelihood._jacobians(z, found, entries, True))
     for k in entries:
         h = 1e-5
         ends = []
@@ -471,7 +471,8 @@ def test_gradients_of_several_records_are_the_sum_over_records() -> None:
 
     def derivatives(likelihood, point) -> tuple[np.ndarray, np.ndarray]:
         z = likelihood._pack(point)
-        return likelihood._derivatives(z, likelihood.filtered(point), np.arange(len(z)), False)
+        found = likelihood.filtered(point)
+        return _scored(found, *likelihood._jacobians(z, found, np.arange(len(z)), False))
 
     gradient, matrix = derivatives(both, point)
     for number, one in enumerate(records):

@@ -182,7 +182,8 @@ def _grown(
     free, before = (sum(not parameter.fixed for parameter in law.effect.parameters) for law in (rich, simple))
     price = 0.5 * (free - before) * float(np.log(fit.samples))
     likelihood = fit.log_likelihood("estimation")
-    promised = begun.log_likelihood + EFFORT.onward * EFFORT.first_steps * begun.pace - likelihood  # it goes far
+    steps = EFFORT.onward * EFFORT.first_steps  # as many as a start from afar takes
+    promised = begun.log_likelihood + steps * begun.pace - likelihood
     if promised < policy.reach * (policy.evidence + price):
         return None
     return form.finish(begun, fit, rival, likelihood + price - policy.evidence)
