@@ -130,7 +130,7 @@ def test_options_that_make_no_sense_and_unstable_plants_are_refused_in_words():
 
 
 def test_the_contract():
-    options = dict(order=2, hidden=2, outside=1, starts=4, members=2, iterations=30, ridge=0.01)
+    options = dict(order=2, hidden=2, outside=1, starts=2, members=2, iterations=30, ridge=0.01)
     results = check_identifier(
         lambda: create("identifiers", "neural-output-error", **options), kinds=("linear",), examples=1
     )
