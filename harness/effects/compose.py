@@ -103,7 +103,7 @@ def recommended_substeps(
     """
     import casadi as ca
 
-    from harness.physics.ccode import FINE
+    from harness.physics.ccode import FINE, without_signs
 
     jacobian = system.__dict__.get("_jacobian_function")
     if jacobian is None:
@@ -127,15 +127,13 @@ def recommended_substeps(
         matrix = jacobian(point, np.zeros(system.nu), values, 0.0).full()
         return float(np.abs(np.linalg.eigvals(matrix)).max(initial=0.0)) if np.isfinite(matrix).all() else 0.0
 
-    smooth = p.copy()  # signs are steep at rest only
-    smooth[[system.parameter_names.index(name) for _, name in system.switches]] = 1e9
-    fine = FINE if system.switches else 1
+    smooth = without_signs(system, p)
     needed = 1.0
     for number, point in enumerate(points):
-        if number < rests:
-            needed = max(needed, max(fastest(point, smooth), fastest(point, p) / fine) * dt / _FOLLOWED)
-        else:
-            needed = max(needed, fastest(point, p) * dt / _STABLE)
+        rate = fastest(point, p)
+        if number < rests and system.switches:
+            rate = max(fastest(point, smooth), rate / FINE)
+        needed = max(needed, rate * dt / (_FOLLOWED if number < rests else _STABLE))
     return int(np.clip(np.ceil(needed), 1, _LARGEST_SUBSTEPS))
 
 

@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from harness.compiled import cache_folder
 from harness.fmi.build import compiler
+from harness.signals import FloatArray
 
 __all__ = ["Compilation", "c_function", "system_source"]
 
@@ -216,6 +218,13 @@ def system_source(system: Any, prefix: str = "model") -> str:
 
 FINE = 8
 """Parts of a step that comes near the zero of a speed whose sign a force takes."""
+
+
+def without_signs(system: Any, p: FloatArray) -> FloatArray:
+    """Return parameters with which no force takes a sign: signs are steep at rest only, and there steps are finer."""
+    smooth = np.array(p, dtype=float)
+    smooth[[system.parameter_names.index(name) for _, name in system.switches]] = 1e9
+    return smooth
 
 
 def near_zero(system: Any, prefix: str) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.fmi.build import compiler
-from harness.physics.ccode import FINE, Compilation
+from harness.physics.ccode import FINE, Compilation, without_signs
 from harness.physics.model_equations import Equations
 from harness.physics.rollout_call import Sums, all_columns, call_rollout
 from harness.physics.rollout_code import Functions
@@ -64,10 +64,8 @@ def default_substeps(system: Equations, dt: float, p: FloatArray | None = None, 
         return max(min(decay, _OVER) / 0.7, decay / 1.4, min(turn, followed) / 0.35, turn / 1.4)
 
     need = needed(values)
-    if system.switches:  # signs are steep at rest only, and there the steps are finer by themselves
-        smooth = values.copy()
-        smooth[[system.parameter_names.index(name) for _, name in system.switches]] = 1e9
-        need = max(needed(smooth), need / FINE)
+    if system.switches:
+        need = max(needed(without_signs(system, values)), need / FINE)
     return int(np.clip(np.ceil(need), 1, _MAXIMUM_SUBSTEPS))
 
 

@@ -127,7 +127,7 @@ def test_where_bristles_do_not_help_nothing_else_is_refined(gains: float) -> Non
 
 def test_what_gains_so_much_with_every_step_that_it_may_come_to_it_is_finished() -> None:
     """Flanks that never pull began 300 below the play that they refine, and ended 1100 above it."""
-    for pace, begins in ((10.0, 45.0), (10.0, -95.0)):
+    for pace, begins in ((10.0, 45.0), (10.0, -20.0), (10.0, -95.0)):
         form = Told({"lugre_coulomb_friction": begins}, pace)
         fits: dict[Placed, Fit | None] = {law("coulomb_friction"): a_fit([law("coulomb_friction")], 60.0)}
         untried = [law("lugre_coulomb_friction")]

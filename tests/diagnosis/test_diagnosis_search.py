@@ -12,7 +12,7 @@ import pytest
 from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.search.compare import BEYOND, UNCONVERGED, Comparison, Judged, compared, judged
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
-from harness.diagnosis.search.grown import _grown, as_good, refined_twice
+from harness.diagnosis.search.grown import as_good, refined_twice
 from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.outcome import Outcome, Round
 from harness.diagnosis.search.revised import contradictions, displace, exchange, prune, simplify, tried_pairs
@@ -561,23 +561,6 @@ def test_a_joint_has_its_bristles_once() -> None:
         made = [Accepted(one, ((one,),), 1, 1) for one in chosen]
         exchange(form, Outcome(nominal, form.fit(chosen, [], nominal), made, [past, past]), nominal, POLICY)
         assert len(tried) == begun
-
-
-@pytest.mark.parametrize(("pace", "followed"), [(1.0, False), (4.0, True)])
-def test_a_refinement_that_begins_far_below_is_followed_as_far_as_its_steps_may_bring_it(
-    pace: float, followed: bool
-) -> None:
-    """Flanks that only push began 20 below a play that had come to its end, and ended 1000 above it."""
-    simple, rich = placed("backlash"), placed("unilateral_backlash")
-    form = LinearForm(linear_records(4, {}))
-    base = form.fit((), [], None)
-    names = {law.name(p.name): 1.0 for law in (simple, rich) for p in law.effect.parameters}
-    fit = replace(base, values={**base.values, **names})
-    ended = replace(fit, terms={use: [base.terms[use][0] + 1.0] for use in USES})
-    begun = Begun((rich,), fit.log_likelihood("estimation") - 20.0, fit.values, ended, pace)
-    form.begin = lambda *given: begun  # type: ignore[assignment, method-assign]
-    grown = _grown(form, [], rich, simple, fit, {}, {}, None, POLICY)
-    assert (grown is ended) == followed
 
 
 def test_an_effect_that_later_ones_make_needless_is_dropped_and_one_that_counts_stays() -> None:
