@@ -16,7 +16,13 @@ __all__ = ["periodic_disturbance"]
         par("A", "F", scale="0.05 F", neutral=0.0, main=True, linear=True, meaning="amplitude"),
         par("omega", "rad/s", scale="20 1/T", sign="+", minimum=1e-9, grid=(1.0, 0.3, 3.0, 10.0), meaning="frequency"),
         par(
-            "phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), meaning="phase at time 0 of a record"
+            "phi",
+            "rad",
+            scale="0.5",
+            nuisance=True,
+            per_record=True,
+            grid=(1.0, 4.0, 7.0, 10.0),
+            meaning="phase at time 0 of a record",
         ),
     ],
     formula="F = A sin(omega t + phi) (at an input: u' = u + F)",

@@ -5,21 +5,29 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.kinds import Equations
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
-DT, N = 0.01, 2000
+from .conftest import multisine
+
+DT, N, NOISE = 0.01, 2000, 1e-3
 J, B, MGL, MORE_J, MORE_G = 0.1, 0.05, 1.0, 0.01, 0.15
 LAW = Placed(builtin()["payload_step"], "theta")
 
 
-def record(seed: int, instant: float) -> Trajectory:
-    """Return a pendulum that is pushed from time to time and picks up a load, by Heun's method in fine steps."""
+def record(seed: int, instant: float, *, moving: bool = False) -> Trajectory:
+    """Return a pendulum that picks up a load, by Heun's method in fine steps.
+
+    It is pushed from time to time, or all the time.
+    """
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.normal(size=N // 100), 100) * np.tile([1.0, 0.0], N // 200).repeat(100) * 0.4
+    if moving:
+        u = multisine(N, DT, rng, 0.7)
 
     def rates(x: np.ndarray, torque: float, t: float) -> np.ndarray:
         loaded = t >= instant
@@ -33,7 +41,7 @@ def record(seed: int, instant: float) -> Trajectory:
             t, h = k * DT + part * DT / fine, DT / fine
             first = rates(x, u[k], t)
             x = x + 0.5 * h * (first + rates(x + h * first, u[k], t + h))
-    y = np.array(angles)[:, None] + 1e-3 * rng.normal(size=(N, 1))
+    y = np.array(angles)[:, None] + NOISE * rng.normal(size=(N, 1))
     spec = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad", period=2 * np.pi),), DT)
     return Trajectory(np.arange(N) * DT, u[:, None], y, spec)
 
@@ -51,3 +59,15 @@ def test_a_load_is_found_when_it_was_picked_up(fitted: float, judged: float, beg
     assert fit.values[LAW.name("t0")] == pytest.approx(fitted, abs=0.1)
     assert fit.own[LAW.name("t0")] == pytest.approx(judged, abs=0.1)
     assert fit.values[LAW.name("dG")] == pytest.approx(MORE_G, rel=0.1)
+
+
+def test_a_free_run_has_the_load_when_the_validation_record_picked_it_up() -> None:
+    """A free run fitted from a grid of instants ended two seconds off, and erred by 0.15 rad with all else right."""
+    runs = Run(record(4, 6.0, moving=True), "estimation"), Run(record(5, 10.0, moving=True), "validation")
+    found = diagnose(Dataset("load", runs), load_model("pendulum"), dictionary=[LAW.effect])
+    assert [str(accepted.placed) for accepted in found.outcome.accepted] == [str(LAW)]
+    after = found.runs.after
+    assert after is not None
+    assert after.refitted[LAW.name("t0")] == pytest.approx(10.0, abs=0.05)
+    errors = after.validation[0] * found.runs.output.weights
+    assert np.sqrt(np.mean(errors**2)) < 1.1 * NOISE

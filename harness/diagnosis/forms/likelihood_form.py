@@ -37,8 +37,6 @@ NOISE = ("s@", "tau@", "w@", "r@")
 USES = ("estimation", "validation")
 _LONG = 60
 """Iterations of a fit that is to come to its end."""
-OWN = {"payload_step": ("t0",), "periodic_disturbance": ("phi",)}
-"""Parameters that belong to a record and not to the plant."""
 
 
 @dataclass(eq=False)
@@ -380,7 +378,7 @@ class LikelihoodForm(SystemForm[SystemT]):
             distance=lambda other: self.distance(fit, other),
             braking=lambda at: self._braking(fit, at),
         )
-        repeating = [placed for placed in effects if "phi" in OWN.get(placed.effect.name, ())]
+        repeating = [placed for placed in effects if _own([placed], "rad")]
         if not (self.latent and best.converged and repeating):  # elsewhere the innovations are coloured
             return fit
         return replace(fit, wandering={str(placed): self._wandering(fit, placed) for placed in repeating})
@@ -620,10 +618,10 @@ def _states(passes: Pass, point: Point) -> dict[str, float]:
 def _own(effects: Sequence[Placed], unit: str = "") -> list[str]:
     """Return the names of the parameters of effects that belong to a record, of one unit if it is given."""
     return [
-        placed.name(name)
+        placed.name(parameter.name)
         for placed in effects
-        for name in OWN.get(placed.effect.name, ())
-        if unit in ("", placed.effect.parameter(name).unit)
+        for parameter in placed.effect.parameters
+        if parameter.per_record and unit in ("", parameter.unit)
     ]
 
 

@@ -129,7 +129,7 @@ def seen(output: FreeRunForm, fit: Fit) -> Fitted | None:
             record: dict[str, Any] = {
                 "values": dict(fit.values), "x0": x0.tolist(), "converged": fit.converged, "message": "",
             }  # fmt: skip
-            record.update(on_validation(output, system, record))
+            record.update(on_validation(output, system, record, fit.own))
             return output.evaluate(fit.effects, record)
     except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
         return None
