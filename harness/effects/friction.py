@@ -28,8 +28,12 @@ __all__ = [
 
 
 def _width() -> EffectParameter:
-    """Return the smoothing width of a sign, which turns over within the motion: wider ones are viscous friction."""
-    return par("w", "v", scale="0.02 v", floor="0.003 v", ceiling="1 v", sign="+", minimum=1e-6, nuisance=True,
+    """Return the smoothing width of a sign, which turns over within the motion: wider ones are viscous friction.
+
+    What sticks creeps at a part of it, so its floor is far below the speeds of the motion: over seconds the angle shows
+    the creep, and with a floor of 0.003 of the speed a friction of the same law was called another's stand-in.
+    """
+    return par("w", "v", scale="0.02 v", floor="0.0002 v", ceiling="1 v", sign="+", minimum=1e-6, nuisance=True,
                meaning="smoothing width of the sign")  # fmt: skip
 
 

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.diagnosis.forms.changed import changed_share
-from harness.diagnosis.forms.directions import Trace
 from harness.diagnosis.forms.lightened import lightened
+from harness.diagnosis.forms.trace import Trace
 from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed

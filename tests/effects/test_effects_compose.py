@@ -406,7 +406,7 @@ def test_a_composed_system_travels_and_can_still_be_extended():
 def test_smoothing_widths_are_kept_where_the_step_can_follow():
     sized = compose(PENDULUM, [put("coulomb_friction", "theta")], sizes={"theta": {"v": 2.0, "F": 1.0}})
     width = sized.parameter("coulomb_friction@theta.w")
-    assert width.minimum == pytest.approx(0.003 * 2.0)
+    assert width.minimum == pytest.approx(0.0002 * 2.0)
     assert width.value == pytest.approx(0.02 * 2.0)
     given = compose(PENDULUM, [put("coulomb_friction", "theta", w=1e-4)], sizes={"theta": {"v": 2.0, "F": 1.0}})
     assert given.parameter("coulomb_friction@theta.w").minimum == pytest.approx(1e-4)  # what is given is taken

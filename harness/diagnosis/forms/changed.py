@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from harness.diagnosis.forms.directions import Trace
+from harness.diagnosis.forms.trace import Trace
 from harness.physics.rollout_code import Functions
 from harness.physics.sampled import SampledBlocks
 from harness.physics.system import System

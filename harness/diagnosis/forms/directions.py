@@ -5,13 +5,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
 
 from harness.diagnosis.forms.hats import hat_basis, joint_basis
+from harness.diagnosis.forms.lines import frequencies, short_waves, waves
+from harness.diagnosis.forms.trace import Along, Trace
 from harness.diagnosis.policy import EFFORT
 from harness.diagnosis.search.fit import DRIFT
 from harness.diagnosis.systems import AnySystem
@@ -22,14 +22,11 @@ from harness.effects.effect import Placed
 from harness.effects.places import port_of
 from harness.effects.sampled import delay
 from harness.errors import HarnessError
-from harness.physics.kalman_pass import Pass
 from harness.physics.system import System
-from harness.signals import FloatArray, Trajectory
+from harness.signals import FloatArray
 
 __all__ = [
-    "Along",
     "Direction",
-    "Trace",
     "choices",
     "directions",
     "drift_directions",
@@ -40,50 +37,6 @@ __all__ = [
     "spline_directions",
     "test_functions",
 ]
-
-
-class Along(Protocol):
-    """A record with what a model does along it."""
-
-    @property
-    def record(self) -> Trajectory:
-        """The record."""
-        ...
-
-    @property
-    def expected(self) -> FloatArray:
-        """Outputs of the model (K, ny)."""
-        ...
-
-    @property
-    def dt(self) -> float:
-        """Sample time [s]."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Trace:
-    """A record with its smoothed states (latent forces last), and the parameters that hold."""
-
-    record: Trajectory
-    x: FloatArray
-    passes: Pass
-    p: FloatArray
-    ports: tuple[str, ...]
-    """Where a force can push: coordinates, or the rates of a process."""
-
-    @property
-    def dt(self) -> float:
-        """Sample time [s]."""
-        return self.passes.dt
-
-    @cached_property
-    def expected(self) -> FloatArray:
-        """Outputs along the smoothed motion (K, ny)."""
-        function, n = self.passes.simulator.functions.output, len(self.record)
-        return np.asarray(
-            function.map(n)(self.x.T, self.record.u.T, np.tile(self.p[:, None], n), self.record.t).full().T
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,16 +131,18 @@ def _forces(
 ) -> list[Direction]:
     """Return the directions of an effect whose force follows from the motion."""
     if "periodic" in placed.effect.name:
-        lines = [placed.with_values({"omega": omega}) for omega in _frequencies(traces["estimation"], nominal)]
+        lines = [placed.with_values({"omega": omega}) for omega in frequencies(traces["estimation"], nominal)]
         return [
             direction for line in lines for direction in _blocks(traces, signals, nominal, known, line, sizes, "phi")
         ]
     if placed.effect.name == "cogging":
         row = next(k for k, coordinate in enumerate(nominal.coordinates) if coordinate.name == placed.at)
         angle = np.concatenate([motion.q[:, row] for motion in signals["estimation"]])
-        waves = [placed.with_values({"k": k}) for k in _waves(angle, placed)]
+        numbers = waves(angle, placed)
+        numbers += short_waves(traces["estimation"], nominal, row, beyond=max(numbers, default=0.0))
+        teeth = [placed.with_values({"k": k}) for k in numbers if k <= placed.effect.parameter("k").maximum]
         return [
-            direction for wave in waves for direction in _blocks(traces, signals, nominal, known, wave, sizes, "phi")
+            direction for wave in teeth for direction in _blocks(traces, signals, nominal, known, wave, sizes, "phi")
         ]
     return _blocks(traces, signals, nominal, known, placed, sizes, "")
 
@@ -228,62 +183,6 @@ def _blocks(
         if forces["estimation"][0].shape[2] == k:
             directions.append(Direction(placed, given, names, forces, _nothing(traces, nominal.ny, k)))
     return directions
-
-
-def _frequencies(traces: Sequence[Trace], nominal: System) -> list[float]:
-    """Return the angular frequencies of the strongest lines of the latent forces [rad/s].
-
-    Lines are looked for in what remembers alone, and with the white part: where that is the larger one, the other may
-    be nothing.
-    """
-    trace = max(traces, key=lambda trace: len(trace.record))
-    n, dt = len(trace.record), trace.record.spec.sample_time
-    window = np.hanning(n)
-    omega = 2 * np.pi * np.arange(2 * n + 1) / (4 * n * dt)
-    frequencies: list[float] = []
-    for row in range(trace.passes.nl):
-        coloured = trace.x[:, trace.passes.start_size + row]
-        for force in (coloured, coloured + _white_force(trace, nominal, row)):
-            power = np.abs(np.fft.rfft((force - force.mean()) * window, 4 * n)) ** 2
-            power[omega * n * dt < 2 * 2 * np.pi] = 0.0
-            for _ in range(3):
-                peak = int(np.argmax(power))
-                if omega[peak] > 0 and not any(abs(omega[peak] - known) * n * dt < np.pi for known in frequencies):
-                    frequencies.append(float(omega[peak]))
-                power[max(peak - 12, 0) : peak + 13] = 0.0
-    return frequencies
-
-
-def _white_force(trace: Trace, nominal: System, row: int) -> FloatArray:
-    """Return what the smoothed motion asks of a force from sample to sample (K,), beyond the one that remembers.
-
-    The change of the speed that the equations do not give, over what a force of one does to it.
-    """
-    function, n = trace.passes.simulator.functions.derivative.map(len(trace.record)), len(trace.record)
-    v = nominal.coordinates[row].v
-    p, column = np.tile(trace.p[:, None], n), trace.passes.start_size + row
-
-    def rate(x: FloatArray, u: FloatArray) -> FloatArray:
-        return np.asarray(function(x.T, u.T, p, trace.record.t).full()[v])
-
-    pushed = trace.x.copy()
-    pushed[:, column] += 1.0
-    here = rate(trace.x, trace.record.u)
-    there = rate(trace.x, trace.record.u[np.maximum(np.arange(n) - 1, 0)])  # at its end a sample still has its input
-    force = np.zeros(n)
-    force[:-1] = np.diff(trace.x[:, v]) / trace.dt - 0.5 * (here[:-1] + there[1:])
-    return force / (rate(pushed, trace.record.u) - here)
-
-
-def _waves(values: FloatArray, placed: Placed) -> list[float]:
-    """Return wave numbers of what repeats along these values, close enough that none is missed."""
-    low, high = np.quantile(values, [0.02, 0.98])
-    step = np.pi / max(float(high - low), 1e-9)
-    parameter = placed.effect.parameter("k")
-    return [
-        float(number)
-        for number in np.arange(parameter.minimum, min(parameter.maximum, parameter.minimum + 24 * step), step)
-    ]
 
 
 def choices(placed: Placed, at: Mapping[str, float]) -> list[tuple[dict[str, float], tuple[str, ...]]]:
@@ -346,7 +245,7 @@ def _waves_of_readings(
     main = placed.effect.main
     assert main is not None
     directions = []
-    for k in _waves(angle, placed):
+    for k in waves(angle, placed):
         readings: dict[str, list[FloatArray]] = {}
         for use, parts in traces.items():
             readings[use] = []

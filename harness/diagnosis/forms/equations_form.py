@@ -10,11 +10,12 @@ import numpy as np
 from harness.diagnosis.forms.braking import braking
 from harness.diagnosis.forms.changed import changed_share
 from harness.diagnosis.forms.coherence import in_parts, wandering, without
-from harness.diagnosis.forms.directions import Direction, Trace, directions, line_directions, test_functions
+from harness.diagnosis.forms.directions import Direction, directions, line_directions, test_functions
 from harness.diagnosis.forms.innovations import answered
 from harness.diagnosis.forms.lightened import lightened
 from harness.diagnosis.forms.likelihood_form import USES, Detail, LikelihoodForm
 from harness.diagnosis.forms.suspects import hidden
+from harness.diagnosis.forms.trace import Trace
 from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.search.fit import Begun, Column, Fit, Suspect

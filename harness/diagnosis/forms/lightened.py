@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
-from harness.diagnosis.forms.directions import Trace, signals_of
+from harness.diagnosis.forms.directions import signals_of
+from harness.diagnosis.forms.trace import Trace
 from harness.physics.system import System
 
 __all__ = ["lightened"]

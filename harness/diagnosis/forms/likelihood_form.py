@@ -339,14 +339,15 @@ class LikelihoodForm(SystemForm[SystemT]):
 
         Initial states do not count: what is known of one comes from the first moments of a record and does not grow
         with its length, as that of a parameter does whose price is half the logarithm of the samples (Schwarz 1978).
-        Nor does a smoothing width or the like that lies on its bound: there the data say nothing more of it.
+        Nor does a smoothing width or the like of which the data say nothing: it lies on its bound, or is not known to a
+        factor e.
         """
         names = set(system.parameter_names)
         idle = {
             placed.name(parameter.name)
             for placed in effects
             for parameter in placed.effect.parameters
-            if parameter.nuisance and placed.name(parameter.name) in best.on_bound
+            if parameter.nuisance and _untold(placed.name(parameter.name), best)
         }
         counted = [name for name in best.names if not name.startswith("x0[") and name not in idle]
         each = expected.price / sum(len(record) for record in self.records["validation"])
@@ -623,6 +624,13 @@ def _own(effects: Sequence[Placed], unit: str = "") -> list[str]:
         for parameter in placed.effect.parameters
         if parameter.per_record and unit in ("", parameter.unit)
     ]
+
+
+def _untold(name: str, fit: LikelihoodFit) -> bool:
+    """Return True for a parameter that lies on its bound, or whose logarithm has a deviation above 1."""
+    if name in fit.on_bound or name not in fit.names:
+        return name in fit.on_bound
+    return bool(fit.logarithmic[fit.names.index(name)]) and fit.deviation(name) > 1.0
 
 
 def _known(system: AnySystem, values: Mapping[str, float]) -> dict[str, float]:
