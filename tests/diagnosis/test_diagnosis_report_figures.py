@@ -92,6 +92,9 @@ def data(verdict: str, **more: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
+ROUNDING = {"name": "sensor_quantisation", "at": "theta", "parameters": {"step": {"value": 1.534e-3, "unit": "rad"}}}
+
+
 def forces(share: float) -> dict[str, Any]:
     """Return the noise of a report: a force of 0.05 N m, which is this share of what moves the coordinate."""
     force = {"s": 0.03, "w": 0.04, "tau_s": 4.0, "unit": "N m", "share": share, "at_least": False}
@@ -108,6 +111,12 @@ def forces(share: float) -> dict[str, Any]:
             {"stand_in": {"flagged": True, "reasons": ["two laws"]}},
             "stands in for what pendulum lacks, which the dictionary does not have (two laws), and leaves a force of "
             "0.001 % of what moves theta; validation",
+        ),
+        (
+            "effects_found",
+            {"effects": [ROUNDING], "noise": forces(0.054)},
+            "nothing is missing in pendulum beside a force at theta that nobody measured (0.05 N m, 5.4 % of what "
+            "moves it) but that theta is read in steps of 0.00153 rad; validation simulation error theta 0.1 -> 0.002",
         ),
         ("nothing_missing", {}, "nothing is missing in pendulum: validation simulation error theta 0.1 rad"),
         (

@@ -412,6 +412,14 @@ def test_smoothing_widths_are_kept_where_the_step_can_follow():
     assert given.parameter("coulomb_friction@theta.w").minimum == pytest.approx(1e-4)  # what is given is taken
 
 
+def test_a_lag_is_never_so_short_that_it_costs_many_steps() -> None:
+    """A fit that had no use for one followed it to a hundredth of a sample, in 55 steps each."""
+    lagging = compose(PENDULUM, [put("actuator_lag", "u")], sizes={"u": {"u": 1.0, "dt": 0.01}})
+    shortest = lagging.parameter("actuator_lag@u.tau").minimum
+    assert shortest == pytest.approx(1e-3)
+    assert recommended_substeps(lagging, {"actuator_lag@u.tau": shortest}, 0.01) <= 8
+
+
 @pytest.mark.parametrize(
     "hidden",
     [

@@ -440,6 +440,13 @@ def _summary(data: dict[str, Any], least: float, cause: str) -> str:
         if share is not None
         else "no free run"
     )
+    forces = [
+        f"a force at {port} that nobody measured ({_short(math.hypot(force['s'], force['w']))} {force['unit']}, "
+        f"{_short(100 * force['share'])} % of what moves it)"
+        for port, force in data["noise"]["after"]["forces"].items()
+        if force["share"] is not None and force["share"] > least
+    ]
+    beside = f" beside {' and '.join(forces)}" if forces else ""
     if data["verdict"] == "effects_found":
         names = " and ".join(f"{effect['name'].replace('_', ' ')} at {effect['at']}" for effect in data["effects"])
         more = " (tied with others, see below)" if any(len(ties) > 1 for ties in data["tie_sets"]) else ""
@@ -449,6 +456,12 @@ def _summary(data: dict[str, Any], least: float, cause: str) -> str:
                 f"{names}{more} {stand} in for what {data['model']} lacks, which the dictionary does not have "
                 f"({data['stand_in']['reasons'][0]}){_still_left(data['noise']['after']['forces'])}"
             )
+        elif all(effect["name"] == "sensor_quantisation" for effect in data["effects"]):
+            steps = " and ".join(f"{effect['at']} is read in steps of {_step(effect)}" for effect in data["effects"])
+            return (
+                f"nothing is missing in {data['model']}{beside} but that {steps}; "
+                f"validation simulation error {change}; {words}"
+            )
         else:
             text = f"{data['model']} lacks {names}{more}"
         if worse := _grown(before, after):
@@ -457,18 +470,17 @@ def _summary(data: dict[str, Any], least: float, cause: str) -> str:
     plain = change.split(" -> ")[0] if ", " not in change else ", ".join(p.split(" -> ")[0] for p in change.split(", "))
     units = ", ".join(dict.fromkeys(figure["unit"] for figure in before.values()))
     if data["verdict"] == "nothing_missing":
-        forces = [
-            f"a force at {port} that nobody measured ({_short(math.hypot(force['s'], force['w']))} {force['unit']}, "
-            f"{_short(100 * force['share'])} % of what moves it)"
-            for port, force in data["noise"]["after"]["forces"].items()
-            if force["share"] is not None and force["share"] > least
-        ]
-        beside = f" beside {' and '.join(forces)}" if forces else ""
         return f"nothing is missing in {data['model']}{beside}: validation simulation error {plain} {units}; {words}"
     return (
         f"something is missing in {data['model']}, and no effect of the dictionary explains it: {cause} "
         f"({plain} {units}; {words})"
     )
+
+
+def _step(effect: Mapping[str, Any]) -> str:
+    """Return the step in which a sensor rounds its readings."""
+    step = effect["parameters"]["step"]
+    return f"{_short(step['value'])} {step['unit']}"
 
 
 def _cause(found: Diagnosis) -> str:
