@@ -79,7 +79,7 @@ def coulomb_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
             "vs",
             "v",
             scale="0.2 v",
-            floor="0.005 v",
+            floor="0.015 v",  # slower than that, what sticks creeps: a level of its own there is the sign's
             sign="+",
             minimum=1e-6,
             grid=(1.0, 0.3, 3.0),
