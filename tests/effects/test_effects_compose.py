@@ -408,6 +408,10 @@ def test_smoothing_widths_are_kept_where_the_step_can_follow():
     width = sized.parameter("coulomb_friction@theta.w")
     assert width.minimum == pytest.approx(0.0002 * 2.0)
     assert width.value == pytest.approx(0.02 * 2.0)
+    curve = compose(PENDULUM, [put("stribeck_friction", "theta")], sizes={"theta": {"v": 2.0, "F": 1.0}})
+    assert curve.parameter("stribeck_friction@theta.vs").minimum == pytest.approx(
+        0.015 * 2.0
+    )  # what sticks creeps below it
     given = compose(PENDULUM, [put("coulomb_friction", "theta", w=1e-4)], sizes={"theta": {"v": 2.0, "F": 1.0}})
     assert given.parameter("coulomb_friction@theta.w").minimum == pytest.approx(1e-4)  # what is given is taken
 
