@@ -247,6 +247,12 @@ class Effort:
         "where phases and instants of a validation record are looked for, as parts of a turn or of the record",
         "the middles of four quarters",
     )
+    lines: int = _number(3, "strongest lines of a force, over time or along a coordinate, that are tried", "cost")
+    untold: float = _number(
+        1.0,
+        "standard deviation of the logarithm of a smoothing width or the like from which it costs no parameter",
+        "not known to a factor e: the data say nothing of it",
+    )
     instants: int = _number(
         48,
         "instants of a record that are tried where something happened once, after the fit from the nearest start",

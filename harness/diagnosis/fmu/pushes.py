@@ -19,6 +19,7 @@ from harness.diagnosis.forms.directions import (
     reading_directions,
     spline_directions,
 )
+from harness.diagnosis.policy import EFFORT
 from harness.effects.effect import Placed
 from harness.effects.places import port_of
 from harness.errors import HarnessError
@@ -28,8 +29,6 @@ __all__ = ["Moved", "pushes", "test_pushes"]
 
 PARTS = 4
 """Steps of a hidden state within a sample."""
-LINES = 3
-"""Strongest lines of the output error that a periodic push is tried at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +156,7 @@ def _tried(
     omega = 2 * np.pi * np.arange(len(power)) / (4 * n * longest.dt)
     power[omega * n * longest.dt < 2 * 2 * np.pi] = 0.0  # two periods at least
     lines: list[tuple[dict[str, float], tuple[str, ...], bool]] = []
-    for _ in range(LINES):
+    for _ in range(EFFORT.lines):
         peak = int(np.argmax(power))
         if omega[peak] > 0:
             lines.append(({"omega": float(omega[peak])}, ("in phase", "quarter turn"), True))

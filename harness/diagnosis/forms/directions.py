@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from harness.diagnosis.forms.hats import hat_basis, joint_basis
 from harness.diagnosis.forms.lines import frequencies, short_waves, waves
 from harness.diagnosis.forms.trace import Along, Trace
 from harness.diagnosis.policy import EFFORT
@@ -389,8 +388,8 @@ def spline_directions(
         for use, parts in readings.items():
             basis[use] = []
             for number in range(len(parts)):
-                hats = [hat_basis(values[name][use][number], at) for name, at in zip(group, knots, strict=True)]
-                basis[use].append(hats[0] if len(hats) == 1 else joint_basis(hats[0], hats[1]))
+                hats = [_hat_basis(values[name][use][number], at) for name, at in zip(group, knots, strict=True)]
+                basis[use].append(hats[0] if len(hats) == 1 else _joint_basis(hats[0], hats[1]))
         labels = [", ".join(f"{n} {v:.3g}" for n, v in zip(group, at, strict=True)) for at in itertools.product(*knots)]
         directions += _at_every_port(basis, ports, readings, " and ".join(group), labels)
     return directions
@@ -418,7 +417,7 @@ def drift_directions(
     """
     longest = max(float(time[-1] - time[0]) for time in times["estimation"])
     knots = np.linspace(0.0, longest, EFFORT.joint_knots[0])
-    hats = {use: [hat_basis(time - time[0], knots) for time in parts] for use, parts in times.items()}
+    hats = {use: [_hat_basis(time - time[0], knots) for time in parts] for use, parts in times.items()}
     hats = {use: [part - part.mean(axis=0) for part in parts] for use, parts in hats.items()}  # no lasting part
     directions: list[Direction] = []
     for name, axis in values.items():
@@ -452,3 +451,28 @@ def _at_port(part: FloatArray, row: int, ports: int) -> FloatArray:
     whole = np.zeros((len(part), ports, part.shape[1]))
     whole[:, row] = part
     return whole
+
+
+def _hat_basis(x: FloatArray, knots: FloatArray) -> FloatArray:
+    """Return piecewise linear hat functions (N, K) of ``x`` (N,) at increasing ``knots`` (K,); flat outside.
+
+    Examples
+    --------
+    >>> _hat_basis(np.array([0.0, 0.25, 2.0]), np.array([0.0, 1.0])).tolist()
+    [[1.0, 0.0], [0.75, 0.25], [0.0, 1.0]]
+    """
+    clipped = np.clip(np.asarray(x, dtype=float), knots[0], knots[-1])
+    if knots.size == 1:
+        return np.ones((clipped.size, 1))
+    cell = np.clip(np.searchsorted(knots, clipped, side="right") - 1, 0, knots.size - 2)
+    part = (clipped - knots[cell]) / (knots[cell + 1] - knots[cell])
+    basis = np.zeros((clipped.size, knots.size))
+    rows = np.arange(clipped.size)
+    basis[rows, cell] = 1 - part
+    basis[rows, cell + 1] = part
+    return basis
+
+
+def _joint_basis(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the products (N, Ka * Kb) of two bases."""
+    return (a[:, :, None] * b[:, None, :]).reshape(a.shape[0], -1)

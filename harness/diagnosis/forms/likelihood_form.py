@@ -627,10 +627,10 @@ def _own(effects: Sequence[Placed], unit: str = "") -> list[str]:
 
 
 def _untold(name: str, fit: LikelihoodFit) -> bool:
-    """Return True for a parameter that lies on its bound, or whose logarithm has a deviation above 1."""
+    """Return True for a parameter that lies on its bound, or whose logarithm is not known well enough to be told."""
     if name in fit.on_bound or name not in fit.names:
         return name in fit.on_bound
-    return bool(fit.logarithmic[fit.names.index(name)]) and fit.deviation(name) > 1.0
+    return bool(fit.logarithmic[fit.names.index(name)]) and fit.deviation(name) > EFFORT.untold
 
 
 def _known(system: AnySystem, values: Mapping[str, float]) -> dict[str, float]:

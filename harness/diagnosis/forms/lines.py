@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.diagnosis.forms.trace import Trace
+from harness.diagnosis.policy import EFFORT
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["frequencies", "short_waves", "waves"]
 
-_LINES = 3
-"""Strongest lines of a spectrum that are tried."""
 _LOBES = 12
 """Bins about a line that belong to it."""
 _FINEST = 1e5
@@ -81,7 +80,7 @@ def _strongest(
 ) -> list[float]:
     """Return where a spectrum of a record filled up to four times its length is largest, away from what is known."""
     found: list[float] = []
-    for _ in range(_LINES):
+    for _ in range(EFFORT.lines):
         peak = int(np.argmax(power))
         if power[peak] > 0 and not any(abs(at[peak] - other) < apart for other in (*known, *found)):
             found.append(float(at[peak]))
