@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from harness.signals import FloatArray
+
+if TYPE_CHECKING:
+    from harness.physics.system import System
 
 __all__ = ["braking"]
 
@@ -16,7 +19,7 @@ PLACES = 41
 
 
 def braking(
-    system: Any, values: Mapping[str, float], at: str, q: FloatArray, v: FloatArray
+    system: System, values: Mapping[str, float], at: str, q: FloatArray, v: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return places between the ends of a motion (K,), and the damping of all that brakes the coordinate there (K,).
 

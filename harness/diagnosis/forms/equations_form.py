@@ -188,9 +188,10 @@ class EquationsForm(LikelihoodForm[System]):
 
     def _braking(self, fit: Fit, at: str) -> tuple[FloatArray, FloatArray] | None:
         """Return places along the motion of a coordinate, and the damping of all that brakes it there."""
-        row = self.nominal.coordinate(at)
+        row, system = self.nominal.coordinate(at), fit.model
+        assert by_equations(system)
         x = np.concatenate([trace.x for trace in self._traces(fit, USES[:1])["estimation"]])
-        return braking(fit.system, fit.values, at, x[:, row.q], x[:, row.v])
+        return braking(system, fit.values, at, x[:, row.q], x[:, row.v])
 
     def _wandering(self, fit: Fit, placed: Placed) -> float:
         """Return the evidence that the amplitude and the phase of a line change along the records."""

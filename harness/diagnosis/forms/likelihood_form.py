@@ -118,7 +118,7 @@ class LikelihoodForm(SystemForm[SystemT]):
 
     def _to_start(
         self,
-        system: Any,
+        system: SystemT,
         passes: Pass,
         vectors: Sequence[Mapping[str, float]],
         starts: Sequence[Mapping[str, float]],
@@ -170,7 +170,7 @@ class LikelihoodForm(SystemForm[SystemT]):
         }
 
     def _back(
-        self, system: Any, passes: Pass, likelihood: Likelihood, point: Point, gone: Mapping[str, float], base: Fit
+        self, system: SystemT, passes: Pass, likelihood: Likelihood, point: Point, gone: Mapping[str, float], base: Fit
     ) -> Point:
         """Return a start, or the likeliest place on the way back from it to the base if it is worse than that.
 
