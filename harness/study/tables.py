@@ -159,9 +159,14 @@ def _numbers(rows: Iterable[Row], column: str) -> np.ndarray:
 
 def _outside(rows: Sequence[Row]) -> str:
     """Return how laws outside the dictionary were answered: a confident name is the only fault."""
-    words = ("unexplained", "stand-in", "confident", "nothing_missing")
-    lines = ["| law | records | flagged: unexplained | flagged: a stand-in | confident name | missed |"]
-    lines.append("|---" * 6 + "|")
+    words = {
+        "unexplained": "flagged: unexplained",
+        "model_does_not_fit": "flagged: does not fit",
+        "stand-in": "flagged: a stand-in",
+        "confident": "confident name",
+        "nothing_missing": "missed",
+    }
+    lines = [f"| law | records | {' | '.join(words.values())} |", "|---" * (2 + len(words)) + "|"]
     for name in [*sorted({row["truth"] for row in rows}), "all"]:
         said = [_said(row) for row in rows if name in (row["truth"], "all")]
         lines.append(f"| {name} | {len(said)} | {' | '.join(str(said.count(word)) for word in words)} |")
@@ -280,14 +285,22 @@ def _cost(rows: Sequence[Row]) -> str:
         own = [row for row in cost if row["plant"] == plant]
         groups[f"command, {plant}"] = [row for row in own if row["model"] != "fmu"]
         groups[f"command, {plant}, cold"] = [
-            {**row, "cpu_s": row["cpu_cold_s"]} for row in own if row["cpu_cold_s"] and row["model"] != "fmu"
+            {**row, "cpu_s": row["cpu_cold_s"], "wall_s": ""}
+            for row in own
+            if row["cpu_cold_s"] and row["model"] != "fmu"
         ]
         groups[f"around an FMU, {plant}"] = [row for row in own if row["model"] == "fmu"]
     for name, here in groups.items():
         if here:
             cpu, wall = _numbers(here, "cpu_s"), _numbers(here, "wall_s")
-            figures = (np.median(cpu), np.quantile(cpu, 0.9), cpu.max(), np.median(wall), wall.max())
-            lines.append(f"| {name} | {len(here)} | {' | '.join(f'{value:.1f}' for value in figures)} |")
+            figures = [
+                np.median(cpu),
+                np.quantile(cpu, 0.9),
+                cpu.max(),
+                *([np.median(wall), wall.max()] if wall.size else []),
+            ]
+            cells = [f"{value:.1f}" for value in figures] + [""] * (5 - len(figures))
+            lines.append(f"| {name} | {len(here)} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -121,12 +121,20 @@ def test_laws_outside_the_dictionary_count_by_what_the_report_says():
         row(2, outcome="flagged", **{**law, "verdict": "unexplained"}),
         row(3, outcome="missed", **{**law, "verdict": "nothing_missing"}),
         row(4, outcome="right", stand_in="doubted"),
+        *(row(n, outcome="flagged", **{**law, "verdict": "model_does_not_fit"}) for n in (5, 6)),
     ]
-    text = summary(rows, seeds="tuning", planned=5, keys={f"k{n}" for n in range(5)})
-    assert "| root_friction@x | 4 | 1 | 1 | 1 | 1 |" in text
+    text = summary(rows, seeds="tuning", planned=7, keys={f"k{n}" for n in range(7)})
+    assert "| root_friction@x | 6 | 1 | 2 | 1 | 1 | 1 |" in text
     assert "`k0`: named root_friction@x, 1.2 x floor" in text
     assert "`k1`" not in text
     assert "| right or tied, but called a stand-in | none | 1 of 1" in text
+
+
+def test_the_cost_of_a_command_that_compiles_first_has_no_wall_time_of_the_one_after():
+    rows = [row(0, study="cost", cpu_s="2.5", cpu_cold_s="7.5", wall_s="3.5")]
+    text = summary(rows, seeds="tuning", planned=1, keys={"k0"})
+    assert "| command, cart-pole | 1 | 2.5 | 2.5 | 2.5 | 3.5 | 3.5 |" in text
+    assert "| command, cart-pole, cold | 1 | 7.5 | 7.5 | 7.5 |  |  |" in text
 
 
 def test_other_rows_of_the_folder_are_left_out():
