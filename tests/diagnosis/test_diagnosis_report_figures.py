@@ -78,6 +78,24 @@ def test_a_candidate_has_limits_where_a_parameter_has(more: dict[str, Any], word
     assert [answer["parameters"]["c"][key] for key in ("low", "high")] == [None, None]
 
 
+def test_what_no_score_test_sees_stands_among_the_candidates_where_it_was_begun_and_left() -> None:
+    """A hidden resonance that was left after its first steps stood nowhere: one could not tell that it was tried."""
+    lead = SimpleNamespace(placed=DRAG, gain=12.5, share=1.0)
+    step = SimpleNamespace(
+        candidates=[], test=SimpleNamespace(leads=[lead], hidden=[]), left=frozenset({str(DRAG), "elasticity@theta"})
+    )
+    found = SimpleNamespace(
+        outcome=SimpleNamespace(rounds=[step], accepted=[]), policy=POLICY, misfit=("no",), nominal=None,
+        runs=SimpleNamespace(before=None),
+    )  # fmt: skip
+    seen, hidden = evidence_json._candidates(found, ())
+    assert [(row["name"], row["at"], row["promise"]) for row in (seen, hidden)] == [
+        ("quadratic_drag", "theta", 12.5), ("elasticity", "theta", None),
+    ]  # fmt: skip
+    assert seen["reason"] == hidden["reason"] == "the first steps of its refit gained too little"
+    assert environment().from_string("{{ row.promise|number }}").render(row=hidden) == "–"
+
+
 def data(verdict: str, **more: Any) -> dict[str, Any]:
     """Return what the summary is made from."""
     errors = {

@@ -327,19 +327,28 @@ def _candidates(found: Diagnosis, together: Sequence[str]) -> list[dict[str, Any
                 reason = "the first steps of its refit gained too little"
             else:
                 reason = "the score test promises less"
-            rows.append(
-                {
-                    "name": lead.placed.effect.name,
-                    "at": lead.placed.at,
-                    "round": number,
-                    "refitted": False,
-                    "accepted": False,
-                    "reason": reason,
-                    "promise": known(lead.gain),
-                    "evidence": None,
-                }
-            )
+            rows.append(_aside(str(lead.placed), number, reason, lead.gain))
+        tested = {str(lead.placed) for lead in (*step.test.leads, *step.test.hidden)}
+        rows += [  # what no first-order test sees, as play and hidden resonances, promises nothing
+            _aside(name, number, "the first steps of its refit gained too little")
+            for name in sorted(step.left - refitted - tested)
+        ]
     return rows
+
+
+def _aside(name: str, number: int, reason: str, promise: float | None = None) -> dict[str, Any]:
+    """Return the row of a candidate that was not refitted to its end."""
+    effect, at = name.split("@")
+    return {
+        "name": effect,
+        "at": at,
+        "round": number,
+        "refitted": False,
+        "accepted": False,
+        "reason": reason,
+        "promise": None if promise is None else known(promise),
+        "evidence": None,
+    }
 
 
 def _row(
