@@ -338,7 +338,7 @@ def _candidates(found: Diagnosis, together: Sequence[str]) -> list[dict[str, Any
 
 def _aside(name: str, number: int, reason: str, promise: float | None = None) -> dict[str, Any]:
     """Return the row of a candidate that was not refitted to its end."""
-    effect, at = name.split("@")
+    effect, _, at = name.partition("@")
     return {
         "name": effect,
         "at": at,
@@ -346,7 +346,7 @@ def _aside(name: str, number: int, reason: str, promise: float | None = None) ->
         "refitted": False,
         "accepted": False,
         "reason": reason,
-        "promise": None if promise is None else known(promise),
+        "promise": known(promise),
         "evidence": None,
     }
 
