@@ -276,9 +276,9 @@ def hysteresis(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     "coordinate",
     [
         *_slips(),
-        par("share", "1", scale="0.3", sign="+", minimum=0.0, maximum=1.0,
+        par("share", "1", scale="0.3", sign="+", minimum=0.0, maximum=1.0, grid=(1.0, 0.3),
             meaning="share of the force that the shorter element carries"),
-        par("ratio", "1", scale="0.3", sign="+", minimum=0.01, maximum=1.0,
+        par("ratio", "1", scale="0.3", sign="+", minimum=0.01, maximum=1.0, grid=(1.0, 0.1),
             meaning="presliding length of the shorter element over that of the longer"),
         _settles(),
     ],

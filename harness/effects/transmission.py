@@ -54,7 +54,7 @@ def _through(passed: Any, f: Any, s: Any, p: Any, v: Any) -> tuple[Any, list[Any
 
 
 @_transmission(
-    [_stiffness("20 F/q", (1.0, 0.1, 10.0), main=True), _inertia("0.4 F/a", (1.0, 0.2)), _damping("0.2 F/v")],
+    [_stiffness("20 F a/v^2", (1.0, 0.1, 10.0), main=True), _inertia("0.4 F/a", (1.0, 0.2)), _damping("0.2 F/v")],
     formula="force on the load = k e + d e' in place of f; e' = w - v, Jm w' = f - k e - d e'",
     family=("backlash", "actuator_lag", "input_delay"),
     limits={"parameter": "for large k: the two inertias add up to the nominal's", "backlash": "for zero gap"},
@@ -68,7 +68,7 @@ def elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
 
 @_transmission(
     [
-        _stiffness("20 F/q", (1.0, 0.1, 10.0), main=True),
+        _stiffness("20 F a/v^2", (1.0, 0.1, 10.0), main=True),
         par("k3", "F/q^3", scale="2e3 F/q^3", sign="+", grid=(1.0, 30.0, 0.03),
             meaning="cubic stiffness of the transmission"),
         _inertia("0.4 F/a", (1.0, 0.2)),
@@ -92,7 +92,7 @@ def _play() -> list[EffectParameter]:
     return [
         par("gap", "q", scale="0.1 q", sign="+", minimum=0.0, main=True, grid=(1.0, 2.0, 0.3),
             meaning="half of the play"),
-        _stiffness("50 F/q", main=False),
+        _stiffness("50 F a/v^2", main=False),
         _inertia("0.1 F/a"),
         _damping("3 F/v"),  # gears hardly bounce: damping ratio near 1
         # from a rounded corner a fit sees flanks that it does not touch yet; from a sharp one it ended where it began

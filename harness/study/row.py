@@ -110,8 +110,9 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
     cpu, wall = _cpu_of_tree(), time.monotonic()
     found = diagnose(records.dataset, _model(task, records))
     cpu, wall = _cpu_of_tree() - cpu, time.monotonic() - wall
-    accepted = tuple(str(effect.placed) for effect in found.outcome.accepted)
-    ties = tuple(tuple(frozenset(map(str, member)) for member in effect.tie) for effect in found.outcome.accepted)
+    names = [effect for effect in found.outcome.accepted if not effect.part_of]  # a part of something unknown is none
+    accepted = tuple(str(effect.placed) for effect in names)
+    ties = tuple(tuple(frozenset(map(str, member)) for member in effect.tie) for effect in names)
     # what the report says this experiment cannot show matters only where nothing of what is hidden was found
     beside = named(task.structure, task.plant)
     silent = task.effects and not set(accepted) - {beside}
@@ -176,7 +177,7 @@ def _command(task: Task, records: Records) -> dict[str, Any]:
     """Return the cost and the answer of the command as a user gives it."""
     timed = timed_command(task, records)
     report = timed.pop("report")
-    accepted = tuple(f"{effect['name']}@{effect['at']}" for effect in report["effects"])
+    accepted = tuple(f"{effect['name']}@{effect['at']}" for effect in report["effects"] if not effect["may_be_part_of"])
     outcome = judge_answer(task.effects, Answer(report["verdict"], accepted), task.plant, task.engine)
     return timed | {"outcome": outcome.word, "how": outcome.how, "accepted": " + ".join(accepted)}
 
@@ -188,7 +189,7 @@ def _diagnose_fmu(task: Task, records: Records) -> dict[str, Any]:
 
     cpu, wall = _cpu_of_tree(), time.monotonic()
     found = diagnose(records.dataset, _model(task, records), kind=BlackBox())
-    accepted = tuple(str(effect.placed) for effect in found.outcome.accepted)
+    accepted = tuple(str(effect.placed) for effect in found.outcome.accepted if not effect.part_of)
     outcome = judge_answer(task.effects, Answer(found.verdict, accepted), task.plant, task.engine)
     return {
         "outcome": outcome.word,

@@ -32,13 +32,12 @@ import numpy as np
 from harness.diagnosis.arm.bodies import ArmBodies
 from harness.diagnosis.arm.found import ArmDiagnosis
 from harness.diagnosis.arm.rotor import ROTOR, in_the_bodies
-from harness.diagnosis.report.estimates import estimate, known
+from harness.diagnosis.report.estimates import effect_data, known
 from harness.diagnosis.report.experiments import separating
 from harness.diagnosis.report.keys import blank, numbers
-from harness.diagnosis.report.words import SAME, change_text
+from harness.diagnosis.report.words import SAME, change_text, standing_in
 from harness.diagnosis.runs.closed_loop_bias import BiasTest
 from harness.diagnosis.search.compare import Judged
-from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.ties import Accepted
 from harness.diagnosis.stand_in import stand_in_reasons
@@ -160,7 +159,7 @@ def _effects(found: ArmDiagnosis) -> tuple[list[dict[str, Any]], list[list[dict[
     ties: list[list[dict[str, str]]] = []
     apart: list[list[str]] = []
     for accepted in found.wide.accepted:
-        effects.append(_effect(found.wide.fit, accepted))
+        effects.append(effect_data(found.wide.fit, accepted))
         members = _members(accepted)
         if accepted.placed.effect.name.startswith(("payload", "link_mass")):
             members.append({"name": "parameter", "at": "inertial parameters that the URDF gives the same link"})
@@ -168,7 +167,7 @@ def _effects(found: ArmDiagnosis) -> tuple[list[dict[str, Any]], list[list[dict[
         apart.append(separating([placed for group in accepted.tie for placed in group]))
     for joint in found.joints:
         for accepted in joint.outcome.accepted:
-            effects.append(_effect(joint.final, accepted))
+            effects.append(effect_data(joint.final, accepted))
             members = _members(accepted)
             if accepted.placed.effect.name == "input_gain":
                 others = found.wide.gains.get(accepted.placed.at, ())
@@ -188,25 +187,6 @@ def _members(accepted: Accepted) -> list[dict[str, str]]:
         {"name": " + ".join(p.effect.name for p in group), "at": ", ".join(dict.fromkeys(p.at for p in group))}
         for group in accepted.tie
     ]
-
-
-def _effect(fit: Fit, accepted: Accepted) -> dict[str, Any]:
-    """Return one accepted effect with its parameters."""
-    placed = accepted.placed
-    parameters = {}
-    for parameter in placed.effect.parameters:
-        name = placed.name(parameter.name)
-        parameters[parameter.name] = {**estimate(fit, name), "meaning": parameter.meaning}
-    return {
-        "name": placed.effect.name,
-        "at": placed.at,
-        "parameters": parameters,
-        "evidence": known(accepted.evidence),
-        "validation_gain": known(accepted.validation),
-        "delta_bic": known(2 * accepted.evidence),
-        "formula": placed.effect.formula,
-        "summary": placed.effect.summary,
-    }
 
 
 def _joint(found: ArmDiagnosis, k: int, before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
@@ -333,11 +313,7 @@ def _summary(data: dict[str, Any], incomplete: Sequence[str]) -> str:
         names = "; ".join(f"{name.replace('_', ' ')} at {', '.join(places)}" for name, places in by_name.items())
         lacks = f"arm {data['model']} lacks {names}"
         if data["stand_in"]["flagged"]:
-            reason = data["stand_in"]["reasons"][0]
-            stand = "stands" if len(data["effects"]) == 1 else "stand"
-            lacks = (
-                f"{names} {stand} in for what arm {data['model']} lacks, which the dictionary does not have ({reason})"
-            )
+            lacks = standing_in(data, f"arm {data['model']}")
         if ratio and max(ratio) < SAME and min(ratio) < 1 / SAME:
             grown = f"the torque residual grows (of a joint {change_text(min(ratio))}, {use})"
             return f"{grown}, although the likelihood rises: {lacks}; {_explained(data)}"

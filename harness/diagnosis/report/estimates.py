@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.ties import Accepted
 from harness.diagnosis.systems import AnySystem
 from harness.signals import Dataset
 
-__all__ = ["estimate", "known", "ratio_unit", "ratios", "scaled_together"]
+__all__ = ["effect_data", "estimate", "known", "ratio_unit", "ratios", "scaled_together"]
 
 WIDEST = 1e4
 """An interval of something positive whose ends differ by more than this factor determines nothing."""
@@ -36,6 +37,28 @@ def estimate(fit: Fit, name: str, together: Sequence[str] = ()) -> dict[str, Any
     if name not in together and fit.deviations.get(name, 0.0) > 0 and np.isfinite(fit.deviations[name]):
         _limit(entry, *fit.interval(name), positive=name in fit.logarithmic)
     return entry
+
+
+def effect_data(fit: Fit, accepted: Accepted, together: Sequence[str] = ()) -> dict[str, Any]:
+    """Return one accepted effect with its parameters."""
+    effect = accepted.placed.effect
+    return {
+        "name": effect.name,
+        "at": accepted.placed.at,
+        "parameters": {
+            parameter.name: {
+                **estimate(fit, accepted.placed.name(parameter.name), together),
+                "meaning": parameter.meaning,
+            }
+            for parameter in effect.parameters
+        },
+        "evidence": known(accepted.evidence),
+        "validation_gain": known(accepted.validation),
+        "delta_bic": known(2 * accepted.evidence),
+        "formula": effect.formula,
+        "summary": effect.summary,
+        "may_be_part_of": accepted.part_of and f"a force at {accepted.part_of}",
+    }
 
 
 def _limit(entry: dict[str, Any], low: float, high: float, *, positive: bool) -> None:

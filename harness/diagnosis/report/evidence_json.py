@@ -12,7 +12,8 @@ Keys of ``sysid-harness/close-loop/2``, the same for every kind of model; what d
     ``flagged``: the accepted effects imitate something that is not in the dictionary; ``reasons``.
 ``effects``, ``tie_sets``, ``separate_with``
     Accepted effects (``name``, ``at``, ``evidence``, ``validation_gain`` in units of log-likelihood, ``delta_bic``,
-    ``parameters`` with ``value``, ``low``, ``high``, ``unit``, ``state``); all that these data cannot tell from each,
+    ``parameters`` with ``value``, ``low``, ``high``, ``unit``, ``state``; ``may_be_part_of`` names the unknown force
+    that is larger than what the effect explains, or is empty); all that these data cannot tell from each,
     itself first; the experiments that would. Empty where the model does not fit.
 ``searched``
     Where the model does not fit: what the search added all the same, entries like those of ``effects``. No finding, and
@@ -56,10 +57,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from harness.diagnosis.records.motion import measured_coordinates
-from harness.diagnosis.report.estimates import estimate, known, ratios, scaled_together
+from harness.diagnosis.report.estimates import effect_data, estimate, known, ratios, scaled_together
 from harness.diagnosis.report.experiments import Bench, separate_with, separating
 from harness.diagnosis.report.keys import blank, numbers
-from harness.diagnosis.report.words import SAME, change_text
+from harness.diagnosis.report.words import SAME, change_text, named, standing_in
 from harness.diagnosis.runs import residual_tests
 from harness.diagnosis.runs.closed_loop_bias import closed_loop_bias
 from harness.diagnosis.runs.equation_form import EquationForm
@@ -133,8 +134,8 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "explained_share": None if found.misfit else known(1.0 - found.runs.left),
         "misfit": list(found.misfit),
         "stand_in": {"flagged": bool(stand_in), "reasons": list(stand_in)},
-        "effects": [_effect(answer.fit, effect, together) for effect in accepted],
-        "searched": [_effect(found.final, added, together) for added in found.outcome.accepted] if found.misfit else [],
+        "effects": [effect_data(answer.fit, effect, together) for effect in accepted],
+        "searched": [effect_data(found.final, added, together) for added in found.outcome.accepted if found.misfit],
         "tie_sets": [[_named(member) for member in effect.tie] for effect in accepted],
         "separating_experiments": [separating([p for member in effect.tie for p in member]) for effect in accepted],
         "separate_with": [separate_with(bench, effect.tie) for effect in accepted],
@@ -190,24 +191,6 @@ def _named(member: Sequence[Placed]) -> dict[str, Any]:
     return {
         "name": " + ".join(placed.effect.name for placed in member),
         "at": ", ".join(placed.at for placed in member),
-    }
-
-
-def _effect(fit: Fit, accepted: Any, together: Sequence[str] = ()) -> dict[str, Any]:
-    """Return one accepted effect with its parameters."""
-    parameters = {}
-    for parameter in accepted.placed.effect.parameters:
-        name = accepted.placed.name(parameter.name)
-        parameters[parameter.name] = {**estimate(fit, name, together), "meaning": parameter.meaning}
-    return {
-        "name": accepted.placed.effect.name,
-        "at": accepted.placed.at,
-        "parameters": parameters,
-        "evidence": known(accepted.evidence),
-        "validation_gain": known(accepted.validation),
-        "delta_bic": known(2 * accepted.evidence),
-        "formula": accepted.placed.effect.formula,
-        "summary": accepted.placed.effect.summary,
     }
 
 
@@ -457,14 +440,10 @@ def _summary(data: dict[str, Any], least: float, cause: str) -> str:
     ]
     beside = f" beside {' and '.join(forces)}" if forces else ""
     if data["verdict"] == "effects_found":
-        names = " and ".join(f"{effect['name'].replace('_', ' ')} at {effect['at']}" for effect in data["effects"])
+        names = named([effect for effect in data["effects"] if not effect["may_be_part_of"]])
         more = " (tied with others, see below)" if any(len(ties) > 1 for ties in data["tie_sets"]) else ""
         if data["stand_in"]["flagged"]:
-            stand = "stands" if len(data["effects"]) == 1 else "stand"
-            text = (
-                f"{names}{more} {stand} in for what {data['model']} lacks, which the dictionary does not have "
-                f"({data['stand_in']['reasons'][0]}){_still_left(data['noise']['after']['forces'])}"
-            )
+            text = f"{standing_in(data, data['model'], more)}{_still_left(data['noise']['after']['forces'])}"
         elif all(effect["name"] == "sensor_quantisation" for effect in data["effects"]):
             steps = " and ".join(f"{effect['at']} is read in steps of {_step(effect)}" for effect in data["effects"])
             return (

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["SAME", "change_text", "digits", "shown"]
+__all__ = ["SAME", "change_text", "digits", "named", "shown", "standing_in"]
 
 SAME = 1.05
 """A factor between two errors below which nothing has changed."""
@@ -37,6 +37,38 @@ def digits(value: float, count: int = 4) -> str:
     ('1360', '12350', '0.00102', '3e+09')
     """
     return f"{float(f'{value:.{count}g}'):.0f}" if 10.0**count <= abs(value) < 1e7 else f"{value:.{count}g}"
+
+
+def named(effects: Sequence[Mapping[str, Any]]) -> str:
+    """Return the effects of a report and their places in words.
+
+    Examples
+    --------
+    >>> named([{"name": "quadratic_drag", "at": "x"}, {"name": "cogging", "at": "theta"}])
+    'quadratic drag at x and cogging at theta'
+    """
+    return " and ".join(f"{effect['name'].replace('_', ' ')} at {effect['at']}" for effect in effects)
+
+
+def standing_in(data: Mapping[str, Any], model: str, more: str = "") -> str:
+    """Return which effects of a report stand in for something unknown, why, and which may be parts of it.
+
+    Examples
+    --------
+    >>> spring, drag = ({"name": name, "at": "x", "may_be_part_of": part}
+    ...                 for name, part in (("cubic_spring", ""), ("quadratic_drag", "a force at x over u")))
+    >>> reason = "what is left can still be predicted"
+    >>> standing_in({"effects": [spring, drag], "stand_in": {"reasons": [reason]}}, "cart")[-58:]
+    'predicted), and of which quadratic drag at x may be a part'
+    """
+    sure, parts = (
+        [effect for effect in data["effects"] if bool(effect["may_be_part_of"]) is part] for part in (False, True)
+    )
+    text = (
+        f"{named(sure)}{more} {'stands' if len(sure) == 1 else 'stand'} in for what {model} lacks, which the "
+        f"dictionary does not have ({data['stand_in']['reasons'][0]})"
+    )
+    return f"{text}, and of which {named(parts)} may be {'a part' if len(parts) == 1 else 'parts'}" if parts else text
 
 
 def shown(entry: Mapping[str, Any]) -> dict[str, str]:

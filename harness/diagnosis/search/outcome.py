@@ -22,6 +22,7 @@ from harness.diagnosis.search.ties import (
     total,
 )
 from harness.effects import contained
+from harness.effects.effect import Placed
 
 __all__ = ["Outcome", "Round"]
 
@@ -90,6 +91,12 @@ class Outcome:
         if best is None or best.fit is None or best.fit.change(best.added[0]) < policy.least:
             return None
         return best
+
+    def fits_with(self, effects: Sequence[Placed]) -> list[Fit]:
+        """Return the finished fits of past rounds that have these effects and no others."""
+        names = {str(placed) for placed in effects}
+        fits = [fit for past in self.rounds for fit in (past.base, *(row.fit for row in past.candidates))]
+        return [fit for fit in fits if fit is not None and fit.converged and {*map(str, fit.effects)} == names]
 
     def withdraw(self, reason: str) -> None:
         """Take all effects back; the reason stands beside them in the rounds that accepted them."""

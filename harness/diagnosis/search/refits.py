@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
@@ -42,74 +43,20 @@ def refitted(
     def passes(placed: Placed, fit: Fit) -> bool:
         return judged([placed], fit, base, nominal, policy).passed
 
-    origins: dict[Placed, Fit] = {}
-    begun: dict[Placed, Begun | None] = {}
-    before = base.log_likelihood("estimation")
-
-    def enough() -> float:  # what is not refitted in the end need not be begun in full
-        gains = [  # what no law allows is no answer: it does not say how little an answer may gain
-            refit.log_likelihood - before
-            for placed, refit in begun.items()
-            if refit is not None and not wrong_signs(placed, refit.values)
-        ]
-        return max(policy.lead, policy.reach * max(gains, default=0.0))
-
-    for lead in [*chosen(test, policy), *_remembered(form, base, test, untried, policy)]:
-        say(str(lead.placed))
-        origins[lead.placed] = base
-        promising = lead.starts if lead.penalised > 0.0 else lead.starts[:1]
-        starts = [{**base.values, **start} for start in promising]
-        begun[lead.placed] = form.begin([*base.effects, lead.placed], starts, base, before + enough())
-    best = max((refit for refit in begun.values() if refit), key=lambda refit: refit.log_likelihood, default=None)
-    unseen = []
-    for suspect in form.suspects(base, best, untried):
-        say(str(suspect.placed))
-        unseen.append(suspect.placed)
-        origin = base if suspect.base is None else suspect.base
-        starts = [{**origin.values, **start} for start in suspect.starts]
-        origins[suspect.placed] = origin
-        # its starts lie far off: two steps tell nothing of where it leads
-        begun[suspect.placed] = form.begin([*base.effects, suspect.placed], starts, origin)
-    gains = {placed: refit.log_likelihood - before for placed, refit in begun.items() if refit is not None}
-    least = enough()
-    penalty = 0.5 * float(np.log(base.samples))
-
-    def price(placed: Placed) -> float:
-        return penalty * sum(not parameter.fixed for parameter in placed.effect.parameters)
-
-    def needed(placed: Placed) -> float:  # nothing is accepted that does not pay for its parameters
-        return max(least, policy.reach * (policy.evidence + price(placed)))
-
-    def worth(placed: Placed) -> float:  # below it a maximum is no rival and no answer, whatever its last digits are
-        return before + price(placed) - policy.evidence
-
-    def place(placed: Placed) -> tuple[bool, float]:  # what no law allows must not take the place of what one does
-        first = begun[placed]
-        assert first is not None
-        return bool(wrong_signs(placed, first.values)), -gains[placed]
-
-    uncertain = {str(lead.placed) for lead in (*test.leads, *test.hidden) if lead.share < policy.clear}
-    uncertain |= {str(placed) for placed in unseen if gains.get(placed, 0.0) > 0.0}
-
-    def hoped(placed: Placed) -> float:  # along a narrow valley the first steps are short
-        first = begun[placed]
-        return gains[placed] + (EFFORT.first_steps * first.pace if first and str(placed) in uncertain else 0.0)
-
-    order = sorted((placed for placed in gains if hoped(placed) >= needed(placed)), key=place)
-    lawful = sum(not place(placed)[0] for placed in order)
-    order = order[: min(lawful + 1, EFFORT.refits)]  # one law that is not allowed says that none which is explains it
-    # what is exactly the same must not lose by its first steps
-    same = {name for placed in order[:1] for name in family(placed.effect).exact}
-    order += [placed for placed in begun if placed.effect.name in same and placed not in order and begun[placed]]
+    race = _begun(form, base, test, untried, policy, say)
     fits: dict[Placed, Fit | None] = {}
-    for placed in order:
-        first = begun[placed]
-        assert first is not None
-        say(f"{placed} to its maximum")
-        fits[placed] = form.finish(first, origins[placed], _best(fits, placed, passes), worth(placed))
+    while len(fits) < EFFORT.refits and (order := race.next(fits)):
+        for placed in order:
+            first = race.begun[placed]
+            assert first is not None
+            say(f"{placed} to its maximum")
+            fits[placed] = form.finish(first, race.origins[placed], _best(fits, placed, passes), race.worth(placed))
+        race.refused |= {placed for placed, fit in fits.items() if fit is None or not passes(placed, fit)}
+        if len(race.refused) < len(fits):
+            break
     for placed in [
         simple
-        for simple in begun
+        for simple in race.begun
         if simple not in fits
         and any(
             fit is not None
@@ -122,7 +69,96 @@ def refitted(
         fits[placed] = None
     _share_starts(form, fits, base, passes)
     _lawful(form, fits, base, {lead.placed: lead.starts[0] for lead in test.leads})
-    return fits, frozenset(str(placed) for placed in begun if placed not in fits)
+    return fits, frozenset(str(placed) for placed in race.begun if placed not in fits)
+
+
+@dataclass(eq=False)
+class _Race:
+    """Refits that were begun, from where, and which of them are to be finished.
+
+    What no law allows is no answer, nor what was refused: neither says how little an answer may gain.
+    """
+
+    base: Fit
+    policy: Policy
+    begun: dict[Placed, Begun | None] = field(default_factory=dict)
+    origins: dict[Placed, Fit] = field(default_factory=dict)
+    refused: set[Placed] = field(default_factory=set)
+    uncertain: set[Placed] = field(default_factory=set)
+    """Whose first steps may be short: along a narrow valley they are."""
+
+    def gain(self, placed: Placed) -> float:
+        """Return what the first steps gained."""
+        first = self.begun[placed]
+        return -np.inf if first is None else first.log_likelihood - self.base.log_likelihood("estimation")
+
+    def enough(self) -> float:
+        """Return the gain below which a refit is not finished: it need not be begun in full."""
+        gains = [
+            self.gain(placed)
+            for placed, refit in self.begun.items()
+            if refit is not None and placed not in self.refused and not wrong_signs(placed, refit.values)
+        ]
+        return max(self.policy.lead, self.policy.reach * max(gains, default=0.0))
+
+    def worth(self, placed: Placed) -> float:
+        """Return the log-likelihood below which a maximum is no rival and no answer, whatever its last digits are."""
+        return self.base.log_likelihood("estimation") + self._price(placed) - self.policy.evidence
+
+    def next(self, done: Container[Placed]) -> list[Placed]:
+        """Return what is to be finished beside what was, best first; one that no law allows says enough of its kind.
+
+        What is exactly the same as the first one must not lose by its first steps.
+        """
+        able = [placed for placed in self.begun if placed not in done and self._hoped(placed) >= self._needed(placed)]
+        order = sorted(able, key=lambda placed: (self._forbidden(placed), -self.gain(placed)))
+        order = order[: min(sum(not self._forbidden(placed) for placed in order) + 1, EFFORT.refits)]
+        same = {name for placed in order[:1] for name in family(placed.effect).exact}
+        alike = [placed for placed in self.begun if placed.effect.name in same and self.begun[placed] is not None]
+        return [*order, *(placed for placed in alike if placed not in order and placed not in done)]
+
+    def _price(self, placed: Placed) -> float:
+        free = sum(not parameter.fixed for parameter in placed.effect.parameters)
+        return 0.5 * float(np.log(self.base.samples)) * free
+
+    def _needed(self, placed: Placed) -> float:
+        """Return what the first steps must gain: nothing is accepted that does not pay for its parameters."""
+        return max(self.enough(), self.policy.reach * (self.policy.evidence + self._price(placed)))
+
+    def _hoped(self, placed: Placed) -> float:
+        first = self.begun[placed]
+        pace = first.pace if first is not None and placed in self.uncertain else 0.0
+        return self.gain(placed) + EFFORT.first_steps * pace
+
+    def _forbidden(self, placed: Placed) -> bool:
+        """Return True for what no law allows: it must not take the place of what one does."""
+        first = self.begun[placed]
+        return first is not None and bool(wrong_signs(placed, first.values))
+
+
+def _begun(form: Form, base: Fit, test: ScoreTest, untried: Sequence[Placed], policy: Policy, say: Say) -> _Race:
+    """Begin the refits of all that promises something, and of what no promise tells of."""
+    race = _Race(base, policy)
+    before = base.log_likelihood("estimation")
+    for lead in [*chosen(test, policy), *_remembered(form, base, test, untried, policy)]:
+        say(str(lead.placed))
+        promising = lead.starts if lead.penalised > 0.0 else lead.starts[:1]
+        starts = [{**base.values, **start} for start in promising]
+        race.origins[lead.placed] = base
+        race.begun[lead.placed] = form.begin([*base.effects, lead.placed], starts, base, before + race.enough())
+    best = max((refit for refit in race.begun.values() if refit), key=lambda refit: refit.log_likelihood, default=None)
+    unsure = {str(lead.placed) for lead in (*test.leads, *test.hidden) if lead.share < policy.clear}
+    race.uncertain |= {placed for placed in race.begun if str(placed) in unsure}
+    for suspect in form.suspects(base, best, untried):
+        say(str(suspect.placed))
+        origin = base if suspect.base is None else suspect.base
+        starts = [{**origin.values, **start} for start in suspect.starts]
+        race.origins[suspect.placed] = origin
+        # its starts lie far off: two steps tell nothing of where it leads
+        race.begun[suspect.placed] = form.begin([*base.effects, suspect.placed], starts, origin)
+        if race.gain(suspect.placed) > 0.0:
+            race.uncertain.add(suspect.placed)
+    return race
 
 
 def _best(fits: Mapping[Placed, Fit | None], beside: Placed, passes: Passes) -> Fit | None:

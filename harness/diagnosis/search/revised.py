@@ -16,6 +16,7 @@ from harness.diagnosis.search.compare import (
 )
 from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.grown import refined, refined_twice
+from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.outcome import Outcome, Round
 from harness.diagnosis.search.refits import Say
 from harness.diagnosis.search.score_test import score_test
@@ -38,6 +39,7 @@ __all__ = [
     "displace",
     "exchange",
     "in_its_place",
+    "mark_parts",
     "prune",
     "refinements",
     "second_friction",
@@ -244,6 +246,34 @@ def prune(form: Form, outcome: Outcome, policy: Policy) -> None:
         if value(without) > value(outcome.model) - policy.tie:
             outcome.model = without
             outcome.accepted = [accepted for accepted in outcome.accepted if accepted is not earlier]
+
+
+def mark_parts(form: Form, outcome: Outcome, policy: Policy) -> None:
+    """Mark effects that explain less than an unknown force that is left: each may be a part of that.
+
+    Where something unknown acts, laws of the dictionary follow parts of it. What the records are surer of than of all
+    that a free force could still explain is no such part; of several effects the surest one stands in any case. The
+    faintest is asked first, and the next one beside what that leaves.
+    """
+    model, standing = outcome.model, list(outcome.accepted)
+    while len(standing) > 1 and (unknown := left_over(form, model, policy).best) is not None:
+        losses: dict[int, tuple[float, Fit]] = {}
+        for number, accepted in enumerate(standing):
+            others = [other.placed for other in standing if other is not accepted]
+            starts = [model.values, {**model.values, **outcome.nominal.values}]
+            again = form.fit(others, starts, model)
+            fits = [*([] if again is None else [again]), *outcome.fits_with(others)]
+            if fits:
+                without = max(fits, key=value)
+                losses[number] = value(model) - value(without), without
+        if not losses:
+            return
+        faintest = min(losses, key=lambda number: losses[number][0])
+        loss, model = losses[faintest]
+        if loss > unknown.total:
+            return
+        gone = standing.pop(faintest)
+        outcome.accepted[outcome.accepted.index(gone)] = replace(gone, part_of=unknown.name)
 
 
 def simplify(form: Form, outcome: Outcome, rows: Sequence[Judged], policy: Policy) -> None:

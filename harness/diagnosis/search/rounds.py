@@ -19,6 +19,7 @@ from harness.diagnosis.search.revised import (
     contradictions,
     displace,
     exchange,
+    mark_parts,
     prune,
     refinements,
     second_friction,
@@ -103,6 +104,7 @@ def search(
     rows = [row for past in outcome.rounds for row in past.candidates]
     simplify(form, outcome, rows, policy)
     outcome.accepted = asked_again(form, outcome.model, outcome.accepted, rows, nominal, policy)
+    mark_parts(form, outcome, policy)
     return outcome
 
 

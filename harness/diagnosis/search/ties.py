@@ -40,7 +40,8 @@ class Accepted:
     """One accepted effect with all that these data cannot tell from it, itself first, and its evidence.
 
     ``beside`` names the effects beside which the tie set was asked for, None where it was not asked for yet;
-    ``found`` counts the rounds before the one that found it, with its rivals.
+    ``found`` counts the rounds before the one that found it, with its rivals; ``part_of`` names the unknown force that
+    it may be a part of, where that is larger than what it explains.
     """
 
     placed: Placed
@@ -49,6 +50,7 @@ class Accepted:
     validation: float
     beside: frozenset[str] | None = None
     found: int = 0
+    part_of: str = ""
 
 
 def total(row: Judged) -> float:
