@@ -546,7 +546,7 @@ class Likelihood:
                 heavy = False
                 first = promise if first == np.inf and promise >= 0 else first
                 new, passes = self._value(trial)
-                if valley and promise >= _ROUGH:
+                if valley and promise >= _ENOUGH:
                     solve = partial(_damped, scaled, damping=damping, live=live)
                     box = np.maximum(low, z + longest)[entries], np.minimum(high, z - longest)[entries]
                     trial, new, passes = self._around_the_bend(
@@ -557,7 +557,7 @@ class Likelihood:
                     break
                 if 0 <= promise < _ENOUGH:
                     break
-                damping, more_damping = max(damping, jump) * more_damping, 32.0
+                damping, more_damping = max(damping, jump) * more_damping, 8.0 if valley else 32.0
             if improved:
                 assert passes is not None
                 if scaled_noise:
@@ -571,7 +571,7 @@ class Likelihood:
                 if ended and damping > 8.0 * _LEAST_DAMPING and not (valley and self.noise_model.latent):
                     ended = _undamped(scaled[np.ix_(live, live)], (gradient / size)[live]) < _ROUGH
                     if not ended:  # a narrow valley that bends: long steps, corrected for the bend
-                        valley, jump, damping = True, _LEAST_DAMPING, min(damping, _DAMPING / 100)
+                        valley, jump, damping = True, _LEAST_DAMPING, _LEAST_DAMPING
                 if ended:
                     if more is None or seen - value < _STALE:
                         converged = True

@@ -9,8 +9,10 @@ import pytest
 
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.report import evidence_json
+from harness.diagnosis.report.estimates import effect_data
 from harness.diagnosis.report.html import environment
 from harness.diagnosis.search.compare import Comparison, Judged
+from harness.diagnosis.search.ties import Accepted
 from harness.effects import builtin
 from harness.effects.effect import Placed
 
@@ -34,16 +36,18 @@ def a_fit(**more: Any) -> Any:
 
 
 def test_an_effect_shows_its_size_its_interval_and_twice_its_evidence() -> None:
-    shown = evidence_json._effect(a_fit(), SimpleNamespace(placed=DRAG, evidence=50.0, validation=20.0))
+    shown = effect_data(a_fit(), Accepted(DRAG, (), 50.0, 20.0, part_of="theta over u"))
     assert (shown["name"], shown["at"]) == ("quadratic_drag", "theta")
     assert (shown["evidence"], shown["delta_bic"], shown["validation_gain"]) == (50.0, 100.0, 20.0)
     size = shown["parameters"]["c"]
     assert (size["value"], size["low"], size["high"], size["unit"]) == (0.5, 0.4, 0.6, "N m s^2/rad^2")
+    assert shown["may_be_part_of"] == "a force at theta over u"
 
 
 def test_what_is_not_known_is_null() -> None:
-    fixed = evidence_json._effect(a_fit(free=()), SimpleNamespace(placed=DRAG, evidence=float("nan"), validation=1.0))
+    fixed = effect_data(a_fit(free=()), Accepted(DRAG, (), float("nan"), 1.0))
     assert fixed["evidence"] is None
+    assert fixed["may_be_part_of"] == ""
     assert fixed["parameters"]["c"]["low"] is None
 
 
@@ -74,7 +78,7 @@ def test_a_candidate_has_limits_where_a_parameter_has(more: dict[str, Any], word
     judged = Judged((DRAG,), a_fit(**more), None, ("its evidence is too small",))
     row = evidence_json._row(judged, 1, set(), set())
     assert row["main"] == {DRAG.main(): [0.5, None, None]}, words
-    answer = evidence_json._effect(a_fit(**more), SimpleNamespace(placed=DRAG, evidence=1.0, validation=1.0))
+    answer = effect_data(a_fit(**more), Accepted(DRAG, (), 1.0, 1.0))
     assert [answer["parameters"]["c"][key] for key in ("low", "high")] == [None, None]
 
 
@@ -102,7 +106,7 @@ def data(verdict: str, **more: Any) -> dict[str, Any]:
         when: {"simulation_error": {"validation": {"theta": {"rms": rms, "unit": "rad"}}}}
         for when, rms in (("before", 0.1), ("after", 0.002))
     }
-    effect = {"name": "quadratic_drag", "at": "theta"}
+    effect = {"name": "quadratic_drag", "at": "theta", "may_be_part_of": ""}
     return {
         "verdict": verdict, "model": "pendulum", "misfit": ["the sign is wrong"], "errors": errors,
         "explained_share": 0.99996, "effects": [effect], "tie_sets": [[effect]],
@@ -110,7 +114,10 @@ def data(verdict: str, **more: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-ROUNDING = {"name": "sensor_quantisation", "at": "theta", "parameters": {"step": {"value": 1.534e-3, "unit": "rad"}}}
+SPRING = {"name": "cubic_spring", "at": "theta", "may_be_part_of": ""}
+PART = {"name": "quadratic_drag", "at": "theta", "may_be_part_of": "a force at theta over u"}
+ROUNDING = {"name": "sensor_quantisation", "at": "theta", "parameters": {"step": {"value": 1.534e-3, "unit": "rad"}},
+            "may_be_part_of": ""}  # fmt: skip
 
 
 def forces(share: float) -> dict[str, Any]:
@@ -129,6 +136,12 @@ def forces(share: float) -> dict[str, Any]:
             {"stand_in": {"flagged": True, "reasons": ["two laws"]}},
             "stands in for what pendulum lacks, which the dictionary does not have (two laws), and leaves a force of "
             "0.001 % of what moves theta; validation",
+        ),
+        (
+            "effects_found",
+            {"effects": [SPRING, PART], "stand_in": {"flagged": True, "reasons": ["a force is left"]}},
+            "cubic spring at theta stands in for what pendulum lacks, which the dictionary does not have (a force is "
+            "left), and of which quadratic drag at theta may be a part, and leaves a force of 0.001 %",
         ),
         (
             "effects_found",

@@ -15,7 +15,15 @@ from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.grown import as_good, refined_twice
 from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.outcome import Outcome, Round
-from harness.diagnosis.search.revised import contradictions, displace, exchange, prune, simplify, tried_pairs
+from harness.diagnosis.search.revised import (
+    contradictions,
+    displace,
+    exchange,
+    mark_parts,
+    prune,
+    simplify,
+    tried_pairs,
+)
 from harness.diagnosis.search.rounds import _ended, search
 from harness.diagnosis.search.score_test import score_test
 from harness.diagnosis.search.ties import Accepted, tied, total, value
@@ -572,6 +580,50 @@ def test_an_effect_that_later_ones_make_needless_is_dropped_and_one_that_counts_
         prune(form, outcome, POLICY)
         assert accepted(outcome) == ({earlier, "quadratic_drag"} if stays else {"quadratic_drag"})
         assert len(outcome.model.effects) == len(outcome.accepted)
+
+
+@pytest.mark.parametrize("faint", [0.15, 0.6])
+def test_what_explains_less_than_what_is_left_may_be_a_part_of_it(faint: float) -> None:
+    """An unknown force is larger than the spring, whose fit keeps it; the drag is surer than all that is left."""
+    form = LinearForm(linear_records(3, {"quadratic_drag": 1.0, "linear_spring": faint, "cubic_spring": 0.3}))
+    nominal = form.fit((), [], None)
+    chosen = [placed("quadratic_drag"), placed("linear_spring")]
+    outcome = Outcome(nominal, form.fit(chosen, [], nominal), [Accepted(one, ((one,),), 1, 1) for one in chosen])
+    mark_parts(form, outcome, POLICY)
+    left = "theta over cubic_spring"
+    assert [one.part_of for one in outcome.accepted] == (["", left] if faint < 0.3 else ["", ""])
+    assert [str(one) for one in outcome.model.effects] == [str(one) for one in chosen]
+    alone = Outcome(nominal, form.fit(chosen[1:], [], nominal), [Accepted(chosen[1], ((chosen[1],),), 1, 1)])
+    mark_parts(form, alone, POLICY)
+    assert alone.accepted[0].part_of == ""
+
+
+def test_no_effect_is_a_part_of_something_unknown_where_nothing_is_left() -> None:
+    outcome = found_in({"quadratic_drag": 1.0, "linear_spring": 0.4})
+    assert accepted(outcome) == {"quadratic_drag", "linear_spring"}
+    assert not any(one.part_of for one in outcome.accepted)
+
+
+def test_what_was_refused_does_not_say_how_little_an_answer_may_gain() -> None:
+    """A line that does not repeat explains most; the spring gains a tenth of it, and is the answer."""
+
+    class Form(LinearForm):
+        def fit(
+            self,
+            effects: Sequence[Placed],
+            starts: Sequence[Mapping[str, float]],
+            base: Fit | None,
+            rival: Fit | None = None,
+        ) -> Fit:
+            fit = super().fit(effects, starts, base, rival)
+            lines = {str(one): 1.0 for one in effects if one.effect.name == "cubic_spring"}
+            return replace(fit, wandering=lines)
+
+    form = Form(linear_records(4, {"cubic_spring": 1.0, "linear_spring": 0.3}))
+    outcome = search(form, form.fit((), [], None), ALL)
+    gains = {row.name: row.comparison.evidence for row in outcome.rounds[0].candidates if row.comparison}
+    assert gains["linear_spring@theta"] < POLICY.reach * gains["cubic_spring@theta"]
+    assert "linear_spring" in accepted(outcome)
 
 
 @pytest.mark.parametrize("size", [-20.0, 20.0])
