@@ -135,3 +135,13 @@ def test_a_pendulum_behind_it_moves_as_in_the_truth_written_by_hand(
     difference = np.abs(simple - true).max()
     assert difference > 1e-3
     assert np.abs(y[:, 0] - true).max() < (0.4 if name == "unilateral_backlash" else 1e-3) * difference
+
+
+@pytest.mark.parametrize("name", ["elasticity", "hardening_elasticity", "backlash", "unilateral_backlash"])
+def test_the_stiffness_of_a_transmission_does_not_start_from_how_far_a_cart_wanders(name: str) -> None:
+    """Its resonance lies above the band of the motion, wherever that goes: the first start has 2 to 10 times its rate."""
+    stiffness = next(parameter for parameter in builtin()[name].parameters if parameter.name == "k")
+    size, rate = {"F": 2.0, "v": 0.5, "a": 2.5}, 2.5 / 0.5
+    near, far = (stiffness.start({**size, "q": q}) for q in (0.1, 4.0))
+    assert near == far
+    assert 2.0 < np.sqrt(near / (size["F"] / size["a"])) / rate < 10.0
