@@ -24,7 +24,7 @@ from harness.physics import load_model
 from harness.schemas import report_schema
 
 EFFECT = {
-    "name": "input_compression", "at": "u", "formula": "F", "summary": "A drive that tires.",
+    "name": "input_compression", "at": "u", "may_be_part_of": "", "formula": "F", "summary": "A drive that tires.",
     "parameters": {"c": {"value": 0.6, "low": 0.58, "high": 0.62, "unit": "1/N", "state": "determined",
                          "meaning": "share"}},
 }  # fmt: skip

@@ -139,7 +139,7 @@ def test_a_pendulum_behind_it_moves_as_in_the_truth_written_by_hand(
 
 @pytest.mark.parametrize("name", ["elasticity", "hardening_elasticity", "backlash", "unilateral_backlash"])
 def test_the_stiffness_of_a_transmission_does_not_start_from_how_far_a_cart_wanders(name: str) -> None:
-    """Its resonance lies above the band of the motion, wherever that goes: the first start has 2 to 10 times its rate."""
+    """Its resonance lies above the band of the motion, wherever that goes: at 2 to 10 times its rate to begin with."""
     stiffness = next(parameter for parameter in builtin()[name].parameters if parameter.name == "k")
     size, rate = {"F": 2.0, "v": 0.5, "a": 2.5}, 2.5 / 0.5
     near, far = (stiffness.start({**size, "q": q}) for q in (0.1, 4.0))
