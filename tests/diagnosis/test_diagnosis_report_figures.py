@@ -141,7 +141,7 @@ def forces(share: float) -> dict[str, Any]:
             "effects_found",
             {"effects": [SPRING, PART], "stand_in": {"flagged": True, "reasons": ["a force is left"]}},
             "cubic spring at theta stands in for what pendulum lacks, which the dictionary does not have (a force is "
-            "left), and of which quadratic drag at theta may be a part, and leaves a force of 0.001 %",
+            "left; quadratic drag at theta may be a part of what is left), and leaves a force of 0.001 %",
         ),
         (
             "effects_found",

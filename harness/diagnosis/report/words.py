@@ -58,17 +58,19 @@ def standing_in(data: Mapping[str, Any], model: str, more: str = "") -> str:
     >>> spring, drag = ({"name": name, "at": "x", "may_be_part_of": part}
     ...                 for name, part in (("cubic_spring", ""), ("quadratic_drag", "a force at x over u")))
     >>> reason = "what is left can still be predicted"
-    >>> standing_in({"effects": [spring, drag], "stand_in": {"reasons": [reason]}}, "cart")[-58:]
-    'predicted), and of which quadratic drag at x may be a part'
+    >>> standing_in({"effects": [spring, drag], "stand_in": {"reasons": [reason]}}, "cart")[-61:]
+    'predicted; quadratic drag at x may be a part of what is left)'
     """
     sure, parts = (
         [effect for effect in data["effects"] if bool(effect["may_be_part_of"]) is part] for part in (False, True)
     )
-    text = (
+    reason = data["stand_in"]["reasons"][0]
+    if parts:
+        reason += f"; {named(parts)} may be {'a part' if len(parts) == 1 else 'parts'} of what is left"
+    return (
         f"{named(sure)}{more} {'stands' if len(sure) == 1 else 'stand'} in for what {model} lacks, which the "
-        f"dictionary does not have ({data['stand_in']['reasons'][0]})"
+        f"dictionary does not have ({reason})"
     )
-    return f"{text}, and of which {named(parts)} may be {'a part' if len(parts) == 1 else 'parts'}" if parts else text
 
 
 def shown(entry: Mapping[str, Any]) -> dict[str, str]:
