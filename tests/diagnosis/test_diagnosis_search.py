@@ -11,9 +11,9 @@ import pytest
 
 from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.search.compare import BEYOND, UNCONVERGED, Comparison, Judged, compared, judged
-from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
+from harness.diagnosis.search.fit import DRIFT, Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.grown import as_good, refined_twice
-from harness.diagnosis.search.leftover import left_over
+from harness.diagnosis.search.leftover import Axis, Leftover, left_over
 from harness.diagnosis.search.outcome import Outcome, Round
 from harness.diagnosis.search.revised import (
     contradictions,
@@ -314,6 +314,19 @@ def test_a_force_that_helps_on_one_use_only_is_chance() -> None:
     records.y["validation"] = records.y["validation"] - 1.0 * own["cubic_spring"]  # the other way round there
     form = LinearForm(records)
     assert left_over(form, form.fit((), [], None)).best is None
+
+
+@pytest.mark.parametrize(
+    ("evidence", "gain", "left"),
+    [(40.0, 30.0, True), (40.0, 5.0, False), (60.0, 5.0, True), (60.0, -1.0, False), (4.0, 30.0, True)],
+)
+def test_a_force_that_one_use_is_sure_of_is_left_unless_the_other_refuses_it(
+    evidence: float, gain: float, left: bool
+) -> None:
+    axis = Axis("theta over u", evidence, gain, 20.0, (), np.zeros(0))
+    assert (Leftover((axis,)).best is axis) is left
+    drift = replace(axis, name=f"theta over u{DRIFT}")
+    assert Leftover((drift,)).best is None, "by chance a force follows the motion in one record for a while"
 
 
 # ---- the search ------------------------------------------------------------------------------------------------------

@@ -68,15 +68,20 @@ class Leftover:
 
     @property
     def best(self) -> Axis | None:
-        """The axis that predicts most of what is left, if one does so beyond chance."""
+        """The axis that predicts most of what is left, if one does so beyond chance.
+
+        Both uses decide. What the estimation records are surer of by far, and the others do not refuse, is left too:
+        where innovations are as large in a few places as these forces move them, the validation records tell nothing.
+        """
+        return next((axis for axis in self.axes if self._predicts(axis)), None)
+
+    def _predicts(self, axis: Axis) -> bool:
         policy = self.policy
-        for axis in self.axes:
-            size, z = axis.total, policy.alone_z
-            if axis.name.endswith(DRIFT):  # by chance an unknown force may follow the motion in one record for a while
-                size, z = min(axis.evidence, axis.validation), policy.tie_z
-            if size > 2 * policy.evidence and axis.validation > z * axis.error:
-                return axis
-        return None
+        if axis.name.endswith(DRIFT):  # by chance an unknown force may follow the motion in one record for a while
+            size = min(axis.evidence, axis.validation)
+            return size > 2 * policy.evidence and axis.validation > policy.tie_z * axis.error
+        sure = axis.evidence > policy.misfit_gain and axis.validation > 0.0
+        return axis.total > 2 * policy.evidence and (sure or axis.validation > policy.alone_z * axis.error)
 
 
 def left_over(form: Form, fit: Fit, policy: Policy = POLICY) -> Leftover:
