@@ -64,6 +64,10 @@ def figures(rows: Sequence[Row]) -> str:
     doubted = [row for row in rows if _good(row) and row["stand_in"]]
     if doubted:
         lines.append(f"| right or tied, but called a stand-in | none | {share(len(doubted), len(rows))} |")
+        beside = [row for row in doubted if row.get("parts")]
+        lines.append(
+            f"| right or tied, beside effects said to be parts of what is left | | {share(len(beside), len(rows))} |"
+        )
     compared = [row for row in rows if row["ratio"]]
     if compared:
         near = [row for row in compared if _good(row) and float(row["ratio"]) <= 1.1]

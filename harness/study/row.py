@@ -48,6 +48,7 @@ COLUMNS = (
     "adequacy",
     "stand_in",
     "accepted",
+    "parts",
     "ties",
     "tie_size",
     "shown",
@@ -134,6 +135,7 @@ def _diagnose(task: Task, records: Records) -> dict[str, Any]:
         "adequacy": found.grade,
         "stand_in": "; ".join(imitates),
         "accepted": " + ".join(accepted),
+        "parts": " + ".join(str(effect.placed) for effect in found.outcome.accepted if effect.part_of),
         "ties": "; ".join(
             " / ".join(sorted(" & ".join(sorted(member)) for member in tie)) for tie in ties if len(tie) > 1
         ),

@@ -24,7 +24,8 @@ asymmetric Coulomb friction, and Coulomb friction with a bias; Coulomb friction 
 hysteresis, which is that law where beta is 1); or nothing was accepted, and the report says that the truth cannot be
 told from the nominal parameters (input gain: a common scale of all of them; an offset of a position without reference).
 *wrong*: another set was accepted. *flagged*: the report says that something is missing, and names no cause: no effect
-accepted, or those accepted called a stand-in. *missed*: nothing said.
+accepted, or those accepted called a stand-in. *missed*: nothing said. What the report says may be a part of what is
+left is no accepted effect.
 Truths: `bullet` and `pymunk` (their bodies and joints; what they do not have, actuators, sensors and forces on the
 driven coordinate, is put around them in steps of 0.2 ms; `balanced`: pymunk upright under LQR), `hardware` (C: Dahl and
 LuGre bristles, a joint that hardens and flanks that never pull, which the dictionary has too, and laws of another
