@@ -141,8 +141,8 @@ class Policy:
     )
     misfit_gain: float = _number(
         50.0,
-        "log-likelihood that the repair of a column must gain to be named, and an effect where it was fitted to be "
-        "told, or tried on the validation records once more, though they show nothing of it",
+        "log-likelihood that the repair of a column must gain to be named, and an effect or a free force where it was "
+        "fitted to be told, or tried on the validation records once more, though they show nothing of it",
         "ten times the evidence of an effect",
     )
     disturbed: float = _number(

@@ -440,7 +440,6 @@ def _summary(data: dict[str, Any], least: float, cause: str) -> str:
     ]
     beside = f" beside {' and '.join(forces)}" if forces else ""
     if data["verdict"] == "effects_found":
-        names = named([effect for effect in data["effects"] if not effect["may_be_part_of"]])
         more = " (tied with others, see below)" if any(len(ties) > 1 for ties in data["tie_sets"]) else ""
         if data["stand_in"]["flagged"]:
             text = f"{standing_in(data, data['model'], more)}{_still_left(data['noise']['after']['forces'])}"
@@ -451,7 +450,7 @@ def _summary(data: dict[str, Any], least: float, cause: str) -> str:
                 f"validation simulation error {change}; {words}"
             )
         else:
-            text = f"{data['model']} lacks {names}{more}"
+            text = f"{data['model']} lacks {named(data['effects'])}{more}"
         if worse := _grown(before, after):
             return f"the validation simulation error grows ({worse}), although the likelihood rises: {text}; {words}"
         return f"{text}; validation simulation error {change}; {words}"
