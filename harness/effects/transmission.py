@@ -92,7 +92,7 @@ def _play() -> list[EffectParameter]:
     return [
         par("gap", "q", scale="0.1 q", sign="+", minimum=0.0, main=True, grid=(1.0, 2.0, 0.3),
             meaning="half of the play"),
-        _stiffness("50 F a/v^2", main=False),
+        _stiffness("50 F/q", main=False),
         _inertia("0.1 F/a"),
         _damping("3 F/v"),  # gears hardly bounce: damping ratio near 1
         # from a rounded corner a fit sees flanks that it does not touch yet; from a sharp one it ended where it began

@@ -294,6 +294,8 @@ class Likelihood:
         by_noise: bool = False,
     ) -> list[Filtered] | None:
         """Return the pass over every record; None if one diverges."""
+        if not np.isfinite(point.p).all():  # a step along a logarithm of which the records tell nothing
+            return None
         found = []
         for record, x0 in zip(self.records, point.x0, strict=True):
             passed = self.filter(record, point.p, x0, point.noise, columns=columns, keep=keep, by_noise=by_noise)

@@ -296,6 +296,16 @@ def test_a_free_run_in_a_narrow_valley_is_followed_to_its_end() -> None:
     assert fit.nll < -1041.0
 
 
+def test_a_place_without_a_number_is_as_bad_as_one_that_diverges() -> None:
+    """A step along a logarithm of which the records tell nothing may leave all numbers: a delay's crashed there."""
+    system = pendulum().system()
+    likelihood = Likelihood(system, [record(system, system.vector(), [0.1, 0.0], n=50)], noise_model(system))
+    for bad in (np.nan, np.inf):
+        point = Point(system.vector() * bad, [np.array([0.1, 0.0])], some_noise(system))
+        assert likelihood.filtered(point) is None
+        assert likelihood.nll(point) == np.inf
+
+
 def test_a_narrow_valley_that_bends_is_followed_to_its_end() -> None:
     """A hidden resonance on exact sensors: the sum of two inertias is known to six digits, and each of them hardly.
 
