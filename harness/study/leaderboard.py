@@ -170,10 +170,10 @@ def answers_of_fleet(folder: str | Path) -> dict[str, Answer]:
         if not row.ok:
             continue
         report = json.loads((result.folder / "reports" / row.record / "report.json").read_text(encoding="utf-8"))
-        accepted = tuple(effect.name for effect in row.effects)
-        ties = tuple(
-            (frozenset({effect.name}), *(frozenset(_members(tie)) for tie in effect.ties)) for effect in row.effects
-        )
+        parts = {f"{effect['name']}@{effect['at']}" for effect in report["effects"] if effect.get("may_be_part_of")}
+        named = [effect for effect in row.effects if effect.name not in parts]  # a part of something unknown is no name
+        accepted = tuple(effect.name for effect in named)
+        ties = tuple((frozenset({effect.name}), *(frozenset(_members(tie)) for tie in effect.ties)) for effect in named)
         hidden = frozenset(f"{effect['name']}@{effect['at']}" for effect in report.get("not_visible", ()))
         imitates = bool(row.stand_in) or bool(report.get("misfit"))
         answers[Path(row.record).name] = Answer(

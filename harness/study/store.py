@@ -19,7 +19,7 @@ from harness.study.row import COLUMNS
 __all__ = ["ROWS", "RowStore", "read_rows"]
 
 ROWS = "rows.csv"
-LATER = ("shape", "structure", "input_noise", "holds_truth", "cpu_cold_s", "shown", "told", "nearest")
+LATER = ("shape", "structure", "input_noise", "holds_truth", "cpu_cold_s", "shown", "told", "nearest", "parts")
 """Columns that rows of earlier versions do not have: read as empty."""
 AGAIN = ("crashed", "timeout")
 """What a resumed study tries once more."""
