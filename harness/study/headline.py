@@ -64,7 +64,7 @@ def figures(rows: Sequence[Row]) -> str:
     doubted = [row for row in rows if _good(row) and row["stand_in"]]
     if doubted:
         lines.append(f"| right or tied, but called a stand-in | none | {share(len(doubted), len(rows))} |")
-        beside = [row for row in doubted if row.get("parts")]
+        beside = [row for row in doubted if row["parts"]]
         lines.append(
             f"| right or tied, beside effects said to be parts of what is left | | {share(len(beside), len(rows))} |"
         )

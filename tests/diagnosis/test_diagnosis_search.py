@@ -618,19 +618,12 @@ def test_no_effect_is_a_part_of_something_unknown_where_nothing_is_left() -> Non
 
 
 def test_what_was_refused_does_not_say_how_little_an_answer_may_gain() -> None:
-    """A line that does not repeat explains most; the spring gains a tenth of it, and is the answer."""
+    """A line that does not repeat explains most; the spring gains less than a quarter of it, and is the answer."""
 
     class Form(LinearForm):
-        def fit(
-            self,
-            effects: Sequence[Placed],
-            starts: Sequence[Mapping[str, float]],
-            base: Fit | None,
-            rival: Fit | None = None,
-        ) -> Fit:
-            fit = super().fit(effects, starts, base, rival)
-            lines = {str(one): 1.0 for one in effects if one.effect.name == "cubic_spring"}
-            return replace(fit, wandering=lines)
+        def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit:
+            lines = {str(one): 1.0 for one in begun.effects if one.effect.name == "cubic_spring"}
+            return replace(super().finish(begun, base, rival, least), wandering=lines)
 
     form = Form(linear_records(4, {"cubic_spring": 1.0, "linear_spring": 0.3}))
     outcome = search(form, form.fit((), [], None), ALL)
