@@ -1,0 +1,42 @@
+"""The published studies: their tables are those of their rows."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+from harness.study.leaderboard import score
+from harness.study.plan import plan
+from harness.study.store import read_rows
+from harness.study.tables import summary
+
+ROOT = Path(__file__).resolve().parents[2]
+STUDIES = ROOT / "docs" / "studies"
+
+
+def test_the_table_of_the_study_is_that_of_its_rows() -> None:
+    rows = read_rows(STUDIES / "rows.csv")
+    (base,) = {int(row["base"]) for row in rows.values()}
+    keys = {task.key for task in plan("all", base=base, cells=5)}
+    assert set(rows) <= keys
+    assert (STUDIES / "study.md").read_text(encoding="utf-8") == summary(
+        rows.values(), seeds="judged", planned=len(keys), keys=keys
+    )
+
+
+def test_the_table_of_earlier_studies_is_that_of_their_rows() -> None:
+    spec = importlib.util.spec_from_file_location("publish_study", ROOT / "benchmarks" / "publish_study.py")
+    assert spec is not None
+    assert spec.loader is not None
+    publisher = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(publisher)
+    history = publisher.read_history()
+    published = {row["base"] for row in read_rows(STUDIES / "rows.csv").values()}
+    assert not published & {row["base"] for rows in history.values() for row in rows}
+    assert (STUDIES / "history.md").read_text(encoding="utf-8") == publisher.table(history)
+
+
+def test_the_leaderboard_is_that_of_its_answers() -> None:
+    folder = STUDIES / "leaderboard"
+    table = score(folder / "truth.csv", sorted((folder / "answers").glob("*.csv")))[1]
+    assert (folder / "leaderboard.md").read_text(encoding="utf-8") == table
