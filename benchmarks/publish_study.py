@@ -19,6 +19,7 @@ from collections.abc import Callable
 from itertools import groupby
 from pathlib import Path
 
+from harness.study.headline import GOOD, alone
 from harness.study.leaderboard import answers_of_rows, score, write_answers
 from harness.study.outcome import Answer
 from harness.study.package import TRUTH_COLUMNS, record_name
@@ -53,10 +54,8 @@ largest.
 
 def read_history() -> dict[str, list[Row]]:
     """Return the rows of every earlier study by its name."""
-    path = STUDIES / "history.csv.xz"
-    if not path.exists():
-        return {}
-    reader = csv.DictReader(io.StringIO(lzma.decompress(path.read_bytes()).decode("utf-8")))
+    text = lzma.decompress((STUDIES / "history.csv.xz").read_bytes()).decode("utf-8")
+    reader = csv.DictReader(io.StringIO(text))
     return {name: list(rows) for name, rows in groupby(reader, key=lambda row: row["version"])}
 
 
@@ -91,12 +90,12 @@ def _line(name: str, rows: list[Row]) -> str:
     cells = [
         name,
         str(len(rows)),
-        _shaken(_good, [row for row in one if row["level"] == "nominal"]),
-        _shaken(_good, [row for row in one if row["level"] == "quarter"]),
-        _shaken(_alone, one),
-        _shaken(_good, [row for row in done if row["study"] == "two"]),
-        f"{_count(_wrong, none)}, {_count(_flagged, none)}, {len(none)}" if none else "",
-        f"{_count(_wrong, outside)}/{len(outside)}" if outside else "",
+        _shaken(_is(*GOOD), [row for row in one if row["level"] == "nominal"]),
+        _shaken(_is(*GOOD), [row for row in one if row["level"] == "quarter"]),
+        _shaken(alone, one),
+        _shaken(_is(*GOOD), [row for row in done if row["study"] == "two"]),
+        f"{_count(_is('wrong'), none)}, {_count(_is('flagged'), none)}, {len(none)}" if none else "",
+        f"{_count(_is('wrong'), outside)}/{len(outside)}" if outside else "",
         f"{sum(seconds > 30 for seconds in spent)}/{len(spent)}" if spent else "",
         f"{max(spent):.0f} s" if spent else "",
     ]
@@ -113,23 +112,13 @@ def _shaken(test: Callable[[Row], bool], rows: list[Row]) -> str:
 
 
 def _count(test: Callable[[Row], bool], rows: list[Row]) -> int:
+    """Return how many rows a test holds for."""
     return sum(map(test, rows))
 
 
-def _good(row: Row) -> bool:
-    return row["outcome"] in ("right", "tied")
-
-
-def _wrong(row: Row) -> bool:
-    return row["outcome"] == "wrong"
-
-
-def _flagged(row: Row) -> bool:
-    return row["outcome"] == "flagged"
-
-
-def _alone(row: Row) -> bool:
-    return row["outcome"] == "right" and int(row["tie_size"] or 0) <= 1
+def _is(*words: str) -> Callable[[Row], bool]:
+    """Return whether an answer counts as one of these."""
+    return lambda row: row["outcome"] in words
 
 
 def publish(folder: Path) -> None:
