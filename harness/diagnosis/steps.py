@@ -27,14 +27,12 @@ __all__ = [
     "candidates_of",
     "form_of",
     "nominal_fit",
-    "taken_back",
     "teller",
     "what_free_runs_say",
     "widened",
 ]
 
 Progress = Callable[[float, str], None]
-WORSE = "with it the model runs further from the validation records than without, and something is left"
 MOVED = (
     "Free runs of the validation records err more with the accepted effects than without them, though nothing is left "
     "that could be predicted: an unknown force moves these runs more than the effects do, and one error may cancel "
@@ -122,7 +120,7 @@ def what_free_runs_say(
         return runs, leftover, []
     if leftover.best is None:
         return runs, leftover, [MOVED]
-    outcome.withdraw(WORSE)
+    outcome.withdraw()
     return run_freely(), left_over(form, outcome.model, policy), []
 
 
@@ -131,9 +129,3 @@ def widened(form: WholeForm, outcome: Outcome) -> None:
     same = outcome.model is outcome.nominal
     outcome.nominal = form.with_deviations(outcome.nominal)
     outcome.model = outcome.nominal if same else form.with_deviations(outcome.model)
-
-
-def taken_back(outcome: Outcome) -> list[str]:
-    """Return a warning about what was accepted and taken back."""
-    names = ", ".join(str(accepted.placed) for accepted in outcome.withdrawn)
-    return [f"{names}: likely by the likelihood and taken back: {WORSE}"] if names else []

@@ -136,11 +136,11 @@ class Effect:
 
     def violations(self, values: Mapping[str, float]) -> list[str]:
         """Return the sentences of ``requires`` that do not hold for values by name."""
-        return [f"not so: {text}" for text, holds in self.requires.items() if not holds(values)]
+        return [text for text, holds in self.requires.items() if not holds(values)]
 
     def violations_along(self, values: Mapping[str, float], q: FloatArray, damping: FloatArray) -> list[str]:
         """Return the sentences of ``requires_along`` that do not hold, see there."""
-        return [f"not so: {text}" for text, holds in self.requires_along.items() if not holds(values, q, damping)]
+        return [text for text, holds in self.requires_along.items() if not holds(values, q, damping)]
 
     def complete(self, values: Mapping[str, float], sizes: Mapping[str, float] | None = None) -> dict[str, float]:
         """Return a value for every parameter: those given, the others from their scale hints.

@@ -35,6 +35,7 @@ from harness.diagnosis.arm.rotor import ROTOR, in_the_bodies
 from harness.diagnosis.report.estimates import effect_data, known
 from harness.diagnosis.report.experiments import separating
 from harness.diagnosis.report.keys import blank, numbers
+from harness.diagnosis.report.refusals import refusals_text
 from harness.diagnosis.report.words import SAME, change_text, standing_in
 from harness.diagnosis.runs.closed_loop_bias import BiasTest
 from harness.diagnosis.search.compare import Judged
@@ -276,7 +277,7 @@ def _row(judged: Judged, number: int, accepted: set[str]) -> dict[str, Any]:
         "round": number,
         "refitted": True,
         "accepted": answer,
-        "reason": "; ".join(judged.reasons) or ("" if answer else "another one explains more, or is simpler"),
+        "reason": refusals_text(judged.refusals) or ("" if answer else "another one explains more, or is simpler"),
         "evidence": None if compared is None else known(compared.evidence),
         "delta_bic": None if compared is None else known(2 * compared.evidence),
         "validation_gain": None if compared is None else known(compared.validation),

@@ -60,6 +60,7 @@ from harness.diagnosis.records.motion import measured_coordinates
 from harness.diagnosis.report.estimates import effect_data, estimate, known, ratios, scaled_together
 from harness.diagnosis.report.experiments import Bench, separate_with, separating
 from harness.diagnosis.report.keys import blank, numbers
+from harness.diagnosis.report.refusals import refusal_text, refusals_text
 from harness.diagnosis.report.words import SAME, change_text, named, standing_in
 from harness.diagnosis.runs import residual_tests
 from harness.diagnosis.runs.closed_loop_bias import closed_loop_bias
@@ -68,6 +69,7 @@ from harness.diagnosis.runs.errors import equation_error, figures, simulation_er
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.search.compare import Judged
 from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.ties import Accepted
 from harness.diagnosis.systems import by_equations
 from harness.effects.effect import Placed
@@ -107,7 +109,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
     """Return the content of ``report.json``; ``references`` as :func:`harness.diagnosis.close_loop` takes them."""
     answer = answer_of(found)
     accepted = answer.accepted
-    warnings = list(found.warnings)
+    warnings = [*found.warnings, *_taken_back(found)]
     if not found.dataset.test:
         warnings.append(SELECTED)
     together = scaled_together(found.system, answer.fit, found.dataset)
@@ -338,7 +340,7 @@ def _row(
     judged: Judged, number: int, accepted: set[str], tied: set[str], together: Sequence[str] = (), *, fits: bool = True
 ) -> dict[str, Any]:
     """Return the row of one refitted candidate."""
-    reason = "; ".join(judged.reasons)
+    reason = refusals_text(judged.refusals)
     if judged.passed and not fits:
         reason = NO_FINDING
     elif judged.passed and judged.name not in accepted:
@@ -484,10 +486,17 @@ def _cause(found: Diagnosis) -> str:
         gain = f"{names} would in the estimation records, by {refused.comparison.evidence:.0f} in log-likelihood"
         if refused.comparison.validation < refused.comparison.error:
             return f"{gain}, and the validation records show nothing of it; excite it in both"
-        return f"{gain}, but {'; '.join(refused.reasons)}"
+        return f"{gain}, but {refusals_text(refused.refusals)}"
     if found.disagree:
         return "the validation records want other parameters than the estimation records"
     return "the force that nobody measured is too large for a disturbance"
+
+
+def _taken_back(found: Diagnosis) -> list[str]:
+    """Return a warning about what was accepted and taken back."""
+    names = ", ".join(str(accepted.placed) for accepted in found.outcome.withdrawn)
+    worse = refusal_text(Refusal(Kind.WITHDRAWN))
+    return [f"{names}: likely by the likelihood and taken back: {worse}"] if names else []
 
 
 def _words(placed: Placed) -> str:

@@ -9,13 +9,11 @@ import numpy as np
 
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
 __all__ = [
-    "BEYOND",
-    "ON_BOUND",
-    "UNCONVERGED",
     "Comparison",
     "Judged",
     "compared",
@@ -28,9 +26,6 @@ __all__ = [
     "wrong_signs",
 ]
 
-UNCONVERGED = "its fit did not converge"
-BEYOND = "it was left on its way: its steps did not bring it near the best rival, or to what its parameters cost"
-ON_BOUND = "lies on its bound"
 _NEAR_BOUND = 1e-4
 """Share of a bound's size within which a value lies on it."""
 
@@ -71,19 +66,19 @@ class Judged:
     added : tuple of Placed
     fit : Fit or None
     comparison : Comparison or None
-    reasons : tuple of str
-        Why it is rejected; empty if it passes.
+    refusals : tuple of Refusal
+        Why it is refused; empty if it passes.
     """
 
     added: tuple[Placed, ...]
     fit: Fit | None
     comparison: Comparison | None
-    reasons: tuple[str, ...]
+    refusals: tuple[Refusal, ...]
 
     @property
     def passed(self) -> bool:
         """True if nothing speaks against it."""
-        return not self.reasons
+        return not self.refusals
 
     @property
     def name(self) -> str:
@@ -146,48 +141,39 @@ def _expected(fit: Fit, base: Fit, use: str) -> list[FloatArray]:
 def judged(added: Sequence[Placed], fit: Fit | None, base: Fit, nominal: Fit, policy: Policy = POLICY) -> Judged:
     """Apply the acceptance rule."""
     if fit is None:
-        return Judged(tuple(added), None, None, ("it cannot be simulated here",))
+        return Judged(tuple(added), None, None, (Refusal(Kind.NOT_SIMULATED),))
     comparison = compared(fit, base, policy)
     reasons = []
     if fit.beyond:
-        reasons.append(BEYOND)
+        reasons.append(Refusal(Kind.STOPPED))
     elif not fit.converged:
-        reasons.append(UNCONVERGED)
+        reasons.append(Refusal(Kind.UNCONVERGED))
     asked = max(2 * policy.evidence, policy.gain_z * comparison.total_error)
     if comparison.total < asked:
-        reasons.append(
-            f"evidence {comparison.evidence:.1f} on the estimation records and {comparison.validation:.1f} on the "
-            f"validation records, {asked:.1f} asked of both"
-        )
+        reasons.append(Refusal(Kind.EVIDENCE, numbers=(comparison.evidence, comparison.validation, asked)))
     if comparison.evidence < policy.alone:
-        reasons.append(
-            f"evidence {comparison.evidence:.1f} on the estimation records, {policy.alone:g} asked of them alone"
-        )
+        reasons.append(Refusal(Kind.ESTIMATION, numbers=(comparison.evidence, policy.alone)))
     if comparison.validation < policy.alone_z * comparison.error:
-        reasons.append(
-            f"validation gains {comparison.validation:.1f}, {policy.alone_z * comparison.error:.1f} asked of them alone"
-        )
+        reasons.append(Refusal(Kind.VALIDATION, numbers=(comparison.validation, policy.alone_z * comparison.error)))
     if base is not nominal:
         whole = fit.penalised - nominal.penalised  # of records that no effect was fitted to, one may explain most
         if policy.alone <= comparison.evidence < policy.second_share * whole:  # what brings less than nothing was said
-            reasons.append(
-                f"it brings {100 * comparison.evidence / whole:.1f} % of what all effects bring: it changes nothing"
-            )
+            reasons.append(Refusal(Kind.SHARE, numbers=(comparison.evidence / whole, policy.second_share)))
     for placed in added:
         reasons += impossible(placed, fit)
         wandering = fit.wandering.get(str(placed), 0.0)
         if wandering > 0.0:  # likelier a line drawn anew in every part than one that repeats
-            reasons.append(
-                f"amplitude and phase change along the records (evidence {wandering:.1f}): it does not repeat"
-            )
+            reasons.append(Refusal(Kind.INCOHERENT, str(placed), (wandering,)))
     names = {str(placed) for placed in added}
     for placed in fit.effects:  # what was found before must stay what it is
         if str(placed) not in names:
-            reasons += [f"beside it {placed} is no such law: {text}" for text in wrong_signs(placed, fit.values)]
+            reasons += [
+                Refusal(Kind.OTHER_LAW, str(placed), cause=refusal) for refusal in wrong_signs(placed, fit.values)
+            ]
     for placed in added if not reasons else ():
         share = fit.change(placed)
         if share < policy.least:
-            reasons.append(f"it changes {100 * share:.2g} % of rates or readings, {100 * policy.least:g} % asked")
+            reasons.append(Refusal(Kind.SIZE, str(placed), (share, policy.least)))
     return Judged(tuple(added), fit, comparison, tuple(reasons))
 
 
@@ -196,7 +182,7 @@ def pays(fit: Fit, base: Fit, policy: Policy = POLICY) -> bool:
     return fit.penalised > base.penalised - policy.evidence
 
 
-def impossible(placed: Placed, fit: Fit) -> list[str]:
+def impossible(placed: Placed, fit: Fit) -> list[Refusal]:
     """Return what physics forbids in the values of an effect, as its parameters declare."""
     reasons = wrong_signs(placed, fit.values)
     for parameter in placed.effect.parameters:
@@ -211,11 +197,11 @@ def impossible(placed: Placed, fit: Fit) -> list[str]:
         if sized and name in fit.on_bound and not near and value != parameter.neutral:
             near = [value]
         if near and near[0] != parameter.neutral:
-            reasons.append(f"{parameter.name} {ON_BOUND} {near[0]:.3g}")
+            reasons.append(Refusal(Kind.BOUND, parameter.name, (near[0],)))
     return reasons + violations(placed, fit)
 
 
-def wrong_signs(placed: Placed, values: Mapping[str, float]) -> list[str]:
+def wrong_signs(placed: Placed, values: Mapping[str, float]) -> list[Refusal]:
     """Return which values of an effect have a sign that its law does not have."""
     reasons = []
     for parameter in placed.effect.parameters:
@@ -223,13 +209,14 @@ def wrong_signs(placed: Placed, values: Mapping[str, float]) -> list[str]:
         if not (parameter.fixed or parameter.nuisance) and (
             (parameter.sign == "+" and value < 0) or (parameter.sign == "-" and value > 0)
         ):
-            reasons.append(f"{parameter.name} = {value:.3g} has an unphysical sign")
+            reasons.append(Refusal(Kind.SIGN, parameter.name, (value,)))
     return reasons
 
 
-def violations(placed: Placed, fit: Fit) -> list[str]:
+def violations(placed: Placed, fit: Fit) -> list[Refusal]:
     """Return which relations between the values of an effect, as its law asks for them, do not hold."""
     effect = placed.effect
     values = {parameter.name: fit.values[placed.name(parameter.name)] for parameter in effect.parameters}
     along = fit.braking(placed.at) if effect.requires_along else None
-    return effect.violations(values) + ([] if along is None else effect.violations_along(values, *along))
+    broken = effect.violations(values) + ([] if along is None else effect.violations_along(values, *along))
+    return [Refusal(Kind.LAW, sentence) for sentence in broken]

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.search.compare import (
-    UNCONVERGED,
     Judged,
     compared,
     difference,
@@ -15,12 +14,9 @@ from harness.diagnosis.search.compare import (
     wrong_signs,
 )
 from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.refusal import WANT_OF_EVIDENCE, Kind, Refusal, only
 from harness.diagnosis.search.score_test import ScoreTest
-from harness.diagnosis.search.ties import (
-    WANTS,
-    Accepted,
-    total,
-)
+from harness.diagnosis.search.ties import Accepted, total
 from harness.effects import contained
 from harness.effects.effect import Placed
 
@@ -61,9 +57,9 @@ class Outcome:
             if rival.fit is None:
                 continue
             forbidden = [
-                text
+                refusal
                 for placed in rival.added
-                for text in (*wrong_signs(placed, rival.fit.values), *violations(placed, rival.fit))
+                for refusal in (*wrong_signs(placed, rival.fit.values), *violations(placed, rival.fit))
             ]
             if not forbidden:
                 continue
@@ -80,12 +76,12 @@ class Outcome:
 
         The data prefer it by all that is asked of an effect: it is no answer, and without it something is missing.
         """
-        asked = (*WANTS, "amplitude and phase", "beside it")
-        rows = [row for row in self.rounds[-1].candidates if row.fit is not None and row.reasons]
+        asked = {*WANT_OF_EVIDENCE, Kind.INCOHERENT, Kind.OTHER_LAW}
+        rows = [row for row in self.rounds[-1].candidates if row.fit is not None and row.refusals]
         held = [
             row
             for row in rows
-            if not any(text.startswith(asked) for text in row.reasons) or _sure_where_fitted(row, policy)
+            if not any(refusal.kind in asked for refusal in row.refusals) or _sure_where_fitted(row, policy)
         ]
         best = max(held, key=total, default=None)
         if best is None or best.fit is None or best.fit.change(best.added[0]) < policy.least:
@@ -98,12 +94,12 @@ class Outcome:
         fits = [fit for past in self.rounds for fit in (past.base, *(row.fit for row in past.candidates))]
         return [fit for fit in fits if fit is not None and fit.converged and {*map(str, fit.effects)} == names]
 
-    def withdraw(self, reason: str) -> None:
-        """Take all effects back; the reason stands beside them in the rounds that accepted them."""
+    def withdraw(self) -> None:
+        """Take all effects back; that stands beside them in the rounds that accepted them."""
         names = {str(accepted.placed) for accepted in self.accepted}
         self.rounds = [
             replace(past, candidates=tuple(
-                replace(row, reasons=(*row.reasons, reason))
+                replace(row, refusals=(*row.refusals, Refusal(Kind.WITHDRAWN)))
                 if row.passed and row.name in names else row
                 for row in past.candidates
             )) for past in self.rounds
@@ -115,10 +111,10 @@ def _sure_where_fitted(row: Judged, policy: Policy) -> bool:
     """Return True for a candidate beyond doubt where it was fitted, of which the validation records show nothing."""
     if row.comparison is None or row.comparison.evidence < policy.misfit_gain:
         return False
-    return all(text.startswith("validation gains") for text in row.reasons) and row.comparison.validation > 0.0
+    return only(row.refusals, {Kind.VALIDATION}) and row.comparison.validation > 0.0
 
 
-def _asked_for(row: Judged, base: Fit, answer: set[str], forbidden: Sequence[str], policy: Policy) -> bool:
+def _asked_for(row: Judged, base: Fit, answer: set[str], forbidden: Sequence[Refusal], policy: Policy) -> bool:
     """Return True for a candidate beside a whole answer that would be accepted if its law allowed its values.
 
     One whose fit has not come to its end is as likely as it is at least. With exact sensors the data are sure of the
@@ -127,7 +123,7 @@ def _asked_for(row: Judged, base: Fit, answer: set[str], forbidden: Sequence[str
     """
     assert row.fit is not None
     beside = answer == {str(placed) for placed in row.fit.effects} - {str(placed) for placed in row.added}
-    rest = set(row.reasons) - {*forbidden, UNCONVERGED}
+    rest = set(row.refusals) - {*forbidden, Refusal(Kind.UNCONVERGED)}
     if not beside or rest or row.fit.change(row.added[0]) < policy.least:
         return False
     whole = max((base.change(placed) for placed in base.effects), default=0.0)

@@ -221,7 +221,8 @@ def _lawful(form: Form, fits: dict[Placed, Fit | None], base: Fit, starts: Mappi
         if fit is None or other is None or rich not in starts or not violations(rich, fit):
             continue
         shared = {parameter.name for parameter in simple.effect.parameters if parameter.nuisance}
-        own = {name: value for name, value in starts[rich].items() if name.startswith(f"{rich}.")}
+        names = {*map(rich.name, rich.effect.parameter_names)}
+        own = {name: value for name, value in starts[rich].items() if name in names}
         start = {**other.values, **own}
         start |= {rich.name(name): other.values[simple.name(name)] for name in shared}
         again = form.fit([*base.effects, rich], [start], other)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from harness.diagnosis.policy import EFFORT, Policy
 from harness.diagnosis.search.compare import (
-    BEYOND,
     Judged,
     compared,
     impossible,
@@ -19,6 +18,7 @@ from harness.diagnosis.search.grown import refined, refined_twice
 from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.outcome import Outcome, Round
 from harness.diagnosis.search.refits import Say
+from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.score_test import score_test
 from harness.diagnosis.search.ties import (
     Accepted,
@@ -146,7 +146,7 @@ def tried_pairs(
         if row.comparison is not None
         and row.comparison.evidence >= policy.evidence
         and str(row.added[0]) not in present
-        and (physical(row) or row.reasons == (BEYOND,))
+        and (physical(row) or row.refusals == (Refusal(Kind.STOPPED),))
         and (not outcome.accepted or total(row) >= policy.reach * so_far)
     ]
     best: Judged | None = None

@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from harness.diagnosis.policy import EFFORT, POLICY, Policy
-from harness.diagnosis.search.compare import (
-    BEYOND,
-    UNCONVERGED,
-    Judged,
-    judged,
-)
+from harness.diagnosis.search.compare import Judged, judged
 from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.grown import grow
 from harness.diagnosis.search.outcome import Outcome, Round
 from harness.diagnosis.search.refits import Say, polished, refitted
+from harness.diagnosis.search.refusal import OF_ESTIMATION_AND_VALIDATION, Kind, only
 from harness.diagnosis.search.revised import (
     contradictions,
     displace,
@@ -124,7 +120,7 @@ def _ended(form: Form, rows: Sequence[Judged], base: Fit, nominal: Fit, policy: 
             for number, row in enumerate(found)
             if row.fit is not None
             and (
-                (row.reasons in ((BEYOND,), (UNCONVERGED,)) and (best is None or tied(best, row, policy)))
+                (_only_unfinished(row) and (best is None or tied(best, row, policy)))
                 or (number not in again and _refused_by_validation_alone(row, best, policy))
             )
         ]
@@ -140,14 +136,17 @@ def _ended(form: Form, rows: Sequence[Judged], base: Fit, nominal: Fit, policy: 
     return found
 
 
+def _only_unfinished(row: Judged) -> bool:
+    """Return True for a candidate that nothing speaks against but that its fit has not come to its end."""
+    return bool(row.refusals) and only(row.refusals, {Kind.STOPPED, Kind.UNCONVERGED})
+
+
 def _refused_by_validation_alone(row: Judged, best: Judged | None, policy: Policy) -> bool:
     """Return True for what the estimation records are far surer of than of any answer, and the others refuse."""
-    if row.comparison is None or not row.reasons:
+    if row.comparison is None or not row.refusals:
         return False
     known = 0.0 if best is None or best.comparison is None else best.comparison.evidence
-    return row.comparison.evidence > known + policy.misfit_gain and all(
-        text.startswith(("evidence", "validation gains")) for text in row.reasons
-    )
+    return row.comparison.evidence > known + policy.misfit_gain and only(row.refusals, OF_ESTIMATION_AND_VALIDATION)
 
 
 def _shown(rows: Sequence[Judged], policy: Policy) -> set[str]:

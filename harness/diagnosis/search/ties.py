@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from harness.diagnosis.policy import EFFORT, POLICY, Policy
-from harness.diagnosis.search.compare import ON_BOUND, UNCONVERGED, Judged, difference, judged
+from harness.diagnosis.search.compare import Judged, difference, judged
 from harness.diagnosis.search.fit import Fit, Form
+from harness.diagnosis.search.refusal import WANT_OF_EVIDENCE, Kind, only, subjects
 from harness.effects import nested
 from harness.effects.effect import Placed
 
 __all__ = [
-    "WANTS",
     "Accepted",
     "asked_again",
     "close",
@@ -30,9 +30,6 @@ __all__ = [
     "undecided",
     "value",
 ]
-
-WANTS = ("evidence", "validation", "it brings", "it changes")
-"""How reasons begin that are a want of evidence and nothing against the candidate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,17 +62,17 @@ def value(fit: Fit) -> float:
 
 def own_values(placed: Placed, fit: Fit) -> dict[str, float]:
     """Return the values of the parameters of one effect, by full name."""
-    return {name: number for name, number in fit.values.items() if name.startswith(f"{placed}.")}
+    return {name: fit.values[name] for name in map(placed.name, placed.effect.parameter_names)}
 
 
 def physical(row: Judged) -> bool:
     """Return True if nothing but a want of evidence speaks against a candidate."""
-    return all(text.startswith(WANTS) for text in row.reasons)
+    return only(row.refusals, WANT_OF_EVIDENCE)
 
 
 def typical_elsewhere(row: Judged) -> bool:
     """Return True if nothing but a want of evidence, or a value on its bound, speaks against a candidate."""
-    return all(text.startswith((*WANTS, UNCONVERGED)) or ON_BOUND in text for text in row.reasons)
+    return only(row.refusals, {*WANT_OF_EVIDENCE, Kind.UNCONVERGED, Kind.BOUND})
 
 
 def may_tie(row: Judged, placed: Placed) -> bool:
@@ -84,7 +81,7 @@ def may_tie(row: Judged, placed: Placed) -> bool:
     A more general law may be a rival though its values ended outside its own physics: within it, it is the answer
     itself or something beside it.
     """
-    lawless = refines(row.added, placed) and all(text.startswith(("not so", *WANTS)) for text in row.reasons)
+    lawless = refines(row.added, placed) and only(row.refusals, {*WANT_OF_EVIDENCE, Kind.LAW})
     return physical(row) or lawless
 
 
@@ -174,11 +171,8 @@ def _typical(answer: Fit, row: Judged, policy: Policy) -> Placed | None:
     if row.fit is None or row.fit.beyond or len(row.added) != 1:
         return None
     placed = row.added[0]
-    bound = [
-        parameter
-        for parameter in placed.effect.parameters
-        if any(text.startswith(f"{parameter.name} {ON_BOUND}") for text in row.reasons)
-    ]
+    on_bound = subjects(row.refusals, Kind.BOUND)
+    bound = [parameter for parameter in placed.effect.parameters if parameter.name in on_bound]
     gap, _ = difference(answer, row.fit, ("estimation", "validation"), policy)
     if len(bound) != 1 or bound[0].unit != "1" or not typical_elsewhere(row) or not close(answer, row.fit, gap, policy):
         return None
