@@ -27,6 +27,7 @@ __all__ = [
     family=("coulomb_friction", "input_gain", "backlash"),
     limits={"coulomb_friction": "while the motion follows the command"},
     experiment="a slow small triangle of the command at standstill: nothing moves until its width is passed",
+    told_by=("small reversals",),
 )  # fmt: skip
 def dead_zone(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Small commands have no effect."""
@@ -41,6 +42,7 @@ def dead_zone(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     family=("rate_limit", "input_gain"),
     limits={"input_gain": "if the command is always beyond the limit"},
     experiment="commands of two amplitudes: invisible at small amplitude",
+    told_by=("full swing",),
 )  # fmt: skip
 def saturation(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Large commands are cut off."""
@@ -62,6 +64,7 @@ def saturation(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     nests=("actuator_lag",),
     limits={"actuator_lag": "for commands that never ask for more than the rate R"},
     experiment="steps of two sizes: the rise time of a rate limit grows with the size, that of a lag does not",
+    told_by=("chirp",),
 )  # fmt: skip
 def rate_limit(u: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Limit on how fast the actuator can change."""
@@ -78,6 +81,7 @@ def rate_limit(u: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     limits={"actuator_lag": "at frequencies far below 1/tau"},
     sampled="input_delay",
     experiment="a chirp up to 5/tau (2 to 8 Hz for 20 to 100 ms): a delay turns the phase without losing amplitude",
+    told_by=("chirp",),
 )  # fmt: skip
 def input_delay(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Delay between command and force."""
@@ -95,6 +99,7 @@ def input_delay(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     family=("input_delay", "rate_limit", "elasticity", "sensor_delay"),
     limits={"input_delay": "at frequencies far below 1/tau"},
     experiment="a chirp up to 5/tau: a lag loses amplitude, a delay does not",
+    told_by=("chirp",),
 )  # fmt: skip
 def actuator_lag(u: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """First-order lag of the actuator."""
@@ -109,6 +114,7 @@ def actuator_lag(u: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]
     family=("sensor_gain", "saturation", "dead_zone"),
     same_as={"parameter": "a common factor on all nominal parameters, where all of them are free"},
     experiment="a known added mass or a measured force: the scale of inertia is known only through the input",
+    told_by=("added mass",),
 )  # fmt: skip
 def input_gain(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Constant factor between command and force."""
@@ -137,6 +143,7 @@ def input_compression(u: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     same_as={"parameter": "where the nominal has a constant force of its own"},
     limits={"gravity_tilt": "at small angles", "sensor_offset": "at small angles"},
     experiment="swings beyond 60 deg: gravity makes an angle offset differ from a constant force",
+    told_by=("large swing",),
 )
 def force_bias(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Constant force that nobody commanded."""

@@ -80,6 +80,8 @@ def _carried(level: Any, steady: Any, s: Any, p: Any, v: Any) -> tuple[Any, list
     },
     grows="bristles",
     experiment="reversals of several small amplitudes: within the presliding length the joint springs back",
+    whole="dry friction",
+    told_by=("slow motion",),
 )
 def lugre_coulomb_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Dry friction of bristles with one level (Dahl's, with damping)."""
@@ -103,6 +105,8 @@ def lugre_coulomb_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any,
     limits={"stribeck_friction": "for a presliding length xs far below the motion"},
     grows="bristles",
     experiment="slow triangles through zero speed, and reversals within the presliding length: small loops appear",
+    whole="dry friction",
+    told_by=("slow motion",),
 )  # fmt: skip
 def lugre_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Dry friction of bristles that is higher near standstill (LuGre)."""
@@ -123,6 +127,8 @@ def lugre_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[An
     limits={"asymmetric_friction": "for a presliding length xs far below the motion"},
     grows="bristles",
     experiment="none on one joint tells its levels from one level and a bias; turning the joint round shows which",
+    whole="dry friction",
+    told_by=("slow motion",),
 )
 def lugre_asymmetric_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Dry friction of bristles with another level in each direction."""
@@ -143,6 +149,8 @@ def lugre_asymmetric_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[A
     limits={"load_dependent_friction": "for a presliding length xs far below the motion"},
     grows="bristles",
     experiment="the same motion with and without a payload: a level of its own stays, this one grows",
+    whole="dry friction",
+    told_by=("slow motion",),
 )
 def lugre_load_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any, load: Any) -> tuple[Any, list[Any]]:
     """Dry friction of bristles in proportion to the force that the joint carries."""
@@ -167,6 +175,8 @@ def lugre_load_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any, load: 
     angles=True,
     grows="bristles",
     experiment="slow full turns in both directions: the height of the force loop depends on the angle",
+    whole="dry friction",
+    told_by=("slow motion",),
 )
 def lugre_position_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Dry friction of bristles whose level depends on the angle."""
@@ -189,6 +199,8 @@ def lugre_position_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any) ->
     limits={"sublinear_friction": "for a presliding length xs far below the motion"},
     grows="bristles",
     experiment="slow and fast triangles: the force grows with the speed, less than in proportion",
+    whole="dry friction",
+    told_by=("slow motion",),
 )
 def lugre_sublinear_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Friction of bristles whose level grows with the speed less than in proportion: grease and seals."""
@@ -211,6 +223,8 @@ def lugre_sublinear_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[An
     limits={"yield_friction": "for a presliding length xs far below the motion"},
     grows="bristles",
     experiment="slow and fast triangles: the force starts from a level, and grows with the speed, less and less",
+    whole="dry friction",
+    told_by=("slow motion",),
 )  # fmt: skip
 def lugre_yield_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Dry friction of bristles whose level grows with the speed less than in proportion: stiff grease."""

@@ -11,16 +11,21 @@ from typing import Any, Literal
 
 import numpy as np
 
-from harness.effects.parameter import EffectParameter, par
+from harness.effects.parameter import EffectParameter, Role, par
 from harness.effects.unit_templates import fill, rate_unit
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["Effect", "EffectParameter", "Kind", "Placed", "effect", "par", "port_units", "unit_of"]
+__all__ = ["EXPERIMENTS", "Effect", "EffectParameter", "Kind", "Placed", "effect", "par", "port_units", "unit_of"]
 
 Kind = Literal["input", "coordinate", "output", "base", "process"]
 Along = Callable[[Mapping[str, float], FloatArray, FloatArray], bool]
 KINDS: tuple[Kind, ...] = ("input", "coordinate", "output", "base", "process")
+EXPERIMENTS = ("slow motion", "chirp", "turned base", "large swing", "full swing", "small reversals", "fast swing",
+               "rest", "added mass")  # fmt: skip
+"""Kinds of experiments that separate laws: slow triangles through standstill; a chirp to five times the corner of the
+longest lag; the base turned by a known angle; swings beyond 60 deg, and beyond 90; triangles of small amplitude; decays
+from high speed; no excitation at all; a known mass added."""
 _FIXED_ARGUMENTS = 5
 _EXTRA_ARGUMENTS = ("t", "a", "load")
 
@@ -75,6 +80,11 @@ class Effect:
     grows : str
         What it adds to the first of ``nests``, if it refines that law: it is tried from where that one was fitted, and
         never before, together with what adds the same to other laws.
+    whole : str
+        What of its place it is the whole law of, such as ``"dry friction"``: a place has one, and two together imitate a
+        third.
+    told_by : tuple of str
+        Kinds of experiments that tell it from rivals which name the same kind; see :data:`EXPERIMENTS`.
     cuts : bool
         What it takes from a reading is lost (values beyond a limit, the sign): in a model it comes after all that bends
         or shifts the scale of that output.
@@ -103,6 +113,8 @@ class Effect:
     requires: Mapping[str, Callable[[Mapping[str, float]], bool]] = field(default_factory=dict)
     requires_along: Mapping[str, Along] = field(default_factory=dict)
     grows: str = ""
+    whole: str = ""
+    told_by: tuple[str, ...] = ()
     cuts: bool = False
 
     def __str__(self) -> str:
@@ -121,6 +133,10 @@ class Effect:
     def main(self) -> EffectParameter | None:
         """The parameter that decides about acceptance; None for an effect without parameters."""
         return next((parameter for parameter in self.parameters if parameter.main), None)
+
+    def parameter_of(self, role: Role) -> EffectParameter | None:
+        """Return the parameter that plays a role in the law, None where none does."""
+        return next((parameter for parameter in self.parameters if parameter.role == role), None)
 
     def parameter(self, name: str) -> EffectParameter:
         """Return one parameter by name, or refuse the name."""
@@ -288,6 +304,8 @@ def effect(
     requires: Mapping[str, Callable[[Mapping[str, float]], bool]] | None = None,
     requires_along: Mapping[str, Along] | None = None,
     grows: str = "",
+    whole: str = "",
+    told_by: Sequence[str] = (),
     cuts: bool = False,
 ) -> Callable[[Callable[..., Any]], Effect]:
     """Make an effect of a function.
@@ -303,7 +321,7 @@ def effect(
         Names of hidden states separated by spaces, or name to unit template. They start at 0 unless ``initial`` says
         otherwise.
     name, family, same_as, limits, nests, experiment, formula, drives, downstream, sampled, linearises, angles, initial,
-    requires, requires_along, grows, cuts
+    requires, requires_along, grows, whole, told_by, cuts
         See :class:`Effect`; ``name`` is the function's own unless given.
 
     Returns
@@ -341,6 +359,13 @@ def effect(
             expected="nests, the law that it refines first",
             got="no nests",
             remedy="name that law in nests, or leave grows out",
+        )
+    if unknown := [kind for kind in told_by if kind not in EXPERIMENTS]:
+        raise InputError(
+            "told_by of an effect",
+            expected=f"among {', '.join(EXPERIMENTS)}",
+            got=repr(unknown[0]),
+            remedy="name kinds of experiments from this list, and say in experiment what else would tell",
         )
     parameters = _parameters(params)
     hidden = dict.fromkeys(states.split(), "1") if isinstance(states, str) else dict(states)
@@ -380,6 +405,8 @@ def effect(
             requires=dict(requires or {}),
             requires_along=dict(requires_along or {}),
             grows=grows,
+            whole=whole,
+            told_by=tuple(told_by),
             cuts=cuts,
         )
 

@@ -14,13 +14,23 @@ __all__ = ["periodic_disturbance"]
     ("coordinate", "input"),
     [
         par("A", "F", scale="0.05 F", neutral=0.0, main=True, linear=True, meaning="amplitude"),
-        par("omega", "rad/s", scale="20 1/T", sign="+", minimum=1e-9, grid=(1.0, 0.3, 3.0, 10.0), meaning="frequency"),
+        par(
+            "omega",
+            "rad/s",
+            scale="20 1/T",
+            sign="+",
+            minimum=1e-9,
+            grid=(1.0, 0.3, 3.0, 10.0),
+            role="frequency",
+            meaning="frequency",
+        ),
         par(
             "phi",
             "rad",
             scale="0.5",
             nuisance=True,
             per_record=True,
+            role="phase",
             grid=(1.0, 4.0, 7.0, 10.0),
             meaning="phase at time 0 of a record",
         ),
@@ -29,6 +39,7 @@ __all__ = ["periodic_disturbance"]
     family=("cogging", "sensor_offset"),
     limits={"cogging": "at constant speed"},
     experiment="no excitation at all: the line stays; its phase is refitted on each record",
+    told_by=("rest",),
 )
 def periodic_disturbance(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any) -> Any:
     """Sinusoidal force from outside (unbalance of a neighbour, mains)."""

@@ -50,6 +50,7 @@ def _level(name: str, scale: str, *, main: bool, meaning: str) -> EffectParamete
     same_as={"parameter": "where the nominal has a viscous term of its own on this coordinate"},
     limits={"quadratic_drag": "at one constant speed"},
     experiment="swings of several amplitudes: the decay per cycle of viscous friction does not depend on amplitude",
+    told_by=("slow motion", "fast swing"),
 )
 def viscous_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Friction proportional to speed."""
@@ -64,6 +65,8 @@ def viscous_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
             "position_dependent_friction", "sublinear_friction", "yield_friction"),
     limits={"stribeck_friction": "at speeds far above the Stribeck speed"},
     experiment="slow triangles through zero speed at several amplitudes: the force loop keeps its height",
+    whole="dry friction",
+    told_by=("slow motion", "fast swing"),
 )  # fmt: skip
 def coulomb_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Dry friction: constant against the motion."""
@@ -97,6 +100,8 @@ def coulomb_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     },
     limits={"coulomb_friction": "at speeds far above the Stribeck speed vs"},
     experiment="a slow triangle through zero speed: the force must fall as the speed rises",
+    whole="dry friction",
+    told_by=("slow motion",),
 )
 def stribeck_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Dry friction that is higher near standstill."""
@@ -115,6 +120,8 @@ def stribeck_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     nests=("coulomb_friction", "force_bias"),
     same_as={"coulomb_friction + force_bias": "always: level (Fp + Fm)/2 and bias -(Fp - Fm)/2"},
     experiment="none on one joint tells it from Coulomb friction plus a bias; turning the joint round shows which",
+    whole="dry friction",
+    told_by=("slow motion",),
 )
 def asymmetric_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Dry friction with another level in each direction."""
@@ -134,6 +141,8 @@ def asymmetric_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     nests=("coulomb_friction",),
     limits={"coulomb_friction": "for a small exponent", "viscous_friction": "for an exponent near 1"},
     experiment="slow and fast triangles: the force grows with the speed, less than in proportion",
+    whole="dry friction",
+    told_by=("slow motion",),
 )  # fmt: skip
 def sublinear_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Friction of grease and seals, which grows with the speed less than in proportion."""
@@ -154,6 +163,8 @@ def sublinear_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     nests=("sublinear_friction", "coulomb_friction"),
     limits={"coulomb_friction": "for a small exponent"},
     experiment="slow and fast triangles: the force starts from a level, and grows with the speed, less and less",
+    whole="dry friction",
+    told_by=("slow motion",),
 )  # fmt: skip
 def yield_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Dry friction and, beyond its level, a force that grows with the speed less than in proportion: stiff grease."""
@@ -167,6 +178,7 @@ def yield_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     family=("viscous_friction", "coulomb_friction"),
     limits={"viscous_friction": "at one constant speed"},
     experiment="large swings: the decay per cycle grows with amplitude; needs a high peak speed",
+    told_by=("fast swing",),
 )
 def quadratic_drag(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Drag of a fluid at speed."""
@@ -181,6 +193,7 @@ def quadratic_drag(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     family=("coulomb_friction", "position_dependent_friction", "hysteresis", "input_gain"),
     limits={"coulomb_friction": "under a load of constant size"},
     experiment="the same motion with and without a payload: Coulomb friction stays, this one grows",
+    told_by=("slow motion",),
 )  # fmt: skip
 def load_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any, load: Any) -> Any:
     """Dry friction in proportion to the force that the joint carries."""
@@ -201,6 +214,8 @@ def load_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any, load: Any) -
     requires={"the level 1 + a cos(q + phi) is nowhere negative": lambda p: abs(p["a"]) <= 1.0},
     angles=True,
     experiment="slow full turns in both directions: the height of the force loop depends on the angle",
+    whole="dry friction",
+    told_by=("slow motion",),
 )
 def position_dependent_friction(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Dry friction whose level depends on the angle."""
@@ -266,6 +281,8 @@ def _slip_rate(z: Any, length: Any, p: Any, v: Any) -> Any:
         "linear_spring": "for motions far below the presliding length",
     },
     experiment="reversals of several small amplitudes: minor loops appear where Coulomb friction has none",
+    whole="dry friction",
+    told_by=("slow motion", "small reversals"),
 )
 def hysteresis(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Bouc-Wen hysteresis: friction that builds up over a presliding length."""
@@ -289,6 +306,8 @@ def hysteresis(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     limits={"hysteresis": "for a share of 0, or equal lengths"},
     grows="slip elements",
     experiment="reversals of several small amplitudes: elements slip one after the other, the shortest first",
+    whole="dry friction",
+    told_by=("slow motion",),
 )  # fmt: skip
 def parallel_hysteresis(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Hysteresis of two elements in parallel that slip one after the other (Iwan 1966), as gears and bearings have."""

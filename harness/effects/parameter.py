@@ -10,9 +10,10 @@ import numpy as np
 
 from harness.effects.unit_templates import tokens
 
-__all__ = ["EffectParameter", "par"]
+__all__ = ["EffectParameter", "Role", "par"]
 
 Sign = Literal["+", "-", "any"]
+Role = Literal["", "phase", "frequency", "wave number", "instant", "step"]
 _USUAL = {"dt": 0.01, "T": 10.0}
 
 
@@ -50,6 +51,10 @@ class EffectParameter:
         Means something only on a coordinate in rad; fixed at its neutral value elsewhere.
     per_record : bool
         It belongs to a record, not to the plant (an instant, a phase of a line): refitted on every record.
+    role : {"", "phase", "frequency", "wave number", "instant", "step"}
+        What it is to its law, where fits and tests treat it by that: the ``phase`` of a wave whose amplitude is the
+        main parameter, with its ``frequency`` over time or its ``wave number`` along a coordinate or a reading; the
+        ``instant`` at which something happens once in a record; the ``step`` of a grid of readings.
     floor : str
         Lower bound that follows from the sizes of the data, written as ``scale`` is: what this motion could show.
     ceiling : str
@@ -74,6 +79,7 @@ class EffectParameter:
     linear: bool = False
     angle_only: bool = False
     per_record: bool = False
+    role: Role = ""
     floor: str = ""
     ceiling: str = ""
     grid: tuple[float, ...] = (1.0,)

@@ -33,6 +33,7 @@ __all__ = [
     same_as={"gravity_tilt": "an angle on one joint", "eccentric_load": "an angle on one joint, gravity free"},
     limits={"force_bias": "at small angles"},
     experiment="turn the base (tells from tilt); swing beyond 60 deg (tells from a bias)",
+    told_by=("turned base", "large swing"),
 )
 def sensor_offset(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Error of a sensor at zero."""
@@ -47,6 +48,7 @@ def sensor_offset(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     family=("input_gain", "sensor_saturation", "linear_spring"),
     same_as={"input_gain": "where the nominal is linear"},
     experiment="angles beyond 90 deg: gravity knows the true angle; or a reference sensor",
+    told_by=("full swing",),
 )  # fmt: skip
 def sensor_gain(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Wrong scale of a sensor."""
@@ -59,8 +61,8 @@ def sensor_gain(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
         par("A", "y", scale="0.01 y", neutral=0.0, main=True, linear=True, meaning="amplitude"),
         # k times the travel (2 sqrt(2) rms) reaches pi/4: over less than an eighth of a period a sine is a parabola
         par("k", "rad/y", scale="2", floor="0.28 y^-1", minimum=0.7, maximum=1000.0,
-            grid=(1.0, 0.5, 1.5, 2.0, 3.0, 4.0), meaning="periods per turn"),
-        par("phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), meaning="phase"),
+            grid=(1.0, 0.5, 1.5, 2.0, 3.0, 4.0), role="wave number", meaning="periods per turn"),
+        par("phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), role="phase", meaning="phase"),
     ],
     formula="y' = y + A sin(k y + phi), k >= 0.7",
     family=("sensor_gain", "sensor_offset", "cogging", "eccentric_load"),
@@ -98,6 +100,7 @@ def sensor_nonlinearity(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     same_as={"input_delay": "in open loop, but for the response to the initial state"},
     sampled="output_delay",
     experiment="closed loop or a free swing with a second, fast sensor",
+    told_by=("chirp",),
 )  # fmt: skip
 def sensor_delay(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Delay of a reading."""
@@ -133,7 +136,19 @@ def sensor_saturation(y: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
 
 @effect(
     "output",
-    [par("step", "y", scale="0.01 y", sign="+", minimum=0.0, neutral=0.0, main=True, meaning="size of one step")],
+    [
+        par(
+            "step",
+            "y",
+            scale="0.01 y",
+            sign="+",
+            minimum=0.0,
+            neutral=0.0,
+            main=True,
+            role="step",
+            meaning="size of one step",
+        )
+    ],
     formula="y' = step round(y/step); no derivative: found by the grid on which the readings lie, not by a fit",
     family=("sensor_saturation",),
     sampled="quantise",

@@ -30,6 +30,7 @@ __all__ = [
     same_as={"parameter": "where the nominal has a linear spring of its own; at small angles also its gravity"},
     limits={"cubic_spring": "at small amplitude"},
     experiment="angles beyond 90 deg: gravity turns back, a spring does not",
+    told_by=("full swing",),
 )
 def linear_spring(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Force proportional to the coordinate."""
@@ -64,6 +65,7 @@ def maxwell_element(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[A
     formula="F = -k2 q^2",
     family=("cubic_spring", "linear_spring", "force_bias"),
     experiment="a static offset: the resonance shifts with its sign",
+    told_by=("full swing",),
 )
 def quadratic_spring(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Force proportional to the square of the coordinate: unequal stiffness to the two sides."""
@@ -77,6 +79,7 @@ def quadratic_spring(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     family=("linear_spring", "quadratic_spring", "end_stop"),
     limits={"linear_spring": "at small amplitude"},
     experiment="sweeps of two amplitudes: the resonance shifts with amplitude",
+    told_by=("full swing",),
 )
 def cubic_spring(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Force proportional to the cube of the coordinate: hardening (k3 > 0) or softening."""
@@ -94,6 +97,7 @@ def cubic_spring(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     },
     limits={"force_bias": "at small angles"},
     experiment="turn the base: tilt turns with it, an encoder offset does not",
+    told_by=("turned base", "large swing"),
 )
 def gravity_tilt(g: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Tilt of the base."""
@@ -116,6 +120,7 @@ def gravity_tilt(g: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     limits={"force_bias": "at small angles"},
     angles=True,
     experiment="turn the base by a known angle: the load's torque stays with the body, the tilt does not",
+    told_by=("turned base", "large swing"),
 )
 def eccentric_load(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Centre of mass beside the nominal's line."""
@@ -133,6 +138,7 @@ def eccentric_load(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
             scale="0.5 T",
             minimum=0.0,
             per_record=True,
+            role="instant",
             grid=(1.0, 0.2, 0.4, 0.6, 0.8, 1.2, 1.4, 1.6, 1.8),
             meaning="instant of the change",
         ),
@@ -142,6 +148,7 @@ def eccentric_load(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     family=("eccentric_load", "force_bias", "input_gain"),
     same_as={"parameter": "if t0 lies outside the record: an error of the nominal inertia and gravity"},
     experiment="repeat the same excitation before and after the change",
+    told_by=("added mass",),
 )
 def payload_step(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any, a: Any) -> Any:
     """Load that is picked up during the record."""
@@ -164,6 +171,7 @@ def payload_step(f: Any, s: Any, p: Any, q: Any, v: Any, t: Any, a: Any) -> Any:
     family=("cubic_spring", "sensor_saturation"),
     limits={"cubic_spring": "if only the rounded edge of the stop is touched"},
     experiment="drive slowly against both ends",
+    told_by=("full swing",),
 )  # fmt: skip
 def end_stop(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Elastic limit of the travel."""

@@ -59,6 +59,7 @@ def _through(passed: Any, f: Any, s: Any, p: Any, v: Any) -> tuple[Any, list[Any
     family=("backlash", "actuator_lag", "input_delay"),
     limits={"parameter": "for large k: the two inertias add up to the nominal's", "backlash": "for zero gap"},
     experiment="a chirp through the resonance and antiresonance of the two masses, with a sensor on each side",
+    told_by=("small reversals",),
 )
 def elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Flexible transmission between a motor mass and the load."""
@@ -80,6 +81,7 @@ def elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     limits={"elasticity": "for small twists", "backlash": "for a joint that is soft at first: a rounded play"},
     grows="stiffening",
     experiment="chirps of two sizes through the resonance, which moves up with the amplitude",
+    told_by=("small reversals",),
 )  # fmt: skip
 def hardening_elasticity(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Flexible transmission that stiffens with its twist, as harmonic drives do."""
@@ -108,6 +110,7 @@ def _play() -> list[EffectParameter]:
     nests=("elasticity",),
     limits={"elasticity": "for zero gap"},
     experiment="small reversals, and a sensor on the load's side",
+    told_by=("small reversals",),
 )
 def backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Play between a motor mass and the load, with an elastic contact."""
@@ -124,6 +127,7 @@ def backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     limits={"backlash": "for flanks without damping"},
     grows="parting flanks",
     experiment="small fast reversals: flanks part at once",
+    told_by=("small reversals",),
 )
 def unilateral_backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, list[Any]]:
     """Play between a motor mass and the load whose flanks push and never pull."""
@@ -144,8 +148,8 @@ def unilateral_backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, li
         # k times the travel (2 sqrt(2) rms) reaches pi/2: over less than a quarter of a period nothing repeats
         par("k", "rad/q", scale="6", floor="0.56 q^-1", minimum=2.5, maximum=1000.0,
             grid=(1.0, 0.5, 0.6666666666666666, 1.3333333333333333, 2.0, 3.0, 4.0),
-            meaning="periods per turn"),
-        par("phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), meaning="phase"),
+            role="wave number", meaning="periods per turn"),
+        par("phi", "rad", scale="0.5", nuisance=True, grid=(1.0, 4.0, 7.0, 10.0), role="phase", meaning="phase"),
     ],
     formula="F = A sin(k q + phi), k >= 2.5",
     family=("cubic_spring", "quadratic_spring", "position_dependent_friction", "periodic_disturbance",
@@ -156,6 +160,7 @@ def unilateral_backlash(f: Any, s: Any, p: Any, q: Any, v: Any) -> tuple[Any, li
         "cubic_spring": "if the motion covers less than a period about a zero, with the stiffness free",
     },
     experiment="slow full turns in both directions: the force repeats with the angle whatever the speed",
+    told_by=("rest",),
 )  # fmt: skip
 def cogging(f: Any, s: Any, p: Any, q: Any, v: Any) -> Any:
     """Torque that repeats several times a turn (poles, teeth)."""

@@ -229,6 +229,11 @@ class Likelihood:
         """What can be estimated: parameters, ``x0[record].state``, noise."""
         return self._layout()[0]
 
+    @property
+    def start_names(self) -> list[str]:
+        """Names of the initial states, record by record."""
+        return [f"x0[{number}].{state}" for number in range(len(self.records)) for state in self.filter.state_names]
+
     # ---- coordinates of the search ---------------------------------------------------------------------------------
 
     def _pack(self, point: Point) -> FloatArray:
@@ -258,14 +263,12 @@ class Likelihood:
 
     def _layout(self) -> tuple[list[str], npt.NDArray[np.bool_], FloatArray, FloatArray]:
         """Return names, whether logarithmic, lower and upper bounds of the vector."""
-        states = self.filter.state_names
-        names = list(self.system.parameter_names)
+        starts = self.start_names
+        names = [*self.system.parameter_names, *starts]
         log, low, high = list(self._log), list(self._low), list(self._high)
-        for number in range(len(self.records)):
-            names += [f"x0[{number}].{state}" for state in states]
-            log += [False] * len(states)
-            low += [-np.inf] * len(states)
-            high += [np.inf] * len(states)
+        log += [False] * len(starts)
+        low += [-np.inf] * len(starts)
+        high += [np.inf] * len(starts)
         model, ports = self.noise_model, [latent_force.port for latent_force in self.filter.forces]
         if model.latent:
             force = np.log(model.force_scale)

@@ -14,6 +14,7 @@ from harness.diagnosis.arm.rotor import rotor_inertia
 from harness.diagnosis.policy import ARM_POLICY, EFFORT
 from harness.diagnosis.records.motion import Motion, motion_band
 from harness.diagnosis.runs.equation import Equations, decimated, expressible
+from harness.diagnosis.search.fit import WAVE
 from harness.effects.compose import compose
 from harness.effects.effect import Effect, Placed
 from harness.physics.arm import ArmModel
@@ -137,19 +138,20 @@ class JointRegression:
             linear = tuple(
                 parameter.name for parameter in placed.effect.parameters if parameter.linear and not parameter.fixed
             )
+            phase = placed.effect.parameter_of("phase")
             for given in self._choices(placed, linear):
                 turns = [given]
-                if placed.effect.name == "cogging":  # sin(a + phi) = cos(phi) sin(a) + sin(phi) cos(a)
-                    turns = [{**given, "phi": angle} for angle in (0.0, 0.5 * np.pi)]
+                if phase is not None:  # sin(a + phi) = cos(phi) sin(a) + sin(phi) cos(a)
+                    turns = [{**given, phase.name: angle} for angle in (0.0, 0.5 * np.pi)]
                 parts = [self._columns(equation, values, placed, linear, turn) for turn in turns]
                 torque = {
                     use: [np.concatenate([part[use][k] for part in parts], axis=2) for k in range(len(parts[0][use]))]
                     for use in parts[0]
                 }
-                names = (linear or ("effect",)) if len(turns) == 1 else ("in phase", "quarter turn")
-                known = {name: value for name, value in given.items() if len(turns) == 1 or name != "phi"}
+                names = (linear or ("effect",)) if phase is None else WAVE
+                known = {name: value for name, value in given.items() if phase is None or name != phase.name}
                 if all(np.isfinite(part).all() for use in torque.values() for part in use):
-                    changes.append(Change(placed, known, names, torque))
+                    changes.append(Change(placed, known, names, torque, "linear" if phase is None else "wave"))
         return changes
 
     def _choices(self, placed: Placed, linear: Sequence[str]) -> list[dict[str, float]]:
@@ -159,12 +161,13 @@ class JointRegression:
             parameter for parameter in placed.effect.parameters if parameter.name not in linear and not parameter.fixed
         ]
         grids: list[Sequence[float]] = []
+        wave_number = placed.effect.parameter_of("wave number")
         for parameter in free:
-            if placed.effect.name == "cogging":
-                grids.append(self._waves(parameter.minimum, parameter.maximum) if parameter.name == "k" else (0.0,))
+            if wave_number is not None:
+                grids.append(self._waves(parameter.minimum, parameter.maximum) if parameter is wave_number else (0.0,))
             else:
                 grids.append(parameter.starts(at))
-        most = WAVES if placed.effect.name == "cogging" else EFFORT.choices
+        most = EFFORT.choices if wave_number is None else WAVES
         names = [parameter.name for parameter in free]
         return [dict(zip(names, choice, strict=True)) for choice in itertools.islice(itertools.product(*grids), most)]
 

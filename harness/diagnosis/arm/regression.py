@@ -11,7 +11,7 @@ import numpy as np
 
 from harness.diagnosis.policy import ARM_POLICY, EFFORT, POLICY, ArmPolicy
 from harness.diagnosis.search.coloured import Before, Coloured, fitted_error
-from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
+from harness.diagnosis.search.fit import Begun, Column, ColumnKind, Fit, Linearised, Suspect
 from harness.diagnosis.systems import Parametrised
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
@@ -56,6 +56,7 @@ class Change:
     given: dict[str, float]
     names: tuple[str, ...]
     torque: dict[str, list[FloatArray]]
+    kind: ColumnKind = "linear"
 
 
 class TorqueRegression(Protocol):
@@ -404,7 +405,7 @@ class RegressionForm:
         """Return what a change does to the whitened residual."""
         errors = fit.detail.errors
         made = {use: self.whitened(change.torque[use], use, errors) for use in USES}
-        return Column(change.placed, change.given, change.names, made["estimation"], made["validation"])
+        return Column(change.placed, change.given, change.names, made["estimation"], made["validation"], change.kind)
 
 
 def _deviations(jacobian: FloatArray) -> FloatArray:

@@ -127,7 +127,7 @@ class FmuForm(LikelihoodForm[FmuSystem]):
                     columns[use].append(whitened(response, run.s[..., None]))
         return [
             Column(direction.placed, direction.given, direction.names,
-                   np.concatenate(columns["estimation"]), np.concatenate(columns["validation"]))
+                   np.concatenate(columns["estimation"]), np.concatenate(columns["validation"]), direction.kind)
             for direction, columns in zip(found, made, strict=True)
             if all(np.isfinite(part).all() for parts in columns.values() for part in parts)
         ]  # fmt: skip

@@ -20,6 +20,7 @@ from harness.diagnosis.forms.directions import (
     spline_directions,
 )
 from harness.diagnosis.policy import EFFORT
+from harness.diagnosis.search.fit import WAVE
 from harness.effects.effect import Placed
 from harness.effects.places import port_of
 from harness.errors import HarnessError
@@ -126,7 +127,7 @@ def _commands(
                 forces[use].append(np.stack(columns, axis=2))
         readings = {use: [np.zeros((len(part.y), nominal.ny, len(names))) for part in parts]
                     for use, parts in moved.items()}  # fmt: skip
-        directions.append(Direction(placed, given, names, forces, readings))
+        directions.append(Direction(placed, given, names, forces, readings, "wave" if phase else "linear"))
     return directions
 
 
@@ -137,8 +138,10 @@ def _cases(placed: Placed, linear: Sequence[str], phase: bool) -> list[dict[str,
     amplitude = next(
         (parameter.name for parameter in placed.effect.parameters if parameter.linear and not parameter.fixed), ""
     )
-    if phase:
-        return [{amplitude: 0.0, "phi": 0.0}, {amplitude: 1.0, "phi": 0.0}, {amplitude: 1.0, "phi": 0.5 * np.pi}]
+    turn = placed.effect.parameter_of("phase")
+    if phase and turn is not None:
+        cases = ((0.0, 0.0), (1.0, 0.0), (1.0, 0.5 * np.pi))
+        return [{amplitude: size, turn.name: angle} for size, angle in cases]
     nothing = {name: placed.effect.parameter(name).neutral or 0.0 for name in linear}
     return [nothing, *({**nothing, name: nothing[name] + 1.0} for name in linear)]
 
@@ -147,7 +150,8 @@ def _tried(
     placed: Placed, at: Mapping[str, float], moved: Mapping[str, Sequence[Moved]]
 ) -> list[tuple[dict[str, float], tuple[str, ...], bool]]:
     """Return choices of the nonlinear parameters; of a periodic push the strongest lines of the output error."""
-    if "periodic" not in placed.effect.name:
+    frequency = placed.effect.parameter_of("frequency")
+    if frequency is None:
         return [(given, linear, False) for given, linear in choices(placed, at)]
     longest = max(moved["estimation"], key=lambda part: len(part.y))
     error = np.nan_to_num(longest.record.y - longest.y)
@@ -159,7 +163,7 @@ def _tried(
     for _ in range(EFFORT.lines):
         peak = int(np.argmax(power))
         if omega[peak] > 0:
-            lines.append(({"omega": float(omega[peak])}, ("in phase", "quarter turn"), True))
+            lines.append(({frequency.name: float(omega[peak])}, WAVE, True))
         power[max(peak - 12, 0) : peak + 13] = 0.0
     return lines
 

@@ -12,12 +12,12 @@ import numpy as np
 from harness.diagnosis.forms.lines import frequencies, short_waves, waves
 from harness.diagnosis.forms.trace import Along, Trace
 from harness.diagnosis.policy import EFFORT
-from harness.diagnosis.search.fit import DRIFT
+from harness.diagnosis.search.fit import WAVE, ColumnKind
 from harness.diagnosis.systems import AnySystem
 from harness.effects.along import Signals
 from harness.effects.columns import ColumnBlock, column_blocks
 from harness.effects.compose import compose
-from harness.effects.effect import Placed
+from harness.effects.effect import EffectParameter, Placed
 from harness.effects.places import port_of
 from harness.effects.sampled import delay
 from harness.errors import HarnessError
@@ -47,6 +47,7 @@ class Direction:
     names: tuple[str, ...]
     forces: dict[str, list[FloatArray]]
     readings: dict[str, list[FloatArray]]
+    kind: ColumnKind = "linear"
 
 
 def directions(
@@ -88,7 +89,7 @@ def line_directions(
         use: [signals_of(trace, nominal) for trace in parts if nominal.coordinates] for use, parts in traces.items()
     }
     known = {name: values[name] for name in nominal.parameter_names}
-    return _blocks(traces, signals, nominal, known, line, sizes, "phi")
+    return _blocks(traces, signals, nominal, known, line, sizes, line.effect.parameter_of("phase"))
 
 
 def _finite(direction: Direction) -> bool:
@@ -129,21 +130,24 @@ def _forces(
     sizes: Mapping[str, Mapping[str, float]],
 ) -> list[Direction]:
     """Return the directions of an effect whose force follows from the motion."""
-    if "periodic" in placed.effect.name:
-        lines = [placed.with_values({"omega": omega}) for omega in frequencies(traces["estimation"], nominal)]
-        return [
-            direction for line in lines for direction in _blocks(traces, signals, nominal, known, line, sizes, "phi")
+    frequency, wave_number = (placed.effect.parameter_of(role) for role in ("frequency", "wave number"))
+    phase = placed.effect.parameter_of("phase")
+    waves_of_it: list[Placed] = []
+    if frequency is not None:
+        waves_of_it = [
+            placed.with_values({frequency.name: omega}) for omega in frequencies(traces["estimation"], nominal)
         ]
-    if placed.effect.name == "cogging":
+    elif wave_number is not None:
         row = next(k for k, coordinate in enumerate(nominal.coordinates) if coordinate.name == placed.at)
         angle = np.concatenate([motion.q[:, row] for motion in signals["estimation"]])
-        numbers = waves(angle, placed)
+        numbers = waves(angle, wave_number)
         numbers += short_waves(traces["estimation"], nominal, row, beyond=max(numbers, default=0.0))
-        teeth = [placed.with_values({"k": k}) for k in numbers if k <= placed.effect.parameter("k").maximum]
-        return [
-            direction for wave in teeth for direction in _blocks(traces, signals, nominal, known, wave, sizes, "phi")
-        ]
-    return _blocks(traces, signals, nominal, known, placed, sizes, "")
+        waves_of_it = [placed.with_values({wave_number.name: k}) for k in numbers if k <= wave_number.maximum]
+    else:
+        return _blocks(traces, signals, nominal, known, placed, sizes, None)
+    return [
+        direction for wave in waves_of_it for direction in _blocks(traces, signals, nominal, known, wave, sizes, phase)
+    ]
 
 
 def _blocks(
@@ -153,10 +157,11 @@ def _blocks(
     known: Mapping[str, float],
     placed: Placed,
     sizes: Mapping[str, Mapping[str, float]],
-    phase: str,
+    phase: EffectParameter | None,
 ) -> list[Direction]:
     """Return one direction for each block of columns; of a law with a phase, sine and cosine together."""
-    choices = [placed.with_values({phase: angle}) for angle in (0.0, 0.5 * np.pi)] if phase else [placed]
+    turns = () if phase is None else (0.0, 0.5 * np.pi)
+    choices = [placed.with_values({phase.name: angle}) for angle in turns if phase is not None] or [placed]
     made: list[dict[str, list[list[ColumnBlock]]]] = []
     for choice in choices:
         made.append(
@@ -174,13 +179,15 @@ def _blocks(
             ]
             for use in signals
         }
-        names = tuple(block.names) if not phase else (f"{block.names[0]} cos", f"{block.names[0]} sin")
-        given = {k: v for k, v in {**block.given, **placed.values}.items() if k != phase}
-        if phase:  # sin(a + phi) = cos(phi) sin(a) + sin(phi) cos(a)
-            names = ("in phase", "quarter turn")
+        given, names = {**block.given, **placed.values}, tuple(block.names)
+        kind: ColumnKind = "linear" if phase is None else "wave"
+        if phase is not None:  # sin(a + phi) = cos(phi) sin(a) + sin(phi) cos(a)
+            names = WAVE
+            given.pop(phase.name, None)
         k = len(names)
         if forces["estimation"][0].shape[2] == k:
-            directions.append(Direction(placed, given, names, forces, _nothing(traces, nominal.ny, k)))
+            nothing = _nothing(traces, nominal.ny, k)
+            directions.append(Direction(placed, given, names, forces, nothing, kind))
     return directions
 
 
@@ -210,7 +217,7 @@ def reading_directions(
     if placed.effect.sampled == "quantise" or not placed.effect.parameters:
         return []
     at = sizes.get(placed.at, {})
-    if "phi" in placed.effect.parameter_names:
+    if placed.effect.parameter_of("wave number") is not None:
         return _waves_of_readings(traces, nominal, placed, row, ports)
     directions = []
     for given, linear in choices(placed, at):
@@ -242,9 +249,11 @@ def _waves_of_readings(
     """Return the directions of an error that repeats along the reading itself: sine and cosine of every wave number."""
     angle = np.concatenate([trace.expected[:, row] for trace in traces["estimation"]])
     main = placed.effect.main
-    assert main is not None
-    directions = []
-    for k in waves(angle, placed):
+    wave_number, turn = (placed.effect.parameter_of(role) for role in ("wave number", "phase"))
+    directions: list[Direction] = []
+    if main is None or wave_number is None or turn is None:
+        return directions
+    for k in waves(angle, wave_number):
         readings: dict[str, list[FloatArray]] = {}
         for use, parts in traces.items():
             readings[use] = []
@@ -252,10 +261,11 @@ def _waves_of_readings(
                 y = trace.expected[:, row]
                 column = np.zeros((len(y), nominal.ny, 2))
                 for number, phase in enumerate((0.0, 0.5 * np.pi)):
-                    column[:, row, number] = _sensor(placed, y, {"k": k, "phi": phase, main.name: 1.0}) - y
+                    at = {wave_number.name: k, turn.name: phase, main.name: 1.0}
+                    column[:, row, number] = _sensor(placed, y, at) - y
                 readings[use].append(column)
-        names = ("in phase", "quarter turn")
-        directions.append(Direction(placed, {"k": k}, names, _nothing(traces, ports, 2), readings))
+        given = {wave_number.name: k}
+        directions.append(Direction(placed, given, WAVE, _nothing(traces, ports, 2), readings, "wave"))
     return directions
 
 
@@ -426,7 +436,7 @@ def drift_directions(
             for use, parts in hats.items()
         }
         labels = [f"{at:.3g} s" for at in knots]
-        directions += _at_every_port(basis, ports, readings, f"{name}{DRIFT}", labels)
+        directions += _at_every_port(basis, ports, readings, f"{name}, changing with time", labels, "drift")
     return directions
 
 
@@ -436,13 +446,14 @@ def _at_every_port(
     readings: Mapping[str, Sequence[FloatArray]],
     axis: str,
     labels: Sequence[str],
+    kind: ColumnKind = "linear",
 ) -> list[Direction]:
     """Return the forces of a basis (K, k) by use and record at each port."""
     nothing = {use: [np.zeros((*part.shape, len(labels))) for part in parts] for use, parts in readings.items()}
     directions = []
     for row, port in enumerate(ports):
         forces = {use: [_at_port(part, row, len(ports)) for part in made] for use, made in basis.items()}
-        directions.append(Direction(None, {}, (f"{port} over {axis}", *labels[1:]), forces, nothing))
+        directions.append(Direction(None, {}, (f"{port} over {axis}", *labels[1:]), forces, nothing, kind))
     return directions
 
 

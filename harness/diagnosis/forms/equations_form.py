@@ -22,6 +22,7 @@ from harness.diagnosis.search.fit import Begun, Column, Fit, Suspect
 from harness.diagnosis.systems import by_equations
 from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed
+from harness.effects.parameter import Role
 from harness.effects.places import port_of
 from harness.physics.kalman_pass import Filtered, KalmanPass, Pass
 from harness.physics.latent import with_latent_forces, without_latent_forces
@@ -35,6 +36,7 @@ from harness.signals import FloatArray, Trajectory
 
 __all__ = ["EquationsForm"]
 
+WAVE_ROLES: tuple[Role, Role] = ("frequency", "phase")
 _FAR = 2.0
 """Factor between typical forces, as declared and as fitted, beyond which a fit is made anew."""
 
@@ -195,8 +197,11 @@ class EquationsForm(LikelihoodForm[System]):
 
     def _wandering(self, fit: Fit, placed: Placed) -> float:
         """Return the evidence that the amplitude and the phase of a line change along the records."""
-        size, omega, phase = (placed.name(name) for name in ("A", "omega", "phi"))
-        line = placed.with_values({"omega": fit.values[omega]})
+        main, frequency, turn = placed.effect.main, *map(placed.effect.parameter_of, WAVE_ROLES)
+        if main is None or frequency is None or turn is None:
+            return 0.0
+        size, omega, phase = (placed.name(parameter.name) for parameter in (main, frequency, turn))
+        line = placed.with_values({frequency.name: fit.values[omega]})
         waves = line_directions(self._traces(fit, USES), self.nominal, fit.values, line, self.sizes)
         if not waves:
             return 0.0

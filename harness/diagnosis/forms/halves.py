@@ -44,7 +44,7 @@ def told_by_halves(
             part = likelihood(half)
             if start is None:
                 start = first_state(half)
-            free = [*phases, *(name for name in part.names if name.startswith("x0["))]
+            free = [*phases, *part.start_names]
             sides.append(part.maximise(replace(whole, x0=[start]), free=free, most=25, exact=False).point.p)
         told.append((sides[0], sides[1]))
     return told

@@ -92,7 +92,14 @@ def _together(
             parts.append(whitened(response, passed.s[..., None]))
         made[use] = np.concatenate(parts)
     return [
-        Column(direction.placed, direction.given, direction.names, *(part[:, first:last] for part in made.values()))
+        Column(
+            direction.placed,
+            direction.given,
+            direction.names,
+            made["estimation"][:, first:last],
+            made["validation"][:, first:last],
+            direction.kind,
+        )
         for direction, first, last in zip(group, edges[:-1], edges[1:], strict=True)
     ]
 

@@ -21,6 +21,7 @@ from harness.diagnosis.search.fit import Begun, Fit, Linearised, Suspect
 from harness.diagnosis.systems import AnySystem, SystemT
 from harness.effects import contained
 from harness.effects.effect import Placed
+from harness.effects.parameter import Role
 from harness.errors import FitError, HarnessError
 from harness.physics.kalman_pass import Filtered, Noise, Pass
 from harness.physics.likelihood import Likelihood, LikelihoodFit, NoiseModel, Point
@@ -229,7 +230,7 @@ class LikelihoodForm(SystemForm[SystemT]):
         if fit.beyond:
             return fit
         longest = max(len(record) for record in likelihood.records) * self.dt
-        for name in set(_own(likelihood.system.effects, "s")).intersection(fit.names):
+        for name in set(_own(likelihood.system.effects, "instant")).intersection(fit.names):
             k = likelihood.system.parameter_names.index(name)
             tried = []
             for part in (np.arange(EFFORT.instants) + 0.5) / EFFORT.instants:
@@ -349,7 +350,8 @@ class LikelihoodForm(SystemForm[SystemT]):
             for parameter in placed.effect.parameters
             if parameter.nuisance and _untold(placed.name(parameter.name), best)
         }
-        counted = [name for name in best.names if not name.startswith("x0[") and name not in idle]
+        states = {*_states(passes, best.point)}
+        counted = [name for name in best.names if name not in states and name not in idle]
         each = expected.price / sum(len(record) for record in self.records["validation"])
         fit = Fit(
             tuple(effects),
@@ -379,7 +381,7 @@ class LikelihoodForm(SystemForm[SystemT]):
             distance=lambda other: self.distance(fit, other),
             braking=lambda at: self._braking(fit, at),
         )
-        repeating = [placed for placed in effects if _own([placed], "rad")]
+        repeating = [placed for placed in effects if _own([placed], "phase")]
         if not (self.latent and best.converged and repeating):  # elsewhere the innovations are coloured
             return fit
         return replace(fit, wandering={str(placed): self._wandering(fit, placed) for placed in repeating})
@@ -420,14 +422,15 @@ class LikelihoodForm(SystemForm[SystemT]):
         """
         likelihood = self._likelihood(system, "validation", passes)
         own = [name for name in _own(system.effects) if not system.parameter(name).fixed]
-        free = [name for name in likelihood.names if name.startswith(("x0[", *NOISE))] + own
+        turning = set(_own(system.effects, "phase"))
+        free = [name for name in likelihood.names if name not in system.parameter_names] + own
         noises = [best.point.noise] if base is None else [best.point.noise, base.detail.points["validation"].noise]
         longest = max(len(run) for run in self.records["validation"]) * self.dt
         points: list[tuple[float, Point]] = []
         for part in EFFORT.own_starts if own else (0.0,):
             p = best.point.p.copy()
             for name in own:
-                p[system.parameter_names.index(name)] = part * (2 * np.pi if name.endswith("phi") else longest)
+                p[system.parameter_names.index(name)] = part * (2 * np.pi if name in turning else longest)
             for origin in dict.fromkeys((base, None)):  # narrow friction may catch one of two starts
                 x0 = self._starts(system, passes, p, "validation", origin)
                 tries = [Point(p, x0, self._woken(noise, best)) for noise in noises]
@@ -448,7 +451,7 @@ class LikelihoodForm(SystemForm[SystemT]):
         chosen = self._instants(likelihood, chosen, free=free)
         shared = [name for name in best.names if name in system.parameter_names]
         expected = predictive(likelihood, chosen.point, shared, spread_of(best, shared, own))
-        phases = [name for name in own if name.endswith(".phi")]
+        phases = [name for name in own if name in turning]
         told = self._told_by_halves(system, passes, expected.point, phases) if phases else []
         return {name: chosen.parameters[name] for name in own}, told, expected
 
@@ -616,13 +619,13 @@ def _states(passes: Pass, point: Point) -> dict[str, float]:
     }
 
 
-def _own(effects: Sequence[Placed], unit: str = "") -> list[str]:
-    """Return the names of the parameters of effects that belong to a record, of one unit if it is given."""
+def _own(effects: Sequence[Placed], role: Role = "") -> list[str]:
+    """Return the names of the parameters of effects that belong to a record, of one role if it is given."""
     return [
         placed.name(parameter.name)
         for placed in effects
         for parameter in placed.effect.parameters
-        if parameter.per_record and unit in ("", parameter.unit)
+        if parameter.per_record and role in ("", parameter.role)
     ]
 
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from harness.diagnosis.forms.trace import Trace
 from harness.diagnosis.policy import EFFORT
-from harness.effects.effect import Placed
+from harness.effects.effect import EffectParameter
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -39,11 +39,10 @@ def frequencies(traces: Sequence[Trace], nominal: System) -> list[float]:
     return found
 
 
-def waves(values: FloatArray, placed: Placed) -> list[float]:
-    """Return wave numbers of what repeats along these values, close enough that none is missed."""
+def waves(values: FloatArray, parameter: EffectParameter) -> list[float]:
+    """Return values of a wave number of what repeats along these values, close enough that none is missed."""
     low, high = np.quantile(values, [0.02, 0.98])
     step = np.pi / max(float(high - low), 1e-9)
-    parameter = placed.effect.parameter("k")
     return [
         float(number)
         for number in np.arange(parameter.minimum, min(parameter.maximum, parameter.minimum + 24 * step), step)

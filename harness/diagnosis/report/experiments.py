@@ -117,12 +117,12 @@ def separate_with(bench: Bench, members: Sequence[Sequence[Placed]]) -> list[dic
         ``separates`` (names of the members), ``why``; and either ``scenario``, ``options`` and ``command``, or an
         ``instruction`` where no input can do it.
     """
-    names = list(dict.fromkeys(placed.effect.name for member in members for placed in member))
+    laws = {placed.effect.name: placed.effect for member in members for placed in member}
     if len(members) < 2:
         return []
     rows = []
-    for group, why, plan in _RULES:
-        apart = [name for name in names if name in group]
+    for experiment, why, plan in _RULES:
+        apart = [name for name, law in laws.items() if experiment in law.told_by]
         if len(apart) < 2:
             continue
         row: dict[str, Any] = {"separates": apart, "why": why, "scenario": None, "options": {}, "command": None,
@@ -210,30 +210,22 @@ def _rest(bench: Bench, members: Sequence[Sequence[Placed]]) -> tuple[str, dict[
     return "free-swing", {"duration": SHORTEST, "spread": 0.0}, None
 
 
-_FRICTION = ("coulomb_friction", "stribeck_friction", "asymmetric_friction", "viscous_friction", "hysteresis",
-             "load_dependent_friction", "position_dependent_friction", "sublinear_friction", "yield_friction",
-             "lugre_friction", "lugre_coulomb_friction", "lugre_asymmetric_friction", "lugre_load_dependent_friction",
-             "lugre_position_dependent_friction", "lugre_sublinear_friction", "lugre_yield_friction",
-             "parallel_hysteresis")  # fmt: skip
-_RULES: tuple[tuple[tuple[str, ...], str, _Plan | str], ...] = (
-    (_FRICTION, "slow motion through standstill: the laws of friction differ there, at speed they are alike",
+_RULES: tuple[tuple[str, str, _Plan | str], ...] = (
+    ("slow motion", "slow motion through standstill: the laws of friction differ there, at speed they are alike",
      _slow_triangle),
-    (("input_delay", "actuator_lag", "rate_limit", "sensor_delay"),
-     "a lag loses amplitude at 5/tau, a delay does not; a rate limit grows with amplitude", _chirp),
-    (("gravity_tilt", "sensor_offset", "eccentric_load"), "gravity turns with the base, a zero of a sensor does not",
+    ("chirp", "a lag loses amplitude at 5/tau, a delay does not; a rate limit grows with amplitude", _chirp),
+    ("turned base", "gravity turns with the base, a zero of a sensor does not",
      "turn the base by a known angle and record again: no input of the joint can do this"),
-    (("force_bias", "gravity_tilt", "sensor_offset", "eccentric_load"),
-     "gravity makes a constant force differ from a turned zero only at large angles", _swing(np.radians(75.0))),
-    (("linear_spring", "quadratic_spring", "cubic_spring", "sensor_gain", "end_stop", "saturation"),
-     "springs are alike at small angles; beyond 90 deg gravity turns back and a spring does not",
-     _swing(np.radians(100.0))),
-    (("backlash", "unilateral_backlash", "elasticity", "hardening_elasticity", "dead_zone", "hysteresis"),
-     "small reversals: play opens, an elastic joint does not", _reversals),
-    (("quadratic_drag", "viscous_friction", "coulomb_friction"), "the decay of large swings: drag needs speed",
+    ("large swing", "gravity makes a constant force differ from a turned zero only at large angles",
      _swing(np.radians(75.0))),
-    (("periodic_disturbance", "cogging"), "without excitation a line in time stays, one in the angle goes", _rest),
-    (("payload_step", "input_gain"), "a mass is known on a scale only", "record again with a known added mass"),
+    ("full swing", "springs are alike at small angles; beyond 90 deg gravity turns back and a spring does not",
+     _swing(np.radians(100.0))),
+    ("small reversals", "small reversals: play opens, an elastic joint does not", _reversals),
+    ("fast swing", "the decay of large swings: drag needs speed", _swing(np.radians(75.0))),
+    ("rest", "without excitation a line in time stays, one in the angle goes", _rest),
+    ("added mass", "a mass is known on a scale only", "record again with a known added mass"),
 )  # fmt: skip
+"""For each kind of experiment (``Effect.told_by``) why it tells laws apart, and how it is planned."""
 
 
 def _triangle(n: int, dt: float, frequency: float) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, cast
+from typing import Any, Literal, Protocol, cast
 
 import numpy as np
 
@@ -13,10 +13,13 @@ from harness.effects.effect import Placed
 from harness.physics.likelihood import interval
 from harness.signals import FloatArray
 
-__all__ = ["DRIFT", "Begun", "Column", "Fit", "Form", "Linearised", "Suspect"]
+__all__ = ["WAVE", "Begun", "Column", "ColumnKind", "Fit", "Form", "Linearised", "Suspect"]
 
-DRIFT = ", changing with time"
-"""How the name of an axis ends whose force drifts through every record."""
+ColumnKind = Literal["linear", "wave", "drift"]
+"""What columns stand for: derivatives by linear parameters, or test functions of a force; the sine and the cosine of
+a wave; test functions of a force that changes through every record."""
+WAVE = ("in phase", "quarter turn")
+"""Names of the two columns of a wave."""
 
 
 def _untold(placed: Placed) -> float:
@@ -137,6 +140,8 @@ class Column:
     estimation : array (n, k)
     validation : array (m, k)
         Of test functions; of an effect, which is refitted before it is judged, it may have no rows.
+    kind : {"linear", "wave", "drift"}
+        See :data:`ColumnKind`.
     """
 
     placed: Placed | None
@@ -144,6 +149,7 @@ class Column:
     names: tuple[str, ...]
     estimation: FloatArray
     validation: FloatArray
+    kind: ColumnKind = "linear"
 
 
 @dataclass(frozen=True, eq=False)

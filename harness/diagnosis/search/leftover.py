@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from harness.diagnosis.policy import POLICY, Policy
-from harness.diagnosis.search.fit import DRIFT, Column, Fit, Form, Linearised
+from harness.diagnosis.search.fit import Column, Fit, Form, Linearised
 from harness.diagnosis.search.score_test import projected
 from harness.signals import FloatArray
 
@@ -33,6 +33,8 @@ class Axis:
     knots : tuple of str
     values : array (k,)
         The force at the knots.
+    drifts : bool
+        True for a force that changes through every record.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Axis:
     error: float
     knots: tuple[str, ...]
     values: FloatArray
+    drifts: bool = False
 
     @property
     def total(self) -> float:
@@ -77,7 +80,7 @@ class Leftover:
 
     def _predicts(self, axis: Axis) -> bool:
         policy = self.policy
-        if axis.name.endswith(DRIFT):  # by chance an unknown force may follow the motion in one record for a while
+        if axis.drifts:  # by chance an unknown force may follow the motion in one record for a while
             size = min(axis.evidence, axis.validation)
             return size > 2 * policy.evidence and axis.validation > policy.tie_z * axis.error
         sure = axis.evidence > policy.misfit_gain and axis.validation > 0.0
@@ -127,7 +130,8 @@ def _axis(column: Column, basis: FloatArray, residual: FloatArray, linear: Linea
     gain = before - after
     sums = np.array([part.sum() for part in np.array_split(gain, policy.blocks)])
     error = float(np.sqrt(len(sums)) * sums.std(ddof=1))
-    return Axis(column.names[0], evidence, float(gain.sum()), error, tuple(column.names[1:]), values)
+    drifts = column.kind == "drift"
+    return Axis(column.names[0], evidence, float(gain.sum()), error, tuple(column.names[1:]), values, drifts)
 
 
 def _expected(left: FloatArray, along: FloatArray, moved: FloatArray) -> FloatArray:

@@ -30,7 +30,7 @@ from harness.diagnosis.search.ties import (
     typical_elsewhere,
     value,
 )
-from harness.diagnosis.stand_in import is_dry
+from harness.diagnosis.stand_in import same_whole
 from harness.effects import family
 from harness.effects.effect import Placed
 
@@ -74,10 +74,8 @@ def contradictions(form: Form, outcome: Outcome, rows: Sequence[Judged], policy:
 
 
 def second_friction(base: Fit, best: Judged) -> bool:
-    """Return True for a law of dry friction at a joint that has one."""
-    return is_dry(best.added[-1].effect) and any(
-        placed.at == best.added[-1].at and is_dry(placed.effect) for placed in base.effects
-    )
+    """Return True for a law of what a place has a whole law of already: a second dry friction at a joint."""
+    return any(same_whole(best.added[-1], placed) for placed in base.effects)
 
 
 def refinements(

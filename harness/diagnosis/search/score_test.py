@@ -204,11 +204,10 @@ def _start(column: Column, coefficients: FloatArray) -> tuple[dict[str, float], 
                     values[main.name] = nothing + part * (values[main.name] - nothing)
         elif name in placed.effect.parameter_names:
             values[name] = (placed.effect.parameter(name).neutral or 0.0) + float(coefficient)
-    if column.names == ("in phase", "quarter turn"):
-        main = placed.effect.main
-        assert main is not None
+    main, phase = placed.effect.main, placed.effect.parameter_of("phase")
+    if column.kind == "wave" and main is not None and phase is not None:
         values[main.name] = float(np.hypot(*coefficients))
-        values["phi"] = float(np.arctan2(coefficients[1], coefficients[0]))
+        values[phase.name] = float(np.arctan2(coefficients[1], coefficients[0]))
     bounded = {}
     for name, value in values.items():
         if name in placed.effect.parameter_names:
