@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from harness.diagnosis.diagnosis import Diagnosis
+from harness.diagnosis.dictionary import laws_of
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Equations, Kind
 from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise
@@ -73,13 +74,14 @@ def diagnose(
         # fit
         dataset, doubts = kind.prepared(checked(dataset, system), system)
         warnings = [doubt.words for doubt in doubts if not doubt.certain]
-        form, cut = form_of(kind, system, dataset, policy)
+        laws = laws_of(dictionary)
+        form, cut = form_of(kind, system, dataset, policy, laws.dictionary)
         remembered = Remembered(form, folder)
         say("first fit of the nominal model", 0.02)
         nominal = nominal_fit(remembered, form, doubts)
         # search, unless the records are wrong
         wrong = [*(doubt.words for doubt in doubts if doubt.certain), *mostly_noise(form, nominal, policy)]
-        candidates, faults = candidates_of(form, dictionary)
+        candidates, faults = candidates_of(form, laws)
         candidates = [] if wrong else candidates
         outcome = search(remembered, nominal, candidates, policy=policy, say=say, sizes=form.sizes)
         add_rounding(remembered, outcome, dataset, candidates, policy)

@@ -3,24 +3,73 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, cast
 
 from harness import registry
 from harness.diagnosis.systems import AnySystem
-from harness.effects import builtin, compose, place_all
+from harness.effects import Dictionary, compose, place_all
 from harness.effects.effect import Effect, Placed
 from harness.errors import HarnessError
 
 if TYPE_CHECKING:
     from harness.physics.system import System
 
-__all__ = ["placed"]
+__all__ = ["Laws", "laws_of", "placed"]
+
+
+@dataclass(frozen=True)
+class Laws:
+    """The laws of a run.
+
+    Attributes
+    ----------
+    dictionary : Dictionary
+    outside : dict
+        The entry points of those that plug-ins brought, by name.
+    faults : tuple of str
+        One sentence for each plug-in that could not be used: which entry point it is and what failed.
+    """
+
+    dictionary: Dictionary
+    outside: Mapping[str, registry.Entry] = field(default_factory=dict)
+    faults: tuple[str, ...] = ()
+
+
+def laws_of(dictionary: Sequence[Effect] | None = None) -> Laws:
+    """Return the laws of a run: the built-in ones with those of plug-ins, equal among each other, or those given.
+
+    Parameters
+    ----------
+    dictionary : sequence of Effect, optional
+        Effects to use in place of the built-in ones and those of plug-ins.
+    """
+    if dictionary is not None:
+        return Laws(Dictionary(dictionary))
+    known = {effect.name: effect for effect in Dictionary.builtin()}
+    outside: dict[str, registry.Entry] = {}
+    faults: list[str] = []
+    try:
+        entries = [entry for entry in registry.entries("effects") if entry.id not in known]
+    except HarnessError as error:
+        return Laws(Dictionary.builtin(), faults=(f"effects of plug-ins could not be looked up: {error}",))
+    for entry in entries:
+        try:
+            made = _loaded(entry)
+            if made.name in known:
+                owner = outside[made.name].distribution if made.name in outside else "the harness"
+                raise TypeError(f"{owner} already has an effect named {made.name!r}")
+        except Exception as error:  # a stranger's code may raise anything, and must not stop the diagnosis
+            faults.append(_broken(entry, error))
+            continue
+        known[made.name], outside[made.name] = made, entry
+    return Laws(Dictionary(known.values()), outside, tuple(faults))
 
 
 def placed(
     system: AnySystem,
-    dictionary: Sequence[Effect] | None = None,
+    laws: Laws,
     *,
     composed: Callable[[Sequence[Placed]], object] | None = None,
 ) -> tuple[list[Placed], list[str]]:
@@ -29,9 +78,8 @@ def placed(
     Parameters
     ----------
     system : AnySystem
-    dictionary : sequence of Effect, optional
-        Effects to use in place of the built-in ones and those of plug-ins; a fault of one of these is raised.
-
+    laws : Laws
+        A fault of a built-in effect, or of one that was given, is raised.
     composed : callable
         Builds the system with one effect: a block is called there for the first time, and may fail.
 
@@ -44,42 +92,34 @@ def placed(
     Examples
     --------
     >>> from harness.physics.models import pendulum
-    >>> effects, faults = placed(pendulum().system())
+    >>> effects, faults = placed(pendulum().system(), laws_of())
     >>> [str(effect) for effect in effects if effect.at == "base"], faults
     (['gravity_tilt@base'], [])
     """
     at = cast("System", system)  # effects are placed at ports, and an FMU has ports as well
     build = composed or functools.partial(compose, at)
-    if dictionary is not None:
-        return place_all(at, dictionary), []
-    known = builtin()
-    candidates = place_all(at, known.values())
-    faults: list[str] = []
-    names = {name: "the harness" for name in known}
-    for entry in _outside(known, faults):
-        where = f"effect plug-in {entry.id!r} of {entry.distribution} ({entry.target})"
+    candidates: list[Placed] = []
+    faults = [*laws.faults]
+    for law in laws.dictionary:
+        entry = laws.outside.get(law.name)
+        if entry is None:
+            candidates += place_all(at, [law])
+            continue
         try:
-            made = _loaded(entry)
-            if made.name in names:
-                raise TypeError(f"{names[made.name]} already has an effect named {made.name!r}")
-            places = place_all(at, [made])
+            places = place_all(at, [law])
             for candidate in places:
                 build([candidate])
-        except Exception as error:  # a stranger's code may raise anything, and must not stop the diagnosis
-            faults.append(f"{where} is broken and was not tried: {_words(error)}")
+        except Exception as error:  # see above
+            faults.append(_broken(entry, error))
             continue
-        names[made.name] = entry.distribution
         candidates += places
     return candidates, faults
 
 
-def _outside(known: dict[str, Effect], faults: list[str]) -> list[registry.Entry]:
-    """Return the entry points of plug-ins."""
-    try:
-        return [entry for entry in registry.entries("effects") if entry.id not in known]
-    except HarnessError as error:
-        faults.append(f"effects of plug-ins could not be looked up: {error}")
-        return []
+def _broken(entry: registry.Entry, error: Exception) -> str:
+    """Return which plug-in cannot be used, and why."""
+    where = f"effect plug-in {entry.id!r} of {entry.distribution} ({entry.target})"
+    return f"{where} is broken and was not tried: {_words(error)}"
 
 
 def _loaded(entry: registry.Entry) -> Effect:

@@ -15,6 +15,7 @@ from harness.diagnosis.records.prepare import sizes_of
 from harness.diagnosis.records.thinning import thinned_dataset
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.systems import AnySystem, by_equations
+from harness.effects.dictionary import Dictionary
 from harness.errors import HarnessError, InputError
 from harness.signals import Dataset, FloatArray
 
@@ -32,8 +33,8 @@ class Kind(Protocol):
         """Return how far a free run is compared."""
         ...
 
-    def form(self, system: AnySystem, dataset: Dataset) -> WholeForm:
-        """Return the likelihood of the data."""
+    def form(self, system: AnySystem, dataset: Dataset, laws: Dictionary | None = None) -> WholeForm:
+        """Return the likelihood of the data; without ``laws`` the built-in ones are known."""
         ...
 
     def runs(self, form: WholeForm, dataset: Dataset, noise: FloatArray, horizon: Horizon) -> FreeRunForm:
@@ -65,10 +66,10 @@ class Equations:
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             return Horizon(None, "the poles of the nominal model are unknown: whole records are simulated")
 
-    def form(self, system: AnySystem, dataset: Dataset) -> EquationsForm:
+    def form(self, system: AnySystem, dataset: Dataset, laws: Dictionary | None = None) -> EquationsForm:
         """See :class:`Kind`."""
         assert by_equations(system)
-        return EquationsForm(system, dataset, sizes_of(system, system.values(), dataset))
+        return EquationsForm(system, dataset, sizes_of(system, system.values(), dataset), laws)
 
     def runs(self, form: WholeForm, dataset: Dataset, noise: FloatArray, horizon: Horizon) -> FreeRunForm:
         """See :class:`Kind`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from harness.diagnosis.dictionary import placed
+from harness.diagnosis.dictionary import Laws, placed
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Kind
@@ -17,7 +17,8 @@ from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Leftover, left_over
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.systems import AnySystem
-from harness.effects.effect import Effect, Placed
+from harness.effects.dictionary import Dictionary
+from harness.effects.effect import Placed
 from harness.errors import FitError
 from harness.signals import Dataset
 
@@ -58,13 +59,16 @@ def teller(progress: Progress | None) -> Say:
     return say
 
 
-def form_of(kind: Kind, system: AnySystem, dataset: Dataset, policy: Policy) -> tuple[WholeForm, list[str]]:
+def form_of(
+    kind: Kind, system: AnySystem, dataset: Dataset, policy: Policy, laws: Dictionary
+) -> tuple[WholeForm, list[str]]:
     """Return the likelihood of the data, in stretches that are judged one by one, and warnings about these."""
     judged = stretched(stretched(dataset), use="validation")
-    form = kind.form(system, judged)
+    form = kind.form(system, judged, laws)
     if not form.latent:  # a plant that loses its start cannot be judged by whole free runs
         horizon = kind.horizon(system, system.values(), judged)
-        form = kind.form(system, windowed(judged, horizon.seconds and policy.window * horizon.seconds))
+        whole = windowed(judged, horizon.seconds and policy.window * horizon.seconds)
+        form = kind.form(system, whole, laws)
     return form, list(judged.warnings)
 
 
@@ -90,11 +94,11 @@ def nominal_fit(remembered: Remembered, form: WholeForm, doubts: Sequence[Doubt]
     return nominal
 
 
-def candidates_of(form: WholeForm, dictionary: Sequence[Effect] | None) -> tuple[list[Placed], list[str]]:
+def candidates_of(form: WholeForm, laws: Laws) -> tuple[list[Placed], list[str]]:
     """Return the effects that the form can judge at the ports of the nominal model, and what is wrong with plug-ins."""
     candidates, faults = placed(
         form.nominal,
-        dictionary,
+        laws,
         composed=lambda effects: form.composed(effects) if all(map(form.judges, effects)) else None,
     )
     return [candidate for candidate in candidates if form.judges(candidate)], faults

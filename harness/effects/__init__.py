@@ -5,7 +5,7 @@ from __future__ import annotations
 from harness.effects.along import Signals, block_response
 from harness.effects.columns import ColumnBlock, column_blocks, motion_sizes, regression_columns
 from harness.effects.compose import compose, recommended_substeps
-from harness.effects.dictionary import Confusions, builtin, contained, family, find, nested
+from harness.effects.dictionary import Confusions, Dictionary, builtin, find
 from harness.effects.effect import Effect, EffectParameter, Placed, effect, par
 from harness.effects.places import fits, obstacle, place_all, port_of
 from harness.effects.sampled import DelayLine, delay, delay_slope, quantise
@@ -16,6 +16,7 @@ __all__ = [
     "ColumnBlock",
     "Confusions",
     "DelayLine",
+    "Dictionary",
     "Effect",
     "EffectParameter",
     "Placed",
@@ -26,15 +27,12 @@ __all__ = [
     "builtin",
     "column_blocks",
     "compose",
-    "contained",
     "delay",
     "delay_slope",
     "effect",
-    "family",
     "find",
     "fits",
     "motion_sizes",
-    "nested",
     "obstacle",
     "par",
     "place_all",

@@ -1,16 +1,16 @@
-"""The built-in dictionary: every effect by name, what nests in it and what it is taken for."""
+"""Dictionaries of effects: every one by name, what nests in it and what it is taken for."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from harness.effects import actuator, bristles, drifting, external, friction, process, sensor, stiffness, transmission
 from harness.effects.effect import Effect, Placed
 from harness.errors import InputError
 
-__all__ = ["Confusions", "builtin", "contained", "family", "find", "nested"]
+__all__ = ["Confusions", "Dictionary", "builtin", "find"]
 
 _FILES = (friction, bristles, stiffness, actuator, transmission, sensor, drifting, external, process)
 
@@ -67,39 +67,6 @@ def find(name: str | Effect, known: Mapping[str, Effect] | None = None) -> Effec
     return effects[name]
 
 
-def nested(effect: Effect, known: Mapping[str, Effect] | None = None) -> tuple[Effect, ...]:
-    """Return the simpler effects that are special cases of one, simplest last.
-
-    Examples
-    --------
-    >>> [effect.name for effect in nested(builtin()["stribeck_friction"])]
-    ['coulomb_friction']
-    """
-    effects = builtin() if known is None else known
-    found: dict[str, Effect] = {}
-    waiting = list(effect.nests)
-    while waiting:
-        name = waiting.pop(0)
-        if name in effects and name not in found:
-            found[name] = effects[name]
-            waiting.extend(effects[name].nests)
-    return tuple(sorted(found.values(), key=lambda effect: -len(effect.parameters)))
-
-
-def contained(effects: Iterable[Placed]) -> set[str]:
-    """Return the names, ``effect@place``, of effects and of all that are special cases of them.
-
-    Examples
-    --------
-    >>> from harness.effects.effect import Placed
-    >>> sorted(contained([Placed(find("stribeck_friction"), "x")]))
-    ['coulomb_friction@x', 'stribeck_friction@x']
-    """
-    return {
-        f"{name}@{placed.at}" for placed in effects for name in (placed.effect.name, *map(str, nested(placed.effect)))
-    }
-
-
 @dataclass(frozen=True)
 class Confusions:
     """What an effect is taken for.
@@ -120,26 +87,97 @@ class Confusions:
     limit: dict[str, str]
 
 
-def family(effect: Effect, known: Mapping[str, Effect] | None = None) -> Confusions:
-    """Return what an effect is taken for, what others say of it included.
+class Dictionary:
+    """The effects of a run, built in or of others alike, and what they say of each other.
+
+    Parameters
+    ----------
+    effects : iterable of Effect
+        Each name once.
+
+    Raises
+    ------
+    InputError
+        If two effects have one name.
 
     Examples
     --------
-    >>> family(builtin()["gravity_tilt"]).exact["sensor_offset"]
+    >>> laws = Dictionary.builtin()
+    >>> [effect.name for effect in laws.nested(laws["stribeck_friction"])]
+    ['coulomb_friction']
+    >>> laws.family(laws["gravity_tilt"]).exact["sensor_offset"]
     'on one joint: an encoder offset of the same angle gives the same motion'
+    >>> from harness.effects.effect import Placed
+    >>> sorted(laws.contained([Placed(laws["stribeck_friction"], "x")]))
+    ['coulomb_friction@x', 'stribeck_friction@x']
     """
-    effects = builtin() if known is None else known
-    exact, limit = dict(effect.same_as), dict(effect.limits)
-    near = dict.fromkeys([*effect.family, *effect.nests, *(name for name in exact if name in effects), *limit])
-    for other in effects.values():
-        if effect.name in other.family or effect.name in other.nests:
-            near.setdefault(other.name)
-        if effect.name in other.same_as:
-            exact.setdefault(other.name, other.same_as[effect.name])
-            near.setdefault(other.name)
-        if effect.name in other.limits:
-            limit.setdefault(other.name, other.limits[effect.name])
-            near.setdefault(other.name)
-    near.pop("parameter", None)
-    near.pop(effect.name, None)
-    return Confusions(tuple(near), exact, limit)
+
+    def __init__(self, effects: Iterable[Effect]) -> None:
+        self._effects: dict[str, Effect] = {}
+        for effect in effects:
+            if self._effects.setdefault(effect.name, effect) is not effect:
+                raise InputError(
+                    "names of effects",
+                    expected="each name once",
+                    got=f"two effects named {effect.name!r}",
+                    remedy="give one of them another name (effect(name=...))",
+                )
+
+    @classmethod
+    @functools.cache
+    def builtin(cls) -> Dictionary:
+        """Return the effects that the harness brings."""
+        return cls(_all())
+
+    def __iter__(self) -> Iterator[Effect]:
+        return iter(self._effects.values())
+
+    def __len__(self) -> int:
+        return len(self._effects)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._effects
+
+    def __getitem__(self, name: str) -> Effect:
+        return find(name, self._effects)
+
+    def nested(self, effect: Effect) -> tuple[Effect, ...]:
+        """Return the simpler effects that are special cases of one, simplest last."""
+        found: dict[str, Effect] = {}
+        waiting = list(effect.nests)
+        while waiting:
+            name = waiting.pop(0)
+            if name in self._effects and name not in found:
+                found[name] = self._effects[name]
+                waiting.extend(found[name].nests)
+        return tuple(sorted(found.values(), key=lambda effect: -len(effect.parameters)))
+
+    def contained(self, effects: Iterable[Placed]) -> set[str]:
+        """Return the names, ``effect@place``, of effects and of all that are special cases of them."""
+        return {
+            f"{name}@{placed.at}"
+            for placed in effects
+            for name in (placed.effect.name, *map(str, self.nested(placed.effect)))
+        }
+
+    def refines(self, rival: Placed, placed: Placed) -> bool:
+        """Return True for a law of which another one at the same place is a special case."""
+        return rival.at == placed.at and placed.effect.name in {law.name for law in self.nested(rival.effect)}
+
+    def family(self, effect: Effect) -> Confusions:
+        """Return what an effect is taken for, what others say of it included."""
+        exact, limit = dict(effect.same_as), dict(effect.limits)
+        own = (*effect.family, *effect.nests, *(name for name in exact if name in self._effects), *limit)
+        near = dict.fromkeys(own)
+        for other in self:
+            if effect.name in other.family or effect.name in other.nests:
+                near.setdefault(other.name)
+            if effect.name in other.same_as:
+                exact.setdefault(other.name, other.same_as[effect.name])
+                near.setdefault(other.name)
+            if effect.name in other.limits:
+                limit.setdefault(other.name, other.limits[effect.name])
+                near.setdefault(other.name)
+        near.pop("parameter", None)
+        near.pop(effect.name, None)
+        return Confusions(tuple(near), exact, limit)

@@ -81,8 +81,8 @@ class Effect:
         What it adds to the first of ``nests``, if it refines that law: it is tried from where that one was fitted, and
         never before, together with what adds the same to other laws.
     whole : str
-        What of its place it is the whole law of, such as ``"dry friction"``: a place has one, and two together imitate a
-        third.
+        What of its place it is the whole law of, such as ``"dry friction"``: a place has one, and two together imitate
+        a third.
     told_by : tuple of str
         Kinds of experiments that tell it from rivals which name the same kind; see :data:`EXPERIMENTS`.
     cuts : bool

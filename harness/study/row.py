@@ -165,13 +165,13 @@ def _holds(task: Task, accepted: Sequence[Placed], records: Records) -> bool:
 
     Laws of another formulation than the dictionary's are in no model, though their names may be right.
     """
-    from harness.effects import contained
+    from harness.effects import Dictionary
 
     if task.structure in UNNAMED or not all(effect.exact for effect in records.known):
         return False
     if task.engine == "hardware" and any(effect.name in LAWS for effect in records.known):
         return False
-    names = contained(accepted)
+    names = Dictionary.builtin().contained(accepted)
     return all(f"{effect.name}@{effect.at}" in names for effect in records.known)
 
 

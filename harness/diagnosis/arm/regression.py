@@ -13,6 +13,7 @@ from harness.diagnosis.policy import ARM_POLICY, EFFORT, POLICY, ArmPolicy
 from harness.diagnosis.search.coloured import Before, Coloured, fitted_error
 from harness.diagnosis.search.fit import Begun, Column, ColumnKind, Fit, Linearised, Suspect
 from harness.diagnosis.systems import Parametrised
+from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
 from harness.physics.kalman_pass import Filtered
@@ -120,6 +121,7 @@ class RegressionForm:
     def __init__(self, regression: TorqueRegression, policy: ArmPolicy = ARM_POLICY) -> None:
         self.regression, self.policy = regression, policy
         self.nominal = regression.nominal
+        self.laws = Dictionary.builtin()
         self._before = {
             use: [[Before.of(part[:, k], POLICY.order) for k in range(part.shape[1])] for part in parts]
             for use, parts in regression.counts.items()

@@ -18,6 +18,7 @@ from harness.diagnosis.forms.directions import Direction
 from harness.diagnosis.forms.likelihood_form import USES, LikelihoodForm
 from harness.diagnosis.forms.predictive import whitened
 from harness.diagnosis.search.fit import Column, Fit
+from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.physics.kalman_pass import Filtered, Pass
 from harness.physics.smoother import Smoothed
@@ -32,9 +33,15 @@ PUSH = 1e-3
 class FmuForm(LikelihoodForm[FmuSystem]):
     """Fits an FMU with effects around it; see :class:`harness.diagnosis.forms.likelihood_form.LikelihoodForm`."""
 
-    def __init__(self, system: FmuSystem, dataset: Dataset, sizes: Mapping[str, Mapping[str, float]]) -> None:
+    def __init__(
+        self,
+        system: FmuSystem,
+        dataset: Dataset,
+        sizes: Mapping[str, Mapping[str, float]],
+        laws: Dictionary | None = None,
+    ) -> None:
         self.runner = Runner(system, dataset.spec.sample_time)
-        super().__init__(system, dataset, sizes)
+        super().__init__(system, dataset, sizes, laws)
 
     def judges(self, placed: Placed) -> bool:
         """Return True for an effect that can be put around an FMU."""

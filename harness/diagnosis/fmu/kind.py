@@ -15,6 +15,7 @@ from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.records.columns_check import Doubt
 from harness.diagnosis.records.horizon import Horizon
 from harness.diagnosis.systems import AnySystem
+from harness.effects.dictionary import Dictionary
 from harness.errors import HarnessError
 from harness.signals import Dataset, FloatArray
 
@@ -36,10 +37,10 @@ class BlackBox:
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
             return Horizon(None, "how an error of the start grows is unknown: whole records are simulated")
 
-    def form(self, system: AnySystem, dataset: Dataset) -> FmuForm:
+    def form(self, system: AnySystem, dataset: Dataset, laws: Dictionary | None = None) -> FmuForm:
         """Return the likelihood of the data."""
         assert isinstance(system, FmuSystem)
-        return FmuForm(system, dataset, {})
+        return FmuForm(system, dataset, {}, laws)
 
     def runs(self, form: WholeForm, dataset: Dataset, noise: FloatArray, horizon: Horizon) -> FmuRuns:
         """Return what simulates fitted models along the data."""

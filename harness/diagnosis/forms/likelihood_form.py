@@ -19,7 +19,7 @@ from harness.diagnosis.forms.system_form import SystemForm
 from harness.diagnosis.policy import EFFORT, POLICY
 from harness.diagnosis.search.fit import Begun, Fit, Linearised, Suspect
 from harness.diagnosis.systems import AnySystem, SystemT
-from harness.effects import contained
+from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.effects.parameter import Role
 from harness.errors import FitError, HarnessError
@@ -63,10 +63,19 @@ class LikelihoodForm(SystemForm[SystemT]):
     dataset : Dataset
     sizes : mapping
         Sizes of the data by port, see :func:`harness.effects.columns.motion_sizes`.
+    laws : Dictionary, optional
+        The effects of the run; the built-in ones if not given.
     """
 
-    def __init__(self, system: SystemT, dataset: Dataset, sizes: Mapping[str, Mapping[str, float]]) -> None:
+    def __init__(
+        self,
+        system: SystemT,
+        dataset: Dataset,
+        sizes: Mapping[str, Mapping[str, float]],
+        laws: Dictionary | None = None,
+    ) -> None:
         self.nominal, self.dataset, self.sizes = system, dataset, sizes
+        self.laws = Dictionary.builtin() if laws is None else laws
         self.latent = self.has_latent_forces()
         self.records: dict[str, list[Trajectory]] = {
             use: [run.measured() for run in dataset.using(use)]  # type: ignore[arg-type]
@@ -88,7 +97,7 @@ class LikelihoodForm(SystemForm[SystemT]):
 
     def on(self, dataset: Dataset) -> Self:
         """Return the same form of other data."""
-        return type(self)(self.nominal, dataset, self.sizes)
+        return type(self)(self.nominal, dataset, self.sizes, self.laws)
 
     # ---- fits ------------------------------------------------------------------------------------------------------
 
@@ -104,7 +113,7 @@ class LikelihoodForm(SystemForm[SystemT]):
             system = self.composed(effects)
             vectors = [_within(system, _awake(system, _known(system, start))) for start in starts]
             substeps = int(np.median([self.substeps(system, values) for values in vectors]))
-            if base is not None and _within_it(base, effects):
+            if base is not None and self._within_it(base, effects):
                 substeps = max(substeps, base.detail.passes.substeps)  # coarser ones would be compared with finer ones
             for finer in range(EFFORT.finer):  # what diverges may do so by its steps alone
                 passes = self.passes(system, substeps * 2**finer)
@@ -259,7 +268,9 @@ class LikelihoodForm(SystemForm[SystemT]):
     def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
         """See :class:`harness.diagnosis.search.fit.Form`."""
         system, passes, likelihood, tried = begun.detail
-        bars = [fit for fit in (rival, base) if fit is not None and (fit is rival or _within_it(fit, begun.effects))]
+        bars = [
+            fit for fit in (rival, base) if fit is not None and (fit is rival or self._within_it(fit, begun.effects))
+        ]
         reach = EFFORT.margin - max((fit.log_likelihood("estimation") for fit in bars), default=-np.inf)
         close = np.inf if rival is None else EFFORT.close - rival.log_likelihood("estimation")
         try:
@@ -287,6 +298,10 @@ class LikelihoodForm(SystemForm[SystemT]):
         return None if outside is None else self._fitted(
             begun.effects, system, passes, best, own, outside, expected, told
         )  # fmt: skip
+
+    def _within_it(self, base: Fit, effects: Sequence[Placed]) -> bool:
+        """Return True for a base that a model with these effects contains: it cannot explain the records worse."""
+        return {str(placed) for placed in base.effects} <= self.laws.contained(effects)
 
     def record(self, fit: Fit) -> dict[str, Any]:
         """Return a finished fit as plain numbers."""
@@ -661,11 +676,6 @@ def _within(system: AnySystem, values: dict[str, float]) -> dict[str, float]:
         parameter.name: float(np.clip(values[parameter.name], parameter.minimum, parameter.maximum))
         for parameter in system.parameters
     }
-
-
-def _within_it(base: Fit, effects: Sequence[Placed]) -> bool:
-    """Return True for a base that a model with these effects contains: it cannot explain the records worse."""
-    return {str(placed) for placed in base.effects} <= contained(effects)
 
 
 def _hopeful(fit: LikelihoodFit, least: float) -> LikelihoodFit:

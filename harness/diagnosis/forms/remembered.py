@@ -11,6 +11,7 @@ from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.store import Store, fingerprint
 from harness.diagnosis.systems import AnySystem
+from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 
 __all__ = ["Remembered"]
@@ -37,6 +38,11 @@ class Remembered:
     def nominal(self) -> AnySystem:
         """See :class:`harness.diagnosis.search.fit.Form`, also below."""
         return self.form.nominal
+
+    @property
+    def laws(self) -> Dictionary:
+        """Pass on."""
+        return self.form.laws
 
     def begin(
         self,

@@ -9,6 +9,7 @@ from typing import Any, Literal, Protocol, cast
 import numpy as np
 
 from harness.diagnosis.systems import AnySystem, Parametrised
+from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.physics.likelihood import interval
 from harness.signals import FloatArray
@@ -205,6 +206,11 @@ class Form(Protocol):
     @property
     def nominal(self) -> Parametrised:
         """The nominal model."""
+        ...
+
+    @property
+    def laws(self) -> Dictionary:
+        """The effects of the run, and what they say of each other."""
         ...
 
     def begin(

@@ -17,7 +17,7 @@ from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.refusal import WANT_OF_EVIDENCE, Kind, Refusal, only
 from harness.diagnosis.search.score_test import ScoreTest
 from harness.diagnosis.search.ties import Accepted, total
-from harness.effects import contained
+from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 
 __all__ = ["Outcome", "Round"]
@@ -39,6 +39,7 @@ class Outcome:
 
     nominal: Fit
     model: Fit
+    laws: Dictionary
     accepted: list[Accepted] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)
     withdrawn: list[Accepted] = field(default_factory=list)
@@ -63,7 +64,9 @@ class Outcome:
             ]
             if not forbidden:
                 continue
-            if answer <= contained(rival.fit.effects) and not _asked_for(rival, base, answer, forbidden, policy):
+            if answer <= self.laws.contained(rival.fit.effects) and not _asked_for(
+                rival, base, answer, forbidden, policy
+            ):
                 continue
             gap = compared(rival.fit, self.model, policy).total
             _, error = difference(rival.fit, self.model, ("estimation", "validation"), policy)

@@ -20,7 +20,7 @@ from harness.diagnosis.search.fit import Begun, Fit, Form
 from harness.diagnosis.search.grown import as_good, start_between
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
 from harness.diagnosis.search.ties import value
-from harness.effects import family
+from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 
 __all__ = ["Say", "chosen", "polished", "refitted"]
@@ -81,6 +81,7 @@ class _Race:
 
     base: Fit
     policy: Policy
+    laws: Dictionary
     begun: dict[Placed, Begun | None] = field(default_factory=dict)
     origins: dict[Placed, Fit] = field(default_factory=dict)
     refused: set[Placed] = field(default_factory=set)
@@ -113,7 +114,7 @@ class _Race:
         able = [placed for placed in self.begun if placed not in done and self._hoped(placed) >= self._needed(placed)]
         order = sorted(able, key=lambda placed: (self._forbidden(placed), -self.gain(placed)))
         order = order[: min(sum(not self._forbidden(placed) for placed in order) + 1, EFFORT.refits)]
-        same = {name for placed in order[:1] for name in family(placed.effect).exact}
+        same = {name for placed in order[:1] for name in self.laws.family(placed.effect).exact}
         alike = [placed for placed in self.begun if placed.effect.name in same and self.begun[placed] is not None]
         return [*order, *(placed for placed in alike if placed not in order and placed not in done)]
 
@@ -138,9 +139,9 @@ class _Race:
 
 def _begun(form: Form, base: Fit, test: ScoreTest, untried: Sequence[Placed], policy: Policy, say: Say) -> _Race:
     """Begin the refits of all that promises something, and of what no promise tells of."""
-    race = _Race(base, policy)
+    race = _Race(base, policy, form.laws)
     before = base.log_likelihood("estimation")
-    for lead in [*chosen(test, policy), *_remembered(form, base, test, untried, policy)]:
+    for lead in [*chosen(test, form.laws, policy), *_remembered(form, base, test, untried, policy)]:
         say(str(lead.placed))
         promising = lead.starts if lead.penalised > 0.0 else lead.starts[:1]
         starts = [{**base.values, **start} for start in promising]
@@ -170,7 +171,7 @@ def _best(fits: Mapping[Placed, Fit | None], beside: Placed, passes: Passes) -> 
     return max(done, key=lambda fit: fit.log_likelihood("estimation"), default=None)
 
 
-def chosen(test: ScoreTest, policy: Policy = POLICY) -> list[Lead]:
+def chosen(test: ScoreTest, laws: Dictionary, policy: Policy = POLICY) -> list[Lead]:
     """Return the leads whose refits are begun: those that promise most, and the families of the first two.
 
     A promise along a column that the nominal parameters take up nearly whole is uncertain, as columns are: some such
@@ -185,7 +186,7 @@ def chosen(test: ScoreTest, policy: Policy = POLICY) -> list[Lead]:
         return []
     near: list[Lead] = []
     for leader in clear[:2]:
-        names = {leader.placed.effect.name, *family(leader.placed.effect).near}
+        names = {leader.placed.effect.name, *laws.family(leader.placed.effect).near}
         near += [lead for lead in clear if lead.placed.effect.name in names and lead.placed.at == leader.placed.at]
     ordered = dict.fromkeys([*clear[: EFFORT.refits], *near, *clear])
     return [*list(ordered)[: EFFORT.begun], *faint[: EFFORT.faint]]

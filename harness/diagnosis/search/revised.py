@@ -31,7 +31,7 @@ from harness.diagnosis.search.ties import (
     value,
 )
 from harness.diagnosis.stand_in import same_whole
-from harness.effects import family
+from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 
 __all__ = [
@@ -64,7 +64,7 @@ def contradictions(form: Form, outcome: Outcome, rows: Sequence[Judged], policy:
         new = row.added[0]
         for number, earlier in enumerate(outcome.accepted):
             lawless = wrong_signs(earlier.placed, row.fit.values)
-            if not lawless and not (refines(row.added, earlier.placed) and wrong_signs(new, row.fit.values)):
+            if not lawless and not (refines(row.added, earlier.placed, form.laws) and wrong_signs(new, row.fit.values)):
                 continue
             others = [accepted.placed for accepted in outcome.accepted if accepted is not earlier]
             starts = [row.fit.values, *in_its_place(row.fit.values, earlier.placed, [new])]
@@ -181,7 +181,7 @@ def tried_pairs(
     each = best.comparison.evidence / len(best.added), best.comparison.validation / len(best.added)
     outcome.model = best.fit
     outcome.accepted = [
-        Accepted(placed, _alike(placed, outcome.rounds[0]), *each, found=number)
+        Accepted(placed, _alike(placed, outcome.rounds[0], form.laws), *each, found=number)
         for number, placed in enumerate(best.added)
     ]
 
@@ -193,9 +193,9 @@ def _alone(form: Form, outcome: Outcome, placed: Placed, pair: Fit, nominal: Fit
     return (done[0] if done else form.fit([placed], [pair.values], nominal)) or nominal
 
 
-def _alike(placed: Placed, past: Round) -> tuple[tuple[Placed, ...], ...]:
+def _alike(placed: Placed, past: Round, laws: Dictionary) -> tuple[tuple[Placed, ...], ...]:
     """Return an effect and what may be tied with it: what is like it, at its place, and was refitted in a round."""
-    names = {placed.effect.name, *family(placed.effect).near}
+    names = {placed.effect.name, *laws.family(placed.effect).near}
     near = [row.added[0] for row in past.candidates if row.added[0].effect.name in names and typical_elsewhere(row)]
     return ((placed,), *((other,) for other in near if other.at == placed.at and other != placed))
 
@@ -229,7 +229,9 @@ def exchange(form: Form, outcome: Outcome, nominal: Fit, policy: Policy) -> None
                 best, placed = fit, new
         if best is not outcome.model:
             outcome.model = best
-            tie = tuple(dict.fromkeys([(placed,), *earlier.tie, *_alike(placed, outcome.rounds[earlier.found])]))
+            tie = tuple(
+                dict.fromkeys([(placed,), *earlier.tie, *_alike(placed, outcome.rounds[earlier.found], form.laws)])
+            )
             outcome.accepted[number] = replace(earlier, placed=placed, tie=tie, beside=None)
 
 

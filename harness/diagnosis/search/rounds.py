@@ -64,7 +64,7 @@ def search(
     -------
     Outcome
     """
-    outcome = Outcome(nominal, nominal)
+    outcome = Outcome(nominal, nominal, form.laws)
     while len(outcome.accepted) < policy.most:
         base = outcome.model
         present = {str(placed) for placed in base.effects}
@@ -87,7 +87,8 @@ def search(
             trials += refinements(form, outcome, untried, sizes or {}, policy, say)
         displaced = displace(outcome, trials, rows, nominal, policy)
         if best is not None and not displaced:
-            _accept(outcome, best, tie_set(best, [*rows, *held(form, best, rows, base, nominal, policy)], policy))
+            rivals = [*rows, *held(form, best, rows, base, nominal, policy)]
+            _accept(outcome, best, tie_set(best, rivals, form.laws, policy))
         if len(outcome.accepted) > 1 and (passed or displaced):
             exchange(form, outcome, nominal, policy)
             prune(form, outcome, policy)

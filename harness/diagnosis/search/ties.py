@@ -11,7 +11,7 @@ from harness.diagnosis.policy import EFFORT, POLICY, Policy
 from harness.diagnosis.search.compare import Judged, difference, judged
 from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.search.refusal import WANT_OF_EVIDENCE, Kind, only, subjects
-from harness.effects import nested
+from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 
 __all__ = [
@@ -75,13 +75,13 @@ def typical_elsewhere(row: Judged) -> bool:
     return only(row.refusals, {*WANT_OF_EVIDENCE, Kind.UNCONVERGED, Kind.BOUND})
 
 
-def may_tie(row: Judged, placed: Placed) -> bool:
+def may_tie(row: Judged, placed: Placed, laws: Dictionary) -> bool:
     """Return True if nothing but a want of evidence keeps a candidate from being an answer in the place of an effect.
 
     A more general law may be a rival though its values ended outside its own physics: within it, it is the answer
     itself or something beside it.
     """
-    lawless = refines(row.added, placed) and only(row.refusals, {*WANT_OF_EVIDENCE, Kind.LAW})
+    lawless = refines(row.added, placed, laws) and only(row.refusals, {*WANT_OF_EVIDENCE, Kind.LAW})
     return physical(row) or lawless
 
 
@@ -93,13 +93,19 @@ def tied(best: Judged, other: Judged, policy: Policy = POLICY) -> bool:
     return close(best.fit, other.fit, total(best) - total(other), policy)
 
 
-def refines(rival: Sequence[Placed], placed: Placed) -> bool:
+def refines(rival: Sequence[Placed], placed: Placed, laws: Dictionary) -> bool:
     """Return True for a law of which another one at the same place is a special case."""
-    return len(rival) == 1 and rival[0].at == placed.at and placed.effect.name in map(str, nested(rival[0].effect))
+    return len(rival) == 1 and laws.refines(rival[0], placed)
 
 
 def undecided(
-    answer: Fit, placed: Placed, rival: Fit, law: Sequence[Placed], gap: float, policy: Policy = POLICY
+    answer: Fit,
+    placed: Placed,
+    rival: Fit,
+    law: Sequence[Placed],
+    gap: float,
+    laws: Dictionary,
+    policy: Policy = POLICY,
 ) -> bool:
     """Return True if the data do not decide between an effect of an answer and a rival.
 
@@ -118,23 +124,26 @@ def undecided(
         That law.
     gap : float
         By which it is less likely.
+    laws : Dictionary
     policy : Policy
     """
     if not close(answer, rival, gap, policy):
         return False
     pays = gap < 0.0  # what its parameter explains is worth more than the parameter
-    return pays or not (refines(law, placed) and rival.distance(answer) < policy.least)
+    return pays or not (refines(law, placed, laws) and rival.distance(answer) < policy.least)
 
 
-def tie_set(best: Judged, rows: Sequence[Judged], policy: Policy = POLICY) -> tuple[tuple[Placed, ...], ...]:
+def tie_set(
+    best: Judged, rows: Sequence[Judged], laws: Dictionary, policy: Policy = POLICY
+) -> tuple[tuple[Placed, ...], ...]:
     """Return the tie set of an answer: what may tie with it (:func:`may_tie`), and is as likely."""
     found = [best.added]
     for row in sorted(rows, key=lambda row: -total(row)):
         if row is best or row.comparison is None or row.comparison.evidence < 0 or row.comparison.total < 0:
             continue
-        if row.fit is None or best.fit is None or not may_tie(row, best.added[-1]):
+        if row.fit is None or best.fit is None or not may_tie(row, best.added[-1], laws):
             continue
-        if undecided(best.fit, best.added[-1], row.fit, row.added, total(best) - total(row), policy):
+        if undecided(best.fit, best.added[-1], row.fit, row.added, total(best) - total(row), laws, policy):
             found.append(row.added)
     return tuple(found)
 
@@ -253,7 +262,7 @@ def _still_tied(
         row = judged([typical], trial, nominal, nominal, policy)
     if trial is None or trial.beyond or not physical(row):
         return False
-    return undecided(model, placed, trial, member, value(model) - value(trial), policy)
+    return undecided(model, placed, trial, member, value(model) - value(trial), form.laws, policy)
 
 
 def close(best: Fit, other: Fit, gap: float, policy: Policy) -> bool:
