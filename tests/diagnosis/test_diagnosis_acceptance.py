@@ -11,8 +11,9 @@ import pytest
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.compare import compared, difference, impossible, judged
 from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.ties import undecided
-from harness.effects import builtin
+from harness.effects import Dictionary, builtin
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
@@ -130,53 +131,56 @@ def test_a_general_law_is_a_rival_where_it_is_another_model_or_pays_for_its_para
     simple, general = placed("coulomb_friction"), placed("stribeck_friction")
     answer = a_fit(effects=[simple])
     other = a_fit(effects=[general], distance=lambda fit: distance)
-    assert undecided(answer, simple, other, [general], gap) is rival
+    assert undecided(answer, simple, other, [general], gap, Dictionary.builtin()) is rival
 
 
 # ---- what is accepted ------------------------------------------------------------------------------------------------
 
 
-def verdict(estimation: float, validation: FloatArray, *, name: str = "quadratic_drag", **more: object) -> str:
-    """Return the reasons against a candidate with one parameter more."""
+def verdict(
+    estimation: float, validation: FloatArray, *, name: str = "quadratic_drag", **more: object
+) -> dict[Kind, tuple[float, ...]]:
+    """Return the refusals of a candidate with one parameter more, with their numbers."""
     one = placed(name)
     evidence = estimation + 0.5 * np.log(400)
     fit = a_fit((np.full(400, evidence / 400), validation), [one], count=4, **more)
     base = a_fit()
-    return "; ".join(judged([one], fit, base, base).reasons)
+    return {refusal.kind: refusal.numbers for refusal in judged([one], fit, base, base).refusals}
 
 
 GAIN = np.full(400, 0.05)
 
 
 def test_what_passes_has_evidence_and_gains_on_validation() -> None:
-    assert verdict(5.1, GAIN / 4) == ""
-    assert "evidence 4.9" in verdict(4.9, GAIN / 4)
-    assert "validation gains" in verdict(50.0, -GAIN)
+    assert verdict(5.1, GAIN / 4) == {}
+    assert verdict(4.9, GAIN / 4)[Kind.EVIDENCE] == pytest.approx((4.9, 5.0, 10.0))
+    assert Kind.VALIDATION in verdict(50.0, -GAIN)
 
 
 def test_both_uses_together_are_the_evidence() -> None:
     """118 on the validation records are no less than 59 on each: 4 where 5 were asked was a damping not named."""
-    assert verdict(4.0, GAIN) == ""
-    assert "10.0 asked of both" in verdict(7.9, GAIN / 10)
-    assert verdict(8.1, GAIN / 10) == ""
-    assert verdict(0.1, GAIN) == ""
-    assert "0 asked of them alone" in verdict(-0.1, GAIN)
+    assert verdict(4.0, GAIN) == {}
+    assert verdict(7.9, GAIN / 10)[Kind.EVIDENCE][-1] == pytest.approx(10.0)
+    assert verdict(8.1, GAIN / 10) == {}
+    assert verdict(0.1, GAIN) == {}
+    assert verdict(-0.1, GAIN) == {Kind.ESTIMATION: pytest.approx((-0.1, 0.0))}
 
 
 def test_an_effect_that_nobody_would_miss_is_not_named_however_sure_it_is() -> None:
-    assert "it changes 0.027 % of rates or readings" in verdict(500.0, GAIN, change=lambda placed: 0.9 * POLICY.least)
-    assert verdict(500.0, GAIN, change=lambda placed: 1.1 * POLICY.least) == ""
+    faint = verdict(500.0, GAIN, change=lambda placed: 0.9 * POLICY.least)
+    assert faint == {Kind.SIZE: pytest.approx((0.9 * POLICY.least, POLICY.least))}
+    assert verdict(500.0, GAIN, change=lambda placed: 1.1 * POLICY.least) == {}
 
 
 def test_a_line_that_wanders_is_no_periodic_force() -> None:
-    def reasons(evidence: float) -> tuple[str, ...]:
+    def reasons(evidence: float) -> tuple[Refusal, ...]:
         one = placed("periodic_disturbance")
         values = {"a": 1.0, **dict.fromkeys(map(one.name, one.effect.parameter_names), 1.0)}
         fit = a_fit((np.full(400, 1.0), GAIN), [one], values=values, wandering={str(one): evidence})
-        return judged([one], fit, a_fit(), a_fit()).reasons
+        return judged([one], fit, a_fit(), a_fit()).refusals
 
     assert reasons(-0.1) == ()
-    assert "amplitude and phase change" in reasons(0.1)[0]
+    assert reasons(0.1) == (Refusal(Kind.INCOHERENT, "periodic_disturbance@theta", (0.1,)),)
 
 
 def with_errors(share: float, uses: int) -> FloatArray:
@@ -189,7 +193,7 @@ def with_errors(share: float, uses: int) -> FloatArray:
 
 def test_a_validation_gain_within_its_error_is_chance() -> None:
     for share, passes in ((0.9, False), (1.1, True)):
-        assert (verdict(9e3, with_errors(POLICY.alone_z * share, 1)) == "") is passes
+        assert (verdict(9e3, with_errors(POLICY.alone_z * share, 1)) == {}) is passes
 
 
 def test_a_gain_of_both_uses_within_its_errors_is_chance() -> None:
@@ -205,22 +209,22 @@ def test_a_gain_of_both_uses_within_its_errors_is_chance() -> None:
         found = compared(fit, a_fit())
         assert found.validation > POLICY.alone_z * found.error
         assert found.total > 2 * POLICY.evidence
-        assert (judged([one], fit, a_fit(), a_fit()).reasons == ()) is passes
+        assert judged([one], fit, a_fit(), a_fit()).passed is passes
 
 
 def test_what_did_not_converge_or_cannot_be_is_rejected() -> None:
-    assert "converge" in verdict(50.0, GAIN, converged=False)
+    assert Kind.UNCONVERGED in verdict(50.0, GAIN, converged=False)
     one = placed("quadratic_drag")
     values = {"a": 1.0, one.main(): -0.5}
-    assert "unphysical sign" in verdict(50.0, GAIN, values=values)
-    assert judged([one], None, a_fit(), a_fit()).reasons
+    assert Kind.SIGN in verdict(50.0, GAIN, values=values)
+    assert not judged([one], None, a_fit(), a_fit()).passed
 
 
 def test_a_value_on_its_bound_is_no_estimate() -> None:
     drag = builtin()["quadratic_drag"]
     parameter = replace(drag.parameters[0], maximum=0.5)
     bounded = Placed(replace(drag, parameters=(parameter,)), "theta")
-    assert "bound" in impossible(bounded, a_fit(effects=[bounded]))[0]
+    assert impossible(bounded, a_fit(effects=[bounded]))[0].kind is Kind.BOUND
     free = Placed(replace(drag, parameters=(replace(parameter, maximum=0.6),)), "theta")
     assert impossible(free, a_fit(effects=[free])) == []
 
@@ -240,7 +244,7 @@ def test_what_the_data_could_just_show_is_no_estimate() -> None:
     shortest = one.name("xs")
     assert impossible(one, a_fit(effects=[one])) == []
     (reason,) = impossible(one, a_fit(effects=[one], on_bound=(shortest,)))
-    assert reason.startswith("xs lies on its bound 0.5")
+    assert (reason.kind, reason.subject, *reason.numbers) == (Kind.BOUND, "xs", 0.5)
     assert impossible(one, a_fit(effects=[one], on_bound=(one.name("tau"),))) == [], "a nuisance"
 
 
@@ -251,7 +255,7 @@ def test_a_second_effect_that_changes_next_to_nothing_is_left_out() -> None:
     for more, passes in ((0.015, False), (0.06, True)):
         gain = np.full(400, 1.0 + more)
         second = judged([one], a_fit((gain + 0.02, gain), [one], count=5), first, nominal)
-        assert (not any("changes nothing" in text for text in second.reasons)) is passes
+        assert (Kind.SHARE not in {refusal.kind for refusal in second.refusals}) is passes
 
 
 def test_what_brings_less_than_nothing_is_told_no_share() -> None:
@@ -260,7 +264,7 @@ def test_what_brings_less_than_nothing_is_told_no_share() -> None:
     for first in (a_fit((gain, gain), count=4), a_fit((-gain, -gain), count=4)):
         second = judged([one], a_fit((first.terms["estimation"][0] - 0.1, gain), [one], count=5), first, a_fit())
         assert not second.passed
-        assert not any("brings" in text for text in second.reasons)
+        assert Kind.SHARE not in {refusal.kind for refusal in second.refusals}
 
 
 def test_what_the_first_effect_brings_where_none_was_fitted_makes_no_second_one_small() -> None:

@@ -18,9 +18,10 @@ from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.search.compare import judged
 from harness.diagnosis.search.fit import Begun, Fit
 from harness.diagnosis.search.grown import grow, refined, starts_of
+from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.ties import held, tie_set
 from harness.diagnosis.stand_in import stand_in_reasons
-from harness.effects import builtin, compose
+from harness.effects import Dictionary, builtin, compose
 from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.signals import Dataset, PlantSpec, Run, Trajectory
@@ -228,7 +229,7 @@ def test_a_law_that_is_as_likely_on_a_bound_only_is_compared_where_it_is_typical
         [law("sublinear_friction")],
         replace(power, free=tuple(power.values), on_bound=("sublinear_friction@theta.a",)), base, base,
     )  # fmt: skip
-    assert any("a lies on its bound 0.05" in text for text in rival.reasons)
+    assert Refusal(Kind.BOUND, "a", (0.05,)) in rival.refusals
     form = Typical(usual)
     (typical,) = held(form, best, [best, rival], base, base)  # type: ignore[arg-type]
     ((asked, start),) = form.asked
@@ -236,9 +237,9 @@ def test_a_law_that_is_as_likely_on_a_bound_only_is_compared_where_it_is_typical
     assert start["sublinear_friction@theta.a"] == 0.5
     assert typical.fit is not None
     assert typical.fit.count == power.count - 1
-    names = {str(placed) for (placed,) in tie_set(best, [best, rival, typical])}
+    names = {str(placed) for (placed,) in tie_set(best, [best, rival, typical], Dictionary.builtin())}
     assert names == ({"coulomb_friction@theta", "sublinear_friction@theta"} if tie else {"coulomb_friction@theta"})
-    away = replace(rival, reasons=(*rival.reasons, "Fr = -1 has an unphysical sign"))
+    away = replace(rival, refusals=(*rival.refusals, Refusal(Kind.SIGN, "Fr", (-1.0,))))
     assert held(Typical(usual), best, [away], base, base) == []  # type: ignore[arg-type]
 
 

@@ -13,7 +13,8 @@ from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.forms.coherence import in_parts, wandering, without
 from harness.diagnosis.forms.directions import Direction
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.search.fit import Column, Linearised
+from harness.diagnosis.search.fit import WAVE, Column, Linearised
+from harness.diagnosis.search.refusal import Kind
 from harness.effects import builtin
 from harness.physics import load_model
 from harness.signals import FloatArray
@@ -34,7 +35,7 @@ def line(parts: int) -> list[Column]:
         for first, last in itertools.pairwise(edges):
             columns = [np.zeros((N, 2)), np.zeros((N, 2))]
             columns[use][first:last] = whole[first:last]
-            found.append(Column(None, {}, ("in phase", "quarter turn"), *columns))
+            found.append(Column(None, {}, WAVE, *columns, kind="wave"))
     return found
 
 
@@ -94,7 +95,7 @@ def test_noise_in_a_band_is_seen_however_soon_it_loses_its_phase(seed: int, seco
 def test_a_fit_without_its_line_has_it_in_its_innovations_and_not_among_what_is_free() -> None:
     rng = np.random.default_rng(0)
     uses = ("estimation", "validation")
-    (column,) = [Column(None, {}, ("in phase", "quarter turn"), *(rng.standard_normal((50, 2)) for _ in uses))]
+    (column,) = [Column(None, {}, WAVE, *(rng.standard_normal((50, 2)) for _ in uses), kind="wave")]
     linear = Linearised(
         {use: rng.standard_normal(50) for use in uses},
         {use: rng.standard_normal((50, 4)) for use in uses},
@@ -141,5 +142,5 @@ def test_noise_in_a_band_is_no_periodic_disturbance_and_a_sine_is(task: Task, hi
     found = diagnose(make_records(task).dataset, load_model("pendulum"), dictionary=tried)
     assert [str(one.placed) for one in found.outcome.accepted] == ["periodic_disturbance@theta"] * hidden
     assert not found.outcome.withdrawn
-    reasons = [text for one in found.outcome.rounds[0].candidates for text in one.reasons]
-    assert any("amplitude and phase change along the records" in text for text in reasons) is not hidden
+    reasons = [refusal.kind for one in found.outcome.rounds[0].candidates for refusal in one.refusals]
+    assert (Kind.INCOHERENT in reasons) is not hidden

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from harness import registry
-from harness.diagnosis.dictionary import placed
+from harness.diagnosis.dictionary import laws_of, placed
 from harness.effects import builtin, place_all
 from harness.errors import PluginError
 from harness.physics import load_model
@@ -63,7 +63,7 @@ def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def test_every_broken_plugin_is_named_with_its_fault_and_the_others_count(plugins: None) -> None:
     system = load_model("pendulum")
-    found, faults = placed(system)
+    found, faults = placed(system, laws_of())
     assert {str(one) for one in found} == {*map(str, place_all(system)), "cubic_drag@theta"}
     told = {name: [one for one in faults if f"{name!r} of odd-effects ({target})" in one] for name, target in
             POINTS.items()}  # fmt: skip
@@ -86,13 +86,13 @@ def test_plugins_are_left_out_where_the_user_says_so(plugins: None, monkeypatch:
     monkeypatch.setenv("SYSID_HARNESS_NO_PLUGINS", "1")
     registry._all.cache_clear()
     system = load_model("pendulum")
-    found, faults = placed(system)
+    found, faults = placed(system, laws_of())
     assert [str(one) for one in found] == [str(one) for one in place_all(system)]
     assert faults == []
 
 
 def test_a_given_dictionary_is_taken_as_it_is(plugins: None) -> None:
-    found, faults = placed(load_model("pendulum"), [builtin()["quadratic_drag"]])
+    found, faults = placed(load_model("pendulum"), laws_of([builtin()["quadratic_drag"]]))
     assert ([str(one) for one in found], faults) == (["quadratic_drag@theta"], [])
 
 
@@ -102,6 +102,6 @@ def test_a_registry_that_cannot_be_read_is_said_and_our_own_effects_count(monkey
 
     monkeypatch.setattr(registry, "entries", refuse)
     system = load_model("pendulum")
-    found, faults = placed(system)
+    found, faults = placed(system, laws_of())
     assert [str(one) for one in found] == [str(one) for one in place_all(system)]
     assert faults == ["effects of plug-ins could not be looked up: no effects are registered"]

@@ -11,7 +11,8 @@ import pytest
 from harness.diagnosis.forms.likelihood_form import LikelihoodForm
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.policy import EFFORT
-from harness.diagnosis.search.compare import BEYOND, judged
+from harness.diagnosis.search.compare import judged
+from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.physics import load_model
@@ -103,7 +104,7 @@ def test_a_maximum_below_what_is_asked_of_it_is_left_without_its_last_digits() -
     assert left is not None
     assert left.beyond
     assert not left.converged
-    assert BEYOND in judged([law], left, nominal, nominal).reasons
+    assert Refusal(Kind.STOPPED) in judged([law], left, nominal, nominal).refusals
     assert left.log_likelihood("estimation") == pytest.approx(before, abs=0.5)
 
 

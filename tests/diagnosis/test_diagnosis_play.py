@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from harness.diagnosis.algorithm import diagnose
+from harness.diagnosis.dictionary import laws_of
 from harness.diagnosis.kinds import Equations
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.prepare import checked
@@ -23,9 +24,9 @@ def test_play_is_found_from_every_start() -> None:
     records = make_records(task("laws", "nominal", "high", 0.02, 20))
     system = load_model("pendulum")
     dataset, doubts = Equations().prepared(checked(records.dataset, system), system)
-    form, _ = form_of(Equations(), system, dataset, POLICY)
+    form, _ = form_of(Equations(), system, dataset, POLICY, laws_of().dictionary)
     nominal = nominal_fit(form, form, doubts)  # type: ignore[arg-type]
-    candidates, _ = candidates_of(form, None)
+    candidates, _ = candidates_of(form, laws_of())
     play = next(one for one in candidates if str(one) == "backlash@theta")
     (suspect,) = form.suspects(nominal, None, [play])
     for start in suspect.starts:

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from harness.diagnosis.policy import EFFORT, POLICY
-from harness.diagnosis.search.compare import BEYOND, UNCONVERGED, Comparison, Judged, compared, judged
-from harness.diagnosis.search.fit import DRIFT, Begun, Column, Fit, Linearised, Suspect
+from harness.diagnosis.search.compare import Comparison, Judged, compared, judged
+from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
 from harness.diagnosis.search.grown import as_good, refined_twice
 from harness.diagnosis.search.leftover import Axis, Leftover, left_over
 from harness.diagnosis.search.outcome import Outcome, Round
+from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.revised import (
     contradictions,
     displace,
@@ -27,7 +28,7 @@ from harness.diagnosis.search.revised import (
 from harness.diagnosis.search.rounds import _ended, search
 from harness.diagnosis.search.score_test import score_test
 from harness.diagnosis.search.ties import Accepted, tied, total, value
-from harness.effects import builtin
+from harness.effects import Dictionary, builtin
 from harness.effects.effect import Placed
 from harness.signals import FloatArray
 
@@ -94,6 +95,7 @@ class LinearForm:
     """Least squares, the noise known to be 1: see :class:`harness.diagnosis.search.fit.Form`."""
 
     nominal: Any = None
+    laws = Dictionary.builtin()
 
     def __init__(self, records: Records) -> None:
         self.records = records
@@ -325,7 +327,7 @@ def test_a_force_that_one_use_is_sure_of_is_left_unless_the_other_refuses_it(
 ) -> None:
     axis = Axis("theta over u", evidence, gain, 20.0, (), np.zeros(0))
     assert (Leftover((axis,)).best is axis) is left
-    drift = replace(axis, name=f"theta over u{DRIFT}")
+    drift = replace(axis, drifts=True)
     assert Leftover((drift,)).best is None, "by chance a force follows the motion in one record for a while"
 
 
@@ -665,10 +667,10 @@ def test_a_forbidden_further_law_counts_before_its_fit_has_come_to_its_end() -> 
     """It is as likely as it is at least; one that was left on its way says nothing."""
     form = LinearForm(linear_records(5, {"quadratic_drag": 0.6, "viscous_friction": -0.4}))
     found = search(form, form.fit((), [], None), ALL)
-    for reason, counts in ((UNCONVERGED, True), (BEYOND, False)):
+    for kind, counts in ((Kind.UNCONVERGED, True), (Kind.STOPPED, False)):
         rounds = [
             replace(past, candidates=tuple(
-                replace(row, reasons=(*row.reasons, reason)) if row.name == "viscous_friction@theta" else row
+                replace(row, refusals=(*row.refusals, Refusal(kind))) if row.name == "viscous_friction@theta" else row
                 for row in past.candidates
             )) for past in found.rounds
         ]  # fmt: skip
@@ -741,9 +743,8 @@ def test_what_was_left_on_its_way_is_said_to_be_and_not_that_it_did_not_converge
     nominal = form.fit((), [], None)
     behind = replace(form.fit([placed("quadratic_drag")], [], nominal), converged=False, beyond=True)
     stuck = replace(behind, beyond=False)
-    (first, *_), (second, *_) = (judged(one.effects, one, nominal, nominal).reasons for one in (behind, stuck))
-    assert "left on its way" in first
-    assert second == "its fit did not converge"
+    (first, *_), (second, *_) = (judged(one.effects, one, nominal, nominal).refusals for one in (behind, stuck))
+    assert (first.kind, second.kind) == (Kind.STOPPED, Kind.UNCONVERGED)
 
 
 def test_what_no_law_allows_does_not_keep_a_smaller_effect_from_its_fit() -> None:
@@ -854,7 +855,7 @@ def test_an_effect_that_is_no_law_beside_a_likelier_one_gives_way_to_it(beside: 
     both = judged([friction], form.fit([drag, friction], [], base), base, nominal)
     assert both.comparison is not None
     assert both.comparison.evidence > POLICY.evidence
-    assert any("no such law" in text for text in both.reasons) is goes
+    assert any(refusal.kind is Kind.OTHER_LAW for refusal in both.refusals) is goes
     first = Round(nominal, score_test(form, nominal, ALL), (judged([drag], base, nominal, nominal),))
 
     def answer(rows: Sequence[Judged]) -> tuple[bool, set[str], Outcome]:
@@ -865,7 +866,7 @@ def test_an_effect_that_is_no_law_beside_a_likelier_one_gives_way_to_it(beside: 
     changed, names, outcome = answer([both])
     assert (changed, names) == (goes, {"viscous_friction"} if goes else {"quadratic_drag"})
     if not goes:
-        refused = replace(both, reasons=(UNCONVERGED,))
+        refused = replace(both, refusals=(Refusal(Kind.UNCONVERGED),))
         assert answer([refused])[:2] == (False, {"quadratic_drag"}), "two laws that are ones beside each other stay"
     if goes:
         assert outcome.model.effects == (friction,)
@@ -875,7 +876,7 @@ def test_an_effect_that_is_no_law_beside_a_likelier_one_gives_way_to_it(beside: 
         for ahead, stays in ((0.5 * POLICY.tie, False), (2.0 * POLICY.tie, True)):
             more = value(outcome.model) + ahead - value(both.fit)
             terms = {**both.fit.terms, "validation": [each + more / len(each) for each in both.fit.terms["validation"]]}
-            passing = replace(both, added=(spring,), fit=replace(both.fit, terms=terms), reasons=())
+            passing = replace(both, added=(spring,), fit=replace(both.fit, terms=terms), refusals=())
             expected = (False, {"quadratic_drag"}) if stays else (True, {"viscous_friction"})
             assert answer([both, passing])[:2] == expected, "a likelier candidate comes first; one that ties does not"
 
@@ -958,8 +959,8 @@ def test_what_the_estimation_records_alone_are_sure_of_is_told(evidence: float, 
     """An end stop that the validation records do not touch: nothing can be named, and something is missing."""
     form = LinearForm(linear_records(15, {}))
     nominal = form.fit((), [], None)
-    reason = f"validation gains {validation:.1f}, 6.7 asked of them alone"
+    refused = Refusal(Kind.VALIDATION, numbers=(validation, 6.7))
     fit = replace(form.fit([placed("cubic_spring")], [], nominal), change=lambda effect: 0.1)
-    row = Judged(fit.effects, fit, Comparison(evidence, validation, 6.7, 48.0), (reason,))
+    row = Judged(fit.effects, fit, Comparison(evidence, validation, 6.7, 48.0), (refused,))
     outcome = Outcome(nominal, nominal, rounds=[Round(nominal, score_test(form, nominal, ALL), (row,))])
     assert (outcome.promised() is row) == sure

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from harness.diagnosis.stand_in import DRY, stand_in_reasons
-from harness.effects import builtin
+from harness.diagnosis.stand_in import stand_in_reasons
+from harness.effects import builtin, effect
 from harness.effects.effect import Placed
 
 
@@ -14,8 +14,16 @@ def placed(*names: str) -> list[Placed]:
     return [Placed(known[one.partition("@")[0]], one.partition("@")[2]) for one in names]
 
 
-def test_the_friction_laws_are_those_of_the_dictionary() -> None:
-    assert set(builtin()) >= DRY
+def test_a_law_of_others_counts_as_they_say_of_it() -> None:
+    """Two laws of the whole dry friction of a joint were no stand-in if one was a plug-in's."""
+
+    @effect("coordinate", whole="dry friction")
+    def my_dry(f, s, p, q, v):  # type: ignore[no-untyped-def]
+        return -v
+
+    mine, ours = Placed(my_dry, "x"), *placed("coulomb_friction@x")
+    assert stand_in_reasons([mine, ours], None)
+    assert not stand_in_reasons([mine, *placed("coulomb_friction@theta")], None)
 
 
 @pytest.mark.parametrize(

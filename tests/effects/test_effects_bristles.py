@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.effects import Placed, builtin, compose, effect, nested
+from harness.effects import Dictionary, Placed, builtin, compose, effect
 from harness.effects.compose import moving, recommended_substeps
 from harness.errors import InputError
 from harness.physics import load_model
@@ -62,7 +62,7 @@ def test_every_law_of_bristles_refines_one_and_says_so():
     assert len(set(refined)) == len(refined), "one law of bristles for each level"
     for name in grown:
         assert not builtin()[builtin()[name].nests[0]].states
-        assert builtin()[name].nests[0] in {law.name for law in nested(builtin()[name])}
+        assert builtin()[name].nests[0] in {law.name for law in Dictionary.builtin().nested(builtin()[name])}
 
 
 def test_a_law_that_refines_none_is_refused():

@@ -11,15 +11,14 @@ import pytest
 
 from harness import registry
 from harness.effects import (
+    Dictionary,
     Effect,
     EffectParameter,
     Placed,
     builtin,
     compose,
     effect,
-    family,
     find,
-    nested,
     par,
     place_all,
     port_of,
@@ -37,6 +36,9 @@ periodic_disturbance overflow level_saturation leak yield_friction
 lugre_friction lugre_coulomb_friction lugre_asymmetric_friction lugre_load_dependent_friction
 lugre_position_dependent_friction lugre_sublinear_friction lugre_yield_friction
 parallel_hysteresis hardening_elasticity unilateral_backlash drifting_damping drifting_gain""".split()
+
+
+LAWS = Dictionary.builtin()
 
 
 def test_every_name_of_the_dictionary_is_there_and_registered():
@@ -104,13 +106,37 @@ def test_start_values_follow_the_sizes_of_the_data():
 
 
 def test_nested_members_and_confusions():
-    assert [one.name for one in nested(builtin()["backlash"])] == ["elasticity"]
-    assert {one.name for one in nested(builtin()["asymmetric_friction"])} == {"coulomb_friction", "force_bias"}
-    tilt = family(builtin()["gravity_tilt"])
+    assert [one.name for one in LAWS.nested(builtin()["backlash"])] == ["elasticity"]
+    assert {one.name for one in LAWS.nested(builtin()["asymmetric_friction"])} == {"coulomb_friction", "force_bias"}
+    tilt = LAWS.family(builtin()["gravity_tilt"])
     assert {"sensor_offset", "eccentric_load"} <= set(tilt.exact)
-    assert "actuator_lag" in family(builtin()["input_delay"]).limit
-    assert "stribeck_friction" in family(builtin()["coulomb_friction"]).limit
-    assert "parameter" in family(builtin()["input_gain"]).exact
+    assert "actuator_lag" in LAWS.family(builtin()["input_delay"]).limit
+    assert "stribeck_friction" in LAWS.family(builtin()["coulomb_friction"]).limit
+    assert "parameter" in LAWS.family(builtin()["input_gain"]).exact
+
+
+def test_a_law_of_others_is_related_to_ours_as_they_are_among_each_other():
+    """A plug-in's law that nests Coulomb friction was unknown to it, and no more general than it."""
+
+    @effect("coordinate", [par("Fc", "F", neutral=0.0), par("w", "v", nuisance=True), par("r", "1")],
+            nests=("coulomb_friction",), family=("hysteresis",), whole="dry friction")  # fmt: skip
+    def my_rich(f, s, p, q, v):
+        return -p.Fc * (1 + p.r * v) * v
+
+    laws = Dictionary([*builtin().values(), my_rich])
+    coulomb = laws["coulomb_friction"]
+    assert [law.name for law in laws.nested(my_rich)] == ["coulomb_friction"]
+    assert "my_rich" in laws.family(coulomb).near
+    assert laws.refines(Placed(my_rich, "x"), Placed(coulomb, "x"))
+    assert not laws.refines(Placed(my_rich, "x"), Placed(coulomb, "theta"))
+    assert "coulomb_friction@x" in laws.contained([Placed(my_rich, "x")])
+    with pytest.raises(InputError, match="two effects named 'my_rich'"):
+        Dictionary([my_rich, effect("coordinate", {"b": "F/v"}, name="my_rich")(lambda f, s, p, q, v: 0.0 * v)])
+
+
+def test_an_effect_names_kinds_of_experiments_that_there_are():
+    with pytest.raises(InputError, match="told_by"):
+        effect("coordinate", told_by=("a good look",))
 
 
 def test_effects_travel_between_processes():

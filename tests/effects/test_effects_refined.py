@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.effects import Placed, builtin, compose, nested
+from harness.effects import Dictionary, Placed, builtin, compose
 from harness.effects.compose import moving, recommended_substeps
 from harness.physics import load_model
 from harness.study.truths import DT
@@ -34,7 +34,7 @@ def test_each_refines_the_law_that_it_names_first(name: str) -> None:
     simple = builtin()[law.nests[0]]
     assert law.grows
     assert not simple.grows
-    assert simple.name in {other.name for other in nested(law)}
+    assert simple.name in {other.name for other in Dictionary.builtin().nested(law)}
     assert set(simple.parameter_names) <= set(law.parameter_names), "it starts from where that one ended"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from harness.effects import builtin
-from harness.effects.dictionary import family
+from harness.effects.dictionary import Dictionary
 
 
 def test_an_end_stop_is_no_softer_than_the_plant_itself() -> None:
@@ -28,7 +28,7 @@ def test_cogging_must_turn_a_quarter_of_a_period_over_the_travel() -> None:
 
 
 def test_cogging_is_compared_with_the_springs_that_it_imitates() -> None:
-    found = family(builtin()["cogging"])
+    found = Dictionary.builtin().family(builtin()["cogging"])
     assert {"cubic_spring", "quadratic_spring", "eccentric_load"} <= {*found.near}
     assert {"cubic_spring", "quadratic_spring"} <= found.limit.keys()
-    assert "cogging" in family(builtin()["cubic_spring"]).near
+    assert "cogging" in Dictionary.builtin().family(builtin()["cubic_spring"]).near

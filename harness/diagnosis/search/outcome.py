@@ -39,11 +39,12 @@ class Outcome:
 
     nominal: Fit
     model: Fit
-    laws: Dictionary
     accepted: list[Accepted] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)
     withdrawn: list[Accepted] = field(default_factory=list)
     """Effects that the likelihood prefers and that were taken back."""
+    laws: Dictionary = field(default_factory=Dictionary.builtin)
+    """The effects of the run."""
 
     def unlawful(self, policy: Policy = POLICY) -> Judged | None:
         """Return the rival that explains the records best, if its law forbids its values and the answer is worse.

@@ -64,7 +64,7 @@ def search(
     -------
     Outcome
     """
-    outcome = Outcome(nominal, nominal, form.laws)
+    outcome = Outcome(nominal, nominal, laws=form.laws)
     while len(outcome.accepted) < policy.most:
         base = outcome.model
         present = {str(placed) for placed in base.effects}

@@ -62,7 +62,8 @@ def value(fit: Fit) -> float:
 
 def own_values(placed: Placed, fit: Fit) -> dict[str, float]:
     """Return the values of the parameters of one effect, by full name."""
-    return {name: fit.values[name] for name in map(placed.name, placed.effect.parameter_names)}
+    names = {*map(placed.name, placed.effect.parameter_names)}
+    return {name: number for name, number in fit.values.items() if name in names}
 
 
 def physical(row: Judged) -> bool:
