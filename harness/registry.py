@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from harness.errors import HarnessError, InputError, PluginError
+from harness.fingerprint import files_named, fingerprint
 from harness.options import check_options, instead
 
-__all__ = ["KINDS", "Entry", "create", "dataset_path", "entries", "entry", "load", "named_options"]
+__all__ = ["KINDS", "Entry", "code_of", "create", "dataset_path", "entries", "entry", "load", "named_options"]
 
 DISTRIBUTION = "sysid-harness"
 KINDS = ("plants", "identifiers", "scenarios", "effects", "models", "suites", "recordings", "model_readers", "tools")
@@ -61,6 +62,17 @@ class Entry:
             if text:
                 return text.strip().splitlines()[0]
         return ""
+
+    @property
+    def code(self) -> str:
+        """A hash of the source file of a part of others; empty for ours, which the version of the project tells."""
+        if self.distribution == DISTRIBUTION:
+            return ""
+        try:
+            found = importlib.util.find_spec(self.point.value.partition(":")[0])
+        except (ImportError, ValueError):
+            return ""
+        return "" if found is None or found.origin is None else fingerprint(*files_named(found.origin))
 
 
 @functools.cache
@@ -102,6 +114,12 @@ def entries(kind: str) -> tuple[Entry, ...]:
     True
     """
     return tuple(sorted(_all(kind).values(), key=lambda e: e.id))
+
+
+def code_of(kind: str, id: str) -> str:
+    """Return :attr:`Entry.code` of a part, empty for what is not registered (a plant's file, a recording)."""
+    known = _all(kind)
+    return known[id].code if id in known else ""
 
 
 def entry(kind: str, id: str) -> Entry:

@@ -14,7 +14,9 @@ from harness import __version__, registry
 from harness.benchmark.axes import expanded, problem
 from harness.benchmark.parts import RECORDED, RECORDING, Cell, Group, Part, Score, Suite, Task
 from harness.errors import InputError
-from harness.plant_files import fingerprint, is_plant_file
+from harness.fingerprint import files_named, fingerprint
+from harness.plant_files import fingerprint as plant_fingerprint
+from harness.plant_files import is_plant_file
 
 __all__ = ["cells_of", "find_suite", "load_suite", "tasks_of"]
 
@@ -136,12 +138,17 @@ def _job(plant: Part, scenario: Part, identifier: Part, seed: int, score: Score)
     """Return the hash of everything that decides a row, the version of the project included."""
     content = {
         "version": __version__,
-        "plant": (fingerprint(plant.id) if is_plant_file(plant.id) else plant.id, plant.name, plant.options),
+        "plant": (plant_fingerprint(plant.id) if is_plant_file(plant.id) else plant.id, plant.name, plant.options),
         "scenario": (scenario.id, scenario.name, scenario.options),
         "identifier": (identifier.id, identifier.name, identifier.options),
         "seed": seed,
         "score": score,
     }
+    kinds = (("plants", plant), ("scenarios", scenario), ("identifiers", identifier))
+    if codes := [code for kind, part in kinds if (code := registry.code_of(kind, part.id))]:
+        content["code"] = codes  # a plug-in that was changed is another
+    if files := [path for _, part in kinds for path in files_named(part.options)]:
+        content["files"] = fingerprint(files)
     if plant.streams or scenario.streams:
         content["streams"] = (plant.stream, scenario.stream)
     return hashlib.sha256(msgspec.json.encode(content, order="deterministic")).hexdigest()[:20]
@@ -184,7 +191,7 @@ def _check_group(group: Group, place: str, path: Path) -> None:
                 elif kind == "scenarios" and part.id == RECORDED:
                     continue
                 elif kind == "plants" and is_plant_file(part.id):
-                    fingerprint(part.id)
+                    plant_fingerprint(part.id)
                 else:
                     registry.entry(kind, part.id)
             except InputError as error:

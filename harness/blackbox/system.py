@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from harness.errors import InputError
+from harness.fingerprint import fingerprint
 from harness.physics.dimensions import Dimensions
 from harness.physics.parameters import Parameter
 from harness.physics.ports import Port, SampledBlock
@@ -99,6 +100,17 @@ class FmuSystem(Dimensions):
     def states(self) -> tuple[Channel, ...]:
         """Settable states of the FMU, then hidden states of effects."""
         return (*self.inner_states, *self.hidden)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """A hash of the FMU's file, of what is declared and of the effects around it."""
+        around = {} if self.around is None else {
+            name: function.serialize() for name, function in self.around.functions.items()
+        }  # fmt: skip
+        channels = [str(channel) for group in (self.inputs, self.outputs, self.states) for channel in group]
+        return fingerprint(
+            self.digest, channels, self.parameters, self.coordinates, dict(self.shown), self.sampled, around
+        )
 
     @property
     def hidden_count(self) -> int:

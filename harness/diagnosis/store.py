@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from harness.fingerprint import fingerprint
 from harness.signals import Dataset
 
-__all__ = ["Store", "fingerprint", "write_atomic"]
+__all__ = ["Store", "data_fingerprint", "write_atomic"]
 
 
 def write_atomic(path: Path, text: str) -> None:
@@ -23,63 +21,40 @@ def write_atomic(path: Path, text: str) -> None:
     scratch.replace(path)
 
 
-def fingerprint(dataset: Dataset, **options: Any) -> str:
-    """Return a hash of the data and of everything else that decides a refit."""
-    digest = hashlib.sha256()
-    for run in dataset:
-        digest.update(run.use.encode())
-        for array in (run.trajectory.t, run.trajectory.u, run.trajectory.y):
-            digest.update(np.ascontiguousarray(array).tobytes())
-    noise = sorted(dataset.noise.items())
-    digest.update(repr((str(dataset.spec), dataset.intersample, noise, sorted(options.items()))).encode())
-    return digest.hexdigest()[:16]
+def data_fingerprint(dataset: Dataset) -> str:
+    """Return a hash of the data: of all runs, their use, units, noise and what the input does between samples."""
+    runs = [(run.use, run.trajectory.t, run.trajectory.u, run.trajectory.y) for run in dataset]
+    return fingerprint(runs, str(dataset.spec), dataset.intersample, dict(dataset.noise))
 
 
 class Store:
-    """Records by key in ``folder/candidates``; without a folder they are kept in memory only.
+    """Records by key in ``folder/candidates``.
 
     Parameters
     ----------
-    folder : Path or None
+    folder : Path
         Where to keep them.
     identity : str
         Fingerprint of data and options: records of another identity are not seen.
     """
 
-    def __init__(self, folder: Path | None, identity: str) -> None:
-        self._folder = None if folder is None else folder / "candidates"
+    def __init__(self, folder: Path, identity: str) -> None:
+        self._folder = folder / "candidates"
         self._identity = identity
-        self._memory: dict[str, dict[str, Any]] = {}
-        self.reused = 0
-        if self._folder is not None:
-            self._folder.mkdir(parents=True, exist_ok=True)
+        self._folder.mkdir(parents=True, exist_ok=True)
 
     def get(self, key: str) -> dict[str, Any] | None:
         """Return the record of a key, or None; a file that cannot be read counts as absent."""
-        if key in self._memory:
-            return self._memory[key]
-        path = self._path(key)
-        if path is None or not path.is_file():
-            return None
         try:
-            record = json.loads(path.read_text(encoding="utf-8"))
+            record = json.loads(self._path(key).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        if record.get("key") != key:
-            return None
-        self._memory[key] = record["record"]
-        self.reused += 1
-        return self._memory[key]
+        return record["record"] if isinstance(record, dict) and record.get("key") == key else None
 
-    def put(self, key: str, record: Mapping[str, Any], *, lasting: bool = True) -> None:
-        """Keep the record of a key; in memory only unless it is ``lasting``."""
-        self._memory[key] = dict(record)
-        path = self._path(key)
-        if path is not None and lasting:
-            write_atomic(path, json.dumps({"key": key, "record": self._memory[key]}))
+    def put(self, key: str, record: Mapping[str, Any]) -> None:
+        """Keep the record of a key."""
+        write_atomic(self._path(key), json.dumps({"key": key, "record": dict(record)}))
 
-    def _path(self, key: str) -> Path | None:
+    def _path(self, key: str) -> Path:
         """Return the file of a key."""
-        if self._folder is None:
-            return None
-        return self._folder / (hashlib.sha256(f"{self._identity}/{key}".encode()).hexdigest()[:24] + ".json")
+        return self._folder / f"{fingerprint(self._identity, key)}.json"

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
-import msgspec
-
 from harness import __version__, registry
 from harness.errors import HarnessError
+from harness.fingerprint import files_named, fingerprint
 from harness.fleet.records import FleetRecord
 from harness.fleet.row import blank, encoded, fill
 from harness.jobs import Desk
 
 __all__ = ["RecordJob"]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Return the content of a TOML; what cannot be read is told when the record is."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
 
 
 @dataclass(frozen=True)
@@ -49,12 +56,13 @@ class RecordJob:
 
     @cached_property
     def job(self) -> str:
-        """A hash of the data and of all that decides the answer."""
-        content = hashlib.sha256()
-        for path in (self.record.file, self.record.validation):
-            content.update(path.read_bytes() if path is not None else b"")
-        what = (__version__, self.record.name, content.hexdigest(), self.model, self.undriven)
-        return hashlib.sha256(msgspec.json.encode(what)).hexdigest()[:20]
+        """A hash of the data, of the files that they and the model name, and of all else that decides the answer."""
+        files = [path for path in (self.record.file, self.record.validation) if path is not None]
+        named = files_named(self.model)
+        for path in files:
+            if path.suffix == ".toml":
+                named += files_named(_read(path), path.parent)
+        return fingerprint(__version__, self.record.name, self.model, self.undriven, files, named)[:20]
 
     @property
     def jobs(self) -> tuple[str, ...]:

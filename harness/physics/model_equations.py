@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from harness.errors import InputError
+from harness.fingerprint import fingerprint
 from harness.physics.dimensions import Dimensions
 from harness.physics.linear_solve import solve_symmetric
 from harness.physics.parameters import Parameter, defaults
@@ -113,6 +114,16 @@ class Equations(Dimensions):
         units = {channel.name: channel.unit for channel in self.states}
         found += [Port("process", name, units[name]) for name in self.process]
         return tuple(found)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """A hash of the compiled equations and of all that is declared: equal for equal models."""
+        forces, start = self.generalized_forces, self.initial
+        parts = [self.mass_matrix, forces, self.rates, self.h, *([] if start is None else [start])]
+        function = ca.Function("model", [self.x, self.u, self.p, self.t, self.gravity], [ca.SX(part) for part in parts])
+        channels = [str(channel) for group in (self.inputs, self.outputs, self.states) for channel in group]
+        declared = (self.parameters, self.coordinates, self.sampled, self.switches, self.process, self.hidden_count)
+        return fingerprint(function.serialize(), channels, declared)
 
     @property
     def feedthrough(self) -> bool:

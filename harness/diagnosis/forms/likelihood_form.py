@@ -121,7 +121,7 @@ class LikelihoodForm(SystemForm[SystemT]):
                 tried = self._looked(likelihood, points, spare=base is not None, hope=hope)
                 if tried:
                     detail = system, passes, likelihood, tried
-                    return Begun(tuple(effects), -tried[0].nll, tried[0].parameters, detail, tried[0].pace)
+                    return Begun(tuple(effects), -tried[0].nll, tried[0].parameters, detail, tried[0].pace, system)
         except (HarnessError, ArithmeticError, np.linalg.LinAlgError):  # two transmissions at one joint, say
             return None
         return None
@@ -617,7 +617,7 @@ class LikelihoodForm(SystemForm[SystemT]):
             return None
         held = tried[0]
         detail = system, passes, likelihood, [replace(held, converged=False)]
-        return self.finish(Begun((placed,), -held.nll, held.parameters, detail, held.pace), plain)
+        return self.finish(Begun((placed,), -held.nll, held.parameters, detail, held.pace, system), plain)
 
 
 def _state(number: int, name: str) -> str:

@@ -1,24 +1,31 @@
-"""A form whose finished fits are kept, so that an interrupted diagnosis continues where it stopped."""
+"""A form whose finished fits are kept by their content, so that an interrupted diagnosis continues where it stopped."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from harness import __version__
 from harness.diagnosis.forms.form import WholeForm
+from harness.diagnosis.policy import DATA_POLICY, EFFORT, POLICY, described
 from harness.diagnosis.search.fit import Begun, Column, Fit, Linearised, Suspect
-from harness.diagnosis.store import Store, fingerprint
+from harness.diagnosis.store import Store, data_fingerprint
 from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
+from harness.fingerprint import fingerprint
 
 __all__ = ["Remembered"]
 
 
 class Remembered:
-    """Keeps finished fits; one that is asked for again, in the same order of things, is read back.
+    """Keeps finished fits; one that is asked for again is read back, whatever was asked before it.
+
+    A fit is known by all that decides it: the data, the compiled model with its effects, where its first steps led, the
+    fits that it goes on from and is held against, the deciding numbers and the version of the project.
 
     Parameters
     ----------
@@ -29,10 +36,10 @@ class Remembered:
 
     def __init__(self, form: WholeForm, folder: Path | None) -> None:
         self.form = form
-        system = form.nominal
-        identity = fingerprint(form.dataset, model=str(system), parameters=str(system.parameters))
-        self.store = Store(folder, identity)
-        self._number: dict[str, int] = {}
+        self.store: Store | None = None
+        if folder is not None:
+            decides = [described(numbers) for numbers in (POLICY, EFFORT, DATA_POLICY)]
+            self.store = Store(folder, fingerprint(data_fingerprint(form.dataset), decides, __version__))
 
     @property
     def nominal(self) -> AnySystem:
@@ -56,9 +63,10 @@ class Remembered:
 
     def finish(self, begun: Begun, base: Fit | None, rival: Fit | None = None, least: float = -np.inf) -> Fit | None:
         """Finish a fit; one that was finished before is the same, and a failure is kept too."""
-        name = " + ".join(sorted(map(str, begun.effects))) or "nominal"
-        self._number[name] = self._number.get(name, 0) + 1
-        key = f"{name}#{self._number[name]}"
+        if self.store is None:
+            return self.form.finish(begun, base, rival, least)
+        first = begun.system, begun.values, begun.log_likelihood
+        key = fingerprint([*map(str, begun.effects)], first, _identity(base), _identity(rival), least)
         known = self.store.get(key)
         if known is not None:
             return self.form.restored(begun.effects, known) if known else None
@@ -96,3 +104,10 @@ class Remembered:
     def test_functions(self, fit: Fit) -> list[Column]:
         """Pass on."""
         return self.form.test_functions(fit)
+
+
+def _identity(fit: Fit | None) -> tuple[Any, ...] | None:
+    """Return what tells a fit from any other of the same data."""
+    if fit is None:
+        return None
+    return [*map(str, fit.effects)], fit.values, [fit.log_likelihood(use) for use in sorted(fit.terms)]

@@ -181,7 +181,7 @@ class Linearised:
 class Begun:
     """The first steps of a fit: the log-likelihood of the estimation records so far, and what the form goes on from.
 
-    ``pace`` is what the last step gained.
+    ``pace`` is what the last step gained; ``system`` the model that is fitted, where it has one.
     """
 
     effects: tuple[Placed, ...]
@@ -189,6 +189,7 @@ class Begun:
     values: dict[str, float]
     detail: Any = field(repr=False)
     pace: float = 0.0
+    system: Parametrised | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, eq=False)
