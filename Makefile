@@ -9,10 +9,10 @@ export OPENBLAS_NUM_THREADS := 1
 
 .PHONY: demo test lint bench docs clean
 
-$(READY): pyproject.toml constraints.txt
+$(READY): pyproject.toml lab/pyproject.toml constraints.txt
 	@echo "setting up $(VENV) (a minute or two, once)"
 	@$(PYTHON) -m venv $(VENV)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]" -e lab
 	@touch $@
 
 # the benchmark table, then one loop closed: Bullet's own joint friction, found in the log of a one-joint arm

@@ -139,17 +139,20 @@ def parts(kind: str, title: str, head: str) -> list[str]:
 
 def commands() -> list[str]:
     """Return every command with its arguments and options."""
+    from sysid_lab.cli import app as lab
     from typer.core import TyperGroup
     from typer.main import get_command
 
     from harness.cli import app
 
-    group = get_command(app)
-    assert isinstance(group, TyperGroup)
+    parts = [(name, get_command(one)) for name, one in (("sysid", app), ("sysid-lab", lab))]
     text = ["# Commands", "", "`sysid COMMAND --help` shows the same; ids complete in the shell after",
-            "`sysid --install-completion`. Each command is a call of the same name in `harness.api`.", ""]  # fmt: skip
-    for name, command in sorted(group.commands.items()):
-        text += [f"## sysid {name}", "", plain(inspect.cleandoc(command.help or "")), ""]
+            "`sysid --install-completion`. Each command is a call of the same name in `harness.api`;",
+            "`sysid-lab` is a distribution of its own, see `lab/README.md`.", ""]  # fmt: skip
+    found = [(f"{program} {name}", command) for program, group in parts if isinstance(group, TyperGroup)
+             for name, command in sorted(group.commands.items()) if not command.hidden]  # fmt: skip
+    for name, command in found:
+        text += [f"## {name}", "", plain(inspect.cleandoc(command.help or "")), ""]
         lines: list[list[object]] = []
         for one in command.params:
             shown = str(one.metavar or one.name).upper() if one.param_type_name == "argument" else ", ".join(one.opts)

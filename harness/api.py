@@ -31,13 +31,10 @@ if TYPE_CHECKING:
     from harness.learned import LearnedResidual
     from harness.predictive import ProbabilityScore
     from harness.scoring import Score
-    from harness.study import StudyResult
-    from harness.study.package import Package
 
 __all__ = [
     "LISTED",
     "Identified",
-    "answer_study",
     "bench",
     "check",
     "close_fleet",
@@ -46,7 +43,6 @@ __all__ = [
     "describe_fmu",
     "describe_part",
     "export",
-    "generate_study",
     "identify",
     "isolability",
     "learn_residual",
@@ -54,10 +50,8 @@ __all__ = [
     "order",
     "plan_bench",
     "query",
-    "score_study",
     "simulate",
     "spectrum",
-    "study",
     "table",
 ]
 
@@ -493,100 +487,6 @@ def close_fleet(
         progress=progress,
         **limit,
     )
-
-
-def study(
-    which: str = "all",
-    *,
-    out: str | Path,
-    seeds: str = "tuning",
-    records: int | None = None,
-    plants: Sequence[str] = ("pendulum", "cart-pole"),
-    workers: int = 2,
-    cells: int = 4,
-    alarms: int = 400,
-    budget: float | None = None,
-    engine: str = "local",
-    resume: bool = False,
-    force: bool = False,
-    progress: Callable[[int, int, str], None] | None = None,
-) -> StudyResult:
-    """Try the closed loop on simulated truths and write its tables; see :func:`harness.study.study`."""
-    from harness import study as room
-
-    return room.study(
-        which,
-        out=out,
-        seeds=seeds,
-        records=records,
-        plants=plants,
-        workers=workers,
-        cells=cells,
-        alarms=alarms,
-        budget=budget,
-        engine=engine,
-        resume=resume,
-        force=force,
-        progress=progress,
-    )
-
-
-def generate_study(
-    out: str | Path,
-    *,
-    truth: str | Path,
-    seeds: str = "judged",
-    secret: int | None = None,
-    records: int | None = None,
-    plants: Sequence[str] = ("pendulum", "cart-pole"),
-    cells: int = 4,
-    alarms: int = 400,
-    like: str | Path | None = None,
-    workers: int | None = None,
-    resume: bool = False,
-    force: bool = False,
-    progress: Callable[[int, int, str], None] | None = None,
-) -> Package:
-    """Write the records of a study for another tool, the truth apart; see :func:`harness.study.package.generate`."""
-    from harness.study.package import generate
-
-    return generate(
-        out,
-        truth=truth,
-        seeds=seeds,
-        secret=secret,
-        records=records,
-        plants=plants,
-        cells=cells,
-        alarms=alarms,
-        like=like,
-        workers=workers,
-        resume=resume,
-        force=force,
-        progress=progress,
-    )
-
-
-def answer_study(source: str | Path, *, out: str | Path) -> int:
-    """Write the answer file of a run of the closed loop: a fleet's folder over the records, or a study's ``rows.csv``.
-
-    Returns
-    -------
-    int
-        Number of answers.
-    """
-    from harness.study.leaderboard import answers_of_fleet, answers_of_rows, write_answers
-
-    answers = answers_of_fleet(source) if Path(source).is_dir() else answers_of_rows(source)
-    write_answers(out, answers)
-    return len(answers)
-
-
-def score_study(truth: str | Path, answers: Sequence[str | Path]) -> str:
-    """Return the leaderboard of answer files as Markdown; see :func:`harness.study.leaderboard.score`."""
-    from harness.study.leaderboard import score
-
-    return score(truth, answers)[1]
 
 
 def isolability(

@@ -18,7 +18,6 @@ from harness.cli_loop import close_loop, isolability, learn_residual
 from harness.cli_models import compare, export, identify, order, spectrum
 from harness.cli_options import AsJson
 from harness.cli_runs import bench, query, simulate, table
-from harness.cli_study import study_app
 from harness.errors import HarnessError, InputError
 from harness.interrupts import INTERRUPTED, Interrupts
 from harness.terminal import fail, print_fmu, print_json, print_parts, print_rows, say
@@ -34,7 +33,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-app.add_typer(study_app, name="study")
 for _command in (simulate, bench, table, query, identify, compare, spectrum, order, isolability, export):
     app.command()(_command)
 app.command(name="close-loop")(close_loop)
@@ -92,6 +90,18 @@ def check(
         )
 
 
+@app.command(name="study", hidden=True, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def study(context: typer.Context) -> None:
+    """Say where this command went."""
+    words = " ".join(context.args)
+    raise InputError(
+        "sysid study",
+        expected="the command sysid-lab, which is a distribution of its own",
+        got=f"sysid study {words}".rstrip(),
+        remedy=f"pip install sysid-harness-lab (from a checkout: pip install -e lab), then sysid-lab {words}".rstrip(),
+    )
+
+
 @app.command()
 def new(
     kind: Annotated[str, typer.Argument(metavar="KIND", help="identifier | plant | scenario | effect | model")],
@@ -115,13 +125,15 @@ def _root(version: Annotated[bool, typer.Option("--version", help="print the ver
         raise typer.Exit()
 
 
-def run(arguments: Sequence[str] | None, interrupts: Interrupts) -> int:
-    """Run the command line and return the exit status; every failure is one line on standard error."""
+def run(
+    arguments: Sequence[str] | None, interrupts: Interrupts, *, application: typer.Typer = app, name: str = "sysid"
+) -> int:
+    """Run a command line and return the exit status; every failure is one line on standard error."""
     from typer.main import get_command
 
     try:
-        code = get_command(app).main(
-            args=None if arguments is None else list(arguments), prog_name="sysid", standalone_mode=False
+        code = get_command(application).main(
+            args=None if arguments is None else list(arguments), prog_name=name, standalone_mode=False
         )
         if code == INTERRUPTED or interrupts.seen:  # a library turns Ctrl-C into a status, or swallows it
             raise KeyboardInterrupt

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import gc
+import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -16,8 +17,8 @@ COLLECTED = 50_000
 """New objects between two runs of the garbage collector; 700, as usual, costs 4 % of a short diagnosis."""
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; every failure is one line on standard error and an exit status."""
+def main(arguments: Sequence[str] | None = None, *, cli: str = "harness.cli") -> None:
+    """Run the command line of a module; every failure is one line on standard error and an exit status."""
     if arguments is None:  # a process of its own
         atexit.register(_leave)
     usual = gc.get_threshold()
@@ -29,9 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
                 for name in THREAD_VARIABLES if arguments is None else ():
                     os.environ.setdefault(name, "1")  # matrices are small: more threads wait for each other
-                from harness.cli import run
-
-                status = run(arguments, interrupts)
+                status = importlib.import_module(cli).run(arguments, interrupts)
             except KeyboardInterrupt:
                 print("sysid: interrupted", file=sys.stderr)
                 status = INTERRUPTED

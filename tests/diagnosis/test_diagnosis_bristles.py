@@ -8,6 +8,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from sysid_lab.plan import Task
+from sysid_lab.records import Records, make_records
 
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
@@ -25,8 +27,6 @@ from harness.effects import Dictionary, builtin, compose
 from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.signals import Dataset, PlantSpec, Run, Trajectory
-from harness.study.plan import Task
-from harness.study.records import Records, make_records
 
 USED = 240_000
 """The base of records that were looked at while this was written."""

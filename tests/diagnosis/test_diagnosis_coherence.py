@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sysid_lab.plan import Task
+from sysid_lab.records import make_records
 
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.forms.coherence import in_parts, wandering, without
@@ -18,8 +20,6 @@ from harness.diagnosis.search.refusal import Kind
 from harness.effects import builtin
 from harness.physics import load_model
 from harness.signals import FloatArray
-from harness.study.plan import Task
-from harness.study.records import make_records
 
 N, DT = 2000, 0.01
 T = np.arange(N) * DT

@@ -7,10 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from harness.study.folder import write_record
-from harness.study.plan import Task
-from harness.study.records import make_records
+from sysid_lab.folder import write_record
+from sysid_lab.plan import Task
+from sysid_lab.records import make_records
 
 ASK = """
 import sys

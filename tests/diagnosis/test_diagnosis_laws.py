@@ -6,6 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sysid_lab.context import Context, Hidden
+from sysid_lab.plan import Task
+from sysid_lab.records import make_records
 
 from harness.diagnosis import diagnose
 from harness.diagnosis.dictionary import placed
@@ -18,9 +21,6 @@ from harness.diagnosis.search.refits import chosen
 from harness.diagnosis.search.score_test import score_test
 from harness.effects import Placed, builtin, compose
 from harness.physics import load_model
-from harness.study.context import Context, Hidden
-from harness.study.plan import Task
-from harness.study.records import make_records
 
 TASK = Task("confusion", "pendulum", "bullet", (), "nominal", "high", 0.0, 0, 0)
 
@@ -63,7 +63,7 @@ def test_a_level_with_a_root_of_the_speed_is_one_law(
         named = {"Fc": level * context.torque(at), "Fr": root * context.torque(at), "a": 0.5}
         return Hidden(name, at, {"Fp0": named["Fc"], "Fm0": named["Fc"], "root0": named["Fr"]}, named)
 
-    monkeypatch.setattr("harness.study.records.hide", both)
+    monkeypatch.setattr("sysid_lab.records.hide", both)
     records = make_records(replace(TASK, engine="laws", effects=(name,)))
     found = diagnose(records.dataset, load_model("pendulum"))
     assert [str(one.placed) for one in found.outcome.accepted] == [name]
@@ -94,7 +94,7 @@ def test_a_damping_that_falls_along_the_way_is_named_all_the_same(monkeypatch: p
         value = -0.5 * context.values["b0"] / float(np.abs(context.q(at)).max()) ** 2
         return Hidden("position_dependent_damping", at, {"vdp0": value}, {"c1": 0.0, "c2": value})
 
-    monkeypatch.setattr("harness.study.records.hide", falling)
+    monkeypatch.setattr("sysid_lab.records.hide", falling)
     effect = "position_dependent_damping@theta"
     found = diagnose(make_records(replace(TASK, engine="laws", effects=(effect,))).dataset, load_model("pendulum"))
     assert [str(one.placed) for one in found.outcome.accepted] == [effect]

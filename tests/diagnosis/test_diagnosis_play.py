@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from sysid_lab.plan import Task
+from sysid_lab.records import make_records
 
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.dictionary import laws_of
@@ -11,8 +13,6 @@ from harness.diagnosis.policy import POLICY
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.steps import candidates_of, form_of, nominal_fit
 from harness.physics import load_model
-from harness.study.plan import Task
-from harness.study.records import make_records
 
 
 def task(engine: str, level: str, noise: str, disturbance: float, index: int) -> Task:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sysid_lab.plan import Task
+from sysid_lab.records import Records, make_records
 
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
@@ -12,8 +14,6 @@ from harness.effects import builtin
 from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed
 from harness.physics import load_model
-from harness.study.plan import Task
-from harness.study.records import Records, make_records
 
 USED = 140_000
 """The base of records that were looked at while this was written."""

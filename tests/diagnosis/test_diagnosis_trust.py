@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sysid_lab.plan import Task
+from sysid_lab.records import make_records
 
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
@@ -27,8 +29,6 @@ from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.physics.likelihood import _damped
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
-from harness.study.plan import Task
-from harness.study.records import make_records
 
 DT = 0.01
 SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)

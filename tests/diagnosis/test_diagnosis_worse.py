@@ -7,14 +7,14 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from sysid_lab.plan import plan
+from sysid_lab.records import make_records
 
 from harness.diagnosis import diagnose
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.effects import builtin
 from harness.physics import load_model
-from harness.study.plan import plan
-from harness.study.records import make_records
 
 
 def shown(*validation: np.ndarray[Any, Any]) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import itertools
 import json
 import re
@@ -15,7 +16,6 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from harness import api
-from harness.cli import app
 from harness.command import main
 from harness.data import load_dataset
 from harness.diagnosis import close_loop
@@ -27,14 +27,15 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 PAGES += sorted((ROOT / "examples").glob("*/README.md"))
 FENCE = re.compile(r"^```(?P<info>[^\n`]*)\n(?P<code>.*?)^```\s*$", re.MULTILINE | re.DOTALL)
-INLINE = re.compile(r"`(sysid [^`]+)`")
+INLINE = re.compile(r"`(sysid(?:-lab)? [^`]+)`")
+PROGRAMS = {"sysid": "harness.cli", "sysid-lab": "sysid_lab.cli"}
 
 
 def commands(text: str) -> list[str]:
     """Return every command in the blocks of a page, continuation lines joined."""
     blocks = [match["code"] for match in FENCE.finditer(text) if match["info"].strip() in ("", "sh")]
     lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
-    return [line for line in lines if line.startswith("sysid ")]
+    return [line for line in lines if line.partition(" ")[0] in PROGRAMS]
 
 
 def mentions(text: str) -> list[str]:
@@ -67,26 +68,21 @@ def test_commands_are_found_whatever_stands_around_them() -> None:
 @pytest.mark.parametrize(("page", "line"), COMMANDS)
 def test_a_command_is_understood(page: str, line: str) -> None:
     name, *rest = words(line)
-    command = group().commands[name]
-    while isinstance(command, TyperGroup):
-        name, *rest = rest
-        command = command.commands[name]
+    command = group(line).commands[name]
     command.make_context(name, rest)  # raises for an unknown option, a missing or a superfluous argument
 
 
 @pytest.mark.parametrize(("page", "line"), MENTIONS)
 def test_a_command_in_a_sentence_has_its_options(page: str, line: str) -> None:
     name, *rest = words(line)
-    command = group().commands[name]
-    if isinstance(command, TyperGroup) and rest:
-        command = command.commands[rest[0]]
+    command = group(line).commands[name]
     known = {flag for one in command.params for flag in (*one.opts, *one.secondary_opts)}
     assert {word for word in rest if re.match(r"--?[a-z]", word)} <= known
 
 
-def group() -> TyperGroup:
-    """Return the command line."""
-    found = get_command(app)
+def group(line: str) -> TyperGroup:
+    """Return the commands of the program that a line runs."""
+    found = get_command(importlib.import_module(PROGRAMS[line.partition(" ")[0]]).app)
     assert isinstance(found, TyperGroup)
     return found
 
@@ -103,7 +99,7 @@ def test_what_make_and_python_run_is_there(page: Path) -> None:
 # ---- those that run --------------------------------------------------------------------------------------------------
 
 ONLY_PARSED = {
-    r"study (confusion|generate)": "minutes on all cores, or hours",
+    r"sysid-lab (confusion|generate)": "minutes on all cores, or hours",
     r"close-loop records/": "a study's whole fleet",
     r"bench examples/peers": "needs the peer packages, which are installed apart",
     r"(check|list|identify) .*(soft_friction|peer-sippy|neighbours)": "needs a plug-in installed by pip",
@@ -114,7 +110,9 @@ ONLY_PARSED = {
 """Commands that no test runs, and why: what is not here runs."""
 SHORTENED = {"bench quick": "bench quick --dry-run"}
 """Commands that take minutes, and what runs of them: the plan of the cells."""
-SENTENCES = re.compile(r"list (plants|effects|model)|isolability|simulate (pendulum|loop)|study (score|answer) docs")
+SENTENCES = re.compile(
+    r"list (plants|effects|model)|isolability|simulate (pendulum|loop)|sysid-lab (score|answer) docs"
+)
 """Commands in sentences that are whole."""
 
 
@@ -136,7 +134,7 @@ def test_every_reason_has_its_command() -> None:
 def sysid(line: str) -> None:
     """Run a command as typed."""
     with pytest.raises(SystemExit) as ended:
-        main(words(line))
+        main(words(line), cli=PROGRAMS[line.partition(" ")[0]])
     assert ended.value.code == 0, line
 
 

@@ -9,7 +9,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_every_fault_has_its_text_once_in_its_file() -> None:
-    faults = tomllib.loads((ROOT / "benchmarks/planted_faults.toml").read_text(encoding="utf-8"))["fault"]
+    faults = tomllib.loads((ROOT / "lab/planted_faults.toml").read_text(encoding="utf-8"))["fault"]
     assert len(faults) >= 60
     counts = {fault["name"]: (ROOT / fault["file"]).read_text(encoding="utf-8").count(fault["old"]) for fault in faults}
     assert len(counts) == len(faults), "names are unique"

@@ -5,14 +5,14 @@ from __future__ import annotations
 import runpy
 from pathlib import Path
 
-from harness.study.leaderboard import answers_of_rows, read_answers, read_truth, score
-from harness.study.plan import plan
-from harness.study.store import read_rows
-from harness.study.tables import summary
+from sysid_lab.leaderboard import answers_of_rows, read_answers, read_truth, score
+from sysid_lab.plan import plan
+from sysid_lab.store import read_rows
+from sysid_lab.tables import summary
 
 ROOT = Path(__file__).resolve().parents[2]
 STUDIES = ROOT / "docs" / "studies"
-PUBLISHER = runpy.run_path(str(ROOT / "benchmarks" / "publish_study.py"))
+PUBLISHER = runpy.run_path(str(ROOT / "lab" / "publish_study.py"))
 
 
 def test_the_table_of_the_study_is_that_of_its_rows() -> None:

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sysid_lab.truths import DT
+from sysid_lab.truths import simulate as truth
 
 from harness.effects import Dictionary, Placed, builtin, compose, effect
 from harness.effects.compose import moving, recommended_substeps
 from harness.errors import InputError
 from harness.physics import load_model
-from harness.study.truths import DT
-from harness.study.truths import simulate as truth
 
 PENDULUM = load_model("pendulum")
 BRISTLES = {"xs": 1e-3, "tau": 0.01, "T": 0.0}

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sysid_lab.truths import DT
+from sysid_lab.truths import simulate as truth
 
 from harness.effects import Dictionary, Placed, builtin, compose
 from harness.effects.compose import moving, recommended_substeps
 from harness.physics import load_model
-from harness.study.truths import DT
-from harness.study.truths import simulate as truth
 
 PENDULUM = load_model("pendulum")
 SLIPS = {"Fh": 0.4, "xs": 0.02, "beta": 0.6, "T": 0.0}

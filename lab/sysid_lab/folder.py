@@ -1,0 +1,27 @@
+"""The records of a task as a folder that any tool reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from harness.data.trajectories import write_trajectory
+from harness.data.whole_files import whole_file
+from sysid_lab.plan import Task
+from sysid_lab.records import Records
+
+__all__ = ["write_record"]
+
+
+def write_record(folder: Path, name: str, task: Task, made: Records) -> None:
+    """Write the runs of a record and what describes them."""
+    folder.mkdir(exist_ok=True)
+    spec = made.dataset.spec
+    lines = [f'name = "{name}"', "", "[nominal]", f'model = "{task.plant}"']
+    for role, channels in (("input", spec.inputs), ("output", spec.outputs)):
+        for channel in channels:
+            lines += ["", f"[signals.{channel.name}]", f'role = "{role}"', f'unit = "{channel.unit}"']
+    for run in made.dataset:
+        write_trajectory(run.trajectory.measured(), folder / f"{run.use}.csv")
+        lines += ["", "[[runs]]", f'file = "{run.use}.csv"', f'use = "{run.use}"']
+    with whole_file(folder / "dataset.toml") as scratch:
+        scratch.write_text("\n".join(lines) + "\n", encoding="utf-8")
