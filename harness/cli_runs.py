@@ -31,13 +31,15 @@ def simulate(
     plant: Annotated[
         str,
         typer.Argument(
-            metavar="PLANT", help="id of a plant, or FILE.fmu, .toml or .ssp", autocompletion=completed("plants")
+            metavar="PLANT",
+            help="id of a plant, or a file: .fmu, .toml, .ssp, .ssd, OspSystemStructure.xml",
+            autocompletion=completed("plants"),
         ),
     ],
     scenario: Annotated[
         str | None,
         typer.Option(
-            "--scenario", help="id of a scenario; an FMU also runs as it is", autocompletion=completed("scenarios")
+            "--scenario", help="id of a scenario; a file also runs as it is", autocompletion=completed("scenarios")
         ),
     ] = None,
     seed: Seed = 0,
@@ -51,13 +53,16 @@ def simulate(
     role: Annotated[
         str, typer.Option(help="estimation/0, validation/0, ...: another role, other noise")
     ] = "estimation/0",
-    start: Annotated[float | None, typer.Option(help="of an FMU without a scenario: first instant [s]")] = None,
-    stop: Annotated[float | None, typer.Option(help="of an FMU without a scenario: last instant [s]")] = None,
-    step: Annotated[float | None, typer.Option(help="of an FMU without a scenario: sample time [s]")] = None,
-    tolerance: Annotated[float | None, typer.Option(help="of an FMU without a scenario: of its solver")] = None,
+    start: Annotated[float | None, typer.Option(help="of a file without a scenario: first instant [s]")] = None,
+    stop: Annotated[float | None, typer.Option(help="of a file without a scenario: last instant [s]")] = None,
+    step: Annotated[float | None, typer.Option(help="of a file without a scenario: sample time [s]")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="of a file without a scenario: of its solver")] = None,
+    exchange: Annotated[
+        str | None, typer.Option(help="of a coupling or system: jacobi (all step at once) | gauss-seidel (in turn)")
+    ] = None,
     force: Force = False,
 ) -> None:
-    """Run a scenario on a plant and record it; an FMU runs as it is where no scenario is given."""
+    """Run a scenario on a plant and record it; an FMU or a system runs as it is where no scenario is given."""
     notes: list[str] = []
     with progress_bar("simulating") as bar:
         task = bar.add_task(plant, total=None)
@@ -74,6 +79,7 @@ def simulate(
             stop=stop,
             step=step,
             tolerance=tolerance,
+            exchange=exchange,
             force=force,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
             note=notes.append,

@@ -11,13 +11,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from harness.cosim.ssp_structure import read_structure
 
 from harness import api, registry
 from harness.blackbox.effects import surround
 from harness.blackbox.reader import fmu_system
 from harness.blackbox.runner import Runner
 from harness.blackbox.simulator import FmuSimulator
-from harness.cosim.ssp_structure import read_structure
 from harness.diagnosis import close_loop
 from harness.diagnosis.fmu.passes import FreePass
 from harness.diagnosis.fmu.prepare import FmuWindows, measured_states, nominal_fmu

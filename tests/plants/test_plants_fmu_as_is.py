@@ -39,7 +39,7 @@ def changed(source: Path, target: Path, pattern: str, text: str) -> Path:
 @pytest.mark.parametrize("model", ["pendulum", "mass_spring", "two_tanks"])
 def test_it_runs_as_fmpy_runs_it(model: str, fmi: int) -> None:
     path = mockup(model, fmi)
-    found = run_as_is(path, isolated=False, stop=1.0, step=0.02)
+    found = run_as_is(path, isolated=False, stop_time=1.0, sample_time=0.02)
     names = [channel.name for channel in found.trajectory.spec.outputs]
     peer = fmpy.simulate_fmu(
         str(path), start_time=0.0, stop_time=1.0, output_interval=0.02, output=names, fmi_type="CoSimulation"
@@ -51,7 +51,7 @@ def test_it_runs_as_fmpy_runs_it(model: str, fmi: int) -> None:
 
 def test_model_exchange_with_events(odd_fmu: Callable[..., Path]) -> None:
     path = odd_fmu("ball")
-    found = run_as_is(path, kind="me", stop=1.0, step=0.01, tolerance=1e-8, isolated=False)
+    found = run_as_is(path, kind="me", stop_time=1.0, sample_time=0.01, tolerance=1e-8, isolated=False)
     peer = fmpy.simulate_fmu(
         str(path), stop_time=1.0, output_interval=0.01, relative_tolerance=1e-8, fmi_type="ModelExchange", output=["h"]
     )
@@ -88,7 +88,7 @@ def test_without_outputs_states_and_locals_are_recorded(tmp_path: Path) -> None:
         mockup("pendulum"), tmp_path / "closed.fmu", r'causality="output"|<Outputs>.*?</Outputs>',
         lambda m: 'causality="local"' if "causality" in m.group() else "",  # type: ignore[arg-type,return-value]
     )  # fmt: skip
-    found = run_as_is(path, stop=0.1, step=0.01, isolated=False)
+    found = run_as_is(path, stop_time=0.1, sample_time=0.01, isolated=False)
     assert {"theta", "omega"} <= {channel.name for channel in found.trajectory.spec.outputs}
     assert any("declares no outputs" in text for text in found.notes)
 
@@ -96,7 +96,7 @@ def test_without_outputs_states_and_locals_are_recorded(tmp_path: Path) -> None:
 def test_rows_up_to_an_early_end_are_kept(odd_fmu: Callable[..., Path], tmp_path: Path, capsys) -> None:
     path = odd_fmu("hostile")
     for mode, status in ((8, "terminated"), (1, "crashed")):
-        found = run_as_is(path, stop=0.1, step=0.01, parameters={"mode": mode, "when": 0.05}, timeout=5.0)
+        found = run_as_is(path, stop_time=0.1, sample_time=0.01, parameters={"mode": mode, "when": 0.05}, timeout=5.0)
         assert len(found.trajectory) == 6
         assert found.ended is not None
         assert found.ended.status == status
@@ -112,7 +112,7 @@ def test_rows_up_to_an_early_end_are_kept(odd_fmu: Callable[..., Path], tmp_path
 def test_a_tolerance_that_dominates_is_said(odd_fmu: Callable[..., Path], tmp_path: Path) -> None:
     rough = changed(odd_fmu("ball"), tmp_path / "rough.fmu", r"<ModelVariables>",
                     '<DefaultExperiment stopTime="1.0" tolerance="0.05"/><ModelVariables>')  # fmt: skip
-    notes = run_as_is(rough, kind="me", step=0.1, isolated=False).notes
+    notes = run_as_is(rough, kind="me", sample_time=0.1, isolated=False).notes
     assert any("--tolerance" in text for text in notes), notes
 
 
@@ -128,11 +128,11 @@ def test_archives_of_windows_tools(tmp_path: Path) -> None:
             new.writestr("extra/notes.txt", b"the same")  # listed twice, and the same
     assert describe(odd)["platforms"][:2] == ["aarch64-linux", "linux64"]
     assert "win64" in describe(odd)["platforms"]
-    assert len(run_as_is(odd, stop=0.1, step=0.01).trajectory) == 11
+    assert len(run_as_is(odd, stop_time=0.1, sample_time=0.01).trajectory) == 11
 
 
 def test_what_is_no_fmu_needs_a_scenario() -> None:
-    with pytest.raises(InputError, match="only an FMU runs without one"):
+    with pytest.raises(InputError, match="only an FMU or a system of them runs without one"):
         api.simulate("pendulum-ode")
     with pytest.raises(InputError, match="none of them with a scenario"):
         api.simulate("pendulum-ode", scenario="multisine", stop=3.0)
