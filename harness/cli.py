@@ -21,6 +21,7 @@ from harness.cli_runs import bench, query, simulate, table
 from harness.cli_study import study_app
 from harness.errors import HarnessError, InputError
 from harness.interrupts import INTERRUPTED, Interrupts
+from harness.plant_files import is_system
 from harness.terminal import fail, print_fmu, print_json, print_parts, print_rows, print_system, say
 
 __all__ = ["app", "run"]
@@ -56,7 +57,7 @@ def list_command(
         else:
             print_fmu(description)
         return
-    if what is not None and api.is_system(what):
+    if what is not None and is_system(what):
         system = api.describe_system(what)
         if as_json:
             print_json(system)
