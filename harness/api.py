@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -16,7 +16,7 @@ import numpy as np
 from harness import registry
 from harness.errors import HarnessError, InputError, PluginError
 from harness.parts import LISTED, describe_part, list_parts
-from harness.plant_files import describe_fmu, is_plant_file, is_system, make_plant
+from harness.plant_files import describe_fmu, is_plant_file, is_system, make_plant, stream_key
 from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
 from harness.rng import Streams, stream
 from harness.signals import FloatArray, PlantSpec, Trajectory, Use
@@ -174,8 +174,9 @@ def simulate(
     with _make_plant(plant, options, hide) as made:
         from harness.rollout import perform
 
-        streams = Streams(plant, scenario, seed)
+        streams = Streams(stream_key(plant), scenario, seed)
         experiment = made_scenario.prepare(made.spec, streams=streams, role=role)
+        experiment = _started(experiment, options.get("start"))
         trajectory = perform(made, experiment, rng=streams(f"{role}/plant"), progress=progress)
     if out is not None:
         from harness.data import write_trajectory
@@ -909,6 +910,13 @@ def _system_as_is(
     for text in said if note is not None else ():
         cast(Any, note)(text)
     return run.trajectory
+
+
+def _started(experiment: Experiment, start: Any) -> Experiment:
+    """Return an experiment that leaves alone the states whose start values the plant was given by name."""
+    if not isinstance(start, Mapping) or not experiment.x0:
+        return experiment
+    return replace(experiment, x0={name: x for name, x in experiment.x0.items() if name not in start} or None)
 
 
 def _with_model(identifier: str, options: dict[str, Any], nominal: Nominal | None) -> dict[str, Any]:

@@ -11,7 +11,16 @@ from harness import registry
 from harness.errors import InputError
 from harness.protocols import Plant
 
-__all__ = ["PLANT_FILES", "describe_fmu", "fingerprint", "is_plant_file", "is_system", "make_part", "make_plant"]
+__all__ = [
+    "PLANT_FILES",
+    "describe_fmu",
+    "fingerprint",
+    "is_plant_file",
+    "is_system",
+    "make_part",
+    "make_plant",
+    "stream_key",
+]
 
 PLANT_FILES = (".fmu", ".toml", ".ssp", ".ssd")
 """Endings of files that are plants."""
@@ -104,6 +113,17 @@ def make_part(id: str, options: dict[str, Any]) -> Plant:
         path = registry.load("plants", "fmu").mockup(options.pop("name"))
         return cast(Plant, registry.create("plants", "fmu", path=path, **options))
     return cast(Plant, registry.create("plants", id, **options))
+
+
+def stream_key(id: str) -> str:
+    """Return what keys a plant's random streams: its id, or the content of its file however the path is spelt.
+
+    Examples
+    --------
+    >>> stream_key("pendulum-ode")
+    'pendulum-ode'
+    """
+    return fingerprint(id) if is_plant_file(id) else id
 
 
 def fingerprint(path: str | Path) -> str:
