@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import itertools
 import tomllib
@@ -155,7 +156,10 @@ def _located(group: Group, folder: Path) -> Group:
 
 def _placed(part: Part, path: Path) -> Part:
     """Return a plant with the place of its file; its draws hang on what is in it, unless it has a name here."""
-    streams = part.streams or part.label or (stream_key(str(path)) if path.exists() else "")
+    streams = part.streams or part.label
+    if not streams:
+        with contextlib.suppress(InputError):  # a file that cannot be read is refused by its place, a little later
+            streams = stream_key(str(path))
     return msgspec.structs.replace(part, id=str(path), label=part.label or path.name, streams=streams)
 
 
