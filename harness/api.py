@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from harness import registry
-from harness.errors import HarnessError, InputError, PluginError
+from harness.errors import HarnessError, InputError, PlantError, PluginError
 from harness.parts import LISTED, describe_part, list_parts
 from harness.plant_files import describe_fmu, is_plant_file, is_system, make_plant, stream_key
 from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
     from harness.fleet import FleetResult
+    from harness.free_run import FreeRun
     from harness.learned import LearnedResidual
     from harness.predictive import ProbabilityScore
     from harness.scoring import Score
@@ -96,6 +97,7 @@ def simulate(
     force: bool = False,
     progress: Callable[[int, int], None] | None = None,
     note: Callable[[str], None] | None = None,
+    broke: Callable[[PlantError], None] | None = None,
 ) -> Trajectory:
     """Run a scenario on a plant and record it; without a scenario, run an FMU or a system of them as it is.
 
@@ -129,6 +131,9 @@ def simulate(
         Called as ``progress(samples_done, samples)``.
     note : callable, optional
         Called with what a run without a scenario has to say, such as why its run ended early.
+    broke : callable, optional
+        Called with the error that ended a run without a scenario early, if it was no wish of the plant (status
+        ``"terminated"``); the rows before it are kept.
 
     Returns
     -------
@@ -157,7 +162,7 @@ def simulate(
         options["order"] = exchange
     if scenario is None:
         asked = {"start": start, "stop": stop, "step": step, "tolerance": tolerance}
-        trajectory = _as_is(plant, asked, options, bool(hide or scenario_options), progress, note)
+        trajectory = _as_is(plant, asked, options, bool(hide or scenario_options), progress, note, broke)
         if out is not None:
             from harness.data import write_trajectory
 
@@ -844,6 +849,7 @@ def _as_is(
     more: bool,
     progress: Callable[[int, int], None] | None,
     note: Callable[[str], None] | None,
+    broke: Callable[[PlantError], None] | None,
 ) -> Trajectory:
     """Return the record of an FMU or a system that runs with its own experiment."""
     if not is_plant_file(plant) or more:
@@ -859,7 +865,8 @@ def _as_is(
     told = {name: chosen.pop(names[name], None) if name in names else None for name in asked}
     window = {name: told[name] if value is None else value for name, value in asked.items()}
     if not plant.endswith(".fmu"):
-        return _system_as_is(plant, window, chosen, progress, note)
+        found = _system_as_is(plant, window, chosen, progress)
+        return _told(found, note, broke)
     found = registry.load("tools", "fmu-as-is")(
         plant,
         start_time=window["start"],
@@ -869,10 +876,16 @@ def _as_is(
         progress=progress,
         **{"isolated": os.name == "posix", **chosen},
     )
-    for text in found.notes if note is not None else ():
+    return _told(found, note, broke)
+
+
+def _told(run: FreeRun, note: Callable[[str], None] | None, broke: Callable[[PlantError], None] | None) -> Trajectory:
+    """Say what a run has to say; returns its record."""
+    for text in run.notes if note is not None else ():
         cast(Any, note)(text)
-    recorded: Trajectory = found.trajectory
-    return recorded
+    if run.ended is not None and run.ended.status != "terminated" and broke is not None:
+        broke(run.ended)
+    return run.trajectory
 
 
 def _system_as_is(
@@ -880,9 +893,8 @@ def _system_as_is(
     asked: Mapping[str, float | None],
     options: dict[str, Any],
     progress: Callable[[int, int], None] | None,
-    note: Callable[[str], None] | None,
-) -> Trajectory:
-    """Return the record of a coupling or a system of another tool with its own experiment."""
+) -> FreeRun:
+    """Return the run of a coupling or a system of another tool with its own experiment."""
     from harness.free_run import free_run, window
 
     suggested: Mapping[str, float | None] = {}
@@ -907,9 +919,7 @@ def _system_as_is(
         starts = getattr(made, "input_starts", ()) or (0.0,) * made.spec.nu
         run = free_run(made, np.asarray(starts, dtype=float), span, progress)
         said = (*getattr(made, "warnings", ()), *run.notes)
-    for text in said if note is not None else ():
-        cast(Any, note)(text)
-    return run.trajectory
+    return replace(run, notes=said)
 
 
 def _started(experiment: Experiment, start: Any) -> Experiment:

@@ -10,6 +10,7 @@ import typer
 
 from harness import api
 from harness.cli_options import AsJson, Engine, Force, OptionPairs, Resume, ScenarioPairs, Seed, Workers
+from harness.errors import PlantError
 from harness.terminal import (
     completed,
     hidden_effect,
@@ -64,6 +65,7 @@ def simulate(
 ) -> None:
     """Run a scenario on a plant and record it; an FMU or a system runs as it is where no scenario is given."""
     notes: list[str] = []
+    broken: list[PlantError] = []
     with progress_bar("simulating") as bar:
         task = bar.add_task(plant, total=None)
         trajectory = api.simulate(
@@ -83,12 +85,15 @@ def simulate(
             force=force,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
             note=notes.append,
+            broke=broken.append,
         )
     for text in notes:
         print(f"sysid: note: {text}", file=sys.stderr)
     say(str(trajectory))
     if out is not None:
         say(f"wrote {out}")
+    for error in broken:  # what came before it is kept, and the exit status says that it is not the whole
+        raise error
 
 
 def bench(

@@ -79,9 +79,10 @@ def run_as_is(
     span = window(suggested, start=start_time, stop=stop_time, step=sample_time, file=path, who="the FMU")
     wanted = tolerance if tolerance is not None else default(file, "tolerance")
     chosen = {"start_time": span.first, "sample_time": span.step, "tolerance": wanted, **options}
-    notes: list[str] = []
+    notes = list(file.renamed)
     if "outputs" not in chosen:
-        chosen["outputs"], notes = _shown(file)
+        chosen["outputs"], said = _shown(file)
+        notes += said
     asked = {"path": str(path), **chosen}
 
     def made(**more: Any) -> FmuPlant | IsolatedPlant:

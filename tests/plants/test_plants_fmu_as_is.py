@@ -13,6 +13,7 @@ import pytest
 
 from harness import api
 from harness.command import main
+from harness.data import read_trajectory
 from harness.errors import InputError
 from plants.fmu import FmuPlant, describe
 from plants.fmu_as_is import run_as_is
@@ -138,3 +139,44 @@ def test_what_is_no_fmu_needs_a_scenario() -> None:
         api.simulate("pendulum-ode", scenario="multisine", stop=3.0)
     with pytest.raises(InputError, match=r"end of the run: expected after the start, 2 s"):
         api.simulate(str(mockup("pendulum")), start=2.0, stop=1.0)
+
+
+def test_a_step_that_fails_half_way_keeps_its_rows_and_fails(
+    odd_fmu: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for mode, status in ((1, 2), (8, 0)):  # an error, and a wish of the FMU to end
+        out = tmp_path / f"{mode}.csv"
+        options = ["-O", f"parameters.mode={mode}", "-O", "parameters.when=0.05", "-o", str(out)]
+        with pytest.raises(SystemExit) as ended:
+            main(["simulate", str(odd_fmu("hostile")), "--stop", "0.1", "--step", "0.01", *options])
+        assert ended.value.code == status
+        assert len(out.read_text().splitlines()) == 7
+        assert "6 of 11 samples are kept" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (r'stopTime="10"', 'stopTime="INF"', "for ever"),
+        (r'name="omega"', 'name="theta"', "'theta': the second is 'theta#3'"),
+    ],
+)
+def test_what_fmpy_runs_is_run_and_said(tmp_path: Path, old: str, new: str, says: str) -> None:
+    notes: list[str] = []
+    record = api.simulate(str(changed(mockup("pendulum"), tmp_path / "x.fmu", old, new)), step=0.1, note=notes.append)
+    assert record.spec.ny == 2
+    assert any(says in text for text in notes)
+
+
+def test_a_library_may_be_named_with_a_hyphen(tmp_path: Path) -> None:
+    path = changed(mockup("pendulum"), tmp_path / "x.fmu", 'modelIdentifier="Pendulum"', 'modelIdentifier="Pen-dulum"')
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(tmp_path / "y.fmu", "w") as new:
+        for name in old.namelist():
+            new.writestr(name.replace("Pendulum.", "Pen-dulum."), old.read(name))
+    assert len(api.simulate(str(tmp_path / "y.fmu"), stop=0.5, step=0.1)) == 6
+
+
+def test_names_with_commas_and_quotes_are_quoted(tmp_path: Path) -> None:
+    odd = changed(mockup("pendulum"), tmp_path / "odd.fmu", 'name="omega"', 'name="om,e&quot;ga"')
+    record = api.simulate(str(odd), stop=0.1, step=0.05, out=tmp_path / "run.csv")
+    assert read_trajectory(tmp_path / "run.csv", inputs=["u"]).spec.outputs[1].name == record.spec.outputs[1].name
