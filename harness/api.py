@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from harness.benchmark.planning import Plan
     from harness.comparison import Comparison, OrderSelection, Spectrum
     from harness.conformance import CheckResult
+    from harness.convergence import Convergence
     from harness.data import Nominal
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
@@ -51,6 +52,7 @@ __all__ = [
     "describe_system",
     "export",
     "generate_study",
+    "halve",
     "identify",
     "isolability",
     "learn_residual",
@@ -188,6 +190,57 @@ def simulate(
 
         write_trajectory(trajectory, out, references=_from_outside(experiment, made.spec))
     return trajectory
+
+
+def halve(
+    plant: str,
+    *,
+    times: int,
+    step: float | None = None,
+    out: str | Path | None = None,
+    force: bool = False,
+    note: Callable[[str], None] | None = None,
+    **asked: Any,
+) -> Convergence:
+    """Run an FMU, a coupling or a system as it is at a step, its half, and so on: what changes, and at which order.
+
+    Parameters
+    ----------
+    plant : str
+        A path.
+    times : int
+        How often the step is halved.
+    step : float, optional
+        The coarsest step [s]; default that of the file.
+    out : path, optional
+        ``.csv`` or ``.parquet`` file for the record at the finest step.
+    force : bool
+        Overwrite ``out`` if it exists.
+    note : callable, optional
+        Called with what the coarsest run has to say.
+    **asked
+        ``start``, ``stop``, ``tolerance``, ``exchange``, ``options``, ``progress`` of :func:`simulate`.
+
+    Raises
+    ------
+    InputError
+        If the file, an option or ``times`` cannot be used, or a run ends early.
+    """
+    from harness.convergence import halved
+
+    if out is not None:
+        _refuse_overwrite(Path(out), force=force)
+    hearers = [note]
+
+    def run(chosen: float | None) -> Trajectory:
+        return simulate(plant, step=chosen, note=hearers.pop() if hearers else None, **asked)
+
+    found = halved(run, times, step)
+    if out is not None:
+        from harness.data import write_trajectory
+
+        write_trajectory(found.finest, out)
+    return found
 
 
 def bench(

@@ -10,7 +10,7 @@ import typer
 
 from harness import api
 from harness.cli_options import AsJson, Engine, Force, OptionPairs, Resume, ScenarioPairs, Seed, Workers
-from harness.errors import PlantError
+from harness.errors import InputError, PlantError
 from harness.terminal import (
     completed,
     hidden_effect,
@@ -19,6 +19,7 @@ from harness.terminal import (
     print_answer,
     print_bench,
     print_json,
+    print_rows,
     progress_bar,
     say,
     seed_range,
@@ -61,10 +62,41 @@ def simulate(
     exchange: Annotated[
         str | None, typer.Option(help="of a coupling or system: jacobi (all step at once) | gauss-seidel (in turn)")
     ] = None,
+    halve: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="of a file without a scenario: halve the step N times"),
+    ] = None,
     force: Force = False,
 ) -> None:
     """Run a scenario on a plant and record it; an FMU or a system runs as it is where no scenario is given."""
     notes: list[str] = []
+    if halve is not None:
+        if scenario is not None or hide or scenario_option:
+            raise InputError(
+                "--halve",
+                expected="a file without a scenario",
+                got="a scenario or a hidden effect",
+                remedy="leave it out",
+            )
+        found = api.halve(
+            plant,
+            times=halve,
+            step=step,
+            out=out,
+            force=force,
+            note=notes.append,
+            start=start,
+            stop=stop,
+            tolerance=tolerance,
+            exchange=exchange,
+            options=option_pairs(option, "--option"),
+        )
+        for text in notes:
+            print(f"sysid: note: {text}", file=sys.stderr)
+        print_rows(found.rows())
+        if out is not None:
+            say(f"wrote {out}")
+        return
     broken: list[PlantError] = []
     with progress_bar("simulating") as bar:
         task = bar.add_task(plant, total=None)
