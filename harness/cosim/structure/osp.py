@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from harness.cosim.structure.conversion import Linear
@@ -13,6 +14,8 @@ from harness.errors import InputError
 __all__ = ["OSP", "read_osp"]
 
 OSP = "OspSystemStructure"
+MOST = 10_000
+"""Inputs of a sum, before it counts as a slip."""
 
 
 def read_osp(package: FolderPackage, name: str) -> Description:
@@ -73,8 +76,7 @@ def _simulator(package: FolderPackage, name: str, element: Any) -> Component:
         for typed in child:
             values.append(Value(child.get("variable") or "", _typed(package, typed)))
             break
-    step = element.get("stepSize")
-    return Component(own, {}, [tuple(values)], place, source, "cs", None if step is None else float(step))
+    return Component(own, {}, [tuple(values)], place, source, "cs", _attribute(package, element, "stepSize"))
 
 
 def _typed(package: FolderPackage, element: Any) -> Any:
@@ -92,17 +94,33 @@ def _typed(package: FolderPackage, element: Any) -> Any:
 
 def _linear(package: FolderPackage, element: Any) -> System:
     """Return a linear function as a system of one wire."""
-    factor, offset = (float(element.get(key) or default) for key, default in (("factor", 1.0), ("offset", 0.0)))
+    factor, offset = (_attribute(package, element, key) for key in ("factor", "offset"))
+    change = Linear(1.0 if factor is None else factor, 0.0 if offset is None else offset)
     ends = {"in": Connector("in", "input"), "out": Connector("out", "output")}
-    return System(element.get("name"), ends, [], [], [Wire((None, "in"), (None, "out"), Linear(factor, offset))])
+    return System(element.get("name") or "", ends, [], [], [Wire((None, "in"), (None, "out"), change)])
 
 
 def _sum(package: FolderPackage, element: Any) -> System:
     """Return a sum as a system whose output adds up its inputs."""
-    names = [f"in[{at}]" for at in range(int(element.get("inputCount") or 0))]
+    count = int(_attribute(package, element, "inputCount") or 0)
+    if not 0 < count <= MOST:
+        raise _refused(package, f"sum {element.get('name')!r}", f"1 to {MOST} inputs", str(count))
+    names = [f"in[{at}]" for at in range(count)]
     ends = {name: Connector(name, "input") for name in names} | {"out": Connector("out", "output")}
     wires = [Wire((None, name), (None, "out")) for name in names]
-    return System(element.get("name"), ends, [], [], wires, sums=frozenset({"out"}))
+    return System(element.get("name") or "", ends, [], [], wires, sums=frozenset({"out"}))
+
+
+def _attribute(package: FolderPackage, element: Any, name: str) -> float | None:
+    """Return a finite number of an attribute; None where there is none."""
+    text = element.get(name)
+    try:
+        value = None if text is None else float(text)
+    except ValueError:
+        value = math.nan
+    if value is not None and not math.isfinite(value):
+        raise _refused(package, f"{name} of {local(element)}", "a finite number", repr(text))
+    return value
 
 
 def _number(package: FolderPackage, root: Any, name: str) -> float | None:

@@ -6,6 +6,7 @@ the master of OMSimulator and of the Open Simulation Platform are taken as a sug
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -81,7 +82,7 @@ class SsdReader:
             raise self.refused("version of SSP", "1.0 or 2.0", repr(root.get("version")))
         self.root = root
         self.units = self.defined_units(root)
-        self.enumerations = defined_items(root)
+        self.enumerations = self.defined_items(root)
         top = first(root, "System")
         if top is None:
             raise self.refused("system", "a System", "none")
@@ -224,7 +225,7 @@ class SsdReader:
             content = parsed(self.package, file)
         scope = SsdReader(self.package, self.name, notes=self.notes)
         scope.units = {**self.units, **self.defined_units(content)} if content is not None else self.units
-        scope.enumerations = {**self.enumerations, **(defined_items(content) if content is not None else {})}
+        scope.enumerations = {**self.enumerations, **(self.defined_items(content) if content is not None else {})}
         return {entry.get("name"): scope.connector(entry, "inout") for entry in children(content, "DictionaryEntry")}
 
     def wire(self, element: Any) -> Wire:
@@ -246,7 +247,10 @@ class SsdReader:
             word = local(child)
             if word == "LinearTransformation":
                 factor, offset = self.number(child, "factor"), self.number(child, "offset")
-                return Linear(1.0 if factor is None else factor, 0.0 if offset is None else offset)
+                made = Linear(1.0 if factor is None else factor, 0.0 if offset is None else offset)
+                if not (math.isfinite(made.factor) and math.isfinite(made.offset)):
+                    raise self.refused(word, "finite numbers", f"{made.factor:g}, {made.offset:g}")
+                return made
             if word.removesuffix("Transformation") in TRANSFORMATIONS:
                 entries = [(self.need(e, "source"), self.need(e, "target")) for e in children(child, "MapEntry")]
                 if len({source for source, _ in entries}) < len(entries):
@@ -277,18 +281,34 @@ class SsdReader:
                 powers = {n: self.number(base, n) or 0.0 for n in base.attrib if n not in ("factor", "offset")}
                 given, shift = self.number(base, "factor"), self.number(base, "offset")
                 factor, offset = (1.0 if given is None else given), (0.0 if shift is None else shift)
-            if factor == 0:
-                raise self.refused(f"unit {child.get('name')!r}", "a factor that is not 0", "0")
-            found[self.need(child, "name")] = unit_of(child.get("name"), powers, factor, offset)
+            if factor == 0 or not (math.isfinite(factor) and math.isfinite(offset)):
+                raise self.refused(f"unit {child.get('name')!r}", "a finite factor that is not 0", f"{factor:g}")
+            name = self.need(child, "name")
+            found[name] = unit_of(name, powers, factor, offset)
+        return found
+
+    def defined_items(self, element: Any) -> dict[str, dict[str, int]]:
+        """Return the enumerations that a file defines."""
+        found: dict[str, dict[str, int]] = {}
+        for child in children(element, "Enumerations", "Enumeration"):
+            items = found.setdefault(self.need(child, "name"), {})
+            for item in children(child, "Item"):
+                value = self.number(item, "value")
+                if value is None or not value.is_integer():
+                    raise self.refused(f"item of {child.get('name')!r}", "a whole number", repr(item.get("value")))
+                items[self.need(item, "name")] = int(value)
         return found
 
     def number(self, element: Any, name: str) -> float | None:
         """Return a number, None where there is none."""
         text = element.get(name)
         try:
-            return None if text is None else float(text)
+            value = None if text is None else float(text)
         except ValueError:
             raise self.refused(f"{name} of {local(element)}", "a number", repr(text)) from None
+        if value is not None and math.isnan(value):
+            raise self.refused(f"{name} of {local(element)}", "a number", repr(text))
+        return value
 
     def need(self, element: Any, name: str) -> str:
         """Return an attribute that the standard requires."""
@@ -307,14 +327,6 @@ class SsdReader:
             file=self.package.path,
             place=self.name,
         )
-
-
-def defined_items(element: Any) -> dict[str, dict[str, int]]:
-    """Return the enumerations that a file defines."""
-    return {
-        child.get("name"): {item.get("name"): int(item.get("value")) for item in children(child, "Item")}
-        for child in children(element, "Enumerations", "Enumeration")
-    }
 
 
 def truth(text: str | None) -> bool:
