@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+
 from harness import registry
-from harness.errors import HarnessError, InputError, PluginError
+from harness.errors import HarnessError, InputError, PlantError, PluginError
 from harness.parts import LISTED, describe_part, list_parts
-from harness.plant_files import is_plant_file, make_plant
+from harness.plant_files import describe_fmu, is_plant_file, is_system, make_plant, stream_key
 from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
 from harness.rng import Streams, stream
 from harness.signals import FloatArray, PlantSpec, Trajectory, Use
@@ -24,10 +26,12 @@ if TYPE_CHECKING:
     from harness.benchmark.planning import Plan
     from harness.comparison import Comparison, OrderSelection, Spectrum
     from harness.conformance import CheckResult
+    from harness.convergence import Convergence
     from harness.data import Nominal
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
     from harness.fleet import FleetResult
+    from harness.free_run import FreeRun
     from harness.learned import LearnedResidual
     from harness.predictive import ProbabilityScore
     from harness.scoring import Score
@@ -42,7 +46,9 @@ __all__ = [
     "compare",
     "describe_fmu",
     "describe_part",
+    "describe_system",
     "export",
+    "halve",
     "identify",
     "isolability",
     "learn_residual",
@@ -56,16 +62,17 @@ __all__ = [
 ]
 
 
-def describe_fmu(path: str | Path) -> dict[str, Any]:
-    """Return what is in an FMU: variables, units, abilities (``sysid list FILE.fmu``).
+def describe_system(path: str | Path) -> dict[str, Any]:
+    """Return what is in a system of FMUs: components, connections, values, experiment (``sysid list FILE.ssp``).
 
     Raises
     ------
     InputError
-        If the file is missing or no FMU.
+        If it cannot be read, or needs what is not understood.
     """
-    content: dict[str, Any] = registry.load("plants", "fmu").describe(path)
-    return content
+    from harness.cosim.structure import describe_structure
+
+    return describe_structure(path, describe_fmu)
 
 
 def simulate(
@@ -82,19 +89,22 @@ def simulate(
     stop: float | None = None,
     step: float | None = None,
     tolerance: float | None = None,
+    exchange: str | None = None,
     force: bool = False,
     progress: Callable[[int, int], None] | None = None,
     note: Callable[[str], None] | None = None,
+    broke: Callable[[PlantError], None] | None = None,
 ) -> Trajectory:
-    """Run a scenario on a plant and record it; without a scenario, run an FMU as it is.
+    """Run a scenario on a plant and record it; without a scenario, run an FMU or a system of them as it is.
 
     Parameters
     ----------
     plant : str
-        Id of a registered plant, or a path that ends in ``.fmu``, ``.toml`` or ``.ssp`` (a coupling).
+        Id of a registered plant, or a path: an FMU, a coupling in TOML, an SSP package (also unpacked), an OSP system
+        structure.
     scenario : str, optional
-        Id of a registered scenario. An FMU runs without one too: with its default experiment, its start values, and
-        all its outputs.
+        Id of a registered scenario. What is a file runs without one too: with its default experiment, its start
+        values, and all its outputs.
     seed : int
         Together with the two ids and the role it keys every random number.
     out : path, optional
@@ -107,13 +117,19 @@ def simulate(
     role : str
         ``estimation/0``, ``validation/0``, ...: other roles give other excitation and noise.
     start, stop, step, tolerance : float, optional
-        Of an FMU without a scenario: begin, end and sample time [s], relative tolerance of the solver.
+        Of an FMU or a system without a scenario: begin, end and sample time [s], relative tolerance of the solver.
+    exchange : {"jacobi", "gauss-seidel"}, optional
+        Of a coupling or a system: whether all parts step with the values of the last instant, or each with what those
+        before it have just put out; by default as its file says.
     force : bool
         Overwrite ``out`` if it exists.
     progress : callable, optional
         Called as ``progress(samples_done, samples)``.
     note : callable, optional
-        Called with what an FMU without a scenario has to say, such as why its run ended early.
+        Called with what a run without a scenario has to say, such as why its run ended early.
+    broke : callable, optional
+        Called with the error that ended a run without a scenario early, if it was no wish of the plant (status
+        ``"terminated"``); the rows before it are kept.
 
     Returns
     -------
@@ -133,9 +149,16 @@ def simulate(
             raise InputError(
                 "output file", expected="a name that ends in .csv or .parquet", got=str(out), remedy="rename it"
             )
+    options = dict(options or {})
+    if exchange is not None:
+        if plant.endswith(".fmu") or not is_plant_file(plant):
+            raise InputError(
+                "exchange", expected="a coupling or a system of FMUs", got=plant, remedy="leave --exchange out"
+            )
+        options["order"] = exchange
     if scenario is None:
         asked = {"start": start, "stop": stop, "step": step, "tolerance": tolerance}
-        trajectory = _as_is(plant, asked, options or {}, bool(hide or scenario_options), progress, note)
+        trajectory = _as_is(plant, asked, options, bool(hide or scenario_options), progress, note, broke)
         if out is not None:
             from harness.data import write_trajectory
 
@@ -149,17 +172,69 @@ def simulate(
             remedy="give --scenario-option duration=... and --option sample_time=..., tolerance=..., start_time=...",
         )
     made_scenario = cast(Scenario, registry.create("scenarios", scenario, **dict(scenario_options or {})))
-    with _make_plant(plant, dict(options or {}), hide) as made:
+    with _make_plant(plant, options, hide) as made:
         from harness.rollout import perform
 
-        streams = Streams(plant, scenario, seed)
+        streams = Streams(stream_key(plant), scenario, seed)
         experiment = made_scenario.prepare(made.spec, streams=streams, role=role)
+        experiment = _started(experiment, options.get("start"))
         trajectory = perform(made, experiment, rng=streams(f"{role}/plant"), progress=progress)
     if out is not None:
         from harness.data import write_trajectory
 
         write_trajectory(trajectory, out, references=_from_outside(experiment, made.spec))
     return trajectory
+
+
+def halve(
+    plant: str,
+    *,
+    times: int,
+    step: float | None = None,
+    out: str | Path | None = None,
+    force: bool = False,
+    note: Callable[[str], None] | None = None,
+    **asked: Any,
+) -> Convergence:
+    """Run an FMU, a coupling or a system as it is at a step, its half, and so on: what changes, and at which order.
+
+    Parameters
+    ----------
+    plant : str
+        A path.
+    times : int
+        How often the step is halved.
+    step : float, optional
+        The coarsest step [s]; default that of the file.
+    out : path, optional
+        ``.csv`` or ``.parquet`` file for the record at the finest step.
+    force : bool
+        Overwrite ``out`` if it exists.
+    note : callable, optional
+        Called with what the coarsest run has to say.
+    **asked
+        ``start``, ``stop``, ``tolerance``, ``exchange``, ``options``, ``progress`` of :func:`simulate`.
+
+    Raises
+    ------
+    InputError
+        If the file, an option or ``times`` cannot be used, or a run ends early.
+    """
+    from harness.convergence import halved
+
+    if out is not None:
+        _refuse_overwrite(Path(out), force=force)
+    hearers = [note]
+
+    def run(chosen: float | None) -> Trajectory:
+        return simulate(plant, step=chosen, note=hearers.pop() if hearers else None, **asked)
+
+    found = halved(run, times, step)
+    if out is not None:
+        from harness.data import write_trajectory
+
+        write_trajectory(found.finest, out)
+    return found
 
 
 def bench(
@@ -727,22 +802,84 @@ def _as_is(
     more: bool,
     progress: Callable[[int, int], None] | None,
     note: Callable[[str], None] | None,
+    broke: Callable[[PlantError], None] | None,
 ) -> Trajectory:
-    """Return the record of an FMU that runs with its own experiment."""
-    if not plant.endswith(".fmu") or more:
+    """Return the record of an FMU or a system that runs with its own experiment."""
+    if not is_plant_file(plant) or more:
         raise InputError(
             "no scenario",
-            expected="--scenario ID (sysid list scenarios); only an FMU runs without one, with nothing hidden in it",
+            expected="--scenario ID (sysid list scenarios); only an FMU or a system of them runs without one, with "
+            "nothing hidden in it",
             got=f"the plant {plant}",
             remedy="add --scenario, for example --scenario multisine",
         )
+    chosen = dict(options)
+    names = {"start": "start_time", "step": "sample_time"}  # the same things, said as options
+    told = {name: chosen.pop(names[name], None) if name in names else None for name in asked}
+    window = {name: told[name] if value is None else value for name, value in asked.items()}
+    if not plant.endswith(".fmu"):
+        found = _system_as_is(plant, window, chosen, progress)
+        return _told(found, note, broke)
     found = registry.load("tools", "fmu-as-is")(
-        plant, **{**asked, "progress": progress, "isolated": os.name == "posix", **options}
+        plant,
+        start_time=window["start"],
+        stop_time=window["stop"],
+        sample_time=window["step"],
+        tolerance=window["tolerance"] if window["tolerance"] is not None else chosen.pop("tolerance", None),
+        progress=progress,
+        **{"isolated": os.name == "posix", **chosen},
     )
-    for text in found.notes if note is not None else ():
+    return _told(found, note, broke)
+
+
+def _told(run: FreeRun, note: Callable[[str], None] | None, broke: Callable[[PlantError], None] | None) -> Trajectory:
+    """Say what a run has to say; returns its record."""
+    for text in run.notes if note is not None else ():
         cast(Any, note)(text)
-    recorded: Trajectory = found.trajectory
-    return recorded
+    if run.ended is not None and run.ended.status != "terminated" and broke is not None:
+        broke(run.ended)
+    return run.trajectory
+
+
+def _system_as_is(
+    plant: str,
+    asked: Mapping[str, float | None],
+    options: dict[str, Any],
+    progress: Callable[[int, int], None] | None,
+) -> FreeRun:
+    """Return the run of a coupling or a system of another tool with its own experiment."""
+    from harness.free_run import free_run, window
+
+    suggested: Mapping[str, float | None] = {}
+    if is_system(plant):
+        from harness.cosim.structure import opened
+
+        with opened(plant, within=options.get("within")) as found:
+            suggested = found.experiment
+        first = asked["start"] if asked["start"] is not None else suggested["startTime"]
+        options |= {"start_time": first, "solver_tolerance": asked["tolerance"]}
+    elif asked["tolerance"] is not None:
+        raise InputError(
+            "tolerance", expected="none for a coupling in TOML", got="one", remedy="give it in the options of its FMUs"
+        )
+    if asked["step"] is not None:
+        options["sample_time"] = asked["step"]
+    with make_plant(plant, options) as made:
+        step = {"stepSize": made.spec.sample_time}
+        span = window(
+            {**suggested, **step}, start=asked["start"], stop=asked["stop"], step=None, file=plant, who="the system"
+        )
+        starts = getattr(made, "input_starts", ()) or (0.0,) * made.spec.nu
+        run = free_run(made, np.asarray(starts, dtype=float), span, progress)
+        said = (*getattr(made, "warnings", ()), *run.notes)
+    return replace(run, notes=said)
+
+
+def _started(experiment: Experiment, start: Any) -> Experiment:
+    """Return an experiment that leaves alone the states whose start values the plant was given by name."""
+    if not isinstance(start, Mapping) or not experiment.x0:
+        return experiment
+    return replace(experiment, x0={name: x for name, x in experiment.x0.items() if name not in start} or None)
 
 
 def _with_model(identifier: str, options: dict[str, Any], nominal: Nominal | None) -> dict[str, Any]:

@@ -20,7 +20,8 @@ from harness.cli_options import AsJson
 from harness.cli_runs import bench, query, simulate, table
 from harness.errors import HarnessError, InputError
 from harness.interrupts import INTERRUPTED, Interrupts
-from harness.terminal import fail, print_fmu, print_json, print_parts, print_rows, say
+from harness.plant_files import is_system
+from harness.terminal import fail, print_fmu, print_json, print_parts, print_rows, print_system, say
 
 __all__ = ["app", "run"]
 
@@ -41,16 +42,25 @@ app.command(name="learn-residual")(learn_residual)
 
 @app.command(name="list")
 def list_command(
-    what: Annotated[str | None, typer.Argument(help=f"{' | '.join(api.LISTED)} | ID | FILE.fmu")] = None,
+    what: Annotated[
+        str | None, typer.Argument(help=f"{' | '.join(api.LISTED)} | ID | FILE.fmu, .ssp, .ssd, .xml")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show what is registered, or what is in an FMU."""
+    """Show what is registered, or what is in an FMU or a system of FMUs."""
     if what is not None and what.endswith(".fmu"):
         description = api.describe_fmu(what)
         if as_json:
             print_json(description)
         else:
             print_fmu(description)
+        return
+    if what is not None and is_system(what):
+        system = api.describe_system(what)
+        if as_json:
+            print_json(system)
+        else:
+            print_system(system)
         return
     if what is not None and what not in api.LISTED and (part := api.describe_part(what)) is not None:
         if as_json:

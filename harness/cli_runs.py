@@ -10,6 +10,7 @@ import typer
 
 from harness import api
 from harness.cli_options import AsJson, Engine, Force, OptionPairs, Resume, ScenarioPairs, Seed, Workers
+from harness.errors import InputError, PlantError
 from harness.terminal import (
     completed,
     hidden_effect,
@@ -18,6 +19,7 @@ from harness.terminal import (
     print_answer,
     print_bench,
     print_json,
+    print_rows,
     progress_bar,
     say,
     seed_range,
@@ -31,13 +33,15 @@ def simulate(
     plant: Annotated[
         str,
         typer.Argument(
-            metavar="PLANT", help="id of a plant, or FILE.fmu, .toml or .ssp", autocompletion=completed("plants")
+            metavar="PLANT",
+            help="id of a plant, or a file: .fmu, .toml, .ssp, .ssd, OspSystemStructure.xml",
+            autocompletion=completed("plants"),
         ),
     ],
     scenario: Annotated[
         str | None,
         typer.Option(
-            "--scenario", help="id of a scenario; an FMU also runs as it is", autocompletion=completed("scenarios")
+            "--scenario", help="id of a scenario; a file also runs as it is", autocompletion=completed("scenarios")
         ),
     ] = None,
     seed: Seed = 0,
@@ -51,14 +55,49 @@ def simulate(
     role: Annotated[
         str, typer.Option(help="estimation/0, validation/0, ...: another role, other noise")
     ] = "estimation/0",
-    start: Annotated[float | None, typer.Option(help="of an FMU without a scenario: first instant [s]")] = None,
-    stop: Annotated[float | None, typer.Option(help="of an FMU without a scenario: last instant [s]")] = None,
-    step: Annotated[float | None, typer.Option(help="of an FMU without a scenario: sample time [s]")] = None,
-    tolerance: Annotated[float | None, typer.Option(help="of an FMU without a scenario: of its solver")] = None,
+    start: Annotated[float | None, typer.Option(help="of a file without a scenario: first instant [s]")] = None,
+    stop: Annotated[float | None, typer.Option(help="of a file without a scenario: last instant [s]")] = None,
+    step: Annotated[float | None, typer.Option(help="of a file without a scenario: sample time [s]")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="of a file without a scenario: of its solver")] = None,
+    exchange: Annotated[
+        str | None, typer.Option(help="of a coupling or system: jacobi (all step at once) | gauss-seidel (in turn)")
+    ] = None,
+    halve: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="of a file without a scenario: halve the step N times"),
+    ] = None,
     force: Force = False,
 ) -> None:
-    """Run a scenario on a plant and record it; an FMU runs as it is where no scenario is given."""
+    """Run a scenario on a plant and record it; an FMU or a system runs as it is where no scenario is given."""
     notes: list[str] = []
+    if halve is not None:
+        if scenario is not None or hide or scenario_option:
+            raise InputError(
+                "--halve",
+                expected="a file without a scenario",
+                got="a scenario or a hidden effect",
+                remedy="leave it out",
+            )
+        found = api.halve(
+            plant,
+            times=halve,
+            step=step,
+            out=out,
+            force=force,
+            note=notes.append,
+            start=start,
+            stop=stop,
+            tolerance=tolerance,
+            exchange=exchange,
+            options=option_pairs(option, "--option"),
+        )
+        for text in notes:
+            print(f"sysid: note: {text}", file=sys.stderr)
+        print_rows(found.rows())
+        if out is not None:
+            say(f"wrote {out}")
+        return
+    broken: list[PlantError] = []
     with progress_bar("simulating") as bar:
         task = bar.add_task(plant, total=None)
         trajectory = api.simulate(
@@ -74,15 +113,19 @@ def simulate(
             stop=stop,
             step=step,
             tolerance=tolerance,
+            exchange=exchange,
             force=force,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
             note=notes.append,
+            broke=broken.append,
         )
     for text in notes:
         print(f"sysid: note: {text}", file=sys.stderr)
     say(str(trajectory))
     if out is not None:
         say(f"wrote {out}")
+    for error in broken:  # what came before it is kept, and the exit status says that it is not the whole
+        raise error
 
 
 def bench(

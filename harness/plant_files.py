@@ -11,21 +11,49 @@ from harness import registry
 from harness.errors import InputError
 from harness.protocols import Plant
 
-__all__ = ["PLANT_FILES", "fingerprint", "is_plant_file", "make_part", "make_plant"]
+__all__ = [
+    "PLANT_FILES",
+    "describe_fmu",
+    "fingerprint",
+    "is_plant_file",
+    "is_system",
+    "make_part",
+    "make_plant",
+    "stream_key",
+]
 
-PLANT_FILES = (".fmu", ".toml", ".ssp")
+PLANT_FILES = (".fmu", ".toml", ".ssp", ".ssd")
 """Endings of files that are plants."""
+OSP = "OspSystemStructure"
+FOLDER = ("SystemStructure.ssd", f"{OSP}.xml")
+"""What makes a folder a system."""
 
 
 def is_plant_file(id: str) -> bool:
-    """Return True if what names a plant is a file.
+    """Return True if what names a plant is a file, or a folder that holds a system.
 
     Examples
     --------
-    >>> is_plant_file("loop.toml"), is_plant_file("pendulum-fmu")
+    >>> is_plant_file("loop.toml"), is_plant_file("crane/OspSystemStructure.xml"), is_plant_file("pendulum-fmu")
+    (True, True, False)
+    """
+    return id.endswith(PLANT_FILES) or is_system(id)
+
+
+def is_system(id: str) -> bool:
+    """Return True for a system of another tool: ``.ssp``, ``.ssd``, an OSP structure, or a folder that holds one.
+
+    Examples
+    --------
+    >>> is_system("loop.ssp"), is_system("loop.toml")
     (True, False)
     """
-    return id.endswith(PLANT_FILES)
+    if id.endswith((".ssp", ".ssd")):
+        return True
+    path = Path(id)
+    if path.suffix == ".xml":
+        return path.name.startswith(OSP)
+    return path.is_dir() and any((path / name).is_file() for name in FOLDER)
 
 
 def make_plant(id: str, options: dict[str, Any]) -> Plant:
@@ -34,7 +62,8 @@ def make_plant(id: str, options: dict[str, Any]) -> Plant:
     Parameters
     ----------
     id : str
-        Id of a registered plant, or a file: ``.fmu``, ``.toml`` (see :func:`harness.cosim.couple`) or ``.ssp``.
+        Id of a registered plant, or a file: ``.fmu``, ``.toml`` (see :func:`harness.cosim.couple`), or a system (see
+        :func:`is_system`).
     options : dict
         Its options. An FMU file runs in a process of its own, where a crash cannot end this one, unless
         ``isolated`` is false; ``timeout`` is then the longest time [s] for one call.
@@ -61,7 +90,21 @@ def make_plant(id: str, options: dict[str, Any]) -> Plant:
         return cast(Plant, registry.create("plants", "fmu", path=id, **inside))
     from harness import cosim
 
-    return (cosim.couple if id.endswith(".toml") else cosim.couple_ssp)(id, make_part, changes=options)
+    if id.endswith(".toml"):
+        return cosim.couple(id, make_part, changes=options)
+    return cosim.couple_ssp(id, make_part, describe_fmu, changes=options)
+
+
+def describe_fmu(path: str | Path) -> dict[str, Any]:
+    """Return what is in an FMU: variables, units, abilities.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or no FMU.
+    """
+    content: dict[str, Any] = registry.load("plants", "fmu").describe(path)
+    return content
 
 
 def make_part(id: str, options: dict[str, Any]) -> Plant:
@@ -70,6 +113,17 @@ def make_part(id: str, options: dict[str, Any]) -> Plant:
         path = registry.load("plants", "fmu").mockup(options.pop("name"))
         return cast(Plant, registry.create("plants", "fmu", path=path, **options))
     return cast(Plant, registry.create("plants", id, **options))
+
+
+def stream_key(id: str) -> str:
+    """Return what keys a plant's random streams: its id, or the content of its file however the path is spelt.
+
+    Examples
+    --------
+    >>> stream_key("pendulum-ode")
+    'pendulum-ode'
+    """
+    return fingerprint(id) if is_plant_file(id) else id
 
 
 def fingerprint(path: str | Path) -> str:
@@ -81,7 +135,12 @@ def fingerprint(path: str | Path) -> str:
         If the file cannot be read.
     """
     files = [Path(path)]
-    if files[0].suffix == ".toml":
+    if is_system(str(path)) and files[0].suffix != ".ssp":
+        from harness.cosim.structure import opened
+
+        with opened(path) as found:
+            files = [*found.sources(), *found.files()]
+    elif files[0].suffix == ".toml":
         from harness.cosim.description import read_coupling
 
         parts = read_coupling(files[0]).parts.values()

@@ -40,6 +40,7 @@ __all__ = [
     "print_parts",
     "print_planned",
     "print_rows",
+    "print_system",
     "progress_bar",
     "say",
     "seed_range",
@@ -468,6 +469,26 @@ def print_fmu(content: dict[str, Any]) -> None:
     print_table(titles, [[row[title] for title in titles] for row in content["variables"]])
     for problem in content["problems"]:
         say(f"warning: {problem}")
+
+
+def print_system(content: dict[str, Any]) -> None:
+    """Print what is in a system of FMUs."""
+    experiment = content["experiment"]
+    known = [f"{name} {value:g} s" for name, value in experiment.items() if value is not None]
+    say(f"{content['name']}: {', '.join(known) or 'no experiment of its own'}")
+    parts = [[c["name"], c["fmu"], c["fmi"], c["tool"] or "", ", ".join(c["platforms"])] for c in content["components"]]
+    print_table(("component", "fmu", "fmi", "tool", "platforms"), parts)
+    wires = [[wire["from"], wire["to"], wire["change"]] for wire in content["connections"]]
+    values = [[f"{c['name']}.{name}", str(v)] for c in content["components"] for name, v in c["values"].items()]
+    for titles, rows in ((("from", "to", "change"), wires), (("value", "in SI"), values)):
+        if rows:
+            print_table(titles, rows)
+    inputs = [f"{one['name']} [{one['si_unit']}]" for one in content["inputs"]]
+    outputs = [str(one["name"]) for one in content["outputs"]]
+    say(f"inputs: {', '.join(inputs) or 'none'}")
+    say(f"outputs: {', '.join(outputs) or 'none'}")
+    for note in content["notes"]:
+        say(f"note: {note}")
 
 
 def seed_range(text: str | None) -> tuple[int, int] | None:

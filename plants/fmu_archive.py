@@ -38,12 +38,15 @@ class FmuFile:
         Major version of FMI.
     problems : tuple of str
         Where the description breaks the standard without being unusable.
+    renamed : tuple of str
+        Which variables were given names of their own.
     """
 
     path: Path
     description: Any
     version: int
     problems: tuple[str, ...]
+    renamed: tuple[str, ...] = ()
 
     @functools.cached_property
     def variables(self) -> dict[str, Any]:
@@ -165,8 +168,9 @@ def read_fmu(path: str | Path) -> FmuFile:
             file=path,
         ) from error
     description, problems = _describe(path)
+    renamed = _named_apart(description)
     version = int(str(description.fmiVersion).split(".")[0])
-    file = FmuFile(path, description, version, tuple(problems))
+    file = FmuFile(path, description, version, tuple(problems), tuple(renamed))
     _check_description(file)
     return file
 
@@ -223,14 +227,23 @@ def _check_description(file: FmuFile) -> None:
         )
     for kind in file.kinds:
         identifier = str(file.interface(kind).modelIdentifier)
-        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,200}", identifier):  # it becomes part of a path
+        # it becomes part of a path; some tools write signs that no C identifier has, and name the library so
+        if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,200}", identifier):
+            expected = "letters, digits, '_', '-' and '.', as in the library's name"
             raise _refuse(
-                file.path, "modelIdentifier", "a C identifier", repr(identifier), "do not trust it", "modelIdentifier"
+                file.path, "modelIdentifier", expected, repr(identifier), "do not trust it", "modelIdentifier"
             )
-    names: set[str] = set()
-    for variable in d.modelVariables:
-        if variable.name in names:
-            raise _refuse(
-                file.path, "two variables share a name", "unique names", repr(variable.name), "export it again"
-            )
-        names.add(variable.name)
+
+
+def _named_apart(description: Any) -> list[str]:
+    """Give variables that share a name names of their own, after their value references; returns what was done."""
+    taken: set[str] = set()
+    renamed = []
+    for variable in description.modelVariables:
+        if variable.name in taken:
+            variable.name, old = f"{variable.name}#{variable.valueReference}", variable.name
+            while variable.name in taken:
+                variable.name += "'"
+            renamed.append(f"{old!r}: the second is {variable.name!r}")
+        taken.add(variable.name)
+    return [f"two variables share the name {', '.join(renamed[:5])}"] if renamed else []

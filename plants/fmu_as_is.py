@@ -6,73 +6,46 @@ What a person does first with a file from a vendor: nothing is excited, inputs k
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from harness.errors import InputError, PlantError
-from harness.signals import FloatArray, Trajectory
+from harness.free_run import FreeRun, free_run, hold, window
+from harness.signals import FloatArray
 from plants.fmu import FmuPlant
 from plants.fmu_archive import FmuFile, read_fmu
 from plants.fmu_options import default
 from plants.fmu_variables import INTEGERS, REALS, states_of
 from plants.isolated import IsolatedPlant
 
-__all__ = ["AsIs", "run_as_is"]
+__all__ = ["run_as_is"]
 
-SAMPLES = 500
-"""Samples of a run whose FMU suggests no step."""
-LENGTH = 1.0
-"""Seconds of a run whose FMU suggests no end."""
-MOST = 5_000_000
-"""Samples beyond which a run must be asked for with a step of its own."""
 DOMINATES = 1e-3
 """Share of an output's spread beyond which the error of the suggested tolerance is said."""
-
-
-@dataclass(frozen=True)
-class AsIs:
-    """What a run brought.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Up to the end, or up to where the FMU ended it; its time counts from 0.
-    start : float
-        Time [s] of the first sample as the FMU sees it.
-    notes : tuple of str
-        What was taken where the FMU suggests nothing, and what is odd.
-    ended : PlantError or None
-        Why the run is shorter than asked for.
-    """
-
-    trajectory: Trajectory
-    start: float
-    notes: tuple[str, ...]
-    ended: PlantError | None
 
 
 def run_as_is(
     path: str | Path,
     *,
-    start: float | None = None,
-    stop: float | None = None,
-    step: float | None = None,
+    start_time: float | None = None,
+    stop_time: float | None = None,
+    sample_time: float | None = None,
     tolerance: float | None = None,
     isolated: bool = True,
     timeout: float = 10.0,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
-) -> AsIs:
+) -> FreeRun:
     """Run an FMU with its default experiment.
 
     Parameters
     ----------
     path : path
         The ``.fmu`` file.
-    start, stop, step : float, optional
+    start_time, stop_time, sample_time : float, optional
         [s]; by default those of the FMU's default experiment; where it has none 0, one second after the start, and a
         500th of the run.
     tolerance : float, optional
@@ -97,43 +70,19 @@ def run_as_is(
     Examples
     --------
     >>> from plants.mockups import mockup
-    >>> found = run_as_is(mockup("pendulum"), stop=0.1, step=0.05, isolated=False)
-    >>> found.trajectory.y.tolist(), found.ended
-    ([[0.0, 0.0], [0.0, 0.0], [0.0, 0.0]], None)
+    >>> found = run_as_is(mockup("pendulum"), stop_time=0.1, sample_time=0.05, isolated=False)
+    >>> found.trajectory.t.tolist(), found.trajectory.y.tolist(), found.ended
+    ([0.0, 0.05, 0.1], [[0.0, 0.0], [0.0, 0.0], [0.0, 0.0]], None)
     """
     file = read_fmu(path)
-    notes: list[str] = []
-    first = _first(start, default(file, "startTime"), 0.0)
-    end = _first(stop, default(file, "stopTime"))
-    if end is None:
-        end = first + LENGTH
-        notes.append(f"the FMU suggests no end: {LENGTH:g} s are run (--stop)")
-    if not end > first:
-        raise InputError(
-            "the end of the run",
-            expected=f"after the start, {first:g} s",
-            got=f"{end:g} s",
-            remedy="give --stop",
-            file=path,
-        )
-    dt = _first(step, options.pop("sample_time", None), default(file, "stepSize"))
-    if dt is None or not dt > 0:
-        dt = float(f"{(end - first) / SAMPLES:.6g}")
-        notes.append(f"the FMU suggests no step: {dt:g} s, a {SAMPLES}th of the run (--step)")
-    count = int(np.floor((end - first) / dt + 1e-9)) + 1
-    if not 2 <= count <= MOST:
-        raise InputError(
-            "the step",
-            expected=f"2 to {MOST} samples between {first:g} and {end:g} s",
-            got=f"{dt:g} s, which makes {count}",
-            remedy="give --step",
-            file=path,
-        )
-    wanted = _first(tolerance, default(file, "tolerance"))
-    chosen = {"start_time": first, "sample_time": float(dt), "tolerance": wanted, **options}
+    suggested = {name: default(file, name) for name in ("startTime", "stopTime", "stepSize")}
+    span = window(suggested, start=start_time, stop=stop_time, step=sample_time, file=path, who="the FMU")
+    wanted = tolerance if tolerance is not None else default(file, "tolerance")
+    chosen = {"start_time": span.first, "sample_time": span.step, "tolerance": wanted, **options}
+    notes = list(file.renamed)
     if "outputs" not in chosen:
-        chosen["outputs"], note = _shown(file)
-        notes += note
+        chosen["outputs"], said = _shown(file)
+        notes += said
     asked = {"path": str(path), **chosen}
 
     def made(**more: Any) -> FmuPlant | IsolatedPlant:
@@ -143,22 +92,12 @@ def run_as_is(
 
     starts = _input_starts(file, chosen)
     with made() as plant:
-        rows, ended = _rows(plant, starts, count, progress)
-        spec, said = plant.spec, plant.warnings
-    notes += said
-    if ended is not None:
-        at = first + (len(rows) - 1) * dt
-        notes.append(f"the run ends at t = {at:g} s of {end:g} s ({len(rows)} of {count} samples are kept): {ended}")
-    elif tolerance is None and wanted is not None:
-        notes += _dominated(made, starts, rows, wanted)
-    time: FloatArray = np.arange(len(rows), dtype=np.float64) * spec.sample_time
-    inputs: FloatArray = np.tile(starts, (len(rows), 1))
-    return AsIs(Trajectory(time, inputs, rows, spec), first, tuple(notes), ended)
-
-
-def _first(*values: float | None) -> Any:
-    """Return the first value that is given."""
-    return next((value for value in values if value is not None), None)
+        found = free_run(plant, starts, span, progress)
+        notes += [*plant.warnings]
+    notes += found.notes
+    if found.ended is None and tolerance is None and wanted is not None:
+        notes += _dominated(made, starts, found.trajectory.y, wanted)
+    return replace(found, notes=tuple(notes))
 
 
 def _shown(file: FmuFile) -> tuple[list[str], list[str]]:
@@ -183,8 +122,7 @@ def _shown(file: FmuFile) -> tuple[list[str], list[str]]:
 
 def _fixed(file: FmuFile, name: str) -> bool:
     """Return True for a variable that cannot change."""
-    variable = next(v for v in file.description.modelVariables if v.name == name)
-    return variable.variability in ("constant", "fixed", "parameter")
+    return file.variables[name].variability in ("constant", "fixed", "parameter")
 
 
 def _input_starts(file: FmuFile, chosen: dict[str, Any]) -> FloatArray:
@@ -200,37 +138,13 @@ def _input_starts(file: FmuFile, chosen: dict[str, Any]) -> FloatArray:
     return values
 
 
-def _rows(
-    plant: FmuPlant | IsolatedPlant, u: FloatArray, count: int, progress: Callable[[int, int], None] | None
-) -> tuple[FloatArray, PlantError | None]:
-    """Return the outputs (n, ny) from reset on, and what ended them early."""
-    through = "feedthrough" in plant.abilities
-    rows = [plant.reset(rng=np.random.default_rng(0))]  # an FMU draws nothing
-    if not through:
-        try:
-            rest = plant.rollout(np.tile(u, (count - 1, 1)))
-            return np.vstack([rows[0], rest]), None
-        except PlantError:  # once more, step by step, to keep what comes before the end
-            rows = [plant.reset(rng=np.random.default_rng(0))]
-    try:
-        if through:
-            rows[0] = plant.output(u)
-        for k in range(1, count):
-            rows.append(plant.step(u))
-            if progress is not None and k % 256 == 0:
-                progress(k, count)
-    except PlantError as error:
-        return np.array(rows, dtype=np.float64), error
-    return np.array(rows, dtype=np.float64), None
-
-
 def _dominated(
     made: Callable[..., FmuPlant | IsolatedPlant], u: FloatArray, rows: FloatArray, tolerance: float
 ) -> list[str]:
     """Say where the FMU's own tolerance makes an error that can be seen."""
     try:
         with made(tolerance=0.01 * tolerance) as plant:
-            finer, _ = _rows(plant, u, len(rows), None)
+            finer, _ = hold(plant, u, len(rows))
     except PlantError:
         return []
     if finer.shape != rows.shape:

@@ -208,7 +208,8 @@ def describe(path: str | Path) -> dict[str, Any]:
     dict
         ``file``, ``model``, ``description``, ``fmi``, ``tool``, ``platforms``, ``kinds`` (abilities by kind),
         ``experiment``, ``problems``, and ``variables``: rows with name, type, causality, variability, initial, unit,
-        si_unit, start, minimum, maximum, shape, derivative_of, description.
+        si_unit (``SI = scale * value + offset``), start, minimum, maximum, shape, items (of an enumeration), alias,
+        derivative_of, description.
 
     Raises
     ------
@@ -227,6 +228,8 @@ def describe(path: str | Path) -> dict[str, Any]:
     rows = []
     for variable in d.modelVariables:
         si: str | None = None
+        scale: float | None = None
+        offset: float | None = None
         low: float | None = None
         high: float | None = None
         if variable.type in REALS | INTEGERS | {"Boolean"}:
@@ -235,7 +238,8 @@ def describe(path: str | Path) -> dict[str, Any]:
                 complaints.append(one.complaint)
             if one.channels:
                 first = one.channels[0]
-                si = first.unit if variable.type in REALS else None
+                if variable.type in REALS:
+                    si, scale, offset = first.unit, one.scale, one.offset
                 low = float(first.minimum) if np.isfinite(first.minimum) else None
                 high = float(first.maximum) if np.isfinite(first.maximum) else None
         declared = variable.declaredType
@@ -248,11 +252,17 @@ def describe(path: str | Path) -> dict[str, Any]:
                 "initial": variable.initial,
                 "unit": variable.unit or (declared.unit if declared is not None else None),
                 "si_unit": si,
+                "scale": scale,
+                "offset": offset,
                 "display_unit": variable.displayUnit or (declared.displayUnit if declared is not None else None),
                 "start": variable.start,
                 "minimum": low,
                 "maximum": high,
                 "shape": list(variable.shape or ()),
+                "items": None
+                if declared is None or not declared.items
+                else {str(item.name): int(item.value) for item in declared.items},
+                "alias": variable.alias is not None,
                 "derivative_of": None if variable.derivative is None else variable.derivative.name,
                 "description": variable.description,
             }

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -31,7 +30,6 @@ __all__ = [
     "OpenLoop",
     "Prbs",
     "RandomPolicy",
-    "ReplayedInput",
     "Steps",
 ]
 
@@ -399,38 +397,6 @@ class RandomPolicy(Conditions):
         return self.experiment(spec, np.column_stack(columns).astype(float), streams=streams, role=role)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReplayedInput(Conditions):
-    """An input that was recorded before: columns of a CSV file named after the inputs.
-
-    Headers may carry a unit, ``u [N m]``, which must be the plant's own. Every run replays the same rows;
-    ``samples`` or ``duration`` cut them.
-
-    Parameters
-    ----------
-    file : path
-        CSV with one header line.
-    """
-
-    file: str | Path
-
-    def prepare(self, spec: PlantSpec, *, streams: Streams, role: str) -> Experiment:
-        """Return the experiment of one role."""
-        excitation = _columns(Path(self.file), spec)
-        if self.samples is not None or self.duration is not None:
-            n = self.length(spec)
-            if n > excitation.shape[0]:
-                raise InputError(
-                    "length of a replayed input",
-                    expected=f"at most {excitation.shape[0]} samples",
-                    got=str(n),
-                    remedy="lower samples or duration",
-                    file=self.file,
-                )
-            excitation = excitation[:n]
-        return self.experiment(spec, excitation, streams=streams, role=role)
-
-
 def _band(given: tuple[float, float] | None, default: tuple[float, float]) -> tuple[float, float]:
     """Return the band given, or the default, refusing what is no pair of numbers."""
     if given is None:
@@ -458,31 +424,3 @@ def _no_limits(channel: Channel) -> InputError:
         remedy=f"give amplitude in {channel.unit} instead, e.g. amplitude = {{{channel.name} = 1.0}}",
         place="relative_amplitude",
     )
-
-
-def _columns(path: Path, spec: PlantSpec) -> FloatArray:
-    """Read the columns of a CSV that are named after the inputs."""
-    if not path.is_file():
-        raise InputError("no such file", expected="a CSV file", got="none", remedy="check the path", file=path)
-    with path.open(encoding="utf-8") as stream:
-        header = [part.strip().strip('"') for part in stream.readline().split(",")]
-    names = [part.partition("[")[0].strip() for part in header]
-    units = [part.partition("[")[2].rstrip("] ") for part in header]
-    for channel in spec.inputs:
-        unit = units[names.index(channel.name)] if channel.name in names else ""
-        if channel.name not in names or unit not in ("", channel.unit):
-            raise InputError(
-                f"column of input {channel.name!r}",
-                expected=f"a column {channel}",
-                got=", ".join(header),
-                remedy="rename or convert the column",
-                file=path,
-            )
-    chosen = [names.index(channel.name) for channel in spec.inputs]
-    try:
-        values = np.loadtxt(path, delimiter=",", skiprows=1, usecols=chosen, ndmin=2)
-    except ValueError as error:
-        raise InputError(
-            "value in a CSV file", expected="numbers", got=str(error), remedy="repair the row", file=path
-        ) from error
-    return np.asarray(values, dtype=float)

@@ -19,7 +19,8 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     (``recording:emps``) under the scenario ``recorded``: models are fitted to its estimation runs and scored on its
     test runs, or else its validation runs; its noise is its own, so one seed is enough.
 
-    ``streams`` names the random streams (the name by default): parts with one name there meet the same random numbers.
+    ``streams`` names the random streams (by default the name; of a file without a label, what is in it): parts with
+    one name there meet the same random numbers.
     ``at`` is filled by the axes of a group.
     """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import itertools
 import tomllib
@@ -16,7 +17,7 @@ from harness.benchmark.parts import RECORDED, RECORDING, Cell, Group, Part, Scor
 from harness.errors import InputError
 from harness.fingerprint import files_named, fingerprint
 from harness.plant_files import fingerprint as plant_fingerprint
-from harness.plant_files import is_plant_file
+from harness.plant_files import is_plant_file, stream_key
 
 __all__ = ["cells_of", "find_suite", "load_suite", "tasks_of"]
 
@@ -156,13 +157,17 @@ def _job(plant: Part, scenario: Part, identifier: Part, seed: int, score: Score)
 
 def _located(group: Group, folder: Path) -> Group:
     """Return a group whose plants' files are found from anywhere; in the table they go by their names."""
-    plants = [
-        msgspec.structs.replace(part, id=str((folder / part.id).resolve()), label=part.label or Path(part.id).name)
-        if is_plant_file(part.id)
-        else part
-        for part in group.plants
-    ]
+    plants = [_placed(part, (folder / part.id).resolve()) if is_plant_file(part.id) else part for part in group.plants]
     return msgspec.structs.replace(group, plants=tuple(plants))
+
+
+def _placed(part: Part, path: Path) -> Part:
+    """Return a plant with the place of its file; its draws hang on what is in it, unless it has a name here."""
+    streams = part.streams or part.label
+    if not streams:
+        with contextlib.suppress(InputError):  # a file that cannot be read is refused by its place, a little later
+            streams = stream_key(str(path))
+    return msgspec.structs.replace(part, id=str(path), label=part.label or path.name, streams=streams)
 
 
 def _check_group(group: Group, place: str, path: Path) -> None:

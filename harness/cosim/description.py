@@ -41,6 +41,7 @@ class Wiring(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gain_unit: str = "1"
     delay: int = 0
     add: bool = False
+    offset: float = 0.0
 
 
 class CouplingDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -147,7 +148,9 @@ def couple(path: str | Path, make: Make, *, changes: Mapping[str, Any] | None = 
                 parts[name] = make(*_order_of(part, path.parent, chosen["sample_time"]))
             except InputError as error:
                 raise error.located(file=path, place=f"parts.{name}") from error
-        wires = [Connection(w.source, w.target, w.gain, w.delay, w.add, w.gain_unit) for w in read.connections]
+        wires = [
+            Connection(w.source, w.target, w.gain, w.delay, w.add, w.gain_unit, w.offset) for w in read.connections
+        ]
         try:
             return Coupled(
                 parts,

@@ -12,7 +12,7 @@ import numpy as np
 
 from harness.cosim.graph import followers, reached_at_once, strong_components
 from harness.cosim.loops import newton
-from harness.cosim.wiring import Connection, Part, channel_of, check_wires, locate, place, reader
+from harness.cosim.wiring import Connection, Part, Shown, channel_of, check_wires, locate, place, shower
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability, Feedthrough, Plant, Snapshots, Truth
 from harness.signals import Channel, FloatArray, PlantSpec
@@ -31,11 +31,11 @@ class Coupled:
         The names are used in connections; the parts are owned (closed) by the coupled plant.
     connections : sequence of Connection or (source, target)
         Unit-checked; a unit that converts is converted.
-    inputs : mapping of str to str or sequence of str
-        External inputs: name of the new input -> the part's input that lends its channel; a sequence of
+    inputs : mapping of str to str or Channel, or sequence of str
+        External inputs: name of the new input -> its channel, or the part's input that lends it; a sequence of
         ``"part.input"`` connects them as well, under the same names.
-    outputs : sequence of str
-        ``"part.output"``; their channels carry these names.
+    outputs : sequence of str or Shown
+        ``"part.output"``; their channels carry these names. A :class:`harness.cosim.wiring.Shown` brings its own.
     order : {"gauss-seidel", "jacobi"}
         Order of stepping.
     sequence : sequence of str, optional
@@ -51,8 +51,6 @@ class Coupled:
         ``"snapshots"`` of every part.
     tolerance : float
         Relative tolerance of the loop iterations.
-    labels : sequence of str, optional
-        Other names for the outputs.
     initial : mapping of str to float, optional
         Initial states ``"part.state"`` of every run, where ``reset`` does not say otherwise.
 
@@ -74,14 +72,18 @@ class Coupled:
 
     snapshot_tolerance: float
     """Sum of the parts' tolerances; not there where every part repeats bit for bit."""
+    warnings: tuple[str, ...] = ()
+    """What is odd about the system that the plant was built from."""
+    input_starts: tuple[float, ...] = ()
+    """Start values of the inputs in SI, where the system says any."""
 
     def __init__(
         self,
         parts: Mapping[str, Plant],
         connections: Sequence[Connection | tuple[str, str]],
         *,
-        inputs: Mapping[str, str] | Sequence[str] = (),
-        outputs: Sequence[str],
+        inputs: Mapping[str, str | Channel] | Sequence[str] = (),
+        outputs: Sequence[str | Shown],
         order: Order = "gauss-seidel",
         sequence: Sequence[str] | None = None,
         sample_time: float | None = None,
@@ -89,7 +91,6 @@ class Coupled:
         iterations: int = 1,
         tolerance: float = 1e-10,
         initial: Mapping[str, float] | None = None,
-        labels: Sequence[str] | None = None,
     ) -> None:
         if not parts:
             raise InputError("nothing to couple", expected="at least one part", got="none", remedy="name the parts")
@@ -104,18 +105,28 @@ class Coupled:
         self._checked_states(self._initial)
         names = list(parts)
         if isinstance(inputs, Mapping):
-            lenders = dict(inputs)
+            lenders: dict[str, str | Channel] = dict(inputs)
             wanted = list(connections)
         else:
             lenders = {name: name for name in inputs}
             wanted = [*connections, *(Connection(name, name) for name in inputs)]
-        external = [replace(channel_of(self._parts, lender, "inputs"), name=name) for name, lender in lenders.items()]
+        external = [
+            replace(lender if isinstance(lender, Channel) else channel_of(self._parts, lender, "inputs"), name=name)
+            for name, lender in lenders.items()
+        ]
         self._ny = sum(part.plant.spec.ny for part in self._parts)
         self._wires = check_wires(
             self._parts, [c if isinstance(c, Connection) else Connection(*c) for c in wanted], external
         )
         self._late = [wire for wire in self._wires if wire.delay]
-        self._shown = [locate(self._parts, name, "outputs") for name in outputs]
+        shown = [
+            one if isinstance(one, Shown) else Shown(one, replace(channel_of(self._parts, one, "outputs"), name=one))
+            for one in outputs
+        ]
+        slots = {name: self._ny + at for at, name in enumerate(lenders)}
+        seen = [
+            slots[one.source] if one.source in slots else locate(self._parts, one.source, "outputs") for one in shown
+        ]
         by_name = {part.name: part for part in self._parts}
         chosen = list(sequence) if sequence is not None else names
         if sorted(chosen) != sorted(names):
@@ -151,16 +162,13 @@ class Coupled:
             if "truth" in part.plant.abilities:
                 abilities.add("truth")
                 states += [replace(c, name=f"{part.name}.{c.name}") for c in part.plant.spec.states]
-        shown = [
-            replace(channel_of(self._parts, name, "outputs"), name=label)
-            for name, label in zip(outputs, labels or outputs, strict=True)
-        ]
         touched = reached_at_once(self._parts, self._wires)
-        through = any(part.outputs.start <= i < part.outputs.stop for part in touched for i in self._shown)
+        through = any(part.outputs.start <= i < part.outputs.stop for part in touched for i in seen)
+        through = through or any(i >= self._ny for i in seen)
         if through:
             abilities.add("feedthrough")
-        self._show = reader(self._shown)
-        self._spec = PlantSpec(tuple(external), tuple(shown), step, tuple(states), through)
+        self._show = shower([(i, one.transform) for i, one in zip(seen, shown, strict=True)])
+        self._spec = PlantSpec(tuple(external), tuple(one.channel for one in shown), step, tuple(states), through)
         self._abilities = frozenset(abilities)
         self._on_close: list[Callable[[], object]] = []
         self._outside = slice(self._ny, self._ny + len(external))

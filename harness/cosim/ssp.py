@@ -1,229 +1,179 @@
-"""SSP packages (System Structure and Parameterization 1.0) as coupled plants: FMUs, connections, parameter values."""
+"""Systems of other tools as coupled plants: SSP packages and folders, and OSP system structures."""
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-import weakref
-import zipfile
-import zlib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from harness.cosim.description import CHANGEABLE, Make
 from harness.cosim.master import Coupled
-from harness.cosim.ssp_structure import Component, Structure, read_structure
-from harness.cosim.wiring import Connection
+from harness.cosim.structure.flatten import Describe, FlatComponent, FlatSystem, flatten, named
+from harness.cosim.structure.model import Description
+from harness.cosim.structure.open import open_structure
+from harness.cosim.wiring import Connection, Shown
 from harness.errors import InputError
-from harness.fmi.archive import check_entries
 from harness.protocols import Plant
-from harness.units import fits
+from harness.signals import Channel
 
-__all__ = ["couple_ssp"]
+__all__ = ["SYSTEM_OPTIONS", "couple_ssp"]
 
-
-DEEPEST = 5
-"""Packages inside packages, before it counts as a trap."""
+SYSTEM_OPTIONS = (*CHANGEABLE, "parameters", "start_time", "solver_tolerance", "within")
+"""What may be said about a system from outside."""
+SAMPLES = 500
+"""Steps of a run where neither the system nor an FMU suggests a step."""
+INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
 
 
 def couple_ssp(
-    path: str | Path,
-    make: Make,
-    *,
-    changes: Mapping[str, Any] | None = None,
-    values: Mapping[str, Any] | None = None,
-    depth: int = 1,
+    path: str | Path, make: Make, describe: Describe, *, changes: Mapping[str, Any] | None = None
 ) -> Coupled:
-    """Build the plant that an SSP package describes.
+    """Build the plant that a system of FMUs describes.
 
-    Components are FMUs inside the package; nested systems are flattened (``system/component``), and a component that
-    is itself a package becomes one part. Connectors of the
-    outermost system become the inputs and outputs of the plant. Without output connectors every output is shown.
+    Nested systems, and packages inside packages, are flattened (``system/component``). Connectors of the outermost
+    system become the inputs and outputs of the plant; without output connectors every output of every FMU is shown.
 
     Parameters
     ----------
     path : path
-        The ``.ssp`` file.
+        An ``.ssp`` package, a folder with ``SystemStructure.ssd``, or an ``OspSystemStructure.xml``.
     make : callable
         ``make("fmu", {"path": ..., ...}) -> Plant``.
+    describe : callable
+        Tells what is in an FMU.
     changes : mapping, optional
-        How the parts are stepped, as in :func:`harness.cosim.couple`; the sample time is also that of the FMUs.
-    values : mapping, optional
-        Values of parameters by ``component.parameter``, in SI; they go before those of the package.
-    depth : int
-        How many packages this one stands in, itself included.
+        How the parts are stepped, as in :func:`harness.cosim.couple` (the sample time is also that of the FMUs), and
+        ``parameters`` (values by hierarchical name, in SI, that go before those of the file), ``start_time`` [s],
+        ``solver_tolerance`` of the FMUs, and ``within``, the folder that the files of an unpacked system may lie in.
 
     Raises
     ------
     InputError
-        If the archive is unsafe to unpack, breaks the standard, uses what is not understood here, or units disagree.
+        If the file is unsafe to unpack, breaks its standard, uses what is not understood here, or units disagree.
 
     Notes
     -----
-    Units: a connector that declares a unit must agree in kind with the FMU's variable; values of parameters are
-    converted from their unit, or taken in SI where they declare none. The folder with the unpacked FMUs is removed
-    when the coupled plant is closed.
+    The coupled plant's ``warnings`` say what was passed over; its ``input_starts`` are the start values of its inputs.
+    What was unpacked is removed when it is closed.
     """
-    path = Path(path)
-    unknown = sorted(set(changes or {}) - set(CHANGEABLE))
+    path, changed = Path(path), dict(changes or {})
+    unknown = sorted(set(changed) - set(SYSTEM_OPTIONS))
     if unknown:
         raise InputError(
-            "option of a package",
-            expected=f"one of {', '.join(CHANGEABLE)}",
+            "option of a system",
+            expected=f"one of {', '.join(SYSTEM_OPTIONS)}",
             got=", ".join(unknown),
-            remedy="change the rest in the package",
+            remedy="change the rest in the file",
             file=path,
         )
-    structure = read_structure(path)
-    _set_values(structure, values or {}, path)
-    folder = Path(tempfile.mkdtemp(prefix="sysid-ssp-"))
+    parameters, start = changed.pop("parameters", None), changed.pop("start_time", None)
+    tolerance = changed.pop("solver_tolerance", None)
+    opened = open_structure(path, within=changed.pop("within", None))
     parts: dict[str, Plant] = {}
     try:
-        _unpack(path, structure, folder)
-        for component in structure.components:
-            step = (changes or {}).get("sample_time")
-            if component.source.endswith(".ssp"):
-                parts[component.name] = _nested(component, folder, make, step, path, depth)
-            else:
-                parts[component.name] = _made(component, structure, folder, make, step, path)
-        _check_units(path, structure, parts)
-        return _coupled(structure, parts, dict(changes or {}), folder)
+        description = opened.description
+        flat = flatten(description, describe, parameters=parameters)
+        if not flat.components:
+            raise InputError(
+                "a system without FMUs", expected="at least one", got="none", remedy="export it again", file=path
+            )
+        step, notes = _step(description, flat, changed.get("sample_time"))
+        first = description.start if start is None else start
+        shared = {"start_time": first or 0.0, **({} if tolerance is None else {"tolerance": tolerance})}
+        for component in flat.components:
+            parts[component.name] = _made(component, make, _own_step(component, step, notes), shared, path)
+        changed["sample_time"] = step
+        changed.setdefault("order", description.exchange or "gauss-seidel")
+        coupled = _coupled(flat, parts, changed)
+        coupled.after_close(opened.close)
+        warnings = tuple(text for part in parts.values() for text in getattr(part, "warnings", ()))
+        coupled.warnings = (*flat.notes, *notes, *dict.fromkeys(warnings))
+        coupled.input_starts = tuple(one.start for one in flat.inputs)
+        return coupled
     except BaseException as error:
         for plant in parts.values():
             plant.close()
-        shutil.rmtree(folder, ignore_errors=True)
+        opened.close()
         if isinstance(error, InputError):
             raise error.located(file=path) from error
         raise
 
 
-def _coupled(structure: Structure, parts: dict[str, Plant], changes: dict[str, Any], folder: Path) -> Coupled:
-    """Connect the parts; the coupled plant owns the folder."""
-    outputs = dict(structure.outputs)
-    units = {f"{name}.{c.name}": c.unit for name, p in parts.items() for c in (*p.spec.inputs, *p.spec.outputs)}
-    wires = []
-    for source, target, gain in structure.wires:
-        # an FMU that declares no unit for an end takes or gives the number as it is
-        ends = units.get(source, "1"), units.get(target, "1")
-        bare = "." in source and "1" in ends and ends[0] != ends[1]
-        unit = "1" if not bare else ends[1] if ends[0] == "1" else f"1/({ends[0]})"
-        wires.append(Connection(source, target, gain, gain_unit=unit))
-    lenders = {name: target for target, name in reversed([(w.target, w.source) for w in wires if "." not in w.source])}
-    shown = list(outputs.values()) or [f"{name}.{c.name}" for name, part in parts.items() for c in part.spec.outputs]
-    coupled = Coupled(parts, wires, inputs=lenders, outputs=shown, labels=list(outputs) or None, **changes)
-    cleaner = weakref.finalize(coupled, shutil.rmtree, folder, ignore_errors=True)
-    coupled.after_close(cleaner)
-    return coupled
+def _step(description: Description, flat: FlatSystem, asked: float | None) -> tuple[float, list[str]]:
+    """Return the communication step [s]: as asked, as the file says, or the finest that an FMU suggests."""
+    if asked is not None:
+        return asked, []
+    if description.step is not None:
+        return description.step, []
+    suggested = [one.about["experiment"]["stepSize"] for one in flat.components]
+    finest = min((step for step in suggested if step), default=None)
+    if finest is not None:
+        return float(finest), []
+    length = (description.stop if description.stop is not None else 1.0) - (description.start or 0.0)
+    step = float(f"{length / SAMPLES:.6g}")
+    return step, [f"neither the system nor an FMU suggests a step: {step:g} s is taken (--step)"]
 
 
-def _unpack(path: Path, structure: Structure, folder: Path) -> None:
-    """Extract the FMUs of the components, and nothing else."""
-    with zipfile.ZipFile(path) as archive:
-        check_entries(path, archive)
-        names = set(archive.namelist())
-        for component in structure.components:
-            if component.source not in names:
-                raise InputError(
-                    f"source of component {component.name!r}",
-                    expected="an FMU inside the package",
-                    got=repr(component.source),
-                    remedy="put it into resources/ and export the package again",
-                    file=path,
-                )
-            try:
-                archive.extract(component.source, folder)
-            # RuntimeError: a member under a password, or packed by a method that zipfile does not know
-            except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError) as error:
-                raise InputError(
-                    f"source of component {component.name!r}",
-                    expected="a sound zip archive",
-                    got=f"{type(error).__name__}: {error}",
-                    remedy="copy or export the package again",
-                    file=path,
-                    place=component.source,
-                ) from error
+def _own_step(component: FlatComponent, step: float, notes: list[str]) -> float:
+    """Return the step [s] of a component: a multiple of the communication step, near what the file says."""
+    if component.step is None:
+        return step
+    found = max(1, round(component.step / step)) * step
+    if abs(found - component.step) > 1e-9 * step:
+        wanted = f"its step of {component.step:g} s is no multiple of {step:g} s"
+        notes.append(f"{component.label!r} steps every {found:g} s: {wanted}")
+    return found
 
 
-def _made(
-    component: Component, structure: Structure, folder: Path, make: Make, sample_time: float | None, path: Path
-) -> Plant:
-    """Return one component as a plant with its parameter values; an input that nothing drives keeps its start value."""
-    options: dict[str, Any] = {"path": str(folder / component.source)}
-    if sample_time is not None:
-        options["sample_time"] = sample_time
-    driven = {target for _, target, _ in structure.wires}
-    options["inputs"] = [
-        name
-        for name, (side, _) in component.connectors.items()
-        if side == "input" and f"{component.name}.{name}" in driven
-    ]
-    if shown := [name for name, (side, _) in component.connectors.items() if side == "output"]:
-        options["outputs"] = shown
-    if component.parameters:
-        options["parameters"] = dict(component.parameters)
-    if component.start:
-        options["start"] = dict(component.start)
+def _made(component: FlatComponent, make: Make, step: float, shared: Mapping[str, Any], path: Path) -> Plant:
+    """Return one component as a plant with its values; an input that nothing drives keeps its start value."""
+    options: dict[str, Any] = {
+        "path": str(component.path),
+        "sample_time": step,
+        "inputs": list(component.inputs),
+        "parameters": dict(component.parameters),
+        "start": dict(component.start),
+        **shared,
+    }
+    if component.outputs:
+        options["outputs"] = list(component.outputs)
+    if component.kind is not None:
+        options["kind"] = component.kind
     try:
         return make("fmu", options)
     except InputError as error:
-        raise _named(error, component, path) from error
+        raise named(error, component.label, component.path, path) from error
 
 
-def _named(error: InputError, component: Component, path: Path) -> InputError:
-    """Return an error that says in which component of a package it arose."""
-    return InputError(
-        f"component {component.name!r} ({Path(component.source).name}): {error.what}",
-        expected=error.expected,
-        got=error.got,
-        remedy=error.remedy,
-        file=path,
-        place=error.place,
-    )
-
-
-def _nested(component: Component, folder: Path, make: Make, sample_time: float | None, path: Path, depth: int) -> Plant:
-    """Return a package inside the package as one part."""
-    if depth >= DEEPEST:
-        raise InputError(
-            "packages inside packages",
-            expected=f"at most {DEEPEST}, one in another",
-            got=f"more, at component {component.name!r}",
-            remedy="do not trust it",
-            file=path,
-        )
-    changes = {} if sample_time is None else {"sample_time": sample_time}
-    values = {**component.parameters, **component.start}
-    try:
-        return couple_ssp(folder / component.source, make, changes=changes, values=values, depth=depth + 1)
-    except InputError as error:  # the unpacked package is gone when the user reads this
-        raise _named(error, component, path) from error
-
-
-def _set_values(structure: Structure, values: Mapping[str, Any], path: Path) -> None:
-    """Hand values that come from outside to the components."""
-    for name, value in values.items():
-        owners = [c for c in structure.components if name.startswith(c.name.replace("/", ".") + ".")]
-        if not owners:
-            known = ", ".join(c.name.replace("/", ".") for c in structure.components)
-            raise InputError(
-                "parameter value", expected=f"COMPONENT.NAME of {known}", got=repr(name), remedy="correct it", file=path
+def _coupled(flat: FlatSystem, parts: dict[str, Plant], changes: dict[str, Any]) -> Coupled:
+    """Connect the parts."""
+    channels = {
+        f"{name}.{channel.name}": channel
+        for name, part in parts.items()
+        for channel in (*part.spec.inputs, *part.spec.outputs)
+    }
+    wires = []
+    for wire in flat.wires:
+        line = wire.chain.linear
+        if line is None:
+            wires.append(Connection(wire.source, wire.target, add=wire.add, gain_unit=None, transform=wire.chain))
+        else:
+            wires.append(
+                Connection(wire.source, wire.target, line.factor, add=wire.add, gain_unit=None, offset=line.offset)
             )
-        owners[0].parameters[name[len(owners[0].name) + 1 :]] = value
-
-
-def _check_units(path: Path, structure: Structure, parts: Mapping[str, Plant]) -> None:
-    """Refuse a connector whose declared unit measures something else than the FMU's variable."""
-    for component in structure.components:
-        spec = parts[component.name].spec
-        units = {channel.name: channel.unit for channel in (*spec.inputs, *spec.outputs)}
-        for name, (_, unit) in component.connectors.items():
-            if unit is not None and name in units and units[name] != "1" and not fits(unit, units[name]):
-                raise InputError(
-                    "unit of a connector",
-                    expected=f"a unit that converts to {units[name]!r}, as the FMU says",
-                    got=repr(unit),
-                    remedy="correct the unit in SystemStructure.ssd",
-                    file=path,
-                    place=f"{component.name}.{name}",
-                )
+    inputs: dict[str, str | Channel] = {}
+    for one in flat.inputs:
+        lent = [channels[w.target] for w in flat.wires if w.source == one.name and not w.chain.steps]
+        inputs[one.name] = (
+            replace(lent[0], name=one.name)
+            if lent and lent[0].unit == one.unit
+            else Channel(one.name, one.unit, kind="integer" if one.type in INTEGERS else "real")
+        )
+    shown: list[str | Shown] = []
+    for out in flat.outputs:
+        channel = channels.get(out.source) or inputs.get(out.source)
+        assert isinstance(channel, Channel)
+        own = replace(channel, name=out.name) if out.unit is None else Channel(out.name, out.unit)
+        shown.append(Shown(out.source, own, None if not out.chain.steps else out.chain))
+    return Coupled(parts, wires, inputs=inputs, outputs=shown, **changes)

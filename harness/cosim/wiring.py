@@ -15,7 +15,7 @@ from harness.protocols import Plant
 from harness.signals import Channel, FloatArray
 from harness.units import convert, fits
 
-__all__ = ["Connection", "Part", "Wire", "channel_of", "check_wires", "locate", "place", "reader"]
+__all__ = ["Connection", "Part", "Shown", "Wire", "channel_of", "check_wires", "locate", "place", "shower"]
 
 
 @dataclass(frozen=True)
@@ -28,12 +28,17 @@ class Connection:
         ``"part.output"`` or the bare name of an external input; ``"part.input"``.
     gain : float
         Factor on the signal; units of one kind are converted by themselves.
-    gain_unit : str
-        Unit of the gain where the two ends measure different things, ``"1/m"`` from a position to a bare number.
+    gain_unit : str or None
+        Unit of the gain where the two ends measure different things, ``"1/m"`` from a position to a bare number; None
+        to take the numbers in SI as they are, whatever they measure.
     delay : int
         Delay in communication steps; before it has passed, the source's first value is seen.
     add : bool
         True to add to what other connections bring to the same target; without it a second wire is refused.
+    offset : float
+        Added to what arrives, in SI.
+    transform : callable, optional
+        From the source's number in SI to the target's, in place of gain, offset and units.
     """
 
     source: str
@@ -41,7 +46,18 @@ class Connection:
     gain: float = 1.0
     delay: int = 0
     add: bool = False
-    gain_unit: str = "1"
+    gain_unit: str | None = "1"
+    offset: float = 0.0
+    transform: Callable[[float], float] | None = None
+
+
+@dataclass(frozen=True)
+class Shown:
+    """An output of the whole: ``"part.output"`` or an external input, its channel, and what is done to the number."""
+
+    source: str
+    channel: Channel
+    transform: Callable[[float], float] | None = None
 
 
 @dataclass(eq=False)
@@ -78,6 +94,7 @@ class Wire:
     factor: float
     shift: float
     delay: int
+    transform: Callable[[float], float] | None = None
     memory: deque[float] = field(default_factory=deque)
 
 
@@ -135,8 +152,8 @@ def check_wires(parts: Sequence[Part], connections: Sequence[Connection], extern
                 place=f"{one.source} -> {one.target}",
             )
         driven[place] = one
-        unit = _product(source.unit, one.gain_unit)
-        if not fits(unit, target.unit):
+        unit = target.unit if one.gain_unit is None else _product(source.unit, one.gain_unit)
+        if one.gain_unit is not None and not fits(unit, target.unit):
             raise InputError(
                 "units of a connection",
                 expected=f"a source in a unit that converts to {target.unit!r}",
@@ -149,7 +166,8 @@ def check_wires(parts: Sequence[Part], connections: Sequence[Connection], extern
         shift, end = convert(np.array([0.0, 1.0]), unit, target.unit)
         where = ny + by_name[one.source] if outside else locate(parts, one.source, "outputs")
         slot = where if one.delay == 0 else ny + len(external) + sum(wire.delay > 0 for wire in wires)
-        wires.append(Wire(where, slot, outside, place, one.gain * float(end - shift), float(shift), one.delay))
+        factor, added = one.gain * float(end - shift), float(shift) + one.offset
+        wires.append(Wire(where, slot, outside, place, factor, added, one.delay, one.transform))
     for part in parts:
         for offset, channel in enumerate(part.plant.spec.inputs):
             if part.inputs.start + offset not in driven:
@@ -161,7 +179,7 @@ def check_wires(parts: Sequence[Part], connections: Sequence[Connection], extern
                 )
         first, last = part.inputs.start, part.inputs.stop
         own = sorted((wire for wire in wires if first <= wire.target < last), key=lambda wire: wire.target)
-        part.read = _reader([(wire.target - first, wire.slot, wire.factor, wire.shift) for wire in own], last - first)
+        part.read = _reader([_tap(wire, first) for wire in own], last - first)
     return wires
 
 
@@ -176,22 +194,43 @@ def reader(slots: Sequence[int]) -> Callable[[list[float]], FloatArray]:
     return lambda signals: np.array(pick(signals))
 
 
-def _reader(taps: Sequence[tuple[int, int, float, float]], count: int) -> Callable[[list[float]], FloatArray]:
-    """Return what makes the inputs of a part: from (input, slot, factor, shift) of each wire, in order of input."""
-    plain = all(factor == 1.0 and shift == 0.0 for _, _, factor, shift in taps)
+def shower(taps: Sequence[tuple[int, Callable[[float], float] | None]]) -> Callable[[list[float]], FloatArray]:
+    """Return what makes the outputs of the whole: from the slot of each, and what is done to its number."""
+    if all(transform is None for _, transform in taps):
+        return reader([slot for slot, _ in taps])
+    lines = [(slot, _same if transform is None else transform) for slot, transform in taps]
+    return lambda signals: np.array([transform(signals[slot]) for slot, transform in lines])
+
+
+def _same(x: float) -> float:
+    return x
+
+
+Tap = tuple[int, int, float, float, Callable[[float], float] | None]
+"""Input, slot, factor, shift and transformation of a wire."""
+
+
+def _tap(wire: Wire, first: int) -> Tap:
+    return wire.target - first, wire.slot, wire.factor, wire.shift, wire.transform
+
+
+def _reader(taps: Sequence[Tap], count: int) -> Callable[[list[float]], FloatArray]:
+    """Return what makes the inputs of a part out of the common list, the taps being in order of input."""
+    straight = all(transform is None for *_, transform in taps)
+    plain = straight and all(factor == 1.0 and shift == 0.0 for _, _, factor, shift, _ in taps)
     if len(taps) == count and plain:
-        return reader([slot for _, slot, _, _ in taps])
-    if len(taps) == count == 1:
-        _, only, scale, offset = taps[0]
+        return reader([slot for _, slot, *_ in taps])
+    if len(taps) == count == 1 and straight:
+        _, only, scale, offset, _ = taps[0]
         return lambda signals: np.array((scale * signals[only] + offset,))
-    if len(taps) == count:
-        lines = [(slot, factor, shift) for _, slot, factor, shift in taps]
+    if len(taps) == count and straight:
+        lines = [(slot, factor, shift) for _, slot, factor, shift, _ in taps]
         return lambda signals: np.array([factor * signals[slot] + shift for slot, factor, shift in lines])
 
     def add(signals: list[float]) -> FloatArray:
         values = [0.0] * count
-        for i, slot, factor, shift in taps:
-            values[i] += factor * signals[slot] + shift
+        for i, slot, factor, shift, transform in taps:
+            values[i] += factor * signals[slot] + shift if transform is None else transform(signals[slot])
         return np.array(values)
 
     return add

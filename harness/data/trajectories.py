@@ -104,7 +104,7 @@ def write_trajectory(
         )
     with whole_file(path) as scratch:
         if suffix == ".csv":
-            lines = [",".join(f'"{title}"' if "," in title or '"' in title else title for title in columns)]
+            lines = [",".join(map(_quoted, columns))]
             table = [values.tolist() for values in columns.values()]
             lines += [",".join(map(repr, row)) for row in zip(*table, strict=True)]
             scratch.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -116,6 +116,11 @@ def write_trajectory(
             arrow = pa.table({title: np.ascontiguousarray(values) for title, values in columns.items()})
             pq.write_table(arrow.replace_schema_metadata({_KEY: content.encode()}), scratch)
     return path
+
+
+def _quoted(title: str) -> str:
+    """Return a title as a cell of a CSV file (RFC 4180)."""
+    return '"' + title.replace('"', '""') + '"' if "," in title or '"' in title else title
 
 
 def read_trajectory(

@@ -13,6 +13,7 @@ import pytest
 
 from harness import api
 from harness.command import main
+from harness.data import read_trajectory
 from harness.errors import InputError
 from plants.fmu import FmuPlant, describe
 from plants.fmu_as_is import run_as_is
@@ -39,7 +40,7 @@ def changed(source: Path, target: Path, pattern: str, text: str) -> Path:
 @pytest.mark.parametrize("model", ["pendulum", "mass_spring", "two_tanks"])
 def test_it_runs_as_fmpy_runs_it(model: str, fmi: int) -> None:
     path = mockup(model, fmi)
-    found = run_as_is(path, isolated=False, stop=1.0, step=0.02)
+    found = run_as_is(path, isolated=False, stop_time=1.0, sample_time=0.02)
     names = [channel.name for channel in found.trajectory.spec.outputs]
     peer = fmpy.simulate_fmu(
         str(path), start_time=0.0, stop_time=1.0, output_interval=0.02, output=names, fmi_type="CoSimulation"
@@ -51,7 +52,7 @@ def test_it_runs_as_fmpy_runs_it(model: str, fmi: int) -> None:
 
 def test_model_exchange_with_events(odd_fmu: Callable[..., Path]) -> None:
     path = odd_fmu("ball")
-    found = run_as_is(path, kind="me", stop=1.0, step=0.01, tolerance=1e-8, isolated=False)
+    found = run_as_is(path, kind="me", stop_time=1.0, sample_time=0.01, tolerance=1e-8, isolated=False)
     peer = fmpy.simulate_fmu(
         str(path), stop_time=1.0, output_interval=0.01, relative_tolerance=1e-8, fmi_type="ModelExchange", output=["h"]
     )
@@ -88,7 +89,7 @@ def test_without_outputs_states_and_locals_are_recorded(tmp_path: Path) -> None:
         mockup("pendulum"), tmp_path / "closed.fmu", r'causality="output"|<Outputs>.*?</Outputs>',
         lambda m: 'causality="local"' if "causality" in m.group() else "",  # type: ignore[arg-type,return-value]
     )  # fmt: skip
-    found = run_as_is(path, stop=0.1, step=0.01, isolated=False)
+    found = run_as_is(path, stop_time=0.1, sample_time=0.01, isolated=False)
     assert {"theta", "omega"} <= {channel.name for channel in found.trajectory.spec.outputs}
     assert any("declares no outputs" in text for text in found.notes)
 
@@ -96,7 +97,7 @@ def test_without_outputs_states_and_locals_are_recorded(tmp_path: Path) -> None:
 def test_rows_up_to_an_early_end_are_kept(odd_fmu: Callable[..., Path], tmp_path: Path, capsys) -> None:
     path = odd_fmu("hostile")
     for mode, status in ((8, "terminated"), (1, "crashed")):
-        found = run_as_is(path, stop=0.1, step=0.01, parameters={"mode": mode, "when": 0.05}, timeout=5.0)
+        found = run_as_is(path, stop_time=0.1, sample_time=0.01, parameters={"mode": mode, "when": 0.05}, timeout=5.0)
         assert len(found.trajectory) == 6
         assert found.ended is not None
         assert found.ended.status == status
@@ -112,7 +113,7 @@ def test_rows_up_to_an_early_end_are_kept(odd_fmu: Callable[..., Path], tmp_path
 def test_a_tolerance_that_dominates_is_said(odd_fmu: Callable[..., Path], tmp_path: Path) -> None:
     rough = changed(odd_fmu("ball"), tmp_path / "rough.fmu", r"<ModelVariables>",
                     '<DefaultExperiment stopTime="1.0" tolerance="0.05"/><ModelVariables>')  # fmt: skip
-    notes = run_as_is(rough, kind="me", step=0.1, isolated=False).notes
+    notes = run_as_is(rough, kind="me", sample_time=0.1, isolated=False).notes
     assert any("--tolerance" in text for text in notes), notes
 
 
@@ -128,13 +129,54 @@ def test_archives_of_windows_tools(tmp_path: Path) -> None:
             new.writestr("extra/notes.txt", b"the same")  # listed twice, and the same
     assert describe(odd)["platforms"][:2] == ["aarch64-linux", "linux64"]
     assert "win64" in describe(odd)["platforms"]
-    assert len(run_as_is(odd, stop=0.1, step=0.01).trajectory) == 11
+    assert len(run_as_is(odd, stop_time=0.1, sample_time=0.01).trajectory) == 11
 
 
 def test_what_is_no_fmu_needs_a_scenario() -> None:
-    with pytest.raises(InputError, match="only an FMU runs without one"):
+    with pytest.raises(InputError, match="only an FMU or a system of them runs without one"):
         api.simulate("pendulum-ode")
     with pytest.raises(InputError, match="none of them with a scenario"):
         api.simulate("pendulum-ode", scenario="multisine", stop=3.0)
     with pytest.raises(InputError, match=r"end of the run: expected after the start, 2 s"):
         api.simulate(str(mockup("pendulum")), start=2.0, stop=1.0)
+
+
+def test_a_step_that_fails_half_way_keeps_its_rows_and_fails(
+    odd_fmu: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for mode, status in ((1, 2), (8, 0)):  # an error, and a wish of the FMU to end
+        out = tmp_path / f"{mode}.csv"
+        options = ["-O", f"parameters.mode={mode}", "-O", "parameters.when=0.05", "-o", str(out)]
+        with pytest.raises(SystemExit) as ended:
+            main(["simulate", str(odd_fmu("hostile")), "--stop", "0.1", "--step", "0.01", *options])
+        assert ended.value.code == status
+        assert len(out.read_text().splitlines()) == 7
+        assert "6 of 11 samples are kept" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (r'stopTime="10"', 'stopTime="INF"', "for ever"),
+        (r'name="omega"', 'name="theta"', "'theta': the second is 'theta#3'"),
+    ],
+)
+def test_what_fmpy_runs_is_run_and_said(tmp_path: Path, old: str, new: str, says: str) -> None:
+    notes: list[str] = []
+    record = api.simulate(str(changed(mockup("pendulum"), tmp_path / "x.fmu", old, new)), step=0.1, note=notes.append)
+    assert record.spec.ny == 2
+    assert any(says in text for text in notes)
+
+
+def test_a_library_may_be_named_with_a_hyphen(tmp_path: Path) -> None:
+    path = changed(mockup("pendulum"), tmp_path / "x.fmu", 'modelIdentifier="Pendulum"', 'modelIdentifier="Pen-dulum"')
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(tmp_path / "y.fmu", "w") as new:
+        for name in old.namelist():
+            new.writestr(name.replace("Pendulum.", "Pen-dulum."), old.read(name))
+    assert len(api.simulate(str(tmp_path / "y.fmu"), stop=0.5, step=0.1)) == 6
+
+
+def test_names_with_commas_and_quotes_are_quoted(tmp_path: Path) -> None:
+    odd = changed(mockup("pendulum"), tmp_path / "odd.fmu", 'name="omega"', 'name="om,e&quot;ga"')
+    record = api.simulate(str(odd), stop=0.1, step=0.05, out=tmp_path / "run.csv")
+    assert read_trajectory(tmp_path / "run.csv", inputs=["u"]).spec.outputs[1].name == record.spec.outputs[1].name

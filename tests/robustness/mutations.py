@@ -24,7 +24,7 @@ from harness.cosim import couple, couple_ssp
 from harness.data import load_dataset
 from harness.errors import HarnessError
 from harness.physics import load_model
-from harness.plant_files import make_part
+from harness.plant_files import describe_fmu, make_part
 from plants.fmu_archive import read_fmu
 from plants.mockups import mockup
 
@@ -184,7 +184,7 @@ def write_inputs(folder: Path) -> dict[str, Callable[[Path], object]]:
     with zipfile.ZipFile(folder / "a.ssp", "w") as archive:
         archive.writestr("SystemStructure.ssd", SSD)
         archive.write(mockup("pendulum"), "resources/arm.fmu")
-    readers["a.ssp"] = lambda path: couple_ssp(path, make_part).close()
+    readers["a.ssp"] = lambda path: couple_ssp(path, make_part, describe_fmu).close()
     api.identify(folder / "a.csv", identifier="arx", options={"order": 1}, model="pendulum", out=folder / "model.json")
     (folder / "a.urdf").write_text(URDF, encoding="utf-8")
     readers["a.urdf"] = lambda path: load_model(str(path))

@@ -130,7 +130,11 @@ def test_replayed_input(tmp_path: Path) -> None:
     path.write_text("time [s],u [N]\n0,1\n0.01,2\n0.02,3\n")
     assert excite("replay", FREE, file=str(path)).excitation.ravel().tolist() == [1, 2, 3]
     assert excite("replay", FREE, file=str(path), samples=2).excitation.ravel().tolist() == [1, 2]
-    for text, says in (("u [V]\n1\n", "column of input"), ("v\n1\n", "column of input"), ("u\nlots\n", "numbers")):
+    for text, says in (
+        ("time,u [V]\n0,1\n", "column of input"),
+        ("v\n1\n", "column of input"),
+        ("u\nlots\n", "number"),
+    ):
         path.write_text(text)
         with pytest.raises(InputError, match=says):
             excite("replay", FREE, file=str(path))

@@ -1,0 +1,153 @@
+"""Parameter bindings of an element: values (SSV), their mapping (SSM), inline or in files of their own."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from harness.cosim.structure.conversion import Unit
+from harness.cosim.structure.model import Binding, Value
+from harness.cosim.structure.package import Package, parsed
+from harness.errors import InputError
+
+if TYPE_CHECKING:
+    from harness.cosim.structure.ssd import SsdReader
+
+__all__ = ["read_bindings"]
+
+VALUES, MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-parameter-mapping"
+REALS = ("Real", "Float64", "Float32")
+
+
+def read_bindings(reader: SsdReader, element: Any, fmu: Path | None) -> list[Binding]:
+    """Return the bindings of an element in their order; of two at one level the later counts (SSP 2.0 sec. 5.2.2).
+
+    Parameters
+    ----------
+    reader : SsdReader
+        Of the file that holds the element.
+    element : lxml element
+        A component or a system.
+    fmu : Path, optional
+        The component's FMU, for values that lie in it (``sourceBase="component"``).
+    """
+    from harness.cosim.structure.ssd import children, first, truth
+
+    found = []
+    for binding in children(element, "ParameterBindings", "ParameterBinding"):
+        kind = binding.get("type") or VALUES
+        if kind != VALUES:
+            raise reader.refused("type of a parameter binding", VALUES, repr(kind))
+        content = _content(reader, binding, fmu, "ParameterSet", first(binding, "ParameterValues", "ParameterSet"))
+        prefix = binding.get("prefix") or ""
+        given = {} if content is None else _given(reader, content, prefix)
+        mapping = first(binding, "ParameterMapping")
+        if mapping is None:
+            found.append(tuple(given.values()))
+            continue
+        inline = first(mapping, "ParameterMapping")
+        entries = _content(reader, mapping, fmu, "ParameterMapping", inline)
+        mapped: dict[str, Value] = {}
+        missing = []
+        for entry in children(entries, "MappingEntry"):
+            source, target = reader.need(entry, "source"), reader.need(entry, "target")
+            if source not in given:
+                missing.append(source)
+                continue
+            if target in mapped:
+                raise reader.refused("parameter mapping", "one source for each target", f"{target!r} twice")
+            one, suppress = given[source], truth(entry.get("suppressUnitConversion"))
+            mapped[target] = Value(target, one.value, one.unit, reader.change(entry), suppress)
+        if missing:
+            names = list(dict.fromkeys(missing))
+            listed = ", ".join(map(repr, names[:8])) + (", ..." if len(names) > 8 else "")
+            reader.notes.append(f"a parameter mapping names what its values do not hold: {listed}")
+        found.append(tuple(mapped.values()))
+    return found
+
+
+def _content(reader: SsdReader, element: Any, fmu: Path | None, expected: str, inline: Any) -> Any:
+    """Return the root of what an element holds inline or refers to."""
+    from harness.cosim.structure.ssd import local
+
+    source = element.get("source")
+    if source is None:
+        return inline
+    if element.get("sourceBase") == "component":
+        if fmu is None:
+            raise reader.refused("sourceBase", "SSD, as the element is no FMU", "component")
+        root = parsed(_InFmu(fmu, reader.package.path), source)
+    else:
+        file = reader.package.named(source, reader.name, "a parameter binding")
+        root = parsed(reader.package, file)
+    if local(root) != expected:
+        raise reader.refused(source, f"a {expected}", local(root))
+    return root
+
+
+class _InFmu(Package):
+    """The files of an FMU, for values that lie in it."""
+
+    def __init__(self, fmu: Path, path: Path) -> None:
+        self.path, self._fmu = path, fmu
+
+    def read(self, name: str, largest: int = 64 << 20) -> bytes:
+        """Return the content of an entry."""
+        try:
+            with zipfile.ZipFile(self._fmu) as archive:
+                if archive.getinfo(name).file_size > largest:
+                    raise KeyError(name)
+                return archive.read(name)
+        except (KeyError, zipfile.BadZipFile, OSError) as error:
+            raise InputError(
+                "source of a parameter binding",
+                expected=f"a file inside {self._fmu.name}",
+                got=repr(name),
+                remedy="correct the source",
+                file=self.path,
+            ) from error
+
+
+def _given(reader: SsdReader, content: Any, prefix: str) -> dict[str, Value]:
+    """Return the values of a parameter set by their names."""
+    from harness.cosim.structure.ssd import children
+
+    units: dict[str, Unit] = {**reader.units, **reader.defined_units(content)}
+    found = {}
+    for parameter in children(content, "Parameters", "Parameter"):
+        name = prefix + reader.need(parameter, "name")
+        typed = [child for child in parameter if child.get("value") is not None or len(child)]
+        if not typed:
+            raise reader.refused(f"parameter {name!r}", "a value", "none")
+        value = _value(reader, name, typed[0], any(True for _ in children(parameter, "Dimension")))
+        text = typed[0].get("unit")
+        found[name] = Value(name, value, None if text is None else reader.unit(text, units))
+    return found
+
+
+def _value(reader: SsdReader, name: str, element: Any, array: bool) -> Any:
+    """Return a value in its type; a list for an array."""
+    from harness.cosim.structure.ssd import children, local
+
+    kind, text = local(element), element.get("value")
+    if text is None:
+        texts = [child.text or child.get("value") or "" for child in children(element, "Value")]
+        return texts if array or len(texts) != 1 else texts[0]
+    if kind in ("String", "Enumeration"):
+        return [text] if array else text
+    words = text.split()
+    try:
+        if kind in REALS:
+            values: list[Any] = [float(word) for word in words]
+        elif kind == "Boolean":
+            values = [{"true": True, "1": True, "false": False, "0": False}[word] for word in words]
+        elif kind == "Binary":
+            values = [bytes.fromhex(text)]
+        else:
+            values = [int(word) for word in words]
+    except (ValueError, KeyError):
+        raise reader.refused(f"value of parameter {name!r}", f"of type {kind}", repr(text)) from None
+    if not values:
+        raise reader.refused(f"value of parameter {name!r}", f"of type {kind}", repr(text))
+    return values if array or len(values) > 1 else values[0]
