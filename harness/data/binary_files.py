@@ -83,8 +83,11 @@ class ParquetFile:
         return None
 
     def unit(self, title: str) -> str | None:
-        """Return None: units stand in the titles."""
-        return None
+        """Return s for time stamps and spans; other units stand in the titles."""
+        import pyarrow.types as kinds
+
+        kind = self._table.column(title).type
+        return "s" if kinds.is_timestamp(kind) or kinds.is_duration(kind) else None
 
 
 class FeatherFile(ParquetFile):
@@ -158,6 +161,7 @@ class Hdf5File(_Variables):
     """An HDF5 file; data sets go by their path (``log/theta``), units by an attribute ``unit`` or ``units``."""
 
     transposed = False
+    paths = True
 
     def __init__(self, path: Path) -> None:
         h5py = optional("h5py", "HDF5")

@@ -90,6 +90,8 @@ class McapFile:
     many messages as it has.
     """
 
+    paths = True
+
     def __init__(self, path: Path) -> None:
         reader_module = optional("mcap.reader", "MCAP")
         columns: dict[str, list[float]] = {}

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from harness.data.headers import split_header
+from harness.data.headers import clock_unit, split_header, stated_unit
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray
-from harness.units import fits
+from harness.units import convert, fits
 
 __all__ = ["BARE", "FORMATS", "REFERENCE", "TRUTH", "Source", "Table", "nearest", "open_table", "suffix_of"]
 
@@ -33,7 +33,7 @@ class Source(Protocol):
         ...
 
     def values(self, title: str) -> FloatArray:
-        """Return one column (N,) as float64; NaN where the file holds none."""
+        """Return one column (N,) as float64; NaN where the file holds none, dates and times as seconds."""
         ...
 
     def select(self, text: str) -> FloatArray | None:
@@ -41,7 +41,7 @@ class Source(Protocol):
         ...
 
     def unit(self, title: str) -> str | None:
-        """Return the unit that the file itself states."""
+        """Return the unit that the file itself states, after :meth:`values`: s for what was a date or time."""
         ...
 
 
@@ -198,8 +198,14 @@ class Table:
         """Return a column (N,) by its exact title, be it measured or true."""
         return self._source.values(title)
 
-    def find(self, column: str | int) -> str | None:
-        """Return the title that a column's name means: exact, or its name before ``[unit]``; None if there is none.
+    def find(self, column: str | int, like: str | None = None) -> str | None:
+        """Return the title that a column's name means: exact, or its name before the unit; None if there is none.
+
+        Parameters
+        ----------
+        column : str or int
+        like : str, optional
+            A unit of what the column measures: the unit may then stand without brackets (``theta_deg``).
 
         Raises
         ------
@@ -211,6 +217,9 @@ class Table:
             return titles[column] if 0 <= column < len(titles) else None
         exact = [title for title in titles if title == column]
         found = exact or [title for title in titles if split_header(title)[0] == column.strip()]
+        if not found and like is not None:
+            stated = {title: self.stated(title, like) for title in titles if title.startswith(column.strip())}
+            found = [title for title, parts in stated.items() if parts is not None and parts[0] == column.strip()]
         if len(found) > 1:
             raise InputError(
                 f"column {column!r} is there {len(found)} times",
@@ -221,8 +230,39 @@ class Table:
             )
         return found[0] if found else None
 
-    def read(self, column: str | int) -> tuple[FloatArray, str | None]:
+    def stated(self, title: str, like: str) -> tuple[str, str] | None:
+        """Return name and unit of a title that states a fitting unit without brackets; steps of a path are no units."""
+        parts = stated_unit(title, like)
+        path = getattr(self._source, "paths", False) and parts is not None and title[len(parts[0])] in "/."
+        return None if path else parts
+
+    def read_time(self, column: str | int, declared: str | None = None) -> tuple[FloatArray, bool]:
+        """Return a column (N,) of time stamps [s], and whether their unit was stated or declared.
+
+        Raises
+        ------
+        InputError
+            If the column is not there, or its title states something that is no unit of time.
+        """
+        title = self.find(column)
+        values, unit = self.read(column if title is None else title)
+        own = None if title is None else self._source.unit(title)  # of a date, whatever its title says
+        if own is None and declared is None and title is not None:
+            try:
+                unit = clock_unit(title)
+            except InputError as error:
+                raise error.located(file=self.path) from error
+        unit = own or declared or unit
+        return convert(values, unit or "s", "s"), unit is not None
+
+    def read(self, column: str | int, like: str | None = None) -> tuple[FloatArray, str | None]:
         """Return one column (N,) and the unit that its title states, or None.
+
+        Parameters
+        ----------
+        column : str or int
+        like : str, optional
+            A unit of what the column measures: the unit may then stand without brackets (``theta_deg``).
 
         Raises
         ------
@@ -230,16 +270,37 @@ class Table:
             If the column is not there; the message names near matches. If a cell is no number.
         """
         try:
-            title = self.find(column)
+            title = self.find(column, like)
             if title is not None:
+                number = column if isinstance(column, int) else None
+                values = self._values(title, number)
                 unit = self._source.unit(title)
-                return self._source.values(title), unit if unit is not None else split_header(title)[1]
+                unit = unit if unit is not None else split_header(title)[1]
+                if unit is None and like is not None and (parts := self.stated(title, like)) is not None:
+                    unit = parts[1]
+                return values, unit
             selected = self._source.select(column) if isinstance(column, str) else None
         except InputError as error:
             raise error.located(file=self.path) from error
         if selected is not None:
             return selected, None
         raise self.missing(column)
+
+    def _values(self, title: str, number: int | None) -> FloatArray:
+        """Return a column by its title, or by its number where two have one title."""
+        if number is None or self.titles.count(title) == 1:
+            return self._source.values(title)
+        numbered = getattr(self._source, "numbered", None)
+        if numbered is None:
+            raise InputError(
+                f"{self.titles.count(title)} columns {title!r}",
+                expected="titles of their own",
+                got=f"column {number}",
+                remedy="rename one",
+            )
+        places = [place for place, known in enumerate(self._source.titles) if not known.startswith(TRUTH)]
+        found: FloatArray = numbered(places[number])
+        return found
 
     def missing(self, column: str | int) -> InputError:
         """Return the refusal of a column that is not there."""

@@ -68,23 +68,27 @@ class TextFile:
             )
         self._accept_decimal_commas()
         self._body: bytes | None = None
+        self._clocks: set[str] = set()
 
     def values(self, title: str) -> FloatArray:
         """Return one column (N,)."""
-        column = self.titles.index(title)
+        return self.numbered(self.titles.index(title))
+
+    def numbered(self, column: int) -> FloatArray:
+        """Return one column (N,) by its number, as two may have one title."""
         for read in (self._fast, self._plain):
             found = read(column)
             if found is not None:
                 return found
-        return self._slowly(column, title)
+        return self._slowly(column, self.titles[column])
 
     def select(self, text: str) -> FloatArray | None:
         """Return None: text tables have plain columns only."""
         return None
 
     def unit(self, title: str) -> str | None:
-        """Return None: units stand in the titles."""
-        return None
+        """Return s for dates and times; other units stand in the titles."""
+        return "s" if title in self._clocks else None
 
     def where(self, row: int) -> str:
         """Return the place of a row (from 0) as an editor counts it."""
@@ -149,6 +153,7 @@ class TextFile:
             row = self._cells(line)
             cells.append(row[column] if column < len(row) else "")
         if (stamps := clock(cells)) is not None:
+            self._clocks.add(title)
             return stamps
         numbers = []
         commas = not any("." in cell for cell in cells)
