@@ -338,16 +338,22 @@ def identify(
         fitted,
         {use: [equation_error(fitted, one) for one in data.using(use)] for use in uses},
         {use: [simulation_error(fitted, one) for one in data.using(use)] for use in uses},
-        (*data.warnings, *_said(fitted)),
+        (*_said(fitted), *data.warnings),
         probability,
     )
 
 
 def _said(model: Model) -> tuple[str, ...]:
     """Return what the fit of a model warns of."""
+    from harness.estimate import estimate_of
+    from harness.physics.parameters import said_far
+
     notes = getattr(model, "notes", None)
     warning = notes.get("warning") if isinstance(notes, Mapping) else None
-    return (str(warning),) if warning else ()
+    system, found = getattr(model, "system", None), estimate_of(model)
+    intervals = {} if found is None else {name: found.interval(name) or (0.0, 0.0) for name in found.names}
+    far = said_far(system().parameters, getattr(model, "parameters", {}), intervals) if callable(system) else None
+    return tuple(str(text) for text in (far, warning) if text)
 
 
 def close_loop(

@@ -59,7 +59,10 @@ def describe_bare(
             file=path,
         )
     signals = _signals(table, known, path, notes)
-    runs, second = _runs(path, table, validation, next(iter(signals)), tables)
+    name, first = next(iter(signals.items()))
+    like = None if first.port is None else known.find(first.port, first.role).unit
+    like = None if like is None else rate_unit(like, first.derivative)
+    runs, second = _runs(path, table, validation, table.find(name, like) or name, tables)
     notes += second
     nominal = NominalSection(model=model) if model is not None else None
     return Description(name=path.stem, signals=signals, runs=runs, nominal=nominal), known
@@ -93,7 +96,9 @@ def _signals(table: Table, ports: Ports, path: Path, notes: list[str]) -> dict[s
                 found[title] = name
     clock = clock_of(table.titles, found)
     ignored = [
-        title for title in table.titles if title not in found and title != clock and not title.startswith(REFERENCE)
+        title
+        for title in table.titles
+        if title and title not in found and title != clock and not title.startswith(REFERENCE)
     ]
     for title in table.titles:
         if title.startswith(REFERENCE):

@@ -17,9 +17,11 @@ _BREAK = re.compile(r"[\s_,;:/.\-]+(?:in[\s_]+)?|(?<=[a-z])(?=[A-Z])")
 _UNIT = re.compile(r"[^\W_][\w\s°%/*^.·⋅•×∙²³\-\u2212]*|[°%][\w\s/]*")
 _OF_DAY = re.compile(r"of[\s_\-.]*day", re.IGNORECASE)
 
+# ruff: noqa: RUF001 - words of other alphabets
+
 TIME_WORDS = frozenset(
-    "time times t ts timestamp timestamps stamp datetime elapsed clock zeit zeitstempel uhrzeit temps horodatage tiempo "
-    "tempo tijd tijdstempel tid czas čas cas aika idő zaman vreme vrijeme waktu час время 时间 時間 시간".split()
+    "time times t ts timestamp timestamps stamp datetime elapsed clock zeit zeitstempel uhrzeit temps horodatage "
+    "tiempo tempo tijd tijdstempel tid czas čas cas aika idő zaman vreme vrijeme waktu час время 时间 時間 시간".split()
 )
 """Words for time, in small letters."""
 

@@ -177,7 +177,7 @@ class Plan:
         return self.description.signals[name]
 
     def like(self, name: str) -> str | None:
-        """Return a unit of what a signal measures: the declared one, else that of its port; None if neither is known."""
+        """Return a unit of what a signal measures: the declared one, else its port's; None if neither is known."""
         signal = self.signal(name)
         if signal.unit is not None or signal.role == "reference" or self.ports is None or not self.ports.units_fixed:
             return signal.unit

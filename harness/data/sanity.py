@@ -13,6 +13,10 @@ from harness.signals import Channel, FloatArray, Run, Trajectory
 
 __all__ = ["check_run", "check_runs", "saturated", "stuck"]
 
+SHORTEST = 20
+"""Rows of a record: a model of second order in one input has three parameters and two initial values, and an estimate
+needs several readings for each unknown (Ljung 1999, sec. 16.4, counts parameters against samples); four here."""
+
 _FACTORS = (
     (180.0 / np.pi, "one is in degrees and the other in radians"),
     (np.pi / 180.0, "one is in degrees and the other in radians"),
@@ -45,9 +49,13 @@ def check_run(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> li
     """
     notes: list[str] = []
     spec = trajectory.spec
-    if len(trajectory) < 2:
+    if len(trajectory) < SHORTEST:
         raise InputError(
-            "one sample", expected="a record over time", got="1 row", remedy="check rows and discard, or the export"
+            f"a record of {len(trajectory)} row{'s' if len(trajectory) > 1 else ''}",
+            expected=f"at least {SHORTEST} rows: the smallest model has five unknowns (three parameters, two initial "
+            "values), and four readings for each leave something to judge it by",
+            got=str(len(trajectory)),
+            remedy="record longer, or check rows, discard and the export",
         )
     for values, channels in ((trajectory.u, spec.inputs), (trajectory.y, spec.outputs)):
         for column, channel in enumerate(channels):

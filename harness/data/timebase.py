@@ -92,7 +92,7 @@ def refuse_unlikely_seconds(time: FloatArray, title: str) -> None:
             f"the time column {title!r} states no unit",
             expected=f"a unit where rows are {SLOWEST_UNSTATED:g} or more apart",
             got=f"steps of {typical:g}",
-            remedy=f'write it into the title, "{title} [ms]" or "{title} [s]", or declare [time] unit in a dataset.toml',
+            remedy=f'title it "{title} [ms]" or "{title} [s]", or declare [time] unit in a dataset.toml',
             place="time.unit",
         )
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+import numpy as np
+
 from harness.diagnosis.dictionary import placed
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.forms.remembered import Remembered
@@ -19,6 +21,7 @@ from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import Effect, Placed
 from harness.errors import FitError
+from harness.physics.parameters import said_far
 from harness.signals import Dataset
 
 __all__ = [
@@ -27,6 +30,7 @@ __all__ = [
     "candidates_of",
     "form_of",
     "nominal_fit",
+    "sizes_off",
     "taken_back",
     "teller",
     "what_free_runs_say",
@@ -131,6 +135,13 @@ def widened(form: WholeForm, outcome: Outcome) -> None:
     same = outcome.model is outcome.nominal
     outcome.nominal = form.with_deviations(outcome.nominal)
     outcome.model = outcome.nominal if same else form.with_deviations(outcome.model)
+
+
+def sizes_off(system: AnySystem, fit: Fit) -> list[str]:
+    """Return a warning about parameters far from what was declared."""
+    intervals = {name: fit.interval(name) for name in fit.free if np.isfinite(fit.deviations.get(name, np.nan))}
+    said = said_far(system.parameters, {name: fit.values[name] for name in fit.free}, intervals)
+    return [] if said is None else [f"{said}. If the plant is that size, give the model such values"]
 
 
 def taken_back(outcome: Outcome) -> list[str]:
