@@ -171,7 +171,7 @@ class _Reader:
         if not any(run.use == "validation" for run in runs):
             self.notes.append("no validation run: nothing chooses between models on data that they have not seen")
         dataset = Dataset(
-            self.description.name, tuple(runs), self.description.intersample, plan.noise(), tuple(self.notes)
+            self.description.name, tuple(runs), self.description.intersample or "zoh", plan.noise(), tuple(self.notes)
         )
         return LoadedDataset(dataset, plan.nominal, measured, tuple(references), self.path, self.description.source)
 

@@ -8,14 +8,11 @@ import numpy as np
 
 from harness.data.ports import Ports, rate_unit
 from harness.data.suspicion import swapped_in_and_out, swapped_runs, units_between_runs
+from harness.data.timebase import SHORTEST
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, Run, Trajectory
 
 __all__ = ["check_run", "check_runs", "saturated", "stuck"]
-
-SHORTEST = 20
-"""Rows of a record: a model of second order in one input has three parameters and two initial values, and an estimate
-needs several readings for each unknown (Ljung 1999, sec. 16.4, counts parameters against samples); four here."""
 
 _FACTORS = (
     (180.0 / np.pi, "one is in degrees and the other in radians"),
