@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.errors import HarnessError, InputError, PluginError
-from harness.options import check_options, instead
+from harness.options import instead, meant_options
 
 __all__ = ["KINDS", "Entry", "create", "dataset_path", "entries", "entry", "load", "named_options"]
 
@@ -204,7 +204,7 @@ def create(kind: str, id: str, /, **options: Any) -> Any:
             got=", ".join(f"{k}={v!r}" for k, v in options.items()) or "none",
             remedy=remedy,
         )
-    check_options(f"{kind[:-1]} {id!r}", factory, options)
+    options = meant_options(f"{kind[:-1]} {id!r}", factory, options)
     try:
         return factory(**options)
     except HarnessError:

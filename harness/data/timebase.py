@@ -238,7 +238,7 @@ def _remedy(inputs: tuple[bool, ...], rules: TimeRules, lost: bool) -> str:
 def _without_duplicates(
     keys: npt.NDArray[Any], time: FloatArray, values: FloatArray, rules: TimeRules, notes: list[str]
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]:
-    """Return the rows with keys (time stamps or samples) of their own, as declared, and which rows of the file those are."""
+    """Return the rows with keys (time stamps or samples) of their own, as declared, and their rows in the file."""
     rows = np.arange(len(time))
     if rules.duplicates == "refuse" or len(time) < 2:
         return time, values, rows
