@@ -188,6 +188,8 @@ def pieces_of(
         )
     steps = np.diff(stamps)
     jumps = np.abs(steps - dt) > 0.5 * dt
+    if jumps.any() and (np.diff(_tracked(stamps, dt)) == 1).all():
+        jumps = np.zeros_like(jumps)  # no row is lost: the steps vary, which is said below
     if jumps.any() and rules.gaps == "refuse":
         k = int(np.argmax(jumps))
         raise InputError(
@@ -320,9 +322,9 @@ def _clock(
             "rows are taken as its samples one by one, and few lost ones would not show"
         )
         return wanted, np.arange(n)
-    _agreed(sample_time_of(time), n, rules, common)
     index = _tracked(time, wanted)
-    _agreed(float((time[-1] - time[0]) / max(index[-1], 1)), n, rules, common)
+    for measured in (sample_time_of(time), float((time[-1] - time[0]) / max(index[-1], 1))):
+        _agreed(measured, n, rules, common, slack=1 / n)  # rough stamps at both ends, half a sample each
     off = float(np.abs(np.diff(time) / wanted - np.diff(index)).max())
     notes.append(
         f"the steps of the time stamps are up to {100 * off:.2g} % of a sample off: rows are samples of the declared "
@@ -384,13 +386,13 @@ def _tracked(time: FloatArray, dt: float) -> npt.NDArray[np.int64]:
     return index
 
 
-def _agreed(measured: float, n: int, rules: TimeRules, common: float | None) -> float:
+def _agreed(measured: float, n: int, rules: TimeRules, common: float | None, *, slack: float = 0.0) -> float:
     """Return the sample time of a time column, which must agree with the declared one and that of other runs."""
     for wanted, who, place in ((rules.sample_time, "sample_time", "sample_time"), (common, "the runs before", None)):
         if wanted is None or rules.resample is not None:
             continue
         ratio = measured / wanted
-        if abs(ratio - 1.0) <= max(1e-3, 0.1 / n):
+        if abs(ratio - 1.0) <= max(1e-3, 0.1 / n, slack):
             return wanted
         factor = next((f for f in (1000.0, 1e-3, 1e6, 1e-6) if abs(ratio / f - 1.0) < 0.05), None)
         hint = f" (a factor of {factor:g}: is the time column in another unit?)" if factor is not None else ""
@@ -514,8 +516,8 @@ def _held_gaps(
     known = np.isfinite(table).all(axis=1)
     time, table = time[known], table[known]
     steps = np.diff(time) / dt
-    whole = np.round(steps)
-    regular = bool(np.mean(whole == 1) >= REGULAR) and bool(np.abs(steps - whole).max() <= 0.5)
+    whole = np.diff(_tracked(time, dt))
+    regular = bool(np.mean(whole == 1) >= REGULAR)
     rough = float(np.abs(steps - whole).max()) if regular else np.inf
     if rough > JITTER_ACCEPTED and rules.intersample is None:
         raise InputError(
