@@ -151,7 +151,7 @@ class _Reader:
             file, place = self._file(number, section), f"runs[{number}]"
             try:
                 pieces, notes = self._pieces(
-                    section, open_table(file, self.tables), None if spec is None else spec.sample_time
+                    section, open_table(file, self.tables, section.sheet), None if spec is None else spec.sample_time
                 )
                 for order, piece in enumerate(pieces):
                     spec = spec or self._spec(piece.sample_time)
@@ -199,7 +199,7 @@ class _Reader:
             return
         channel, ports = self.plan.unrecorded[0], self.plan.ports
         section = self.description.runs[0]
-        table = open_table(self._file(0, section), self.tables)
+        table = open_table(self._file(0, section), self.tables, section.sheet)
         signals = self.description.signals
         used = {self._title(name, table, section) for name in signals if signals[name].role != "reference"}
         clock = self._clock(section, table, used)
@@ -256,7 +256,7 @@ class _Reader:
     def _header_unit(self, name: str, like: str | None) -> str | None:
         """Return the unit that the first run's file states for a signal."""
         section = self.description.runs[0]
-        table = open_table(self._file(0, section), self.tables)
+        table = open_table(self._file(0, section), self.tables, section.sheet)
         return table.read(self._column(name, section), like)[1]
 
     def _column(self, name: str, section: RunSection) -> str | int:
@@ -401,7 +401,11 @@ class _Reader:
         runs = list(enumerate(self.description.runs))
         for a, first in runs:
             for b, second in runs[a + 1 :]:
-                if (first.file, first.columns) != (second.file, second.columns) or first.use == second.use:
+                if (first.file, first.sheet, first.columns) != (
+                    second.file,
+                    second.sheet,
+                    second.columns,
+                ) or first.use == second.use:
                     continue
                 low = [0 if run.rows is None else run.rows[0] for run in (first, second)]
                 high = [np.inf if run.rows is None else run.rows[1] for run in (first, second)]

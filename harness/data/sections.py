@@ -100,6 +100,8 @@ class RunSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     file: str
     """File of data, beside the description or below `$SYSID_HARNESS_DATA`."""
+    sheet: str | None = None
+    """Sheet of an Excel workbook; by default the first."""
     use: Literal["estimation", "validation", "test"] = "estimation"
     """What the run is for: models are fitted to estimation runs, chosen on validation runs, and judged on test runs."""
     label: str = ""

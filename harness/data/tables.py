@@ -194,6 +194,12 @@ class Table:
         """Titles of all columns, those of true states included."""
         return tuple(self._source.titles)
 
+    def inside(self, title: str) -> list[str] | None:
+        """Return the selectors of what a variable holds; None where it is one column."""
+        find = getattr(self._source, "inside", None)
+        found: list[str] | None = None if find is None else find(title)
+        return found
+
     def read_any(self, title: str) -> FloatArray:
         """Return a column (N,) by its exact title, be it measured or true."""
         return self._source.values(title)
@@ -323,11 +329,25 @@ class Table:
         )
 
 
-def open_table(path: Path, cache: dict[Path, Table]) -> Table:
-    """Return the table of a file, opened once."""
-    if path not in cache:
-        cache[path] = Table(path)
-    return cache[path]
+def open_table(path: Path, cache: dict[Path, Table], sheet: str | None = None) -> Table:
+    """Return the table of a file (or of one sheet of a workbook), opened once."""
+    key = path if sheet is None else path / sheet
+    if key not in cache:
+        cache[key] = Table(path, None if sheet is None else _sheet(path, sheet))
+    return cache[key]
+
+
+def _sheet(path: Path, sheet: str) -> Source | None:
+    """Return a sheet of a workbook; None where there is no file, which is refused as any other."""
+    if not path.is_file():
+        return None
+    if suffix_of(path) not in (".xlsx", ".xlsm"):
+        raise InputError(
+            "sheet", expected="an Excel workbook (.xlsx, .xlsm)", got=path.name, remedy="remove sheet", file=path
+        )
+    from harness.data.excel import ExcelFile
+
+    return ExcelFile(path, sheet)
 
 
 def nearest(channel: Channel, titles: Sequence[str]) -> list[str]:

@@ -42,8 +42,11 @@ class TextFile:
     """
 
     def __init__(self, path: Path) -> None:
-        lines = _text(path).splitlines()
+        text, coding = _text(path)
+        lines = text.splitlines()
         self.notes: list[str] = []
+        if coding == "cp1252":
+            self.notes.append("the text is no UTF-8: its letters are read as cp1252 (Windows, Western Europe)")
         self._lines = [
             (number, line)
             for number, line in enumerate(lines, start=1)
@@ -245,8 +248,8 @@ class TextFile:
         return [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=self._delimiter))]
 
 
-def _text(path: Path) -> str:
-    """Return the text of a file, unpacked where it is packed."""
+def _text(path: Path) -> tuple[str, str]:
+    """Return the text of a file, unpacked where it is packed, and its coding."""
     raw = path.read_bytes()
     if path.suffix.lower() == ".gz":
         try:
@@ -260,13 +263,25 @@ def _text(path: Path) -> str:
             raise InputError(
                 "a packed table", expected=f"at most {LARGEST >> 30} GiB", got="more", remedy="cut or thin it"
             )
-    coding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    try:
-        return raw.decode(coding)
-    except UnicodeDecodeError as error:
-        raise InputError(
-            "not a text file", expected="UTF-8 text", got=str(error), remedy="save it as UTF-8 CSV"
-        ) from error
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        coding = "utf-16"
+    elif raw[1:2] == b"\0" or raw[:1] == b"\0":  # a title begins with a letter of ASCII in every table that we read
+        coding = "utf-16-le" if raw[1:2] == b"\0" else "utf-16-be"
+    else:
+        coding = "utf-8-sig"
+    for tried in (coding, "cp1252") if coding == "utf-8-sig" and b"\0" not in raw[:4096] else (coding,):
+        try:
+            text = raw.decode(tried)
+        except UnicodeDecodeError as error:
+            last = error
+            continue
+        return text, tried
+    raise InputError(
+        "not a text file",
+        expected="text in UTF-8, UTF-16 or cp1252",
+        got=str(last)[:120],
+        remedy="save it as UTF-8 CSV",
+    ) from last
 
 
 def _values(array: Any) -> FloatArray:
