@@ -117,6 +117,8 @@ def describe_file(path: str | Path) -> dict[str, Any]:
             "column": channel.column,
             "unit": channel.unit or "-",
             **{key: "" if value is None else f"{value:.4g}" for key, value in size.items()},
+            "rows": str(channel.rows),
+            "every [s]": "" if channel.every is None else f"{channel.every:.4g}",
             "empty": str(channel.empty),
             "note": channel.note,
         }

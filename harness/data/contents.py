@@ -33,6 +33,8 @@ class ChannelContent:
         Rows, and how many of them hold no number.
     minimum, maximum, mean, deviation : float or None
         Of its numbers, in its unit.
+    every : float or None
+        Usual step [s] of a channel that has a clock of its own.
     note : str
         Why it cannot be read as numbers.
     """
@@ -46,6 +48,7 @@ class ChannelContent:
     maximum: float | None = None
     mean: float | None = None
     deviation: float | None = None
+    every: float | None = None
     note: str = ""
 
 
@@ -86,7 +89,9 @@ class Contents:
     def facts(self) -> list[str]:
         """Return lines for a person."""
         lines = [f"{self.path}: {self.rows} rows, {len(self.channels)} channels"]
-        if self.clock is None:
+        if self.clock is None and self.length is not None:
+            lines.append(f"time: {self.length:.6g} s in all")
+        elif self.clock is None:
             lines.append("no time column: sample_time has to be declared")
         elif self.sample_time is None:
             lines.append(f"time: {self.clock}, which does not run")
@@ -138,6 +143,12 @@ def contents_of(path: str | Path) -> Contents:
         clock, notes = None, [f"time: {error.what}: {error.got}"]
     channels = tuple(_channel(table, title, selector) for title, selector in columns if title != clock)
     rows = max((channel.rows for channel in channels), default=0)
+    if table.clocks([title for title in table.titles if title][:1]) is not None and clock in (None, "time"):
+        clocks, kind = table.clocks([channel.column for channel in channels]) or ([], "")
+        notes.append(f"channels have clocks of their own ({kind}): [resample] sample_time puts them on one grid")
+        start, end = min(one[0] for one in clocks), max(one[-1] for one in clocks)
+        return Contents(path.name, channels, rows, None, True, float(start), float(end - start), None, 0, 0,
+                        (*table.notes, *notes))  # fmt: skip
     if clock is None:
         return Contents(path.name, channels, rows, notes=(*table.notes, *notes))
     try:
@@ -178,7 +189,13 @@ def _channel(table: Table, title: str, selector: str) -> ChannelContent:
         values, unit = table.read(selector)
     except InputError as error:
         return ChannelContent(selector, name, note=f"{error.what}: {error.got}"[:80])
-    return ChannelContent(selector, name, unit or "", len(values), int((~np.isfinite(values)).sum()), *_sizes(values))
+    own = table.clocks([selector])
+    steps = np.zeros(0) if own is None else np.diff(own[0][0])
+    every = float(np.median(steps)) if steps.size else None
+    holes = int((steps > 5 * every).sum()) if every is not None else 0
+    note = f"{holes} holes" if holes else ""
+    empty = int((~np.isfinite(values)).sum())
+    return ChannelContent(selector, name, unit or "", len(values), empty, *_sizes(values), every, note)
 
 
 def _sizes(values: FloatArray) -> tuple[float | None, ...]:

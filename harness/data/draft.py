@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from harness.signals import Channel
 from harness.units import fits
 
 __all__ = ["draft_dataset"]
+
+_JOINT = re.compile(r"\.(?P<list>position|velocity|effort)\[(?P<joint>[^\]]+)\]$")
 
 _ASKED = "?"
 """What stands where something has to be decided: no value of any key, so that nothing is taken before it is."""
@@ -73,6 +76,14 @@ def draft_dataset(files: Sequence[str | Path], *, model: str | None = None, fold
 
 def _clock(found: Contents) -> list[str]:
     """Return the lines about time."""
+    if found.clock is None and found.length is not None:
+        slowest = max(channel.every or 0.0 for channel in found.channels)
+        return [
+            "",
+            "[resample]  # channels have clocks of their own: inputs are held from their stamps, outputs interpolated",
+            f"sample_time = {slowest:.4g}  # [s] the slowest channel's: another?",
+            'method = "linear"  # or "cubic"',
+        ]
     if found.clock is None:
         return ["sample_time = 0.0  # [s] no time column was found: what was the sample time?"]
     rate = "" if found.sample_time is None else f"  # steps of {found.sample_time:.6g} s over {found.length:.6g} s"
@@ -90,7 +101,7 @@ def _clock(found: Contents) -> list[str]:
 def _signal(channel: ChannelContent, ports: Ports | None) -> list[str]:
     """Return the table of one channel; as a comment where it holds no numbers, or the model has no such port."""
     head = f"[signals.{_quoted(channel.name)}]"
-    if channel.note:
+    if channel.note and channel.minimum is None:
         return [f"# {channel.column}: {channel.note}", ""]
     sizes = (
         "" if channel.minimum is None else f"  # {channel.minimum:.4g} to {channel.maximum:.4g} {channel.unit}".rstrip()
@@ -120,6 +131,12 @@ def _signal(channel: ChannelContent, ports: Ports | None) -> list[str]:
 
 def _port(channel: ChannelContent, ports: Ports) -> tuple[Channel, str, int] | None:
     """Return the port whose name a channel carries, with role and derivative."""
+    joint = _JOINT.search(channel.name)
+    if joint is not None and joint["joint"] in ports.joints:  # what ROS calls the three lists of a JointState
+        drive, angle = ports.joints[joint["joint"]]
+        if joint["list"] == "effort":
+            return ports.find(drive, "input"), "input", 0
+        return ports.find(angle, "output"), "output", int(joint["list"] == "velocity")
     for role, group in (("input", ports.inputs), ("output", ports.outputs)):
         for port in group:
             for derivative in (0, 1, 2) if role == "output" else (0,):

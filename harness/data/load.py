@@ -5,18 +5,21 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
+from harness.data.bags import is_bag_folder
 from harness.data.bare import describe_bare
 from harness.data.conditioning import conditioned
 from harness.data.description import read_description
 from harness.data.headers import clock_of
 from harness.data.loaded import LoadedDataset
 from harness.data.memory import in_memory
+from harness.data.merging import merged
 from harness.data.plan import Plan
 from harness.data.sanity import check_run, check_runs
 from harness.data.sections import Description, RunSection
@@ -226,7 +229,7 @@ class _Reader:
         if folder:
             places.append(Path(folder) / given)
         for place in places:
-            if place.is_file():
+            if place.is_file() or is_bag_folder(place):
                 return place
         source = self.description.source
         if source is None:
@@ -291,6 +294,10 @@ class _Reader:
                 )
             seen[column] = name
             columns[name] = self._converted(name, table, column)
+        inputs = tuple(name in self.plan.inputs for name in names)
+        own = table.clocks(list(seen))
+        if own is not None:
+            return self._merged(section, own, columns, inputs, common)
         time = self._time(section, table, seen)
         lengths = {name: len(values) for name, values in columns.items()}
         if time is not None:
@@ -304,7 +311,6 @@ class _Reader:
             )
         values = np.column_stack([columns[name] for name in names])
         chosen = self._rows(section, len(values))
-        inputs = tuple(name in self.plan.inputs for name in names)
         return pieces_of(
             None if time is None else time[chosen],
             values[chosen],
@@ -314,6 +320,40 @@ class _Reader:
             common=common,
             where=lambda row: table.where(row + (chosen.start or 0)),
         )
+
+    def _merged(
+        self,
+        section: RunSection,
+        own: tuple[list[FloatArray], str],
+        columns: dict[str, FloatArray],
+        inputs: tuple[bool, ...],
+        common: float | None,
+    ) -> tuple[list[Piece], list[str]]:
+        """Return the pieces of a run whose signals have clocks of their own, in SI units."""
+        declared = section.columns.get(
+            "time", "time" if self.description.time is None else self.description.time.column
+        )
+        if declared != "time":
+            raise InputError(
+                "a time column where signals have clocks of their own",
+                expected="none: each message has its stamp",
+                got=repr(declared),
+                remedy="remove [time]",
+                place="time",
+            )
+        clocks, kind = own
+        names, notes = tuple(columns), [f"time: {kind}"]
+        first = clocks[0]
+        if all(len(clock) == len(first) and np.array_equal(clock, first) for clock in clocks):
+            time, values, rules = first, np.column_stack(list(columns.values())), self.rules
+        else:
+            time, values = merged(
+                clocks, list(columns.values()), names=names, inputs=inputs, rules=self.rules, notes=notes
+            )
+            rules = replace(self.rules, resample=None, sample_time=None)
+        chosen = self._rows(section, len(values))
+        pieces, said = pieces_of(time[chosen], values[chosen], names=names, inputs=inputs, rules=rules, common=common)
+        return pieces, notes + said
 
     def _converted(self, name: str, table: Table, column: str | int) -> FloatArray:
         """Return one signal in its SI unit: scale and offset first, then the unit."""

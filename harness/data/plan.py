@@ -185,7 +185,9 @@ class Plan:
 
     def port(self, name: str) -> str:
         """Return the port that a signal sits on: its own name unless it says otherwise."""
-        return self.signal(name).port or name
+        signal = self.signal(name)
+        port = signal.port or name
+        return port if self.ports is None else self.ports.named(port, signal.role)
 
     def _channel(self, name: str) -> Channel:
         """Return the channel of a signal, in the unit that its values will have."""

@@ -94,9 +94,16 @@ def _mdf(path: Path) -> Source:
 
 
 def _mcap(path: Path) -> Source:
+    from harness.data.bags import BagFile, holds_json
     from harness.data.log_files import McapFile
 
-    return McapFile(path)
+    return McapFile(path) if holds_json(path) else BagFile(path)
+
+
+def _bag(path: Path) -> Source:
+    from harness.data.bags import BagFile
+
+    return BagFile(path)
 
 
 FORMATS: dict[str, Callable[[Path], Source]] = {
@@ -119,6 +126,8 @@ FORMATS: dict[str, Callable[[Path], Source]] = {
     ".mf4": _mdf,
     ".mdf": _mdf,
     ".mcap": _mcap,
+    ".bag": _bag,
+    ".db3": _bag,
 }
 """Readers by suffix."""
 
@@ -155,6 +164,9 @@ class Table:
         self.path = path
         if source is not None:
             self._source = source
+            return
+        if path.is_dir() and (path / "metadata.yaml").is_file():  # a bag of ROS 2
+            self._source = _bag(path)
             return
         if not path.is_file():
             raise InputError(
@@ -193,6 +205,15 @@ class Table:
     def all_titles(self) -> tuple[str, ...]:
         """Titles of all columns, those of true states included."""
         return tuple(self._source.titles)
+
+    def clocks(self, columns: Sequence[str | int]) -> tuple[list[FloatArray], str] | None:
+        """Return the stamps [s] of columns that have clocks of their own, and which they are; None for one clock."""
+        find = getattr(self._source, "clocks", None)
+        titles = [self.find(column) for column in columns]
+        if find is None or None in titles:
+            return None
+        found: tuple[list[FloatArray], str] = find(titles)
+        return found
 
     def inside(self, title: str) -> list[str] | None:
         """Return the selectors of what a variable holds; None where it is one column."""
