@@ -158,9 +158,8 @@ def _described_model(path: Path) -> dict[str, Any]:
     facts = [f"{path.name}: model of kind {content['kind']!r}"]
     facts += [f"built on {content['model']}"] if content.get("model") else []
     facts += [f"sample time {spec['sample_time']} s"] if spec.get("sample_time") else []
-    facts += [f"effects: {', '.join('@'.join(map(str, one)) for one in content['effects'])}"] * bool(
-        content.get("effects")
-    )
+    effects = content.get("effects") or []
+    facts += [f"effects: {', '.join('@'.join(map(str, one)) for one in effects)}"] if effects else []
     return {"facts": facts, "tables": {"ports": ports, "parameters": parameters}, "content": content}
 
 

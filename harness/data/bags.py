@@ -128,7 +128,7 @@ def _numbers(topic: str, message: Any) -> Iterator[tuple[str, float, str | None]
     """Yield name, value and unit of every number of a message; of a joint's lists by the joint's name."""
     joints = list(message.name) if message.__msgtype__ == "sensor_msgs/msg/JointState" else None
     for field in dataclasses.fields(message):
-        if field.name in ("header", "__msgtype__", "name" if joints is not None else ""):
+        if field.name in ("header", "__msgtype__", "layout", "name" if joints is not None else ""):
             continue
         value = getattr(message, field.name)
         if joints is not None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.headers import clock_of, split_header
+from harness.data.headers import clock_of
 from harness.data.tables import Table, suffix_of
 from harness.data.timebase import sample_time_of
 from harness.errors import InputError
@@ -184,7 +184,7 @@ def _selectors(table: Table, title: str) -> list[str]:
 
 def _channel(table: Table, title: str, selector: str) -> ChannelContent:
     """Return one channel with what its numbers are."""
-    name = split_header(title)[0] if selector == title else selector
+    name = table.split(title)[0] if selector == title else selector
     try:
         values, unit = table.read(selector)
     except InputError as error:

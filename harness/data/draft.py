@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from harness.data.contents import ChannelContent, Contents, contents_of
+from harness.data.description import OPEN
 from harness.data.headers import stated_unit
 from harness.data.ports import Ports, located_model, ports_of, rate_unit
 from harness.errors import InputError
@@ -17,9 +18,6 @@ from harness.units import fits
 __all__ = ["draft_dataset"]
 
 _JOINT = re.compile(r"\.(?P<list>position|velocity|effort)\[(?P<joint>[^\]]+)\]$")
-
-_ASKED = "?"
-"""What stands where something has to be decided: no value of any key, so that nothing is taken before it is."""
 
 
 def draft_dataset(files: Sequence[str | Path], *, model: str | None = None, folder: Path | None = None) -> str:
@@ -53,7 +51,7 @@ def draft_dataset(files: Sequence[str | Path], *, model: str | None = None, fold
     found = [contents_of(path) for path in paths]
     first = found[0]
     ports = None if model is None else ports_of(located_model(model, Path.cwd()), {})
-    lines = [f"name = {_quoted(paths[0].stem)}", *_clock(first), ""]
+    lines = [f"name = {_quoted(paths[0].stem)}", *_clock(first, ports), ""]
     lines += [] if model is None else ["[nominal]", f"model = {_quoted(model)}", ""]
     lines += [] if model is not None else ['# [nominal] model = "..." names the model that you believe in', ""]
     for channel in first.channels:
@@ -70,14 +68,15 @@ def draft_dataset(files: Sequence[str | Path], *, model: str | None = None, fold
                 f"# another record to validate on is better; to divide this one: rows = [0, {cut}], and a second"
             )
             lines.append(f'# [[runs]] of the same file with use = "validation" and rows = [{cut}, {first.rows}]')
-        lines += [f"# {note}" for note in found[number].notes] + [""]
+        lines += [f"# {note}" for note in found[number].notes if found[number].clock is not None] + [""]
     return "\n".join(lines)
 
 
-def _clock(found: Contents) -> list[str]:
+def _clock(found: Contents, ports: Ports | None) -> list[str]:
     """Return the lines about time."""
     if found.clock is None and found.length is not None:
-        slowest = max(channel.every or 0.0 for channel in found.channels)
+        used = [channel for channel in found.channels if ports is not None and _port(channel, ports) is not None]
+        slowest = max(channel.every or 0.0 for channel in used or found.channels)
         return [
             "",
             "[resample]  # channels have clocks of their own: inputs are held from their stamps, outputs interpolated",
@@ -110,7 +109,7 @@ def _signal(channel: ChannelContent, ports: Ports | None) -> list[str]:
     match = None if ports is None else _port(channel, ports)
     if ports is not None and match is None:
         near = _fitting(channel, ports)
-        lines = [head, f'role = "{_ASKED}"{sizes}', f"column = {_quoted(channel.column)}"]
+        lines = [head, f'role = "{OPEN}"{sizes}', f"column = {_quoted(channel.column)}"]
         lines.append(
             f"# port of {ports.model}? of like unit: {', '.join(near) or 'none'}; remove the table if it is none"
         )
@@ -121,11 +120,11 @@ def _signal(channel: ChannelContent, ports: Ports | None) -> list[str]:
         lines += [f"port = {_quoted(port.name)}"] if port.name != channel.name else []
         lines += [f"derivative = {derivative}"] if derivative else []
     else:
-        lines = [head, f'role = "{_ASKED}"  # "input", "output" or "reference"?{sizes.replace("  #", "")}']
+        lines = [head, f'role = "{OPEN}"  # "input", "output" or "reference"?{sizes.replace("  #", "")}']
         lines.append(f"column = {_quoted(channel.column)}")
     if not channel.unit and not (match and stated_unit(channel.column, rate_unit(match[0].unit, match[2]))):
         wanted = "" if match is None else f" (the model's is {rate_unit(match[0].unit, match[2])})"
-        lines.append(f'unit = "{_ASKED}"  # the title states none: which{wanted}?')
+        lines.append(f'unit = "{OPEN}"  # the title states none: which{wanted}?')
     return [*lines, ""]
 
 

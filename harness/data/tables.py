@@ -243,7 +243,7 @@ class Table:
         if isinstance(column, int):
             return titles[column] if 0 <= column < len(titles) else None
         exact = [title for title in titles if title == column]
-        found = exact or [title for title in titles if split_header(title)[0] == column.strip()]
+        found = exact or [title for title in titles if self.split(title)[0] == column.strip()]
         if not found and like is not None:
             stated = {title: self.stated(title, like) for title in titles if title.startswith(column.strip())}
             found = [title for title, parts in stated.items() if parts is not None and parts[0] == column.strip()]
@@ -256,6 +256,16 @@ class Table:
                 file=self.path,
             )
         return found[0] if found else None
+
+    def split(self, title: str) -> tuple[str, str | None]:
+        """Return name and unit of a title; the index or joint at the end of a path is no unit."""
+        name, unit = split_header(title)
+        inside = (
+            getattr(self._source, "paths", False)
+            and unit is not None
+            and not title[len(name) : len(name) + 1].isspace()
+        )
+        return (title, None) if inside else (name, unit)
 
     def stated(self, title: str, like: str) -> tuple[str, str] | None:
         """Return name and unit of a title that states a fitting unit without brackets; steps of a path are no units."""
@@ -302,7 +312,7 @@ class Table:
                 number = column if isinstance(column, int) else None
                 values = self._values(title, number)
                 unit = self._source.unit(title)
-                unit = unit if unit is not None else split_header(title)[1]
+                unit = unit if unit is not None else self.split(title)[1]
                 if unit is None and like is not None and (parts := self.stated(title, like)) is not None:
                     unit = parts[1]
                 return values, unit

@@ -150,7 +150,7 @@ def test_a_draft_knows_the_joints_of_the_urdf(tmp_path: Path) -> None:
     (tmp_path / "two.urdf").write_text(URDF)
     out = api.new_dataset([path], model=str(tmp_path / "two.urdf"), out=tmp_path / "dataset.toml")
     text = out.read_text()
-    assert 'port = "q2"' in text and 'port = "tau2"' in text and "derivative = 1" in text
+    assert all(line in text for line in ('port = "q2"', 'port = "tau2"', "derivative = 1"))
     assert "[resample]" in text
     with pytest.raises(InputError, match=r"\?"):  # units are asked, and nothing is taken before they are told
         load_dataset(out)
