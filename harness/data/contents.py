@@ -128,7 +128,7 @@ def contents_of(path: str | Path) -> Contents:
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     log = Path(folder) / "log.csv"
-    ...     _ = log.write_text("time [ms],u [V]\\n0,1\\n10,3\\n20,5\\n")
+    ...     _ = log.write_text("time [ms],u [V]\n0,1\n10,3\n20,5\n")
     ...     found = contents_of(log)
     >>> found.sample_time, found.channels[0].unit, found.channels[0].mean
     (0.01, 'V', 3.0)

@@ -42,7 +42,7 @@ def draft_dataset(files: Sequence[str | Path], *, model: str | None = None, fold
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     log = Path(folder) / "log.csv"
-    ...     _ = log.write_text("time [s],u [V],y\\n0,1,2\\n1,2,3\\n")
+    ...     _ = log.write_text("time [s],u [V],y\n0,1,2\n1,2,3\n")
     ...     text = draft_dataset([log])
     >>> [line for line in text.splitlines() if line.startswith("[")]
     ['[time]', '[signals."u"]', '[signals."y"]', '[[runs]]']
