@@ -105,7 +105,7 @@ class BagFile:
         headed = all((table[:, 1] > 0).all() and (np.diff(table[:, 1]) > 0).all() for table in tables)
         # headers of a clock that began elsewhere have no origin in common with the log
         origin = min(int(table[0, 1]) for table in tables) if headed else self._origin
-        return [(table[:, int(headed)] - origin) * 1e-9 for table in tables], (
+        return [np.asarray((table[:, int(headed)] - origin) * 1e-9, dtype=np.float64) for table in tables], (
             "the stamps of the headers" if headed else "the times at which messages were recorded"
         )
 

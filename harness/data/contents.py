@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from harness.data.headers import clock_of
-from harness.data.tables import Table, suffix_of
+from harness.data.tables import Table
 from harness.data.timebase import sample_time_of
 from harness.errors import InputError
 from harness.signals import FloatArray
 
-__all__ = ["ChannelContent", "Contents", "contents_of", "is_data"]
+__all__ = ["ChannelContent", "Contents", "contents_of"]
 
 
 @dataclass(frozen=True)
@@ -195,25 +195,19 @@ def _channel(table: Table, title: str, selector: str) -> ChannelContent:
     holes = int((steps > 5 * every).sum()) if every is not None else 0
     note = f"{holes} holes" if holes else ""
     empty = int((~np.isfinite(values)).sum())
-    return ChannelContent(selector, name, unit or "", len(values), empty, *_sizes(values), every, note)
+    return replace(
+        ChannelContent(selector, name, unit or "", len(values), empty, every=every, note=note), **_sizes(values)
+    )
 
 
-def _sizes(values: FloatArray) -> tuple[float | None, ...]:
+def _sizes(values: FloatArray) -> dict[str, Any]:
     """Return minimum, maximum, mean and standard deviation of what is finite."""
     finite = values[np.isfinite(values)]
     if not finite.size:
-        return (None, None, None, None)
-    return float(finite.min()), float(finite.max()), float(finite.mean()), float(finite.std())
-
-
-def is_data(path: str | Path) -> bool:
-    """Return True for a name whose suffix is one of a format of data.
-
-    Examples
-    --------
-    >>> is_data("run.csv"), is_data("arm.urdf")
-    (True, False)
-    """
-    from harness.data.tables import FORMATS
-
-    return suffix_of(Path(path)) in FORMATS
+        return {}
+    return {
+        "minimum": float(finite.min()),
+        "maximum": float(finite.max()),
+        "mean": float(finite.mean()),
+        "deviation": float(finite.std()),
+    }

@@ -541,7 +541,8 @@ def _held_gaps(
             "lines between samples",
             place="resample",
         )
-    return time[1:][holes]
+    behind: FloatArray = time[1:][holes]
+    return behind
 
 
 def _coarser(steps: FloatArray, new: float) -> bool:

@@ -35,11 +35,11 @@ URDF = """<robot name="two"><link name="base"/>
 def messages(store: Any, one: bool) -> list[tuple[str, str, int, Any]]:
     """Return topic, type, time and message: joints at 100 Hz in changing order, commands at 20 Hz, a wrench."""
     kinds = store.types
-    header = lambda at: kinds["std_msgs/msg/Header"](  # noqa: E731
-        **({"seq": 0} if one else {}),
-        stamp=kinds["builtin_interfaces/msg/Time"](sec=at // 10**9, nanosec=at % 10**9),
-        frame_id="",
-    )
+
+    def header(at: int) -> Any:
+        stamp = kinds["builtin_interfaces/msg/Time"](sec=at // 10**9, nanosec=at % 10**9)
+        return kinds["std_msgs/msg/Header"](**({"seq": 0} if one else {}), stamp=stamp, frame_id="")
+
     vector = kinds["geometry_msgs/msg/Vector3"]
     out = []
     for k in range(N):
