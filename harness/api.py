@@ -75,6 +75,127 @@ def describe_system(path: str | Path) -> dict[str, Any]:
     return describe_structure(path, describe_fmu)
 
 
+def describe_file(path: str | Path) -> dict[str, Any]:
+    """Return what is inside a file (``sysid list FILE``): of data, a robot, or a stored model. Nothing of it is run.
+
+    Parameters
+    ----------
+    path : path
+        Data in any format that is read, a URDF, an MJCF, or a ``model.json``.
+
+    Returns
+    -------
+    dict
+        ``facts``, lines for a person; ``tables``, rows by name; ``content``, all of it.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or cannot be read.
+    """
+    from harness.data.contents import contents_of
+
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix in (".urdf", ".xml", ".mjcf"):
+        from harness.physics.robot_files import robot_contents
+
+        robot = robot_contents(path)
+        facts = [f"{path.name}: {robot['format']} {robot['name']!r}, {robot['bodies']} bodies, "
+                 f"{len(robot['joints'])} joints, {len(robot['actuators'])} actuators"]  # fmt: skip
+        return {
+            "facts": facts,
+            "tables": {name: robot[name] for name in ("joints", "actuators", "sensors")},
+            "content": robot,
+        }
+    if suffix == ".json":
+        return _described_model(path)
+    found = contents_of(path)
+    numbers = ("minimum", "maximum", "mean", "deviation")
+    sizes = [{key: getattr(channel, key) for key in numbers} for channel in found.channels]
+    rows = [
+        {
+            "column": channel.column,
+            "unit": channel.unit or "-",
+            **{key: "" if value is None else f"{value:.4g}" for key, value in size.items()},
+            "rows": str(channel.rows),
+            "every [s]": "" if channel.every is None else f"{channel.every:.4g}",
+            "empty": str(channel.empty),
+            "note": channel.note,
+        }
+        for channel, size in zip(found.channels, sizes, strict=True)
+    ]
+    return {"facts": found.facts(), "tables": {"channels": rows}, "content": found.to_dict()}
+
+
+def _described_model(path: Path) -> dict[str, Any]:
+    """Return what a model.json states, without making the model."""
+    import json
+
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            "a model.json", expected="JSON that sysid wrote", got=str(error)[:120], remedy="check the file", file=path
+        ) from error
+    if not isinstance(content, dict) or "kind" not in content:
+        raise InputError(
+            "a model.json",
+            expected="an object with a kind",
+            got=type(content).__name__,
+            remedy="check the file",
+            file=path,
+        )
+    spec = content.get("spec") or {}
+    ports = [
+        {"port": port.get("name", ""), "role": role[:-1], "unit": port.get("unit", "1")}
+        for role in ("inputs", "outputs", "states")
+        for port in spec.get(role, [])
+    ]
+    parameters = [
+        {"parameter": name, "value": f"{value:.6g}" if isinstance(value, int | float) else str(value)}
+        for name, value in (content.get("parameters") or {}).items()
+    ]
+    facts = [f"{path.name}: model of kind {content['kind']!r}"]
+    facts += [f"built on {content['model']}"] if content.get("model") else []
+    facts += [f"sample time {spec['sample_time']} s"] if spec.get("sample_time") else []
+    effects = content.get("effects") or []
+    facts += [f"effects: {', '.join('@'.join(map(str, one)) for one in effects)}"] if effects else []
+    return {"facts": facts, "tables": {"ports": ports, "parameters": parameters}, "content": content}
+
+
+def new_dataset(
+    files: Sequence[str | Path],
+    *,
+    model: str | None = None,
+    out: str | Path = "dataset.toml",
+    force: bool = False,
+) -> Path:
+    """Write a dataset.toml drafted from files of data (``sysid new dataset FILE...``).
+
+    Parameters
+    ----------
+    files : sequence of path
+        One for each run; the first is for estimation, the others validate.
+    model : str, optional
+        Nominal model, whose ports name the columns.
+    out : path
+    force : bool
+        Overwrite it.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, or ``out`` exists.
+    """
+    from harness.data.draft import draft_dataset
+
+    out = Path(out)
+    _refuse_overwrite(out, force=force)
+    out.write_text(draft_dataset(files, model=model, folder=out.parent), encoding="utf-8")
+    return out
+
+
 def simulate(
     plant: str,
     *,
@@ -407,16 +528,22 @@ def identify(
         fitted,
         {use: [equation_error(fitted, one) for one in data.using(use)] for use in uses},
         {use: [simulation_error(fitted, one) for one in data.using(use)] for use in uses},
-        (*data.warnings, *_said(fitted)),
+        (*_said(fitted), *data.warnings),
         probability,
     )
 
 
 def _said(model: Model) -> tuple[str, ...]:
     """Return what the fit of a model warns of."""
+    from harness.estimate import estimate_of
+    from harness.physics.parameters import said_far
+
     notes = getattr(model, "notes", None)
     warning = notes.get("warning") if isinstance(notes, Mapping) else None
-    return (str(warning),) if warning else ()
+    system, found = getattr(model, "system", None), estimate_of(model)
+    intervals = {} if found is None else {name: found.interval(name) or (0.0, 0.0) for name in found.names}
+    far = said_far(system().parameters, getattr(model, "parameters", {}), intervals) if callable(system) else None
+    return tuple(str(text) for text in (far, warning) if text)
 
 
 def close_loop(

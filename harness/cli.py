@@ -16,7 +16,7 @@ import typer
 from harness import __version__, api
 from harness.cli_loop import close_loop, isolability, learn_residual
 from harness.cli_models import compare, export, identify, order, spectrum
-from harness.cli_options import AsJson
+from harness.cli_options import AsJson, Force, ModelName
 from harness.cli_runs import bench, query, simulate, table
 from harness.errors import HarnessError, InputError
 from harness.interrupts import INTERRUPTED, Interrupts
@@ -42,12 +42,10 @@ app.command(name="learn-residual")(learn_residual)
 
 @app.command(name="list")
 def list_command(
-    what: Annotated[
-        str | None, typer.Argument(help=f"{' | '.join(api.LISTED)} | ID | FILE.fmu, .ssp, .ssd, .xml")
-    ] = None,
+    what: Annotated[str | None, typer.Argument(help=f"{' | '.join(api.LISTED)} | ID | FILE")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show what is registered, or what is in an FMU or a system of FMUs."""
+    """Show what is registered, or what is inside a file: data, a robot, an FMU or a system of them, a model.json."""
     if what is not None and what.endswith(".fmu"):
         description = api.describe_fmu(what)
         if as_json:
@@ -61,6 +59,17 @@ def list_command(
             print_json(system)
         else:
             print_system(system)
+        return
+    if what is not None and what not in api.LISTED and Path(what).suffix and Path(what).is_file():
+        found = api.describe_file(what)
+        if as_json:
+            print_json(found["content"])
+            return
+        for fact in found["facts"]:
+            say(fact)
+        for rows in found["tables"].values():
+            if rows:
+                print_rows(rows)
         return
     if what is not None and what not in api.LISTED and (part := api.describe_part(what)) is not None:
         if as_json:
@@ -114,17 +123,30 @@ def study(context: typer.Context) -> None:
 
 @app.command()
 def new(
-    kind: Annotated[str, typer.Argument(metavar="KIND", help="identifier | plant | scenario | effect | model")],
-    name: Annotated[str, typer.Argument(metavar="NAME", help="its id, such as soft-friction")],
-    folder: Annotated[Path, typer.Option(help="where sysid-NAME/ is made")] = Path("."),
+    kind: Annotated[
+        str, typer.Argument(metavar="KIND", help="identifier | plant | scenario | effect | model | dataset")
+    ],
+    name: Annotated[
+        list[str],
+        typer.Argument(metavar="NAME", help="its id, such as soft-friction; for dataset the files, one a run"),
+    ],
+    folder: Annotated[Path, typer.Option(help="where sysid-NAME/ is made, or dataset.toml is written")] = Path("."),
+    model: ModelName = None,
+    force: Force = False,
 ) -> None:
-    """Begin a plug-in: a distribution of its own that works and passes its checks."""
+    """Begin a plug-in that works and passes its checks; or draft a dataset.toml from files of data."""
     from harness.scaffold import entry_name
     from harness.scaffold import new as begin
 
-    for path in begin(kind, name, folder=folder):
+    if kind == "dataset":
+        out = api.new_dataset(name, model=model, out=folder / "dataset.toml", force=force)
+        say(f"wrote {out}: answer what stands as a question in it, then sysid close-loop {out}")
+        return
+    if len(name) > 1:
+        raise InputError("name of a plug-in", expected="one", got=" ".join(name), remedy="begin them one by one")
+    for path in begin(kind, name[0], folder=folder):
         say(f"wrote {path}")
-    say(f"now: cd {folder / f'sysid-{name}'} && pip install -e . && sysid check {entry_name(kind, name)}")
+    say(f"now: cd {folder / f'sysid-{name[0]}'} && pip install -e . && sysid check {entry_name(kind, name[0])}")
 
 
 @app.callback(invoke_without_command=True)

@@ -7,12 +7,12 @@ import inspect
 import sys
 import types
 import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from harness.errors import InputError
 
-__all__ = ["check_options", "instead"]
+__all__ = ["instead", "meant_options"]
 
 _WORDS: dict[Any, str] = {
     float: "a number",
@@ -23,8 +23,11 @@ _WORDS: dict[Any, str] = {
 }
 
 
-def check_options(owner: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> None:
-    """Refuse options of a wrong type where the declaration leaves no doubt.
+def meant_options(owner: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options as they are meant, and refuse those of a wrong type where the declaration leaves no doubt.
+
+    A command line has no word for nothing, nor a list of one: ``None`` is nothing where that may be, and a name is a
+    list of one where names are listed.
 
     Parameters
     ----------
@@ -42,20 +45,57 @@ def check_options(owner: str, factory: Callable[..., Any], options: Mapping[str,
 
     Examples
     --------
-    >>> def plant(friction: float = 0.0): ...
+    >>> def plant(friction: float | None = 0.0, outputs: Sequence[str] = ()): ...
+    >>> meant_options("plant 'arm'", plant, {"friction": "None", "outputs": "theta"})
+    {'friction': None, 'outputs': ['theta']}
     >>> try:
-    ...     check_options("plant 'arm'", plant, {"friction": "high"})
+    ...     meant_options("plant 'arm'", plant, {"friction": "high"})
     ... except InputError as error:
     ...     print(error)
     friction: option of plant 'arm': expected a number, got 'high'; remedy: give a number
     """
     hints = _hints(factory, options)
-    for name, value in options.items():
-        if name in hints and not _may_be(value, hints[name]):
-            wanted = _said(hints[name])
+    result = dict(options)
+    for name, hint in hints.items():
+        value = result[name] = _meant(options[name], hint)
+        if not _may_be(value, hint):
+            wanted = _said(hint)
             raise InputError(
                 f"option of {owner}", expected=wanted, got=repr(value), remedy=f"give {wanted}", place=name
             )
+    return result
+
+
+def _alternatives(hint: Any) -> tuple[Any, ...]:
+    """Return the types of which a value may be one."""
+    origin, parts = typing.get_origin(hint), typing.get_args(hint)
+    if origin is typing.Annotated:
+        return _alternatives(parts[0])
+    if origin in (typing.Union, types.UnionType):
+        return tuple(one for part in parts for one in _alternatives(part))
+    return (hint,)
+
+
+def _meant(value: Any, hint: Any) -> Any:
+    """Return a text as nothing, or as a list of one, where it can be nothing else."""
+    if not isinstance(value, str):
+        return value
+    kinds = _alternatives(hint)
+    if type(None) in kinds and (value == "None" or (value.lower() in ("none", "null") and str not in kinds)):
+        literal = [
+            text for kind in kinds if typing.get_origin(kind) is typing.Literal for text in typing.get_args(kind)
+        ]
+        return value if value in literal else None
+    names = any(_listed(kind) and _may_be(value, typing.get_args(kind)[0]) for kind in kinds)
+    return [value] if names and not any(not _listed(kind) and _may_be(value, kind) for kind in kinds) else value
+
+
+def _listed(kind: Any) -> bool:
+    """Return True for a list of any length of one type."""
+    origin, parts = typing.get_origin(kind), typing.get_args(kind)
+    return (origin in (list, Sequence, Collection, Iterable) and len(parts) == 1) or (
+        origin is tuple and len(parts) == 2 and parts[1] is ...
+    )
 
 
 def instead(unknown: Sequence[str], known: Iterable[str]) -> str:
@@ -102,22 +142,22 @@ def _may_be(value: Any, hint: Any) -> bool:
         return _may_be(value, parts[0])
     if isinstance(value, bool):
         return hint not in (float, int, str, type(None))
-    if isinstance(value, str):
-        listed = isinstance(origin, type) and issubclass(origin, list | tuple | dict | Mapping | Sequence)
-        if origin is Sequence and parts:  # a text is a sequence of texts, and of nothing else
-            listed = not _may_be(value, parts[0])
-        return hint not in (float, int, bool, type(None)) and not listed
+    container = isinstance(origin, type) and issubclass(origin, Collection)
+    if isinstance(value, str):  # a text is a sequence of letters, which nobody means
+        return hint not in (float, int, bool, type(None)) and not container
     if isinstance(value, int | float):
         whole = hint is int and isinstance(value, float) and not value.is_integer()
         return not whole and hint not in (bool, str, type(None)) and not (isinstance(origin, type))
     if isinstance(value, list | tuple):
-        if hint in (float, int, bool, str, type(None)):
+        if hint in (float, int, bool, str, type(None)) or (container and issubclass(origin, dict | Mapping)):
             return False
-        if origin in (list, Sequence) and parts:
+        if _listed(hint):
             return all(_may_be(one, parts[0]) for one in value)
+        if origin is tuple and parts:
+            return len(value) == len(parts) and all(map(_may_be, value, parts))
         return True
     if isinstance(value, dict):
-        return hint not in (float, int, bool, str, type(None))
+        return hint not in (float, int, bool, str, type(None)) and not _listed(hint) and origin is not tuple
     return True
 
 
@@ -132,6 +172,10 @@ def _said(hint: Any) -> str:
         return _WORDS[hint]
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return "values by name (NAME.KEY=value)"
+    if _listed(hint) and parts[0] is str:
+        return 'a list of names (["a", "b"])'
+    if _listed(hint) and typing.get_origin(parts[0]) in (list, tuple, Sequence):
+        return "a list of lists ([[...], [...]])"
     if isinstance(origin, type):
         return "a list ([1, 2])"
     return str(getattr(hint, "__name__", hint))

@@ -20,7 +20,7 @@ from typing import Any
 
 from harness.errors import HarnessError, InputError, PluginError
 from harness.fingerprint import files_named, fingerprint
-from harness.options import check_options, instead
+from harness.options import instead, meant_options
 
 __all__ = ["KINDS", "Entry", "code_of", "create", "dataset_path", "entries", "entry", "load", "named_options"]
 
@@ -222,7 +222,7 @@ def create(kind: str, id: str, /, **options: Any) -> Any:
             got=", ".join(f"{k}={v!r}" for k, v in options.items()) or "none",
             remedy=remedy,
         )
-    check_options(f"{kind[:-1]} {id!r}", factory, options)
+    options = meant_options(f"{kind[:-1]} {id!r}", factory, options)
     try:
         return factory(**options)
     except HarnessError:

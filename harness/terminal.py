@@ -493,7 +493,12 @@ def print_system(content: dict[str, Any]) -> None:
 
 def seed_range(text: str | None) -> tuple[int, int] | None:
     """Read ``A..B``; None where nothing is asked for."""
-    return None if text is None else whole_range(text, "--seeds")
+    if text is None:
+        return None
+    first, last = whole_range(text, "--seeds")
+    if ".." not in text and first:
+        print(f"seed {first} alone; --seeds 0..{first - 1} are {first} seeds", file=sys.stderr)
+    return first, last
 
 
 def whole_range(text: str, flag: str) -> tuple[int, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
+import tokenize
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from harness.signals import FloatArray
 if TYPE_CHECKING:
     import pint
 
-__all__ = ["base_units", "convert", "fits"]
+__all__ = ["base_units", "convert", "fits", "is_unit"]
 
 
 WRITTEN = {
@@ -117,7 +118,15 @@ def _parsed(text: str) -> Any:
     for tried in dict.fromkeys((plain, words)):
         try:
             return _registry().parse_units(tried)
-        except (pint.PintError, ValueError, TypeError, AttributeError, AssertionError, KeyError) as error:
+        except (
+            pint.PintError,
+            ValueError,
+            TypeError,
+            AttributeError,
+            AssertionError,
+            KeyError,
+            tokenize.TokenError,
+        ) as error:
             last = error
     raise InputError(
         "unknown unit",
@@ -169,6 +178,21 @@ def fits(unit: str, target: str) -> bool:
     """
     goal = _parse(target)
     return any(_parsed(text).dimensionality == goal.dimensionality for text in _readings(unit))
+
+
+def is_unit(text: str) -> bool:
+    """Return True if a text is a unit, be it one with two readings.
+
+    Examples
+    --------
+    >>> is_unit("deg"), is_unit("theta")
+    (True, False)
+    """
+    try:
+        fits(text, "1")
+    except InputError:
+        return False
+    return True
 
 
 def convert(values: FloatArray, unit: str, target: str) -> FloatArray:

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from harness.errors import InputError
-from harness.options import check_options, instead
+from harness.options import instead, meant_options
 from harness.signals import Channel, FloatArray, PlantSpec
 
 __all__ = ["checked_inputs", "checked_options", "finite", "initial_values", "per_item", "positive", "refuse_input"]
@@ -173,5 +173,4 @@ def checked_options(
             got=", ".join(unknown),
             remedy=instead(unknown, known),
         )
-    check_options(factory, maker, options)
-    return {**defaults, **options}
+    return {**defaults, **meant_options(factory, maker, options)}

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from harness.errors import HarnessError, InputError, PlantError
-from harness.options import check_options, instead
+from harness.options import instead, meant_options
 from harness.protocols import Batch, BatchTruth, Feedthrough, Plant, Snapshots, Truth
 from harness.signals import FloatArray
 from plants import frames
@@ -120,7 +120,7 @@ def _made(factory: str | Callable[..., Plant], options: dict[str, Any]) -> Plant
             got=", ".join(f"{name}={value!r}" for name, value in options.items()) or "none",
             remedy=instead(unknown, known) if unknown else f"give {', '.join(lacking)}",
         ) from error
-    check_options(f"the plant {factory if isinstance(factory, str) else maker.__name__!r}", maker, options)
+    options = meant_options(f"the plant {factory if isinstance(factory, str) else maker.__name__!r}", maker, options)
     return maker(**options)
 
 

@@ -16,7 +16,7 @@ from harness.signals import FloatArray, PlantSpec
 from scenarios import signals
 from scenarios.arm_models import arm_of
 from scenarios.conditions import Conditions
-from scenarios.noise import PerChannel, per_channel
+from scenarios.noise import PerChannel, not_negative, per_channel
 
 __all__ = ["ArmComputedTorque", "ArmPd", "ArmTracking", "CartPoleLqr"]
 
@@ -82,7 +82,8 @@ class ArmTracking(Conditions):
         controller = _Tracking(spec, positions, rates if len(rates) == spec.nu else [], reference, law, self.cutoff)
         excitation = np.zeros((n, spec.nu))
         if self.torque_excitation is not None:
-            peaks = per_channel(self.torque_excitation, spec.inputs, "torque_excitation")
+            given = per_channel(self.torque_excitation, spec.inputs, "torque_excitation")
+            peaks = not_negative(given, spec.inputs, "torque_excitation", real=False)
             band = (10 * self.band[0], 10 * self.band[1])
             lines = signals.lines_of_band(n, spec.sample_time, band)
             rng = streams(f"{role}/torque")
@@ -115,7 +116,7 @@ class ArmTracking(Conditions):
     def _reference(self, n: int, spec: PlantSpec, positions: list[int], *, rng: np.random.Generator) -> FloatArray:
         """Return position, rate and acceleration about the start, shape (3, n, joints)."""
         channels = tuple(spec.outputs[i] for i in positions)
-        peaks = per_channel(self.amplitude, channels, "amplitude")
+        peaks = not_negative(per_channel(self.amplitude, channels, "amplitude"), channels, "amplitude", real=False)
         if not 0 < self.band[0] <= self.band[1] or self.lines < 1 or self.fade <= 0:
             raise InputError(
                 "reference of the arm",
@@ -331,6 +332,7 @@ class CartPoleLqr(Conditions):
         lines = signals.lines_of_band(n, spec.sample_time, band)
         wave = signals.multisine(n, n, lines, rng=streams(f"{role}/excitation"))
         limits = spec.inputs[0]
+        not_negative(np.array([self.amplitude]), spec.inputs, "amplitude", real=False)
         excitation = np.clip(self.amplitude * wave, limits.minimum, limits.maximum)
         start = {"theta": math.pi + float(streams(f"{role}/tilt").uniform(-self.tilt, self.tilt))}
         controller = _Balance(self, spec, names.index("x"), names.index("theta"), excitation)

@@ -12,7 +12,7 @@ import numpy as np
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec
 
-__all__ = ["PerChannel", "Sensor", "coloured_noise", "per_channel", "process_disturbance", "sensor"]
+__all__ = ["PerChannel", "Sensor", "coloured_noise", "not_negative", "per_channel", "process_disturbance", "sensor"]
 
 PerChannel = float | Mapping[str, float]
 """One number for every channel, in the channel's own unit, or numbers by channel name (others: none)."""
@@ -137,8 +137,8 @@ def sensor(
     >>> sensor(spec, 10, rng=np.random.default_rng(0)) is None
     True
     """
-    deviations = _not_negative(per_channel(noise, spec.outputs, "noise"), spec.outputs, "noise")
-    widths = _not_negative(per_channel(quantisation, spec.outputs, "quantisation"), spec.outputs, "quantisation")
+    deviations = not_negative(per_channel(noise, spec.outputs, "noise"), spec.outputs, "noise")
+    widths = not_negative(per_channel(quantisation, spec.outputs, "quantisation"), spec.outputs, "quantisation")
     if not deviations.any() and not widths.any():
         return None
     return Sensor(rng.standard_normal((n, spec.ny)) * deviations, widths)
@@ -225,8 +225,8 @@ def process_disturbance(
     InputError
         If a value is negative, a name unknown, an input not real, or a ratio is given to an input at rest.
     """
-    absolute = _not_negative(per_channel(rms, spec.inputs, "process_noise"), spec.inputs, "process_noise")
-    relative = _not_negative(per_channel(ratio, spec.inputs, "process_noise_ratio"), spec.inputs, "process_noise_ratio")
+    absolute = not_negative(per_channel(rms, spec.inputs, "process_noise"), spec.inputs, "process_noise")
+    relative = not_negative(per_channel(ratio, spec.inputs, "process_noise_ratio"), spec.inputs, "process_noise_ratio")
     if not absolute.any() and not relative.any():
         return None
     level = excitation.std(axis=0)
@@ -244,13 +244,13 @@ def process_disturbance(
     return np.asarray(draws * np.sqrt(absolute**2 + (relative * level) ** 2), dtype=float)
 
 
-def _not_negative(values: FloatArray, channels: tuple[Channel, ...], option: str) -> FloatArray:
-    """Return the values, refusing a negative one, and any at all on a channel that is not real."""
+def not_negative(values: FloatArray, channels: tuple[Channel, ...], option: str, *, real: bool = True) -> FloatArray:
+    """Return the values, refusing a negative one, and (``real``) any at all on a channel that is not real."""
     for channel, value in zip(channels, values, strict=True):
-        if value < 0 or (value > 0 and channel.kind != "real"):
+        if value < 0 or (real and value > 0 and channel.kind != "real"):
             raise InputError(
                 f"option {option!r} for channel {channel.name!r}",
-                expected="zero or a positive number" if channel.kind == "real" else f"none on a {channel.kind} channel",
+                expected="zero or a positive number" if value < 0 else f"none on a {channel.kind} channel",
                 got=f"{value:g}",
                 remedy="correct or remove it",
                 place=option,

@@ -20,7 +20,7 @@ from harness.rng import Streams
 from harness.signals import Channel, FloatArray, PlantSpec
 from scenarios import signals
 from scenarios.conditions import Conditions, half_range
-from scenarios.noise import PerChannel, per_channel
+from scenarios.noise import PerChannel, not_negative, per_channel
 
 __all__ = [
     "Chirp",
@@ -93,10 +93,12 @@ class OpenLoop(Conditions, ABC):
         ranges = [half_range(channel) for channel in spec.inputs]
         middle = np.array([0.0 if limits is None else limits[0] for limits in ranges])
         if self.amplitude is not None:
-            amplitude = per_channel(self.amplitude, spec.inputs, "amplitude")
+            given = per_channel(self.amplitude, spec.inputs, "amplitude")
+            amplitude = not_negative(given, spec.inputs, "amplitude", real=False)
         else:
             fraction = self.default_fraction if self.relative_amplitude is None else self.relative_amplitude
-            fractions = per_channel(fraction, spec.inputs, "relative_amplitude")
+            given = per_channel(fraction, spec.inputs, "relative_amplitude")
+            fractions = not_negative(given, spec.inputs, "relative_amplitude", real=False)
             free = [c for c, limits, f in zip(spec.inputs, ranges, fractions, strict=True) if limits is None and f]
             if free and self.relative_amplitude is not None:
                 raise _no_limits(free[0])

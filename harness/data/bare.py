@@ -7,9 +7,9 @@ from pathlib import Path
 
 import msgspec
 
-from harness.data.headers import split_header
-from harness.data.ports import Ports, located_model, ports_of
-from harness.data.sections import Description, NominalSection, RunSection, SignalSection, TimeSection
+from harness.data.headers import clock_of, split_header
+from harness.data.ports import Ports, located_model, ports_of, rate_unit
+from harness.data.sections import Description, NominalSection, RunSection, SignalSection
 from harness.data.tables import BARE, REFERENCE, Table, open_table, suffix_of
 from harness.data.trajectories import stored_spec
 from harness.errors import InputError
@@ -59,45 +59,57 @@ def describe_bare(
             file=path,
         )
     signals = _signals(table, known, path, notes)
-    runs, second = _runs(path, table, validation, next(iter(signals)), tables)
+    name, first = next(iter(signals.items()))
+    like = None if first.port is None else known.find(first.port, first.role).unit
+    like = None if like is None else rate_unit(like, first.derivative)
+    runs, second = _runs(path, table, validation, table.find(name, like) or name, tables)
     notes += second
     nominal = NominalSection(model=model) if model is not None else None
-    names = [split_header(title)[0] for title in table.titles]
-    clock = _clock(names)
-    time = TimeSection(column=clock) if clock not in ("", "time", *signals) else None
-    return Description(name=path.stem, signals=signals, runs=runs, nominal=nominal, time=time), known
+    return Description(name=path.stem, signals=signals, runs=runs, nominal=nominal), known
 
 
 def _signals(table: Table, ports: Ports, path: Path, notes: list[str]) -> dict[str, SignalSection]:
     """Return a signal for every column that carries the name of a port or of its rate."""
     signals: dict[str, SignalSection] = {}
-    inputs = {channel.name for channel in ports.inputs}
+    units = {channel.name: channel.unit for channel in ports.inputs}
     outputs: dict[str, tuple[str, int]] = {channel.name: (channel.name, 0) for channel in ports.outputs}
+    units |= {channel.name: channel.unit for channel in ports.outputs}
     for channel in ports.outputs:
-        outputs.setdefault(Ports.channel_name(channel.name, 1), (channel.name, 1))
+        rate = Ports.channel_name(channel.name, 1)
+        outputs.setdefault(rate, (channel.name, 1))
+        units.setdefault(rate, rate_unit(channel.unit, 1))
+    inputs = {channel.name for channel in ports.inputs}
     # tau_1 is as good as tau1
-    plain = {port.replace("_", ""): port for port in inputs}
-    bare = {name.replace("_", ""): target for name, target in outputs.items()}
-    names = {split_header(title)[0]: title for title in table.titles}
-    clock = names.get(_clock(list(names)), "")
-    ignored = []
+    plain = {name.replace("_", ""): name for name in units}
+    found: dict[str, str] = {}
     for title in table.titles:
-        name = split_header(title)[0]
         # the unit stays with the title: a validation file may state another one
-        if name in inputs:
-            signals[name] = SignalSection(role="input")
-        elif name in outputs:
-            port, derivative = outputs[name]
-            signals[name] = SignalSection(role="output", port=port, derivative=derivative)
-        elif name.replace("_", "") in plain:
-            signals[name] = SignalSection(role="input", port=plain[name.replace("_", "")])
-        elif name.replace("_", "") in bare:
-            port, derivative = bare[name.replace("_", "")]
-            signals[name] = SignalSection(role="output", port=port, derivative=derivative)
-        elif name.startswith(REFERENCE):
-            signals[name] = SignalSection(role="reference")
-        elif name != "time" and title != clock:
-            ignored.append(title)
+        name = split_header(title)[0]
+        if name in units or name.replace("_", "") in plain:
+            found[title] = name
+    taken = {plain[name.replace("_", "")] for name in found.values()}
+    for title in table.titles:
+        if title in found or title.startswith(REFERENCE):
+            continue
+        for name, unit in units.items():
+            if name not in taken and (parts := table.stated(title, unit)) is not None and parts[0] == name:
+                found[title] = name
+    clock = clock_of(table.titles, found)
+    ignored = [
+        title
+        for title in table.titles
+        if title and title not in found and title != clock and not title.startswith(REFERENCE)
+    ]
+    for title in table.titles:
+        if title.startswith(REFERENCE):
+            signals[split_header(title)[0]] = SignalSection(role="reference")
+        elif title in found:
+            name = found[title]
+            port = name if name in units else plain[name.replace("_", "")]
+            if port in inputs:
+                signals[name] = SignalSection(role="input", port=port)
+            else:
+                signals[name] = SignalSection(role="output", port=outputs[port][0], derivative=outputs[port][1])
     if not any(signal.role == "output" for signal in signals.values()):
         raise InputError(
             f"no column is an output of {ports.model}",
@@ -109,15 +121,6 @@ def _signals(table: Table, ports: Ports, path: Path, notes: list[str]) -> dict[s
     if ignored:
         notes.append(f"columns that are no ports of {ports.model} are ignored: {', '.join(ignored[:8])}")
     return signals
-
-
-def _clock(names: Sequence[str]) -> str:
-    """Return the name of the time column, empty if there is none: time or t, else the same with capitals."""
-    for wanted in ("time", "t", "timestamp"):
-        found = [name for name in names if name == wanted] or [name for name in names if name.lower() == wanted]
-        if len(found) == 1 or wanted in found:
-            return found[0]
-    return ""
 
 
 def _runs(

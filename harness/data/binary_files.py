@@ -83,8 +83,11 @@ class ParquetFile:
         return None
 
     def unit(self, title: str) -> str | None:
-        """Return None: units stand in the titles."""
-        return None
+        """Return s for time stamps and spans; other units stand in the titles."""
+        import pyarrow.types as kinds
+
+        kind = self._table.column(title).type
+        return "s" if kinds.is_timestamp(kind) or kinds.is_duration(kind) else None
 
 
 class FeatherFile(ParquetFile):
@@ -116,6 +119,10 @@ class _Variables:
             return np.asarray(self._variables[title], dtype=np.float64).reshape(-1)
         return vector(self._variables[title], selector, resolve=self.resolve)
 
+    def inside(self, title: str) -> list[str] | None:
+        """Return the selectors of the columns that a variable holds; None where it is one column of numbers."""
+        return _inside(title, np.asarray(self._variables[title]), self.resolve)
+
     def select(self, text: str) -> FloatArray | None:
         """Return what a selector finds; None if its variable is not there."""
         selector = parse_selector(text)
@@ -126,6 +133,32 @@ class _Variables:
     def unit(self, title: str) -> str | None:
         """Return None: these formats state no units."""
         return None
+
+
+MOST_INSIDE = 100
+"""Columns that are shown of one variable."""
+
+
+def _inside(so_far: str, array: Any, resolve: Any, depth: int = 0) -> list[str] | None:
+    """Return the selectors of the columns of numbers in a value; None where it is one itself."""
+    array = np.asarray(resolve(array))
+    if array.dtype.names and depth < 4:
+        inner: list[str] = []
+        for name in array.dtype.names:
+            value = array[name]
+            value = value.reshape(-1)[0] if value.size == 1 and value.dtype == object else value
+            inner += _inside(f"{so_far}.{name}", value, resolve, depth + 1) or [f"{so_far}.{name}"]
+        return inner[:MOST_INSIDE]
+    if array.dtype == object and depth < 4:
+        cells = list(enumerate(array.reshape(-1, order="F")))[:MOST_INSIDE]
+        nested = [_inside(f"{so_far}{{{k}}}", cell, resolve, depth + 1) or [f"{so_far}{{{k}}}"] for k, cell in cells]
+        return [one for some in nested for one in some][:MOST_INSIDE]
+    if array.ndim == 2 and 1 not in array.shape and array.dtype.kind in "biuf":
+        rows, columns = array.shape
+        if columns <= rows:
+            return [f"{so_far}[:,{k}]" for k in range(min(columns, MOST_INSIDE))]
+        return [f"{so_far}[{k}]" for k in range(min(rows, MOST_INSIDE))]
+    return None
 
 
 class MatFile(_Variables):
@@ -158,6 +191,7 @@ class Hdf5File(_Variables):
     """An HDF5 file; data sets go by their path (``log/theta``), units by an attribute ``unit`` or ``units``."""
 
     transposed = False
+    paths = True
 
     def __init__(self, path: Path) -> None:
         h5py = optional("h5py", "HDF5")

@@ -9,9 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from harness.data.headers import split_header
-from harness.errors import InputError
 from harness.signals import FloatArray
-from harness.units import fits
+from harness.units import is_unit
 
 __all__ = ["EMPTY", "clock", "is_number", "seconds_of", "units_below"]
 
@@ -47,21 +46,12 @@ def units_below(titles: Sequence[str], cells: Sequence[str]) -> list[str] | None
     bare = [cell.strip().strip("[]()").strip() for cell in cells]
     if len(bare) != len(titles) or not any(bare) or any(is_number(cell) and cell != "1" for cell in bare):
         return None
-    if not any(cell and cell != "1" for cell in bare) or not all(_is_unit(cell) for cell in bare if cell):
+    if not any(cell and cell != "1" for cell in bare) or not all(is_unit(cell) for cell in bare if cell):
         return None
     return [
         f"{title} [{cell}]" if cell and split_header(title)[1] is None else title
         for title, cell in zip(titles, bare, strict=True)
     ]
-
-
-def _is_unit(text: str) -> bool:
-    """Return True if a text is a unit, be it one with two readings."""
-    try:
-        fits(text, "1")
-    except InputError:
-        return False
-    return True
 
 
 def clock(cells: Sequence[str]) -> FloatArray | None:

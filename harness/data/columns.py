@@ -31,6 +31,7 @@ class MemoryTable:
         self._columns = {str(title): values for title, values in columns.items()}
         self.titles = list(self._columns)
         self.notes: list[str] = []
+        self._clocks: set[str] = set()
         self._first, self._word = first, word
 
     def values(self, title: str) -> FloatArray:
@@ -44,9 +45,17 @@ class MemoryTable:
                 remedy="give each channel a column of its own",
             )
         if array.dtype.kind in "mM":
+            self._clocks.add(title)
             return seconds_of(array)
         if array.dtype.kind in "biuf":
             return array.astype(np.float64)
+        if array.dtype.kind == "c":
+            raise InputError(
+                f"column {title!r}",
+                expected="real numbers",
+                got=f"complex ones ({array.dtype})",
+                remedy="give real and imaginary part a column each",
+            )
         return self._slowly(title, list(array))
 
     def select(self, text: str) -> FloatArray | None:
@@ -54,8 +63,8 @@ class MemoryTable:
         return None
 
     def unit(self, title: str) -> str | None:
-        """Return None: units stand in the titles."""
-        return None
+        """Return s for dates and times; other units stand in the titles."""
+        return "s" if title in self._clocks else None
 
     def where(self, row: int) -> str:
         """Return the place of a row (from 0) as the table's owner counts it."""
@@ -65,6 +74,7 @@ class MemoryTable:
         """Return a column of objects: numbers, texts of numbers, times, None."""
         texts = ["" if cell is None else str(cell) for cell in cells]
         if (stamps := clock(texts)) is not None:
+            self._clocks.add(title)
             return stamps
         numbers = []
         for row, text in enumerate(texts):

@@ -24,7 +24,10 @@ from harness.data.sections import (
 )
 from harness.errors import InputError
 
-__all__ = ["parse_description", "read_description"]
+__all__ = ["OPEN", "parse_description", "read_description"]
+
+OPEN = "?"
+"""What a draft writes where something has to be decided: no value of any key, so that nothing is taken before it is."""
 
 
 def read_description(path: str | Path) -> Description:
@@ -73,6 +76,7 @@ def parse_description(text: str, *, file: str | Path | None = None) -> Descripti
     except tomllib.TOMLDecodeError as error:
         raise InputError("not TOML", expected="TOML", got=str(error), remedy="repair that line", file=file) from error
     _refuse_unknown(content, file)
+    _refuse_open(content, "", file)
     try:
         read = msgspec.convert(content, Description)
     except msgspec.ValidationError as error:
@@ -82,6 +86,26 @@ def parse_description(text: str, *, file: str | Path | None = None) -> Descripti
     except InputError as error:
         raise error.located(file=file) from error
     return read
+
+
+def _refuse_open(content: Any, place: str, file: str | Path | None) -> None:
+    """Refuse a question of a draft that nobody has answered yet."""
+    if content == OPEN:
+        raise InputError(
+            "an open question",
+            expected="an answer, as the comment behind it asks",
+            got=repr(OPEN),
+            remedy="replace it",
+            file=file,
+            place=place,
+        )
+    items: Iterable[tuple[Any, Any]] = ()
+    if isinstance(content, dict):
+        items = ((f"{place}.{key}".lstrip("."), value) for key, value in content.items())
+    elif isinstance(content, list):
+        items = ((f"{place}[{number}]", value) for number, value in enumerate(content))
+    for where, value in items:
+        _refuse_open(value, where, file)
 
 
 _TABLES: dict[str, type[msgspec.Struct]] = {

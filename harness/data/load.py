@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
+from harness.data.bags import is_bag_folder
 from harness.data.bare import describe_bare
 from harness.data.conditioning import conditioned
 from harness.data.description import read_description
+from harness.data.headers import clock_of
 from harness.data.loaded import LoadedDataset
 from harness.data.memory import in_memory
+from harness.data.merging import merged
 from harness.data.plan import Plan
 from harness.data.sanity import check_run, check_runs
 from harness.data.sections import Description, RunSection
 from harness.data.tables import BARE, FORMATS, Table, nearest, open_table, suffix_of
-from harness.data.timebase import Piece, TimeRules, pieces_of
+from harness.data.timebase import Piece, TimeRules, pieces_of, refuse_unlikely_seconds
 from harness.errors import InputError
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 from harness.units import convert, fits
@@ -150,7 +154,7 @@ class _Reader:
             file, place = self._file(number, section), f"runs[{number}]"
             try:
                 pieces, notes = self._pieces(
-                    section, open_table(file, self.tables), None if spec is None else spec.sample_time
+                    section, open_table(file, self.tables, section.sheet), None if spec is None else spec.sample_time
                 )
                 for order, piece in enumerate(pieces):
                     spec = spec or self._spec(piece.sample_time)
@@ -170,7 +174,7 @@ class _Reader:
         if not any(run.use == "validation" for run in runs):
             self.notes.append("no validation run: nothing chooses between models on data that they have not seen")
         dataset = Dataset(
-            self.description.name, tuple(runs), self.description.intersample, plan.noise(), tuple(self.notes)
+            self.description.name, tuple(runs), self.description.intersample or "zoh", plan.noise(), tuple(self.notes)
         )
         return LoadedDataset(dataset, plan.nominal, measured, tuple(references), self.path, self.description.source)
 
@@ -198,11 +202,12 @@ class _Reader:
             return
         channel, ports = self.plan.unrecorded[0], self.plan.ports
         section = self.description.runs[0]
-        table = open_table(self._file(0, section), self.tables)
+        table = open_table(self._file(0, section), self.tables, section.sheet)
         signals = self.description.signals
-        used = {table.find(self._column(name, section)) for name in signals if signals[name].role != "reference"}
-        time = "time" if self.description.time is None else self.description.time.column
-        free = [title for title in table.titles if title not in used and title != table.find(time)]
+        used = {self._title(name, table, section) for name in signals if signals[name].role != "reference"}
+        clock = self._clock(section, table, used)
+        time = None if clock is None else table.find(clock)
+        free = [title for title in table.titles if title not in used and title != time]
         raise InputError(
             f"no column gives the input {channel} of {ports.model if ports is not None else 'the model'}",
             expected=f"a column {str(channel)!r}, or undriven = [{channel.name!r}] where nothing drove it",
@@ -224,7 +229,7 @@ class _Reader:
         if folder:
             places.append(Path(folder) / given)
         for place in places:
-            if place.is_file():
+            if place.is_file() or is_bag_folder(place):
                 return place
         source = self.description.source
         if source is None:
@@ -251,11 +256,11 @@ class _Reader:
             if expected and hashlib.sha256(self._file(number, section).read_bytes()).hexdigest() != expected:
                 self.notes.append(f"{section.file} is not the file that this recipe was written for (SHA-256 differs)")
 
-    def _header_unit(self, name: str) -> str | None:
+    def _header_unit(self, name: str, like: str | None) -> str | None:
         """Return the unit that the first run's file states for a signal."""
         section = self.description.runs[0]
-        table = open_table(self._file(0, section), self.tables)
-        return table.read(self._column(name, section))[1]
+        table = open_table(self._file(0, section), self.tables, section.sheet)
+        return table.read(self._column(name, section), like)[1]
 
     def _column(self, name: str, section: RunSection) -> str | int:
         """Return the column of a signal in one run."""
@@ -263,6 +268,10 @@ class _Reader:
             return section.columns[name]
         column = self.description.signals[name].column
         return name if column is None else column
+
+    def _title(self, name: str, table: Table, section: RunSection) -> str | None:
+        """Return the title of a signal's column in one run; None where a selector finds it, or nothing does."""
+        return table.find(self._column(name, section), self.plan.like(name))
 
     # ---- values ---------------------------------------------------------------------------------------------------
 
@@ -272,7 +281,9 @@ class _Reader:
         columns: dict[str, FloatArray] = {}
         seen: dict[str | int, str] = {}
         for name in names:
-            column = self._column(name, section)
+            column = self._title(name, table, section) or self._column(name, section)
+            if isinstance(self._column(name, section), int):  # two columns may have one title
+                column = self._column(name, section)
             if column in seen:
                 raise InputError(
                     "two signals from one column",
@@ -283,6 +294,10 @@ class _Reader:
                 )
             seen[column] = name
             columns[name] = self._converted(name, table, column)
+        inputs = tuple(name in self.plan.inputs for name in names)
+        own = table.clocks(list(seen))
+        if own is not None:
+            return self._merged(section, own, columns, inputs, common)
         time = self._time(section, table, seen)
         lengths = {name: len(values) for name, values in columns.items()}
         if time is not None:
@@ -296,7 +311,6 @@ class _Reader:
             )
         values = np.column_stack([columns[name] for name in names])
         chosen = self._rows(section, len(values))
-        inputs = tuple(name in self.plan.inputs for name in names)
         return pieces_of(
             None if time is None else time[chosen],
             values[chosen],
@@ -307,10 +321,44 @@ class _Reader:
             where=lambda row: table.where(row + (chosen.start or 0)),
         )
 
+    def _merged(
+        self,
+        section: RunSection,
+        own: tuple[list[FloatArray], str],
+        columns: dict[str, FloatArray],
+        inputs: tuple[bool, ...],
+        common: float | None,
+    ) -> tuple[list[Piece], list[str]]:
+        """Return the pieces of a run whose signals have clocks of their own, in SI units."""
+        declared = section.columns.get(
+            "time", "time" if self.description.time is None else self.description.time.column
+        )
+        if declared != "time":
+            raise InputError(
+                "a time column where signals have clocks of their own",
+                expected="none: each message has its stamp",
+                got=repr(declared),
+                remedy="remove [time]",
+                place="time",
+            )
+        clocks, kind = own
+        names, notes = tuple(columns), [f"time: {kind}"]
+        first = clocks[0]
+        if all(len(clock) == len(first) and np.array_equal(clock, first) for clock in clocks):
+            time, values, rules = first, np.column_stack(list(columns.values())), self.rules
+        else:
+            time, values = merged(
+                clocks, list(columns.values()), names=names, inputs=inputs, rules=self.rules, notes=notes
+            )
+            rules = replace(self.rules, resample=None, sample_time=None)
+        chosen = self._rows(section, len(values))
+        pieces, said = pieces_of(time[chosen], values[chosen], names=names, inputs=inputs, rules=rules, common=common)
+        return pieces, notes + said
+
     def _converted(self, name: str, table: Table, column: str | int) -> FloatArray:
         """Return one signal in its SI unit: scale and offset first, then the unit."""
         signal = self.description.signals[name]
-        raw, stated = table.read(column)
+        raw, stated = table.read(column, self.plan.like(name))
         unit = stated if signal.unit is None and stated is not None else self.plan.units[name]
         if stated is not None and signal.unit is not None and not _same_unit(stated, unit):
             self.notes.append(f"signals.{name}: the title says {stated!r}; {unit!r}, as declared, counts")
@@ -326,11 +374,18 @@ class _Reader:
             )
         return convert(scaled, unit, self.plan.channels[name].unit)
 
+    def _clock(self, section: RunSection, table: Table, used: Collection[str | int | None]) -> str | int | None:
+        """Return the time column: the declared one, else what a title calls the time; None if there is none."""
+        declared = self.description.time
+        if "time" in section.columns or declared is not None:
+            return section.columns.get("time", declared.column if declared is not None else "time")
+        return clock_of(table.titles, [title for title in used if isinstance(title, str)])
+
     def _time(self, section: RunSection, table: Table, used: dict[str | int, str]) -> FloatArray | None:
         """Return the time stamps [s]; None where only a sample time is declared and the file has no time column."""
-        declared = self.description.time
-        column = section.columns.get("time", declared.column if declared is not None else "time")
-        if declared is None and "time" not in section.columns and (table.find("time") is None or "time" in used):
+        titles = [table.find(column) for column in used]
+        column = self._clock(section, table, [title for title in titles if title is not None])
+        if column is None:
             if self.description.sample_time is None:
                 raise InputError(
                     "no time",
@@ -340,12 +395,14 @@ class _Reader:
                     place="sample_time",
                 )
             return None
-        raw, stated = table.read(column)
-        unit = (declared.unit if declared is not None else None) or stated or "s"
+        declared = self.description.time
         try:
-            return convert(raw, unit, "s")
+            time, stated = table.read_time(column, declared.unit if declared is not None else None)
         except InputError as error:
             raise error.located(file=self.path, place="time.unit") from error
+        if not stated and self.description.sample_time is None:
+            refuse_unlikely_seconds(time, str(column))
+        return time
 
     def _rows(self, section: RunSection, n: int) -> slice:
         """Return the rows that a run uses."""
@@ -384,7 +441,11 @@ class _Reader:
         runs = list(enumerate(self.description.runs))
         for a, first in runs:
             for b, second in runs[a + 1 :]:
-                if (first.file, first.columns) != (second.file, second.columns) or first.use == second.use:
+                if (first.file, first.sheet, first.columns) != (
+                    second.file,
+                    second.sheet,
+                    second.columns,
+                ) or first.use == second.use:
                     continue
                 low = [0 if run.rows is None else run.rows[0] for run in (first, second)]
                 high = [np.inf if run.rows is None else run.rows[1] for run in (first, second)]

@@ -7,6 +7,7 @@ import json
 import logging
 import sys
 import traceback
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ __all__ = ["McapFile", "MdfFile"]
 class MdfFile:
     """An MDF file (version 3 or 4); channels go by their name, ``time`` is the raster of the first channel.
 
-    All channels that are used must share that raster: the reader resamples nothing.
+    Channels on other rasters keep their own stamps.
     """
 
     def __init__(self, path: Path) -> None:
@@ -48,16 +49,12 @@ class MdfFile:
         """Return one channel (N,), or the time axis [s]."""
         if title == "time":
             return self._time.copy()
-        signal = self._channels[title]
-        if not np.array_equal(signal.timestamps, self._time):
-            raise InputError(
-                f"channel {title!r} has time stamps of its own",
-                expected=f"the raster of {self.titles[1]!r}",
-                got=f"{len(signal.timestamps)} other time stamps",
-                remedy="resample the log to one raster when exporting it",
-                place=title,
-            )
-        return np.array(signal.samples, dtype=np.float64)
+        return np.array(self._channels[title].samples, dtype=np.float64)
+
+    def clocks(self, titles: Sequence[str]) -> tuple[list[FloatArray], str]:
+        """Return the stamps [s] of some channels, each on its own raster."""
+        stamps = [self._time if title == "time" else self._channels[title].timestamps for title in titles]
+        return [np.asarray(one, dtype=np.float64) for one in stamps], "the log's own"
 
     def select(self, text: str) -> FloatArray | None:
         """Return None: MDF has plain channels only."""
@@ -86,13 +83,15 @@ def _drop_quietly(error: BaseException) -> None:
 class McapFile:
     """An MCAP log with JSON messages; a value goes by ``/topic.field.field``.
 
-    ``time`` is the log time [s] of the first topic since its first message; all topics that are used must have as
-    many messages as it has.
+    ``time`` is the log time [s] of the first topic since its first message; every topic keeps stamps of its own.
     """
+
+    paths = True
 
     def __init__(self, path: Path) -> None:
         reader_module = optional("mcap.reader", "MCAP")
         columns: dict[str, list[float]] = {}
+        taken: dict[str, list[int]] = {}
         stamps: dict[str, list[int]] = {}
         foreign: dict[str, str] = {}
         try:
@@ -104,6 +103,7 @@ class McapFile:
                     stamps.setdefault(channel.topic, []).append(message.log_time)
                     for name, value in _numbers(channel.topic, json.loads(message.data)):
                         columns.setdefault(name, []).append(value)
+                        taken.setdefault(name, []).append(message.log_time)
         except Exception as error:
             raise broken(path, "MCAP", error) from error
         if not columns:
@@ -117,21 +117,18 @@ class McapFile:
         self._foreign = foreign
         self._columns = {name: np.array(values) for name, values in columns.items()}
         first = np.array(next(iter(stamps.values())), dtype=np.int64)
+        self._clocks = {name: (np.array(at, dtype=np.int64) - first[0]) * 1e-9 for name, at in taken.items()}
+        self._clocks["time"] = (first - first[0]) * 1e-9
         self._columns = {"time": (first - first[0]) * 1e-9, **self._columns}
         self.titles = list(self._columns)
 
     def values(self, title: str) -> FloatArray:
-        """Return one field (N,), or the log time [s]."""
-        values = self._columns[title]
-        if values.shape != self._columns["time"].shape:
-            raise InputError(
-                f"{title!r} has another number of messages",
-                expected=f"{self._columns['time'].size} as {self.titles[1]!r}",
-                got=str(values.size),
-                remedy="log the signals together, or resample the log first",
-                place=title,
-            )
-        return values.copy()
+        """Return one field (N,) at the stamps of its topic, or the log time [s] of the first one."""
+        return self._columns[title].copy()
+
+    def clocks(self, titles: Sequence[str]) -> tuple[list[FloatArray], str]:
+        """Return the log times [s] of some fields, from the first message of the first topic."""
+        return [self._clocks[title].copy() for title in titles], "the times at which messages were recorded"
 
     def select(self, text: str) -> FloatArray | None:
         """Return None, as a field goes by its full name; refuse what lies in messages that are not JSON."""

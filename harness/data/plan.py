@@ -32,7 +32,8 @@ class Plan:
     ports : (inputs, outputs) or None
         Channels of the model, where the caller knows them.
     header_unit : callable
-        Returns the unit that the files state for a signal, or None.
+        Returns the unit that the files state for a signal, or None; its second argument is a unit of what the signal
+        is expected to measure, or None.
 
     Raises
     ------
@@ -58,7 +59,7 @@ class Plan:
         *,
         model: str | None,
         ports: tuple[Sequence[Channel], Sequence[Channel]] | None,
-        header_unit: Callable[[str], str | None],
+        header_unit: Callable[[str, str | None], str | None],
     ) -> None:
         self.path, self.description = path, description
         self.notes: list[str] = []
@@ -175,14 +176,23 @@ class Plan:
         """Return the section of a signal."""
         return self.description.signals[name]
 
+    def like(self, name: str) -> str | None:
+        """Return a unit of what a signal measures: the declared one, else its port's; None if neither is known."""
+        signal = self.signal(name)
+        if signal.unit is not None or signal.role == "reference" or self.ports is None or not self.ports.units_fixed:
+            return signal.unit
+        return rate_unit(self.ports.find(self.port(name), signal.role).unit, signal.derivative)
+
     def port(self, name: str) -> str:
         """Return the port that a signal sits on: its own name unless it says otherwise."""
-        return self.signal(name).port or name
+        signal = self.signal(name)
+        port = signal.port or name
+        return port if self.ports is None else self.ports.named(port, signal.role)
 
     def _channel(self, name: str) -> Channel:
         """Return the channel of a signal, in the unit that its values will have."""
         signal, place = self.signal(name), f"signals.{name}.unit"
-        unit = signal.unit or self._header_unit(name)
+        unit = signal.unit or self._header_unit(name, self.like(name))
         if unit is None:
             raise InputError(
                 f"signal {name} has no unit",

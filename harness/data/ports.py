@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,21 @@ class Ports:
     outputs: tuple[Channel, ...]
     model: str = "the model"
     units_fixed: bool = True
+    joints: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    """Input and output port of each joint by the name that the robot's file gives it."""
+
+    def named(self, port: str, role: str) -> str:
+        """Return the name of a port that goes by its joint's name.
+
+        Examples
+        --------
+        >>> ports = Ports((Channel("tau1", "N m"),), (Channel("q1", "rad"),), joints={"elbow": ("tau1", "q1")})
+        >>> ports.named("elbow", "output")
+        'q1'
+        """
+        if port not in self.joints or role == "reference":
+            return port
+        return self.joints[port][role == "output"]
 
     def find(self, port: str, role: str) -> Channel:
         """Return the channel of a port.
@@ -111,11 +126,16 @@ def ports_of(model: str, options: Mapping[str, Any], *, analogy: bool = False) -
     from harness.physics import load_model
     from harness.physics.arm import is_arm, load_arm
 
-    system: Any = load_arm(model) if is_arm(model) else load_model(model, **options)
+    arm = load_arm(model) if is_arm(model) else None
+    system: Any = load_model(model, **options) if arm is None else arm
     outputs = {channel.name: channel for channel in (*system.states, *system.outputs)}
     first = [channel.name for channel in system.outputs]
     ordered = [*first, *(name for name in outputs if name not in first)]
-    return Ports(system.inputs, tuple(outputs[name] for name in ordered), model, units_fixed=not analogy)
+    joints = {}
+    if arm is not None:
+        pairs = zip(arm.arm.moving, arm.inputs, arm.positions, strict=True)
+        joints = {joint.name: (drive.name, angle.name) for joint, drive, angle in pairs}
+    return Ports(system.inputs, tuple(outputs[name] for name in ordered), model, not analogy, joints)
 
 
 def runs_python(model: str) -> bool:

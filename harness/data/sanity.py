@@ -8,6 +8,7 @@ import numpy as np
 
 from harness.data.ports import Ports, rate_unit
 from harness.data.suspicion import swapped_in_and_out, swapped_runs, units_between_runs
+from harness.data.timebase import SHORTEST
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, Run, Trajectory
 
@@ -45,9 +46,13 @@ def check_run(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> li
     """
     notes: list[str] = []
     spec = trajectory.spec
-    if len(trajectory) < 2:
+    if len(trajectory) < SHORTEST:
         raise InputError(
-            "one sample", expected="a record over time", got="1 row", remedy="check rows and discard, or the export"
+            f"a record of {len(trajectory)} row{'s' if len(trajectory) > 1 else ''}",
+            expected=f"at least {SHORTEST} rows: the smallest model has five unknowns (three parameters, two initial "
+            "values), and four readings for each leave something to judge it by",
+            got=str(len(trajectory)),
+            remedy="record longer, or check rows, discard and the export",
         )
     for values, channels in ((trajectory.u, spec.inputs), (trajectory.y, spec.outputs)):
         for column, channel in enumerate(channels):

@@ -100,6 +100,8 @@ class RunSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     file: str
     """File of data, beside the description or below `$SYSID_HARNESS_DATA`."""
+    sheet: str | None = None
+    """Sheet of an Excel workbook; by default the first."""
     use: Literal["estimation", "validation", "test"] = "estimation"
     """What the run is for: models are fitted to estimation runs, chosen on validation runs, and judged on test runs."""
     label: str = ""
@@ -190,8 +192,8 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Sample time [s]; by default that of the time column."""
     time: TimeSection | None = None
     """The time column."""
-    intersample: Literal["zoh", "foh", "smooth"] = "zoh"
-    """What the input does between samples: held, linear, or smooth."""
+    intersample: Literal["zoh", "foh", "smooth"] | None = None
+    """What the input does between samples: held (what is taken where nothing is declared), linear, or smooth."""
     gaps: Gaps = "refuse"
     """What happens to gaps in the time column: refused, or the run split there."""
     duplicates: Literal["refuse", "first", "last", "mean"] = "refuse"

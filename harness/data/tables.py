@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from harness.data.headers import split_header
+from harness.data.headers import clock_unit, split_header, stated_unit
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray
-from harness.units import fits
+from harness.units import convert, fits
 
 __all__ = ["BARE", "FORMATS", "REFERENCE", "TRUTH", "Source", "Table", "nearest", "open_table", "suffix_of"]
 
@@ -33,7 +33,7 @@ class Source(Protocol):
         ...
 
     def values(self, title: str) -> FloatArray:
-        """Return one column (N,) as float64; NaN where the file holds none."""
+        """Return one column (N,) as float64; NaN where the file holds none, dates and times as seconds."""
         ...
 
     def select(self, text: str) -> FloatArray | None:
@@ -41,7 +41,7 @@ class Source(Protocol):
         ...
 
     def unit(self, title: str) -> str | None:
-        """Return the unit that the file itself states."""
+        """Return the unit that the file itself states, after :meth:`values`: s for what was a date or time."""
         ...
 
 
@@ -94,9 +94,16 @@ def _mdf(path: Path) -> Source:
 
 
 def _mcap(path: Path) -> Source:
+    from harness.data.bags import BagFile, holds_json
     from harness.data.log_files import McapFile
 
-    return McapFile(path)
+    return McapFile(path) if holds_json(path) else BagFile(path)
+
+
+def _bag(path: Path) -> Source:
+    from harness.data.bags import BagFile
+
+    return BagFile(path)
 
 
 FORMATS: dict[str, Callable[[Path], Source]] = {
@@ -119,6 +126,8 @@ FORMATS: dict[str, Callable[[Path], Source]] = {
     ".mf4": _mdf,
     ".mdf": _mdf,
     ".mcap": _mcap,
+    ".bag": _bag,
+    ".db3": _bag,
 }
 """Readers by suffix."""
 
@@ -155,6 +164,9 @@ class Table:
         self.path = path
         if source is not None:
             self._source = source
+            return
+        if path.is_dir() and (path / "metadata.yaml").is_file():  # a bag of ROS 2
+            self._source = _bag(path)
             return
         if not path.is_file():
             raise InputError(
@@ -194,12 +206,33 @@ class Table:
         """Titles of all columns, those of true states included."""
         return tuple(self._source.titles)
 
+    def clocks(self, columns: Sequence[str | int]) -> tuple[list[FloatArray], str] | None:
+        """Return the stamps [s] of columns that have clocks of their own, and which they are; None for one clock."""
+        find = getattr(self._source, "clocks", None)
+        titles = [self.find(column) for column in columns]
+        if find is None or None in titles:
+            return None
+        found: tuple[list[FloatArray], str] = find(titles)
+        return found
+
+    def inside(self, title: str) -> list[str] | None:
+        """Return the selectors of what a variable holds; None where it is one column."""
+        find = getattr(self._source, "inside", None)
+        found: list[str] | None = None if find is None else find(title)
+        return found
+
     def read_any(self, title: str) -> FloatArray:
         """Return a column (N,) by its exact title, be it measured or true."""
         return self._source.values(title)
 
-    def find(self, column: str | int) -> str | None:
-        """Return the title that a column's name means: exact, or its name before ``[unit]``; None if there is none.
+    def find(self, column: str | int, like: str | None = None) -> str | None:
+        """Return the title that a column's name means: exact, or its name before the unit; None if there is none.
+
+        Parameters
+        ----------
+        column : str or int
+        like : str, optional
+            A unit of what the column measures: the unit may then stand without brackets (``theta_deg``).
 
         Raises
         ------
@@ -210,7 +243,10 @@ class Table:
         if isinstance(column, int):
             return titles[column] if 0 <= column < len(titles) else None
         exact = [title for title in titles if title == column]
-        found = exact or [title for title in titles if split_header(title)[0] == column.strip()]
+        found = exact or [title for title in titles if self.split(title)[0] == column.strip()]
+        if not found and like is not None:
+            stated = {title: self.stated(title, like) for title in titles if title.startswith(column.strip())}
+            found = [title for title, parts in stated.items() if parts is not None and parts[0] == column.strip()]
         if len(found) > 1:
             raise InputError(
                 f"column {column!r} is there {len(found)} times",
@@ -221,8 +257,49 @@ class Table:
             )
         return found[0] if found else None
 
-    def read(self, column: str | int) -> tuple[FloatArray, str | None]:
+    def split(self, title: str) -> tuple[str, str | None]:
+        """Return name and unit of a title; the index or joint at the end of a path is no unit."""
+        name, unit = split_header(title)
+        inside = (
+            getattr(self._source, "paths", False)
+            and unit is not None
+            and not title[len(name) : len(name) + 1].isspace()
+        )
+        return (title, None) if inside else (name, unit)
+
+    def stated(self, title: str, like: str) -> tuple[str, str] | None:
+        """Return name and unit of a title that states a fitting unit without brackets; steps of a path are no units."""
+        parts = stated_unit(title, like)
+        path = getattr(self._source, "paths", False) and parts is not None and title[len(parts[0])] in "/."
+        return None if path else parts
+
+    def read_time(self, column: str | int, declared: str | None = None) -> tuple[FloatArray, bool]:
+        """Return a column (N,) of time stamps [s], and whether their unit was stated or declared.
+
+        Raises
+        ------
+        InputError
+            If the column is not there, or its title states something that is no unit of time.
+        """
+        title = self.find(column)
+        values, unit = self.read(column if title is None else title)
+        own = None if title is None else self._source.unit(title)  # of a date, whatever its title says
+        if own is None and declared is None and title is not None:
+            try:
+                unit = clock_unit(title)
+            except InputError as error:
+                raise error.located(file=self.path) from error
+        unit = own or declared or unit
+        return convert(values, unit or "s", "s"), unit is not None
+
+    def read(self, column: str | int, like: str | None = None) -> tuple[FloatArray, str | None]:
         """Return one column (N,) and the unit that its title states, or None.
+
+        Parameters
+        ----------
+        column : str or int
+        like : str, optional
+            A unit of what the column measures: the unit may then stand without brackets (``theta_deg``).
 
         Raises
         ------
@@ -230,16 +307,37 @@ class Table:
             If the column is not there; the message names near matches. If a cell is no number.
         """
         try:
-            title = self.find(column)
+            title = self.find(column, like)
             if title is not None:
+                number = column if isinstance(column, int) else None
+                values = self._values(title, number)
                 unit = self._source.unit(title)
-                return self._source.values(title), unit if unit is not None else split_header(title)[1]
+                unit = unit if unit is not None else self.split(title)[1]
+                if unit is None and like is not None and (parts := self.stated(title, like)) is not None:
+                    unit = parts[1]
+                return values, unit
             selected = self._source.select(column) if isinstance(column, str) else None
         except InputError as error:
             raise error.located(file=self.path) from error
         if selected is not None:
             return selected, None
         raise self.missing(column)
+
+    def _values(self, title: str, number: int | None) -> FloatArray:
+        """Return a column by its title, or by its number where two have one title."""
+        if number is None or self.titles.count(title) == 1:
+            return self._source.values(title)
+        numbered = getattr(self._source, "numbered", None)
+        if numbered is None:
+            raise InputError(
+                f"{self.titles.count(title)} columns {title!r}",
+                expected="titles of their own",
+                got=f"column {number}",
+                remedy="rename one",
+            )
+        places = [place for place, known in enumerate(self._source.titles) if not known.startswith(TRUTH)]
+        found: FloatArray = numbered(places[number])
+        return found
 
     def missing(self, column: str | int) -> InputError:
         """Return the refusal of a column that is not there."""
@@ -262,11 +360,25 @@ class Table:
         )
 
 
-def open_table(path: Path, cache: dict[Path, Table]) -> Table:
-    """Return the table of a file, opened once."""
-    if path not in cache:
-        cache[path] = Table(path)
-    return cache[path]
+def open_table(path: Path, cache: dict[Path, Table], sheet: str | None = None) -> Table:
+    """Return the table of a file (or of one sheet of a workbook), opened once."""
+    key = path if sheet is None else path / sheet
+    if key not in cache:
+        cache[key] = Table(path, None if sheet is None else _sheet(path, sheet))
+    return cache[key]
+
+
+def _sheet(path: Path, sheet: str) -> Source | None:
+    """Return a sheet of a workbook; None where there is no file, which is refused as any other."""
+    if not path.is_file():
+        return None
+    if suffix_of(path) not in (".xlsx", ".xlsm"):
+        raise InputError(
+            "sheet", expected="an Excel workbook (.xlsx, .xlsm)", got=path.name, remedy="remove sheet", file=path
+        )
+    from harness.data.excel import ExcelFile
+
+    return ExcelFile(path, sheet)
 
 
 def nearest(channel: Channel, titles: Sequence[str]) -> list[str]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.data.cells import EMPTY, clock, is_number, units_below
 from harness.errors import InputError
@@ -22,6 +23,7 @@ LARGEST = 2 << 30
 """Bytes that a packed table may unpack to: a table of 1e8 numbers, far below what a small bomb unpacks to."""
 
 _DELIMITERS = (",", ";", "\t")
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 _COMMA = re.compile(r"(?<!\d)[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?!\d)")
 
 
@@ -40,8 +42,11 @@ class TextFile:
     """
 
     def __init__(self, path: Path) -> None:
-        lines = _text(path).splitlines()
+        text, coding = _text(path)
+        lines = text.splitlines()
         self.notes: list[str] = []
+        if coding == "cp1252":
+            self.notes.append("the text is no UTF-8: its letters are read as cp1252 (Windows, Western Europe)")
         self._lines = [
             (number, line)
             for number, line in enumerate(lines, start=1)
@@ -67,24 +72,29 @@ class TextFile:
                 "no rows", expected="rows of numbers below the header", got="only a header", remedy="check the export"
             )
         self._accept_decimal_commas()
+        self._square()
         self._body: bytes | None = None
+        self._clocks: set[str] = set()
 
     def values(self, title: str) -> FloatArray:
         """Return one column (N,)."""
-        column = self.titles.index(title)
+        return self.numbered(self.titles.index(title))
+
+    def numbered(self, column: int) -> FloatArray:
+        """Return one column (N,) by its number, as two may have one title."""
         for read in (self._fast, self._plain):
             found = read(column)
             if found is not None:
                 return found
-        return self._slowly(column, title)
+        return self._slowly(column, self.titles[column])
 
     def select(self, text: str) -> FloatArray | None:
         """Return None: text tables have plain columns only."""
         return None
 
     def unit(self, title: str) -> str | None:
-        """Return None: units stand in the titles."""
-        return None
+        """Return s for dates and times; other units stand in the titles."""
+        return "s" if title in self._clocks else None
 
     def where(self, row: int) -> str:
         """Return the place of a row (from 0) as an editor counts it."""
@@ -96,9 +106,65 @@ class TextFile:
             return
         if not any("," in line for _, line in self._lines) or any("." in line for _, line in self._lines):
             return
+        numbers = [cell for _, line in self._lines if "," in line for cell in self._cells(line) if "," in cell]
+        if all(map(_THOUSANDS.fullmatch, numbers)):  # 1,234 is a thousand as likely as a fraction
+            return
         if all(_COMMA.search(line) for _, line in self._lines if "," in line):
             self._lines = [(number, line.replace(",", ".")) for number, line in self._lines]
             self.notes.append("decimal commas are read as decimal points")
+
+    def _square(self) -> None:
+        """Make every row as long as the header where that is certain; refuse the others with their line.
+
+        Empty cells behind the last column are surplus separators. A last line that stops short was cut. Row names of R
+        are quoted while the numbers are not, and have no title. Anything else could belong to any column.
+        """
+        width = len(self.titles)
+        lengths = self._lengths()
+        if (lengths == width).all():
+            return
+        if self.titles[-1] == "" and (lengths == width - 1).all():  # the separator ends the header only
+            self.titles = self.titles[:-1]
+            return
+        if (lengths == width + 1).all() and all(self._names_row(line) for _, line in self._lines):
+            self.titles = ["", *self.titles]
+            self.notes.append("the first cells are names of rows, as R writes them: the titles begin behind them")
+            return
+        if lengths[-1] < width and (lengths[:-1] == width).all() and len(lengths) > 1:
+            self.notes.append(f"line {self._lines[-1][0]}, the last one, is cut short: it is left out")
+            self._lines = self._lines[:-1]
+            return
+        for row in np.flatnonzero(lengths != width):
+            number, line = self._lines[row]
+            cells = self._cells(line)
+            if len(cells) < width or any(cells[width:]):
+                raise InputError(
+                    f"a row of {len(cells)} cells under {width} titles",
+                    expected=f"{width} cells ({', '.join(map(repr, self.titles[:6]))}{' ...' if width > 6 else ''})",
+                    got=line.strip()[:80],
+                    remedy="give every column a title and every row as many cells, empty where nothing was recorded",
+                    place=f"line {number}",
+                )
+            self._lines[row] = (number, self._joined(cells[:width]))
+
+    def _lengths(self) -> npt.NDArray[np.int64]:
+        """Return the number of cells of every row."""
+        if self._delimiter is None or any('"' in line for _, line in self._lines):
+            return np.array([len(self._cells(line)) for _, line in self._lines])
+        return np.array([line.count(self._delimiter) + 1 for _, line in self._lines])
+
+    def _names_row(self, line: str) -> bool:
+        """Return True if the first cell of a row is a quoted name, or no number, and the others are numbers."""
+        cells = self._cells(line)
+        plain = not all(is_number(cell) or cell.lower() in EMPTY for cell in cells[:1])
+        quoted = line.lstrip().startswith('"') and line.count('"') == 2
+        return (plain or quoted) and any(map(is_number, cells[1:]))
+
+    def _joined(self, cells: list[str]) -> str:
+        """Return cells as a line."""
+        text = io.StringIO()
+        csv.writer(text, delimiter=self._delimiter or " ", lineterminator="").writerow(cells)
+        return text.getvalue()
 
     def _fast(self, column: int) -> FloatArray | None:
         """Return a column by the C++ reader of Arrow; None where it cannot, or a cell is no number."""
@@ -149,9 +215,12 @@ class TextFile:
             row = self._cells(line)
             cells.append(row[column] if column < len(row) else "")
         if (stamps := clock(cells)) is not None:
+            self._clocks.add(title)
             return stamps
         numbers = []
-        commas = not any("." in cell for cell in cells)
+        signs = [cell for cell in cells if "," in cell]
+        thousands = bool(signs) and all(map(_THOUSANDS.fullmatch, signs))
+        commas = not thousands and not any("." in cell for cell in cells)
         for k, cell in enumerate(cells):
             if cell.lower() in EMPTY:
                 numbers.append(np.nan)
@@ -162,7 +231,7 @@ class TextFile:
                 comma = "," in cell
                 raise InputError(
                     "a cell that is no number",
-                    expected="a number" + (" with one kind of decimal sign" if comma else ""),
+                    expected="a number" + (" with one kind of decimal sign, and none for thousands" if comma else ""),
                     got=repr(cell),
                     remedy="export with decimal points" if comma else "correct or empty the cell",
                     place=f"{self.where(k)}, column {title!r}",
@@ -172,12 +241,15 @@ class TextFile:
     def _cells(self, line: str) -> list[str]:
         """Return the cells of a line."""
         if self._delimiter is None:
-            return [cell.strip('"') for cell in line.split()]
+            if '"' not in line:
+                return line.split()
+            spaced = csv.reader(io.StringIO(line.strip()), delimiter=" ", skipinitialspace=True)
+            return [cell for cell in next(spaced) if cell]
         return [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=self._delimiter))]
 
 
-def _text(path: Path) -> str:
-    """Return the text of a file, unpacked where it is packed."""
+def _text(path: Path) -> tuple[str, str]:
+    """Return the text of a file, unpacked where it is packed, and its coding."""
     raw = path.read_bytes()
     if path.suffix.lower() == ".gz":
         try:
@@ -191,13 +263,25 @@ def _text(path: Path) -> str:
             raise InputError(
                 "a packed table", expected=f"at most {LARGEST >> 30} GiB", got="more", remedy="cut or thin it"
             )
-    coding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    try:
-        return raw.decode(coding)
-    except UnicodeDecodeError as error:
-        raise InputError(
-            "not a text file", expected="UTF-8 text", got=str(error), remedy="save it as UTF-8 CSV"
-        ) from error
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        coding = "utf-16"
+    elif raw[1:2] == b"\0" or raw[:1] == b"\0":  # a title begins with a letter of ASCII in every table that we read
+        coding = "utf-16-le" if raw[1:2] == b"\0" else "utf-16-be"
+    else:
+        coding = "utf-8-sig"
+    for tried in (coding, "cp1252") if coding == "utf-8-sig" and b"\0" not in raw[:4096] else (coding,):
+        try:
+            text = raw.decode(tried)
+        except UnicodeDecodeError as error:
+            last = error
+            continue
+        return text, tried
+    raise InputError(
+        "not a text file",
+        expected="text in UTF-8, UTF-16 or cp1252",
+        got=str(last)[:120],
+        remedy="save it as UTF-8 CSV",
+    ) from last
 
 
 def _values(array: Any) -> FloatArray:

@@ -151,7 +151,7 @@ def read_trajectory(
     table = Table(path)
     spec = spec or stored_spec(path)
     truth = [title for title in table.all_titles if title.startswith(TRUTH)]
-    time = table.read("time")[0]
+    time = table.read_time("time")[0]
     if spec is None:
         if inputs is None:
             raise InputError(

@@ -20,6 +20,7 @@ from harness.diagnosis.steps import (
     candidates_of,
     form_of,
     nominal_fit,
+    sizes_off,
     teller,
     what_free_runs_say,
     widened,
@@ -73,7 +74,6 @@ def diagnose(
     with one_thread():
         # fit
         dataset, doubts = kind.prepared(checked(dataset, system), system)
-        warnings = [doubt.words for doubt in doubts if not doubt.certain]
         laws = laws_of(dictionary)
         form, cut = form_of(kind, system, dataset, policy, laws.dictionary)
         remembered = Remembered(form, folder)
@@ -90,6 +90,8 @@ def diagnose(
         widened(form, outcome)
         misfit = misfit_reasons(form, outcome.model, runs, policy, wrong)
         apart = form.apart(outcome.model)
+        alarms = [doubt.words for doubt in doubts if not doubt.certain]
+        alarms += [] if doubts else sizes_off(system, outcome.model)
     diagnosis = Diagnosis(
         dataset,
         system,
@@ -99,10 +101,11 @@ def diagnose(
         runs,
         misfit,
         policy,
-        [*warnings, *cut, *moved, *faults],
+        [*alarms, *cut, *moved, *faults],
         time.monotonic() - began,
         apart,
         doubtful=bool(doubts),
+        alarms=tuple(alarms),
     )
     if apart is not None and diagnosis.disagree:
         diagnosis.warnings.append(apart.words(outcome.model.values))

@@ -39,6 +39,8 @@ class Diagnosis:
     apart: Apart | None = None
     doubtful: bool = False
     """True where a unit may be wrong, though the model fits as it is."""
+    alarms: tuple[str, ...] = ()
+    """What a reader must know before anything else: a unit or a column that may be wrong. They are warnings too."""
 
     @property
     def nominal(self) -> Fit:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+import numpy as np
+
 from harness.diagnosis.dictionary import Laws, placed
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.forms.remembered import Remembered
@@ -20,6 +22,7 @@ from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import FitError
+from harness.physics.parameters import said_far
 from harness.signals import Dataset
 
 __all__ = [
@@ -28,6 +31,7 @@ __all__ = [
     "candidates_of",
     "form_of",
     "nominal_fit",
+    "sizes_off",
     "teller",
     "what_free_runs_say",
     "widened",
@@ -133,3 +137,10 @@ def widened(form: WholeForm, outcome: Outcome) -> None:
     same = outcome.model is outcome.nominal
     outcome.nominal = form.with_deviations(outcome.nominal)
     outcome.model = outcome.nominal if same else form.with_deviations(outcome.model)
+
+
+def sizes_off(system: AnySystem, fit: Fit) -> list[str]:
+    """Return a warning about parameters far from what was declared."""
+    intervals = {name: fit.interval(name) for name in fit.free if np.isfinite(fit.deviations.get(name, np.nan))}
+    said = said_far(system.parameters, {name: fit.values[name] for name in fit.free}, intervals)
+    return [] if said is None else [f"{said}. If the plant is that size, give the model such values"]

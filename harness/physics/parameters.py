@@ -10,7 +10,11 @@ import numpy as np
 
 from harness.errors import InputError
 
-__all__ = ["Parameter", "as_parameter", "defaults", "names_of"]
+__all__ = ["FAR", "Parameter", "as_parameter", "defaults", "names_of", "said_far"]
+
+FAR = 100.0
+"""Factor between a fitted parameter and its declared value from which both sides are said: a power of ten is a rough
+declaration, and a unit wrong by 1000 moves some parameter by 1000 or its square; halfway, in powers of ten, is 100."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +115,40 @@ def as_parameter(name: str, given: Any, *, minimum: float = -np.inf) -> Paramete
         got=repr(given),
         remedy="write for example mass=('kg', 1.0)",
     )
+
+
+def said_far(
+    parameters: Iterable[Parameter],
+    values: Mapping[str, float],
+    intervals: Mapping[str, tuple[float, float]] | None = None,
+) -> str | None:
+    """Return in words which fitted parameters are a factor :data:`FAR` from their declared values; None if none is.
+
+    Parameters
+    ----------
+    parameters : iterable of Parameter
+        With the declared values; known ones and a declared 0 say nothing about the size.
+    values : mapping
+        The fitted values.
+    intervals : mapping, optional
+        Low and high where the data tell them: a small value counts only where its interval leaves 0 out, as a friction
+        that is not there is no mistake.
+
+    Examples
+    --------
+    >>> said_far([Parameter("J", "kg m^2", 0.1), Parameter("b", value=1.0)], {"J": 5e4, "b": 1e-6})
+    'check the units of the columns, time included: J = 5e+04 kg m^2 is 5e+05 times the declared 0.1'
+    """
+    parts = []
+    for one in parameters:
+        if one.fixed or not one.value or one.name not in values:
+            continue
+        ratio = abs(values[one.name] / one.value)
+        low, high = (intervals or {}).get(one.name, (0.0, 0.0))
+        if ratio >= FAR or (ratio <= 1 / FAR and low * high > 0):
+            unit = "" if one.unit == "1" else f" {one.unit}"
+            parts.append(f"{one.name} = {values[one.name]:.4g}{unit} is {ratio:.2g} times the declared {one.value:g}")
+    return f"check the units of the columns, time included: {', '.join(parts)}" if parts else None
 
 
 def names_of(parameters: Iterable[Parameter]) -> tuple[str, ...]:

@@ -270,7 +270,7 @@ def test_the_data_folder_is_searched(folder: Path, tmp_path: Path, monkeypatch: 
         ('file = "b.csv"', 'file = "c.csv"', ["c.csv", "no such file", "near it"]),
         ('file = "b.csv"', 'file = "b.csv"\nrows = [10, 500]', ["b.csv", "rows"]),
         ('file = "b.csv"', 'file = "b.csv"\nrows = [10, 5]', ["runs[1].rows"]),
-        ('file = "b.csv"', 'file = "b.csv"\nrows = [10, 11]', ["b.csv", "one sample"]),
+        ('file = "b.csv"', 'file = "b.csv"\nrows = [10, 11]', ["b.csv", "at least 20 rows"]),
         ('file = "b.csv"', 'file = "b.csv"\ndiscard = 90', ["b.csv", "nothing left"]),
         ('file = "b.csv"', 'file = "b.csv"\ncolumns = {thta = "x"}', ["runs[1].columns.thta", "did you mean theta"]),
         ('file = "b.csv"', 'file = "a.csv"\nrows = [40, 90]', ["overlap", "runs[1].rows"]),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,6 +15,7 @@ from harness.errors import InputError
 
 DT = 0.01
 TIME = 5.0 + np.arange(200) * DT
+STILL = np.column_stack([np.ones(200), np.sin(3 * TIME)])
 VALUES = np.column_stack([np.repeat(np.arange(40.0), 5), np.sin(3 * TIME)])
 
 
@@ -47,22 +50,100 @@ def test_jitter_is_said_or_refused() -> None:
 
 def test_a_gap_is_refused_split_or_bridged() -> None:
     keep = np.r_[0:80, 95:150, 153:200]
-    time, values = TIME[keep], VALUES[keep]
-    with pytest.raises(InputError, match=r"row 80: time is not uniform \(2 gaps\).*gaps = \"split\" or \[resample\]"):
+    time, values = TIME[keep], STILL[keep]
+    with pytest.raises(InputError, match=r"row 80: time is not uniform \(2 gaps\).*gaps = \"split\""):
         pieces(time, values)
     parts, notes = pieces(time, values, gaps="split")
     assert [len(part.values) for part in parts] == [80, 55, 47]
     assert [part.start for part in parts] == pytest.approx([TIME[0], TIME[95], TIME[153]])
-    assert np.array_equal(parts[1].values, VALUES[95:150])
+    assert np.array_equal(parts[1].values, STILL[95:150])
     assert any("3 pieces" in note for note in notes)
     with pytest.raises(InputError, match="a gap too long"):
         pieces(time, values, resample=ResampleSection())
     (whole,), notes = pieces(time, values, resample=ResampleSection(max_gap=1.0, method="cubic"))
     assert len(whole.values) == 200
-    assert whole.values[:, 1] == pytest.approx(VALUES[:, 1], abs=5e-4)
+    assert whole.values[:, 1] == pytest.approx(STILL[:, 1], abs=5e-4)
     assert any("182 rows" in note and "200 samples" in note for note in notes)
     parts, _ = pieces(time, values, resample=ResampleSection(), gaps="split")
     assert [len(part.values) for part in parts] == [80, 105]
+
+
+def test_a_held_input_that_changed_in_a_gap_is_not_made_up() -> None:
+    """The remedies that the refusal names are tried: each gives the input of every row that there is, or lines."""
+    keep = np.r_[0:80, 95:150, 153:200]
+    time, values = TIME[keep], VALUES[keep]
+    with pytest.raises(InputError, match=r"held input changes in 2 holes.*gaps = \"split\".*intersample"):
+        pieces(time, values, resample=ResampleSection(max_gap=1.0))
+    for resample in (None, ResampleSection(), ResampleSection(max_gap=1.0)):
+        parts, _ = pieces(time, values, gaps="split", resample=resample)
+        starts = [np.argmin(np.abs(TIME - part.start)) for part in parts]
+        assert [len(part.values) for part in parts] == [80, 55, 47]
+        for part, start in zip(parts, starts, strict=True):
+            assert np.array_equal(part.values[:, 0], VALUES[start : start + len(part.values), 0])
+    (whole,), _ = pieces(time, values, intersample="foh", resample=ResampleSection(max_gap=1.0))
+    assert len(whole.values) == 200
+
+
+@pytest.mark.parametrize("rate", [60.0, 120.0, 240.0, 333.0, 1000 / 7])
+@pytest.mark.parametrize("cut", [np.round, np.floor])
+def test_stamps_rounded_to_milliseconds_are_their_clocks(rate: float, cut: Callable[..., np.ndarray]) -> None:
+    n = 1200
+    time = cut(np.arange(n) * 1e3 / rate) / 1e3
+    values = np.column_stack([np.arange(n), np.cos(np.arange(n) * 0.1)]).astype(float)
+    for rules in ({}, {"sample_time": 1 / rate}, {"resample": ResampleSection()}):
+        (piece,), notes = pieces(time, values, **rules)
+        assert piece.sample_time == pytest.approx(1 / rate, rel=1e-4)
+        assert np.array_equal(piece.values[:, 0], values[:, 0])  # no row has moved
+        assert np.abs(piece.values[:, 1] - values[:, 1]).max() < 1e-9
+        assert rate == 1000 / 7 or any("rounded" in note or "declared clock" in note for note in notes)
+    keep = np.r_[0:500, 503:n]
+    with pytest.raises(InputError, match=r"row 500: time is not uniform \(1 gaps\)"):
+        pieces(time[keep], values[keep])
+    for rules in ({}, {"sample_time": 1 / rate}, {"resample": ResampleSection()}):
+        parts, _ = pieces(time[keep], values[keep], gaps="split", **rules)
+        assert [len(part.values) for part in parts] == [500, n - 503]
+        assert np.array_equal(parts[1].values[:, 0], values[503:, 0])
+
+
+def test_a_declared_sample_time_counts_rows_under_rough_stamps() -> None:
+    rough = TIME + 0.22 * DT * np.random.default_rng(3).uniform(-1, 1, 200)
+    with pytest.raises(InputError, match=r"clock jitter.*sample_time = 0.01"):
+        pieces(rough)
+    (piece,), notes = pieces(rough, sample_time=DT)
+    assert np.array_equal(piece.values, VALUES)
+    assert any("declared clock of 0.01 s" in note for note in notes)
+    keep = np.r_[0:90, 91:200]
+    parts, _ = pieces(rough[keep], VALUES[keep], sample_time=DT, gaps="split")
+    assert [len(part.values) for part in parts] == [90, 109]
+    twice = np.sort(np.r_[np.arange(200), 60, 120])
+    with pytest.raises(InputError, match="stands still"):
+        pieces(rough[twice], VALUES[twice], sample_time=DT)
+    (piece,), _ = pieces(rough[twice], VALUES[twice], sample_time=DT, duplicates="first")
+    assert np.array_equal(piece.values, VALUES)
+
+
+def test_stamps_coarser_than_the_declared_sample_time_count_rows() -> None:
+    n, dt = 900, 1 / 3000
+    time, values = np.round(np.arange(n) * dt, 3), np.arange(2.0 * n).reshape(n, 2)
+    with pytest.raises(InputError, match=r"stands still.*sample_time"):
+        pieces(time, values)
+    (piece,), notes = pieces(time, values, sample_time=dt)
+    assert np.array_equal(piece.values, values)
+    assert any("coarser than the declared sample time" in note for note in notes)
+    keep = np.r_[0:300, 320:n]
+    with pytest.raises(InputError, match="rows were lost or doubled"):
+        pieces(time[keep], values[keep], sample_time=dt)
+
+
+def test_jitter_under_a_held_input_asks_what_the_stamps_mean() -> None:
+    rough = TIME + 0.2 * DT * np.random.default_rng(4).uniform(-1, 1, 200)
+    with pytest.raises(InputError, match=r'intersample: .*"zoh" if each row sets.*"foh" if a row is a reading'):
+        pieces(rough, intersample=None, resample=ResampleSection())
+    for declared in ("zoh", "foh"):
+        values = np.column_stack([VALUES[:, 0], np.sin(3 * rough)])
+        (piece,), _ = pieces(rough, values, intersample=declared, resample=ResampleSection())
+        grid = piece.start + piece.sample_time * np.arange(len(piece.values))
+        assert np.abs(piece.values[:, 1] - np.sin(3 * grid)).max() < 2e-3
 
 
 def test_empty_rows_are_refused_split_or_bridged() -> None:
@@ -103,12 +184,18 @@ def test_time_that_runs_back_or_is_in_another_unit_is_refused() -> None:
         pieces(np.where(np.arange(200) == 3, np.nan, TIME))
 
 
-def test_a_resampled_input_is_held_and_never_seen_early() -> None:
+def test_a_resampled_input_keeps_its_impulse_and_is_never_seen_early() -> None:
     jitter = TIME + 0.3 * DT * np.random.default_rng(1).uniform(-1, 1, 200)
     (piece,), notes = pieces(jitter, resample=ResampleSection(sample_time=0.004))
     grid = piece.start + 0.004 * np.arange(len(piece.values))
     held = VALUES[np.searchsorted(jitter, grid + 1e-9, side="right") - 1, 0]
-    assert np.array_equal(piece.values[:, 0], held)
+    ends = VALUES[np.searchsorted(jitter, grid + 0.004 - 1e-9, side="right") - 1, 0]
+    steady = held == ends
+    assert piece.values[steady, 0] == pytest.approx(held[steady], abs=1e-9)  # only a change within the hold is shared
+    between = (held <= piece.values[:, 0] + 1e-9) & (piece.values[:, 0] <= ends + 1e-9)
+    assert between.all()
+    area = np.concatenate([[0.0], np.cumsum(VALUES[:-1, 0] * np.diff(jitter))])
+    assert np.cumsum(piece.values[:-1, 0]) * 0.004 == pytest.approx(np.interp(grid[1:], jitter, area), abs=1e-9)
     assert any("resampled to 0.004 s" in note for note in notes)
     (piece,), notes = pieces(jitter, resample=ResampleSection(sample_time=0.05, antialias=False))
     assert any("folds back" in note for note in notes)

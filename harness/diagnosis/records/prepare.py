@@ -16,6 +16,9 @@ from harness.signals import Dataset
 
 __all__ = ["checked", "sizes_of"]
 
+SHORTEST = 64
+"""Samples of a record: each has an initial state of its own to be fitted, and a residual needs some tens to be one."""
+
 
 def checked(dataset: Dataset, system: Measured) -> Dataset:
     """Return the data set in the channels of the system, or refuse what cannot be judged.
@@ -52,14 +55,15 @@ def checked(dataset: Dataset, system: Measured) -> Dataset:
                 got="constants only",
                 remedy="choose other rows, or record with excitation",
             )
-        shortest = min(len(run) for run in runs)
-        if shortest < 64:
+        longest = max(len(run) for run in runs)
+        if longest < SHORTEST:
             raise InputError(
-                f"an {use} run of {dataset.name!r} is too short",
-                expected="at least 64 samples",
-                got=str(shortest),
+                f"every {use} run of {dataset.name!r} is too short",
+                expected=f"one of at least {SHORTEST} samples",
+                got=str(longest),
                 remedy="record longer, or join the rows",
             )
+    dataset = _long_enough(dataset)
     # periods of the model's angles are known even where the file does not say so
     outputs = tuple(
         replace(theirs, period=ours.period) if theirs.period is None and ours.unit == theirs.unit else theirs
@@ -70,6 +74,19 @@ def checked(dataset: Dataset, system: Measured) -> Dataset:
     full = replace(spec, outputs=outputs)
     runs_of = tuple(replace(run, trajectory=replace(run.trajectory, spec=full)) for run in dataset)
     return replace(dataset, runs=runs_of)
+
+
+def _long_enough(dataset: Dataset) -> Dataset:
+    """Return the data set without records that are too short, what remains of lost rows, and say how much that is."""
+    kept = tuple(run for run in dataset if len(run.trajectory) >= SHORTEST)
+    if len(kept) == len(dataset.runs):
+        return dataset
+    lost = sum(len(run.trajectory) for run in dataset) - sum(len(run.trajectory) for run in kept)
+    note = (
+        f"{len(dataset.runs) - len(kept)} of {len(dataset.runs)} records are shorter than {SHORTEST} samples: "
+        f"{lost} samples are left out"
+    )
+    return replace(dataset, runs=kept, warnings=(*dataset.warnings, note))
 
 
 def sizes_of(system: System, values: Mapping[str, float], dataset: Dataset) -> dict[str, dict[str, float]]:

@@ -42,6 +42,8 @@ Keys of ``sysid-harness/close-loop/2``, the same for every kind of model; what d
 ``policy``
     Every deciding number with its reason, source and what it was tuned on, by group: ``policy``, ``effort``, ``data``,
     ``run``, ``plan``, ``arm``.
+``alarms``
+    What must be known before anything else: a unit or a column that may be wrong. They stand among the ``warnings`` too.
 ``tests``, ``isolability``, ``not_visible``, ``closed_loop``, ``closed_loop_bias``, ``horizon``
     The other evidence.
 """
@@ -170,6 +172,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "converged": {"nominal": found.nominal.converged, "final": answer.fit.converged},
         "intervals": {"hold": found.structure_fits, "meaning": _meaning_of_intervals(found)},
         "policy": numbers(found.policy),
+        "alarms": list(found.alarms),
         "warnings": list(dict.fromkeys(warnings)),
         "seconds": round(found.seconds, 2),
     }  # fmt: skip

@@ -49,6 +49,7 @@ def blank() -> dict[str, Any]:
         "inertia": "",
         "inertial_parameters": None,
         "policy": {},
+        "alarms": [],
         "warnings": [],
         "seconds": 0.0,
     }  # fmt: skip

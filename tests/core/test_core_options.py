@@ -1,0 +1,99 @@
+"""Options as a command line gives them: nothing, one name, lists of lists; and what cannot be meant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import pytest
+from typer.testing import CliRunner
+
+from harness import registry
+from harness.cli import app
+from harness.errors import InputError
+from harness.options import meant_options
+from harness.physics.parameters import Parameter, said_far
+from harness.terminal import option_pairs, seed_range
+
+
+def made(
+    names: Sequence[str] = (),
+    pairs: tuple[tuple[str, int], ...] = (),
+    order: int | None = 2,
+    text: str | None = None,
+    mode: Literal["none", "linear"] = "none",
+    either: str | Sequence[str] = "",
+    sizes: float | Mapping[str, float] = 1.0,
+    numbers: list[float] | None = None,
+    band: tuple[float, float] | None = None,
+) -> None:
+    """Take options of every shape."""
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        ("names=theta", {"names": ["theta"]}),
+        ('names=["a", "b"]', {"names": ["a", "b"]}),
+        ('pairs=[["theta", 1]]', {"pairs": [["theta", 1]]}),
+        ("order=None", {"order": None}),
+        ("order=none", {"order": None}),
+        ("text=None", {"text": None}),
+        ("text=none", {"text": "none"}),
+        ("mode=none", {"mode": "none"}),
+        ("either=theta", {"either": "theta"}),
+        ("numbers=null", {"numbers": None}),
+        ("band=[0.1, 2.0]", {"band": [0.1, 2.0]}),
+        ("sizes.u=2.0", {"sizes": {"u": 2.0}}),
+    ],
+)
+def test_what_a_command_line_means(given: str, meant: dict[str, Any]) -> None:
+    assert meant_options("made", made, option_pairs([given], "--option")) == meant
+
+
+@pytest.mark.parametrize(
+    "given",
+    ["names=3", "names=[1, 2]", 'names=[["a"]]', 'pairs=["theta", 1]', 'pairs=[["theta", 1, 2]]', "order=[1]",
+     "order=high", "mode=None", "sizes=[1.0]", "sizes=None", 'numbers=["a"]', "numbers=[[1.0]]", "band=[1.0]",
+     "band=0.1", "names.a=1"],
+)  # fmt: skip
+def test_what_it_cannot_mean_is_refused_with_the_option(given: str) -> None:
+    with pytest.raises(InputError, match=r"option of made: expected .*remedy: give ") as refused:
+        meant_options("made", made, option_pairs([given], "--option"))
+    assert refused.value.place == given.split("=")[0].split(".")[0]
+
+
+def test_a_name_is_not_its_letters_and_none_is_nothing_for_a_real_part() -> None:
+    plant: Any = registry.create("identifiers", "output-error", model="pendulum", fixed="mgl")
+    assert list(plant.fixed) == ["mgl"]
+    assert registry.create("identifiers", "arx", order="None").order is None
+
+
+@pytest.mark.parametrize("option", ["amplitude=-1", "relative_amplitude=-0.1", "amplitude.u=-0.5"])
+def test_a_negative_amplitude_is_said(option: str) -> None:
+    ran = CliRunner().invoke(
+        app, ["simulate", "pendulum-ode", "--scenario", "multisine", "--scenario-option", option, "-o", "never.csv"]
+    )
+    assert isinstance(ran.exception, InputError)
+    assert "zero or a positive number" in str(ran.exception)
+
+
+def test_one_seed_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    assert seed_range("5") == (5, 5)
+    assert "seed 5 alone; --seeds 0..4 are 5 seeds" in capsys.readouterr().err
+    assert seed_range("0..4") == (0, 4)
+    assert capsys.readouterr().err == ""
+
+
+def test_sizes_are_held_against_both_sides_of_every_declaration() -> None:
+    declared = [Parameter("J", "kg m^2", 0.1), Parameter("b", "1", 0.05), Parameter("g", "1", 9.81, fixed=True),
+                Parameter("free", "1", 0.0)]  # fmt: skip
+    usual = {"J": 0.9, "b": 0.006, "g": 9.81, "free": 1e9}
+    assert said_far(declared, usual) is None
+    large = said_far(declared, {**usual, "J": 5e4}) or ""
+    assert "J = 5e+04 kg m^2 is 5e+05 times the declared 0.1" in large
+    assert "b" not in large.partition("included:")[2]
+    small = {**usual, "J": 1e-4, "b": 1e-7}
+    told = said_far(declared, small, {"J": (0.9e-4, 1.1e-4), "b": (-1e-3, 1e-3)}) or ""
+    assert "J = 0.0001 kg m^2 is 0.001 times" in told  # b may be 0: a friction that is not there
+    assert "b =" not in told

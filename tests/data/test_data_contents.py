@@ -1,0 +1,135 @@
+"""What is inside a file is shown, and a description drafted from it asks for what nobody stated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from harness import api
+from harness.cli import app
+from harness.data import load_dataset
+from harness.data.contents import contents_of
+from harness.errors import InputError
+
+N, DT = 60, 0.01
+T = np.arange(N) * DT
+U = np.sin(9 * T)
+Y = 0.1 * np.cos(9 * T)
+MJCF = """<mujoco model="cart"><worldbody><body name="cart"><joint name="slide" type="slide" axis="1 0 0"/>
+<body name="pole"><joint name="hinge" type="hinge" frictionloss="0.02"/></body></body></worldbody>
+<actuator><motor name="drive" joint="slide" gear="10"/></actuator></mujoco>"""
+
+
+def table(path: Path, titles: str, *columns: np.ndarray) -> Path:
+    rows = zip(*columns, strict=True)
+    path.write_text("\n".join([titles, *(",".join(map(repr, map(float, row))) for row in rows)]) + "\n")
+    return path
+
+
+def test_channels_units_rate_length_and_holes(tmp_path: Path) -> None:
+    keep = np.r_[0:20, 25:N]
+    log = table(tmp_path / "a.csv", "Zeit (ms),u [Nm],theta_deg,raw", 1e3 * T[keep], U[keep], Y[keep], Y[keep])
+    found = contents_of(log)
+    assert (found.clock, found.clock_stated, found.holes, found.rows) == ("Zeit (ms)", True, 1, N - 5)
+    assert found.sample_time == pytest.approx(DT)
+    assert found.length == pytest.approx(T[-1])
+    assert [(one.name, one.unit) for one in found.channels] == [("u", "Nm"), ("theta_deg", ""), ("raw", "")]
+    assert found.channels[0].maximum == pytest.approx(U[keep].max())
+    shown = CliRunner().invoke(app, ["list", str(log)])
+    assert shown.exit_code == 0
+    assert all(text in shown.output for text in ("100 Hz", "1 holes", "u [Nm]", "theta_deg"))
+
+
+def test_what_binary_files_hold(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py", reason="h5py is not installed: pip install 'sysid-harness[data]'")
+    from scipy.io import savemat
+
+    savemat(tmp_path / "a.mat", {"time": T, "Y": np.column_stack([U, Y, Y]), "log": {"u": U}})
+    names = [channel.column for channel in contents_of(tmp_path / "a.mat").channels]
+    assert names == ["Y[:,0]", "Y[:,1]", "Y[:,2]", "log.u"]
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["run/time"] = T
+        file["run/V"] = U  # the last step of a path is a name, be it also a unit
+        file["run/V"].attrs["unit"] = "mV"
+        file["run/theta_deg"] = Y
+    found = {channel.column: channel for channel in contents_of(tmp_path / "a.h5").channels}
+    assert found["run/V"].unit == "mV"
+    assert found["run/theta_deg"].unit == ""
+
+
+def test_robots_and_models(tmp_path: Path) -> None:
+    (tmp_path / "cart.xml").write_text(MJCF)
+    found = api.describe_file(tmp_path / "cart.xml")
+    assert [joint["joint"] for joint in found["tables"]["joints"]] == ["slide", "hinge"]
+    assert found["tables"]["actuators"][0]["gear"] == "10"
+    (tmp_path / "model.json").write_text('{"kind": "grey-box", "model": "evil.py:run", "parameters": {"J": 0.5}}')
+    assert "evil.py:run" in " ".join(api.describe_file(tmp_path / "model.json")["facts"])  # shown, never run
+    (tmp_path / "bad.urdf").write_text("<html/>")
+    with pytest.raises(InputError, match="no robot"):
+        api.describe_file(tmp_path / "bad.urdf")
+
+
+def test_a_draft_under_a_model_is_complete(tmp_path: Path) -> None:
+    log = table(tmp_path / "a.csv", "Zeit (ms),u [Nm],theta_deg", 1e3 * T, U, np.degrees(Y))
+    other = table(tmp_path / "b.csv", "Zeit (ms),u [Nm],theta_deg", 1e3 * T, -U, np.degrees(-Y))
+    ran = CliRunner().invoke(
+        app, ["new", "dataset", str(log), str(other), "--model", "pendulum", "--folder", str(tmp_path)]
+    )
+    assert ran.exit_code == 0, ran.output
+    data = load_dataset(tmp_path / "dataset.toml").dataset
+    assert [run.use for run in data.runs] == ["estimation", "validation"]
+    assert data.spec.sample_time == pytest.approx(DT)
+    assert data.estimation[0].y[:, 0] == pytest.approx(Y)
+    with pytest.raises(InputError, match="--force"):
+        api.new_dataset([log], out=tmp_path / "dataset.toml")
+
+
+def test_a_draft_asks_and_nothing_is_taken_before_it_is_answered(tmp_path: Path) -> None:
+    log = table(tmp_path / "a.csv", "stamp,torque [Nm],winkel", T, U, Y)
+    out = api.new_dataset([log], out=tmp_path / "dataset.toml")
+    text = out.read_text()
+    assert 'role = "?"  # "input", "output" or "reference"?' in text
+    with pytest.raises(InputError, match=r"signals\.torque\.role"):
+        load_dataset(out)
+    text = text.replace('role = "?"', 'role = "input"', 1).replace('role = "?"', 'role = "output"')
+    out.write_text(text)
+    with pytest.raises(InputError, match=r"'\?'"):  # the unit of winkel
+        load_dataset(out)
+    out.write_text(text.replace('unit = "?"', 'unit = "rad"'))
+    assert load_dataset(out).dataset.estimation[0].y[:, 0] == pytest.approx(Y)
+
+
+def test_sheets_by_their_name(tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl", reason="openpyxl is not installed: pip install 'sysid-harness[data]'")
+    book = openpyxl.Workbook()
+    for name, sign in (("first", 1.0), ("second", -1.0)):
+        sheet = book.create_sheet(name)
+        sheet.append(["time [s]", "u [Nm]", "theta [rad]"])
+        for row in zip(T, sign * U, sign * Y, strict=True):
+            sheet.append([float(value) for value in row])
+    book.remove(book["Sheet"])
+    book.save(tmp_path / "a.xlsx")
+    text = 'name = "a"\n[signals.u]\nrole = "input"\n[signals.theta]\nrole = "output"\n'
+    for name, use in (("first", "estimation"), ("second", "validation")):
+        text += f'[[runs]]\nfile = "a.xlsx"\nsheet = "{name}"\nuse = "{use}"\n'
+    (tmp_path / "a.toml").write_text(text)
+    data = load_dataset(tmp_path / "a.toml").dataset
+    assert data.estimation[0].y[:, 0] == pytest.approx(Y)
+    assert data.runs[1].trajectory.y[:, 0] == pytest.approx(-Y)
+    (tmp_path / "b.toml").write_text(text.replace('"second"', '"third"'))
+    with pytest.raises(InputError, match=r"no sheet 'third'.*'first', 'second'"):
+        load_dataset(tmp_path / "b.toml")
+
+
+@pytest.mark.parametrize("coding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1252"])
+def test_codings(coding: str, tmp_path: Path) -> None:
+    rows = "\n".join(
+        f"{t!r},{u!r},{y!r}" for t, u, y in zip(T.tolist(), U.tolist(), np.degrees(Y).tolist(), strict=True)
+    )
+    (tmp_path / "a.csv").write_bytes(f"time [s],u [Nm],theta [°]\n{rows}\n".encode(coding))
+    data = load_dataset(tmp_path / "a.csv", model="pendulum").dataset
+    assert data.estimation[0].y[:, 0] == pytest.approx(Y[:40])
+    assert any("cp1252" in note for note in data.warnings) == (coding == "cp1252")
