@@ -43,7 +43,7 @@ Keys of ``sysid-harness/close-loop/2``, the same for every kind of model; what d
     Every deciding number with its reason, source and what it was tuned on, by group: ``policy``, ``effort``, ``data``,
     ``run``, ``plan``, ``arm``.
 ``alarms``
-    What must be known before anything else: a unit or a column that may be wrong. They stand among the ``warnings`` too.
+    What must be known before anything else: a unit or a column that may be wrong; among the ``warnings`` too.
 ``tests``, ``isolability``, ``not_visible``, ``closed_loop``, ``closed_loop_bias``, ``horizon``
     The other evidence.
 """
