@@ -24,7 +24,7 @@ def check_data(
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Say what is odd about records: spikes, held readings, late inputs, ...; every command leaves these out of fits."""
+    """Say what is odd about records: spikes, held readings, late inputs and more; fits are kept from these."""
     found = api.check_data(dataset, model=model, validation=validation, undriven=undriven or (), out=out, force=force)
     if as_json:
         print_json(found.to_dict())

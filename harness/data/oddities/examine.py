@@ -100,6 +100,7 @@ class _Look:
         known = self.record.missing
         self.missing = np.zeros(self.y.shape, dtype=bool) if known is None else known.copy()
         self.resting = np.zeros(self.y.shape, dtype=bool)
+        self.uneven = np.zeros(self.y.shape[1], dtype=bool)
         self.spec, self.n = self.record.spec, len(self.record)
 
     def look(self) -> None:
@@ -154,6 +155,7 @@ class _Look:
             )
             words = f"{channel.name} {how}: only fresh readings count"
             self._leave(column, held.fresh, plain)
+            self.uneven[column] = held.every is None
             self._add("held", channel, rows, words, used=True)
             return
         for words in stuck(channel, self.record.y[:, column], self.spec.sample_time):
@@ -174,6 +176,8 @@ class _Look:
     def _spikes(self, column: int, channel: Channel, plain: FloatArray, fresh: npt.NDArray[np.bool_]) -> None:
         """Find readings that their neighbours contradict."""
         whole = bool(fresh.all())
+        if not whole and self.uneven[column]:
+            return  # a prediction needs readings at one distance
         where = np.flatnonzero(fresh)
         values = plain[where]
         found = spikes_of(values, self.u if whole else np.zeros((len(values), 0)))
@@ -257,10 +261,10 @@ def _reads(
     unit = "" if channel.unit == "1" else f" {channel.unit}"
     if len(rows) == 1:
         when = f"row {rows[0]}" + ("" if value is not None else f" (t = {t[rows[0]]:g} s)")
-        return f"{channel.name} reads {read[0]:.4g}{unit} in {when}, where its neighbours foretell {told[0]:.3g}{unit}"
+        return f"{channel.name} reads {read[0]:.6g}{unit} in {when}, where its neighbours foretell {told[0]:.3g}{unit}"
     named = ", ".join(map(str, rows[:_SHOWN])) + (", ..." if len(rows) > _SHOWN else "")
     if value is not None:
-        return f"{channel.name} reads {value:.4g}{unit} in {len(rows)} rows ({named}) that their neighbours contradict"
+        return f"{channel.name} reads {value:.6g}{unit} in {len(rows)} rows ({named}) that their neighbours contradict"
     return (
         f"{channel.name} has {len(rows)} spikes of up to {np.abs(read - told).max():.3g}{unit} (rows {named}), "
         "which their neighbours contradict"

@@ -79,8 +79,9 @@ def foretold(
     True
     """
     n = min(ODD.order, max(len(y) // 40, 1))
-    size = float(np.std(y)) or 1.0
-    mean = float(np.mean(y))
+    sound = np.ones(len(y), dtype=bool) if odd is None or odd.all() else ~odd
+    size = float(np.std(y[sound])) or 1.0
+    mean = float(np.mean(y[sound]))
     scaled = (y - mean) / size
     spread = np.std(u, axis=0)
     inputs = (u - u.mean(axis=0)) / np.where(spread > 0, spread, 1.0)

@@ -102,7 +102,8 @@ def held_readings(y: FloatArray, u: FloatArray) -> Held | None:
     """
     n = len(y)
     starts, lengths = runs_of_equal(y)
-    repeats = n - len(starts)
+    rails = (y[starts] == y.max()) | (y[starts] == y.min())  # where it rests at a rail it is held by that
+    repeats = int((lengths - 1)[~rails].sum())
     if n < ODD.fewest or repeats < max(10, ODD.repeats * n) or len(np.unique(y)) < ODD.changes:
         return None
     step = step_of(y)
@@ -124,7 +125,7 @@ def held_readings(y: FloatArray, u: FloatArray) -> Held | None:
         fresh[phase::every] = True
         fresh[0] = True
         return Held(every, fresh)
-    held = np.flatnonzero((lengths[1:-1] > 1) & (lengths[1:-1] <= ODD.slowest)) + 1
+    held = np.flatnonzero((lengths[1:-1] > 1) & (lengths[1:-1] <= ODD.slowest) & ~rails[1:-1]) + 1
     if held.size < 10:
         return None
     # what the signal moved per row before and after, against the jump after the hold

@@ -11,6 +11,10 @@ from harness.signals import Channel, FloatArray
 __all__ = ["coarse_step", "saturated", "stuck"]
 
 
+_ON_ITS_WAY = 0.05
+"""Change of a signal over its usual one from which on it was on its way."""
+
+
 def stuck(channel: Channel, values: FloatArray, dt: float, kind: str = "output") -> list[str]:
     """Say that a sensor stood still while it otherwise never does."""
     found = stuck_rows(values)
@@ -27,13 +31,19 @@ def stuck(channel: Channel, values: FloatArray, dt: float, kind: str = "output")
 
 def saturated(channel: Channel, values: FloatArray, kind: str = "output") -> dict[float, str]:
     """Return the largest and the smallest value at which a sensor rests in several places, and what is to be said."""
-    if np.unique(values[:2000]).size < 8:
+    if np.unique(values[:2000]).size < 8 or coarse_step(values):
         return {}
     starts, lengths = runs_of_equal(values)
     notes = {}
+    # a signal that settles arrives slowly, one that meets a rail in the middle of its motion; at rest it began
+    moves = np.abs(np.diff(values))
+    usual = float(np.median(moves[moves > 0])) if moves.any() else 0.0
+    arrived = np.array([start > 1 and moves[start - 2 : start].max() >= _ON_ITS_WAY * usual for start in starts])
     typical = float(np.percentile(lengths, 95))  # an encoder rests a while wherever the motion turns
     for limit, word in ((values.max(), "largest"), (values.min(), "smallest")):
-        at = lengths[values[starts] == limit]
+        at = lengths[(values[starts] == limit) & arrived]
+        if not at.size:
+            continue
         inside = int(at.sum())
         if inside >= max(8, 0.003 * len(values)) and at.max() >= max(5, 5 * typical):
             notes[float(limit)] = (

@@ -18,6 +18,8 @@ __all__ = ["Spikes", "alike", "spikes_of", "unfelt"]
 
 _PASSES = 20
 """Rounds of the search, each on what the last one left."""
+_LEVER = 3.0
+"""Distance from the middle, over the range of nine tenths of the readings, from which one bends no prediction."""
 _FAR = 1e6
 """Squared error over its variance beyond which it is no matter how far."""
 _USUAL = 1e-3
@@ -74,7 +76,7 @@ def spikes_of(y: FloatArray, u: FloatArray) -> Spikes:
     smallest = ODD.smallest * float(np.subtract(*np.percentile(y, [90, 10])))
     refused = np.zeros(len(y), dtype=bool)
     for _ in range(_PASSES):
-        found = foretold(mended, u, odd)
+        found = foretold(mended, u, odd | _gross(mended, u))
         size, sure = _sizes(found)
         sure = np.where((np.abs(size) >= smallest) & ~refused, sure, 0.0)
         n, fresh = len(found.own), False
@@ -100,7 +102,27 @@ def spikes_of(y: FloatArray, u: FloatArray) -> Spikes:
         around = maximum_filter1d(np.abs(change), 2 * len(found.own) + 1)
         odd = (sure > bound) & (np.abs(change) >= np.maximum(smallest, _BESIDE * around))
         mended = np.where(odd, y - change, y)
-    return Spikes(np.flatnonzero(odd), mended)
+    crowd = np.convolve(odd, np.ones(len(found.own) + 1), mode="same") > ODD.together
+    odd &= ~maximum_filter1d(crowd, 2 * len(found.own) + 1)  # so many beside each other are a stretch
+    return Spikes(np.flatnonzero(odd), np.where(odd, mended, y))
+
+
+def _gross(y: FloatArray, u: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return the readings that are so far off that they would decide the prediction of the next ones.
+
+    What follows an input that is as far off is an answer to it.
+    """
+
+    def far(values: FloatArray) -> npt.NDArray[np.bool_]:
+        low, middle, high = np.percentile(values, [5, 50, 95])
+        found = np.abs(values - middle) > _LEVER * (high - low)
+        return found if found.mean() <= ODD.most else np.zeros(len(values), dtype=bool)
+
+    found = far(y)
+    for column in u.T:
+        pushed = lfilter(np.ones(2 * ODD.order + 1), [1.0], far(column).astype(float)) > 0.5
+        found &= ~pushed
+    return found
 
 
 def _again(found: Foretold, y: FloatArray, mended: FloatArray, odd: npt.NDArray[np.bool_]) -> FloatArray:
