@@ -21,6 +21,8 @@ __all__ = ["examined", "lines"]
 
 _SHOWN = 4
 """Rows that a sentence names."""
+_ONE_TURN = 1.05
+"""Range of an angle over its period up to which its sensor may count one turn."""
 
 
 def examined(dataset: Dataset) -> Dataset:
@@ -41,14 +43,14 @@ def examined(dataset: Dataset) -> Dataset:
 
     Examples
     --------
-    >>> from harness.signals import PlantSpec
+    >>> from harness.signals import PlantSpec, Run
     >>> rng = np.random.default_rng(0)
     >>> y = np.sin(0.1 * np.arange(400.0)) + 0.01 * rng.standard_normal(400)
     >>> y[200] = 9999.0
     >>> spec = PlantSpec((), (Channel("q", "m"),), 0.5)
     >>> found = examined(Dataset("x", (Run(Trajectory(np.arange(400) * 0.5, np.zeros((400, 0)), y[:, None], spec)),)))
     >>> print(found.oddities[0].words)
-    q reads 9999 m in row 200, where its neighbours foretell 0.912 m: counted as missing
+    q reads 9999 m in row 200, where its neighbours foretell 0.91 m: counted as missing
     >>> bool(np.isnan(found.runs[0].trajectory.readings[200, 0]))
     True
     """
@@ -126,7 +128,7 @@ class _Look:
     def _output(self, column: int, channel: Channel) -> None:
         """Look at one output."""
         y = self.record.y[:, column]
-        plain = y if channel.period is None else np.unwrap(y, period=channel.period)
+        plain = y if channel.period is None else _unwrapped(y, channel.period)
         self._stands(column, channel, plain)
         for limit, words in saturated(channel, y).items():
             limits = np.flatnonzero(y == limit)
@@ -187,7 +189,7 @@ class _Look:
         found = Spikes(kept, np.where(np.isin(np.arange(len(values)), kept), found.mended, values))
         for value, places in alike(self.record.y[where, column], found.rows):
             rows = where[places]
-            words = _reads(channel, value, rows, plain[rows], found.mended[places], self.record.t)
+            words = _reads(channel, value, rows, self.record.y[rows, column], found.mended[places], self.record.t)
             self._add("spike" if value is None else "word", channel, rows, f"{words}: counted as missing", used=True)
         if found.rows.size:
             good = fresh.copy()
@@ -252,6 +254,25 @@ class _Look:
         for value, places in alike(u, rows) if rows.size else ():
             words = _reads(channel, value, places, u[places], found.mended[places], self.record.t)
             self._add("spike" if value is None else "word", channel, places, f"{words}: {remark}", **how)
+
+
+def _unwrapped(y: FloatArray, period: float) -> FloatArray:
+    """Return an angle without the jumps of a sensor that counts one turn; readings that are no such angle stay.
+
+    Examples
+    --------
+    >>> y = (0.1 * np.arange(100) + np.pi) % (2 * np.pi) - np.pi
+    >>> y[60] = 9999.0
+    >>> _unwrapped(y, 2 * np.pi)[[30, 60, 99]].round(1).tolist()
+    [3.0, 9999.0, 9.9]
+    """
+    low, high = np.percentile(y, [2, 98])
+    inside = np.abs(y - 0.5 * (low + high)) <= period
+    if high - low > _ONE_TURN * period or inside.sum() < 2:
+        return y
+    plain = y.copy()
+    plain[inside] = np.unwrap(y[inside], period=period)
+    return plain
 
 
 def _reads(

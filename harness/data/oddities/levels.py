@@ -11,10 +11,6 @@ from harness.signals import Channel, FloatArray
 __all__ = ["coarse_step", "saturated", "stuck"]
 
 
-_ON_ITS_WAY = 0.05
-"""Change of a signal over its usual one from which on it was on its way."""
-
-
 def stuck(channel: Channel, values: FloatArray, dt: float, kind: str = "output") -> list[str]:
     """Say that a sensor stood still while it otherwise never does."""
     found = stuck_rows(values)
@@ -35,11 +31,13 @@ def saturated(channel: Channel, values: FloatArray, kind: str = "output") -> dic
         return {}
     starts, lengths = runs_of_equal(values)
     notes = {}
-    # a signal that settles arrives slowly, one that meets a rail in the middle of its motion; at rest it began
-    moves = np.abs(np.diff(values))
-    usual = float(np.median(moves[moves > 0])) if moves.any() else 0.0
-    arrived = np.array([start > 1 and moves[start - 2 : start].max() >= _ON_ITS_WAY * usual for start in starts])
     typical = float(np.percentile(lengths, 95))  # an encoder rests a while wherever the motion turns
+    # a signal that settles or sticks arrives slowly, one that meets a rail would have gone on; at rest it began
+    moves = np.diff(values)
+    usual = float(np.median(np.abs(moves[moves != 0]))) if moves.any() else 0.0
+    gone_on = np.array([0.0 if start < 4 else 3 * moves[start - 2] - 2 * moves[start - 3] for start in starts])
+    arrived = np.abs(gone_on) >= ODD.on_its_way * usual
+    arrived &= np.sign(gone_on) == np.where(values[starts] == values.max(), 1.0, -1.0)
     for limit, word in ((values.max(), "largest"), (values.min(), "smallest")):
         at = lengths[(values[starts] == limit) & arrived]
         if not at.size:

@@ -65,6 +65,9 @@ class OddNumbers:
     above_step: float = _number(3.0, "and over the step of the readings: an encoder repeats too", "noise adds a step")
     coarse: float = _number(2.0, "step of the readings over their noise from which it is worth a word", "r hides less")
     still: int = _number(20, "equal readings in a row from which a sensor may be stuck", "as before")
+    on_its_way: float = _number(
+        0.2, "move that a signal at a rail was about to make, over its usual one", "0 for one that settles or sticks"
+    )
     trend: float = _number(0.5, "share of a signal that its straight line may be before it is called a trend", "half")
     slow: float = _number(
         0.5,
