@@ -276,7 +276,8 @@ class Trajectory:
         start, stop, step = rows.indices(len(self))
         if step != 1:
             raise InputError("slice of a trajectory", expected="step 1", got=str(step), remedy="resample explicitly")
-        x, missing = (None if part is None else part[start:stop] for part in (self.x, self.missing))
+        x = None if self.x is None else self.x[start:stop]
+        missing = None if self.missing is None else self.missing[start:stop]
         return Trajectory(self.t[start:stop], self.u[start:stop], self.y[start:stop], self.spec, x, missing)
 
     def measured(self) -> Trajectory:
