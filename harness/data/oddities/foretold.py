@@ -113,4 +113,5 @@ def foretold(
     local = _GAUSS * median_filter(np.abs(whole), size=min(ODD.local, len(whole)), mode="nearest")
     scale = np.maximum(local, max(width, _ROUNDING))
     other = basis @ values[n:-1].reshape(u.shape[1], basis.shape[1]).T / np.where(spread > 0, spread, 1.0)
-    return Foretold(values[:n], other * size, whole * size, scale * size)
+    parts = (values[:n], other * size, whole * size, scale * size)
+    return Foretold(*(np.asarray(part, dtype=float) for part in parts))

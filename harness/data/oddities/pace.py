@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import welch
+from scipy.signal import detrend, welch
 
 from harness.data.oddities.numbers import ODD
 from harness.signals import FloatArray
@@ -22,7 +22,7 @@ def band_of(y: FloatArray) -> float:
     0.02
     """
     length = min(len(y), 1024)
-    frequency, power = welch(y, nperseg=length, detrend="linear")
+    frequency, power = welch(detrend(y), nperseg=length)
     floor = float(np.median(power[3 * len(power) // 4 :]))
     above = np.maximum(power - 3.0 * floor, 0.0)
     if not above.sum() > 0.1 * power.sum():
