@@ -1,10 +1,9 @@
 """Faults of columns against clean records: what is named, what is named falsely, and which rows are left out.
 
-    python benchmarks/odd_records.py [--plants N] [--rows N] [--seeds A..B]
+    python benchmarks/odd_records.py [--plants N] [--rows N ...] [--seeds N]
 
 Every plant is recorded clean, by several excitations, and with each fault of the list. A clean record must bring no
-fault; a corrupted one the kind of its fault and no other. ``--loop`` closes the loop on one record of each kind besides
-(a minute each): no effect may be named.
+fault; a corrupted one the kind of its fault and no other.
 """
 
 from __future__ import annotations
