@@ -19,7 +19,7 @@ from harness.parts import LISTED, describe_part, list_parts
 from harness.plant_files import describe_fmu, is_plant_file, is_system, make_plant, stream_key
 from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
 from harness.rng import Streams, stream
-from harness.signals import FloatArray, PlantSpec, Trajectory, Use
+from harness.signals import Dataset, FloatArray, PlantSpec, Trajectory, Use
 
 if TYPE_CHECKING:
     from harness.benchmark import Answer, BenchResult
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from harness.conformance import CheckResult
     from harness.convergence import Convergence
     from harness.data import Nominal
+    from harness.data.oddities import DataCheck
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
     from harness.fleet import FleetResult
@@ -41,6 +42,7 @@ __all__ = [
     "Identified",
     "bench",
     "check",
+    "check_data",
     "close_fleet",
     "close_loop",
     "compare",
@@ -772,6 +774,7 @@ def compare(
     out: str | Path | None = None,
     trust: bool = False,
     force: bool = False,
+    note: Callable[[str], None] | None = None,
 ) -> Comparison:
     """Put stored models side by side on one data set: fit, residuals, frequency responses.
 
@@ -789,6 +792,8 @@ def compare(
         Let a stored model run the Python file that it names.
     force : bool
         Overwrite ``out`` if it exists.
+    note : callable, optional
+        Called with what is odd about the records (:func:`check_data`).
 
     Raises
     ------
@@ -804,6 +809,7 @@ def compare(
         _refuse_overwrite(Path(out), force=force)
     found = {str(path): read_model(path, trust=trust) for path in models}
     data = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven).dataset
+    _note_oddities(data, note)
     result = room.compare(found, data)
     if out is not None:
         with whole_file(out) as scratch:
@@ -819,6 +825,7 @@ def spectrum(
     segment: int | None = None,
     out: str | Path | None = None,
     force: bool = False,
+    note: Callable[[str], None] | None = None,
 ) -> Spectrum:
     """Return the frequency response that the estimation records of a data set show.
 
@@ -834,6 +841,8 @@ def spectrum(
         Picture to write: ``.svg``, ``.png`` or ``.pdf``.
     force : bool
         Overwrite ``out`` if it exists.
+    note : callable, optional
+        Called with what is odd about the records (:func:`check_data`).
 
     Raises
     ------
@@ -845,6 +854,7 @@ def spectrum(
 
     _refuse_picture(out, force=force)
     data = load_dataset(registry.dataset_path(dataset), model=model, undriven=undriven).dataset
+    _note_oddities(data, note)
     found = room.spectrum([one.measured() for one in data.estimation], segment=segment)
     _draw(found.plot, out)
     return found
@@ -862,6 +872,7 @@ def order(
     out: str | Path | None = None,
     seed: int = 0,
     force: bool = False,
+    note: Callable[[str], None] | None = None,
 ) -> OrderSelection:
     """Fit models of every order, judge them on data that they did not see, and show where more is no gain.
 
@@ -883,6 +894,8 @@ def order(
         For identifiers that draw random numbers.
     force : bool
         Overwrite ``out`` if it exists.
+    note : callable, optional
+        Called with what is odd about the records (:func:`check_data`).
 
     Raises
     ------
@@ -895,6 +908,7 @@ def order(
     _refuse_picture(out, force=force)
     path = registry.dataset_path(dataset)
     data = load_dataset(path, model=model, validation=validation, undriven=undriven).dataset
+    _note_oddities(data, note)
     asked: dict[str, Any] = {"identifiers": identifiers} if identifiers else {}
     if orders:
         asked["orders"] = orders
@@ -903,11 +917,67 @@ def order(
     return found
 
 
+def check_data(
+    dataset: Any,
+    *,
+    model: str | None = None,
+    validation: Any = None,
+    undriven: Sequence[str] = (),
+    out: str | Path | None = None,
+    force: bool = False,
+) -> DataCheck:
+    """Say what is odd about the records of a data set; see :mod:`harness.data.oddities`.
+
+    Every command that reads records does the same, and keeps out of its fits what is no reading.
+
+    Parameters
+    ----------
+    dataset, model, validation, undriven
+        As for ``identify``. With a nominal model given by equations, these are asked about the inputs too.
+    out : path, optional
+        HTML page to write, the odd rows marked in pictures.
+    force : bool
+        Overwrite ``out`` if it exists.
+
+    Raises
+    ------
+    InputError
+        If the data cannot be used at all.
+    """
+    from harness.data import load_dataset
+    from harness.data.oddities import DataCheck
+    from harness.data.whole_files import whole_file
+    from harness.diagnosis.records.inputs_check import inputs_checked
+    from harness.physics.arm import is_arm
+
+    if out is not None:
+        _refuse_overwrite(Path(out), force=force)
+    path = registry.dataset_path(dataset)
+    loaded = load_dataset(path, model=model, validation=validation, undriven=undriven)
+    data, nominal = loaded.dataset, loaded.nominal
+    if nominal is not None and not nominal.model.endswith(".fmu") and not is_arm(nominal.model):
+        system = loaded.system()
+        data = inputs_checked(system, loaded.for_system(system))
+    found = DataCheck(data)
+    if out is not None:
+        with whole_file(out) as scratch:
+            scratch.write_text(found.html(), encoding="utf-8")
+    return found
+
+
 def check(name: str) -> list[CheckResult]:
     """Hold a plug-in to its contract; see :func:`harness.conformance.check`."""
     from harness import conformance
 
     return conformance.check(name)
+
+
+def _note_oddities(data: Dataset, note: Callable[[str], None] | None) -> None:
+    """Tell what is odd about records."""
+    from harness.data.oddities import lines
+
+    for text in lines(data.oddities or ()) if note is not None else ():
+        cast(Any, note)(text)
 
 
 def _from_outside(experiment: Experiment, spec: PlantSpec) -> dict[str, FloatArray]:

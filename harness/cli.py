@@ -15,7 +15,7 @@ import typer
 
 from harness import __version__, api
 from harness.cli_loop import close_loop, isolability, learn_residual
-from harness.cli_models import compare, export, identify, order, spectrum
+from harness.cli_models import check_data, compare, export, identify, order, spectrum
 from harness.cli_options import AsJson, Force, ModelName
 from harness.cli_runs import bench, query, simulate, table
 from harness.errors import HarnessError, InputError
@@ -36,6 +36,7 @@ app = typer.Typer(
 
 for _command in (simulate, bench, table, query, identify, compare, spectrum, order, isolability, export):
     app.command()(_command)
+app.command(name="check-data")(check_data)
 app.command(name="close-loop")(close_loop)
 app.command(name="learn-residual")(learn_residual)
 

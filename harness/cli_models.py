@@ -10,9 +10,28 @@ import typer
 from harness import api
 from harness.cli_options import AsJson, DatasetName, Force, ModelName, OptionPairs, Seed, Undriven, Validation
 from harness.errors import InputError
-from harness.terminal import completed, option_pairs, print_identified, print_json, print_rows, say, whole_range
+from harness.terminal import completed, noted, option_pairs, print_identified, print_json, print_rows, say, whole_range
 
-__all__ = ["compare", "export", "identify", "order", "spectrum"]
+__all__ = ["check_data", "compare", "export", "identify", "order", "spectrum"]
+
+
+def check_data(
+    dataset: DatasetName,
+    model: ModelName = None,
+    validation: Validation = None,
+    undriven: Undriven = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="page.html")] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Say what is odd about records: spikes, held readings, late inputs and more; fits are kept from these."""
+    found = api.check_data(dataset, model=model, validation=validation, undriven=undriven or (), out=out, force=force)
+    if as_json:
+        print_json(found.to_dict())
+    else:
+        say(str(found))
+    if out is not None:
+        say(f"wrote {out}")
 
 
 def identify(
@@ -67,6 +86,7 @@ def compare(
         out=out,
         trust=trust,
         force=force,
+        note=noted,
     )
     if as_json:
         print_json(found.rows())
@@ -86,7 +106,9 @@ def spectrum(
     force: Force = False,
 ) -> None:
     """Show the frequency response in the data, with bands and coherence."""
-    found = api.spectrum(dataset, model=model, undriven=undriven or (), segment=segment, out=out, force=force)
+    found = api.spectrum(
+        dataset, model=model, undriven=undriven or (), segment=segment, out=out, force=force, note=noted
+    )
     if as_json:
         print_json(found.rows(64))
     else:
@@ -140,6 +162,7 @@ def order(
         out=out,
         seed=seed,
         force=force,
+        note=noted,
     )
     if as_json:
         print_json(

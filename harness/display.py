@@ -40,7 +40,7 @@ def table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def drawing(values: npt.NDArray[np.float64], label: str) -> str:
+def drawing(values: npt.NDArray[np.float64], label: str, marked: npt.NDArray[np.intp] | None = None) -> str:
     """Return a line as SVG: extremes of every stretch, so that nothing short is lost.
 
     Parameters
@@ -48,6 +48,8 @@ def drawing(values: npt.NDArray[np.float64], label: str) -> str:
     values : array (N,)
     label : str
         Shown above the line, with the range.
+    marked : array of int, optional
+        Samples that are marked on the line.
     """
     n = len(values)
     edges = np.linspace(0, n, min(n, POINTS // 2) + 1).astype(int)
@@ -58,10 +60,14 @@ def drawing(values: npt.NDArray[np.float64], label: str) -> str:
     y = HEIGHT - 4 - (line - low) / ((high - low) or 1.0) * (HEIGHT - 24)
     points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
     said = escape(f"{label}: {low:.4g} to {high:.4g}")
+    dots = ""
+    for row in () if marked is None else marked[:: -(-len(marked) // POINTS)]:
+        at = HEIGHT - 4 - (values[row] - low) / ((high - low) or 1.0) * (HEIGHT - 24)
+        dots += f'<circle cx="{WIDTH * row / max(n - 1, 1):.1f}" cy="{at:.1f}" r="2.5" fill="#cc3311"/>'
     return (
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" width="100%" style="max-width:{WIDTH}px" role="img" aria-label="{said}">'
         f'<text x="0" y="13" font-size="12" fill="currentColor">{said}</text>'
-        f'<polyline points="{points}" fill="none" stroke="#4477aa" stroke-width="1"/></svg>'
+        f'<polyline points="{points}" fill="none" stroke="#4477aa" stroke-width="1"/>{dots}</svg>'
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from harness.display import drawing, page, table
 from harness.errors import InputError
 from harness.plots import plot_record
 
-__all__ = ["Channel", "Dataset", "FloatArray", "PlantSpec", "Run", "Trajectory", "Use", "residual"]
+__all__ = ["Channel", "Dataset", "FloatArray", "Oddity", "PlantSpec", "Run", "Trajectory", "Use", "residual"]
 
 FloatArray = npt.NDArray[np.float64]
 Use = Literal["estimation", "validation", "test"]
@@ -183,6 +184,9 @@ class Trajectory:
         Names, units and sample time.
     x : array (N, nx), optional
         True states, for scoring only; never shown to an identifier (see :meth:`measured`).
+    missing : array of bool (N, ny), optional
+        Readings that are none (a spike, a held value): ``y`` then holds what its neighbours foretell, so that whatever
+        does not ask can go on, and :attr:`readings` holds NaN.
 
     Raises
     ------
@@ -205,6 +209,7 @@ class Trajectory:
     y: FloatArray
     spec: PlantSpec
     x: FloatArray | None = None
+    missing: npt.NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         t = _frozen(self.t, "t", ("N",), (None,))
@@ -228,6 +233,10 @@ class Trajectory:
             )
         for name, value in (("t", t), ("u", u), ("y", y), ("x", x)):
             object.__setattr__(self, name, value)
+        if self.missing is not None:
+            marked = _frozen(self.missing, "missing", ("N", "ny"), (n, self.spec.ny)) != 0.0
+            marked.flags.writeable = False
+            object.__setattr__(self, "missing", marked if marked.any() else None)
 
     def __len__(self) -> int:
         return int(self.t.shape[0])
@@ -253,13 +262,23 @@ class Trajectory:
         """Seconds from the first sample to the last."""
         return float((len(self) - 1) * self.spec.sample_time)
 
+    @cached_property
+    def readings(self) -> FloatArray:
+        """What was measured (N, ny): ``y``, NaN where it is missing."""
+        if self.missing is None:
+            return self.y
+        found = np.where(self.missing, np.nan, self.y)
+        found.flags.writeable = False
+        return found
+
     def __getitem__(self, rows: slice) -> Trajectory:
         """Return the rows of a slice with step 1 as a trajectory of its own."""
         start, stop, step = rows.indices(len(self))
         if step != 1:
             raise InputError("slice of a trajectory", expected="step 1", got=str(step), remedy="resample explicitly")
         x = None if self.x is None else self.x[start:stop]
-        return Trajectory(self.t[start:stop], self.u[start:stop], self.y[start:stop], self.spec, x)
+        missing = None if self.missing is None else self.missing[start:stop]
+        return Trajectory(self.t[start:stop], self.u[start:stop], self.y[start:stop], self.spec, x, missing)
 
     def measured(self) -> Trajectory:
         """Return the record without the true states: what an identifier may see."""
@@ -279,6 +298,38 @@ class Run:
     label: str = ""
 
 
+@dataclass(frozen=True)
+class Oddity:
+    """Something about a record that the plant did not do, or that limits what the record can tell.
+
+    Attributes
+    ----------
+    kind : str
+        ``spike``, ``word``, ``held``, ``stuck``, ``rail``, ``step``, ``shift``, ``mismatch``, ``trend``, ``slow``,
+        ``fast``; see :mod:`harness.data.oddities`.
+    run : int
+        Number of the run.
+    channel : str
+        Name of the input or output; empty where it is none of one channel.
+    rows : tuple of int
+        The odd rows of the run, as it was read.
+    words : str
+        What was found, for a person.
+    fault : bool
+        False for what is as it should be and worth knowing, such as the step of an encoder.
+    used : bool
+        True where fits were kept from it: the readings count as missing, or the row was corrected.
+    """
+
+    kind: str
+    run: int
+    channel: str
+    rows: tuple[int, ...]
+    words: str
+    fault: bool = True
+    used: bool = False
+
+
 @dataclass(frozen=True, eq=False)
 class Dataset:
     """Runs of one plant with their use.
@@ -295,6 +346,8 @@ class Dataset:
         Known standard deviation of the sensor of an output, by output name, in its SI unit.
     warnings : tuple of str
         What the reader noticed and the user should know.
+    oddities : tuple of Oddity or None
+        What is odd about the records; None where nobody has looked (:func:`harness.data.oddities.examined` does).
 
     Examples
     --------
@@ -310,6 +363,7 @@ class Dataset:
     intersample: Literal["zoh", "foh", "smooth"] = "zoh"
     noise: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    oddities: tuple[Oddity, ...] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "runs", tuple(self.runs))

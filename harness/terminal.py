@@ -76,6 +76,11 @@ def say(text: str) -> None:
     print(text)
 
 
+def noted(text: str) -> None:
+    """Print a note beside the answer."""
+    print(f"sysid: note: {text}", file=sys.stderr)
+
+
 def print_json(content: Any) -> None:
     """Print JSON without NaN."""
     print(json.dumps(content, indent=1, allow_nan=False))

@@ -37,7 +37,7 @@ def conditioned(record: Trajectory, trend: Trend, band: FilterSection | None) ->
         tables = [filtered(table, band, record.spec.sample_time) for table in tables]
     plain = [tuple(Channel(c.name, c.unit) for c in group) for group in (record.spec.inputs, record.spec.outputs)]
     spec = replace(record.spec, inputs=plain[0], outputs=plain[1], states=())
-    return Trajectory(record.t, tables[0], tables[1], spec)
+    return Trajectory(record.t, tables[0], tables[1], spec, missing=record.missing)
 
 
 def without_trend(values: FloatArray, trend: Trend) -> FloatArray:

@@ -20,6 +20,7 @@ from harness.data.headers import clock_of
 from harness.data.loaded import LoadedDataset
 from harness.data.memory import in_memory
 from harness.data.merging import merged
+from harness.data.oddities import examined, lines
 from harness.data.plan import Plan
 from harness.data.sanity import check_run, check_runs
 from harness.data.sections import Description, RunSection
@@ -146,6 +147,7 @@ class _Reader:
         plan, spec = self.plan, None
         runs: list[Run] = []
         references: list[dict[str, FloatArray]] = []
+        names: list[str] = []
         self._refuse_unrecorded()
         self._refuse_conditioning()
         measured = tuple((plan.port(name), plan.signal(name).derivative) for name in plan.outputs)
@@ -160,10 +162,10 @@ class _Reader:
                     spec = spec or self._spec(piece.sample_time)
                     trajectory, extra = self._trajectory(piece, spec)
                     notes += check_run(trajectory, measured)
-                    trajectory = conditioned(trajectory, self.description.detrend, self.description.filter)
                     label = section.label + (f"/{order}" if len(pieces) > 1 else "")
                     runs.append(Run(trajectory, section.use, label.lstrip("/")))
                     references.append(extra)
+                    names.append(f"{place} ({file.name})" + (f", piece {order}" if len(pieces) > 1 else ""))
             except InputError as error:
                 raise error.located(file=file, place=place) from error
             self.notes += [f"{place} ({file.name}): {note}" for note in dict.fromkeys(notes)]
@@ -173,8 +175,15 @@ class _Reader:
         self._check_overlap()
         if not any(run.use == "validation" for run in runs):
             self.notes.append("no validation run: nothing chooses between models on data that they have not seen")
-        dataset = Dataset(
-            self.description.name, tuple(runs), self.description.intersample or "zoh", plan.noise(), tuple(self.notes)
+        between = self.description.intersample or "zoh"
+        dataset = examined(Dataset(self.description.name, tuple(runs), between, plan.noise(), tuple(self.notes)))
+        dataset = replace(
+            dataset,
+            runs=tuple(
+                replace(run, trajectory=conditioned(run.trajectory, self.description.detrend, self.description.filter))
+                for run in dataset
+            ),
+            warnings=(*dataset.warnings, *lines(dataset.oddities or (), names)),
         )
         return LoadedDataset(dataset, plan.nominal, measured, tuple(references), self.path, self.description.source)
 

@@ -12,7 +12,7 @@ import numpy as np
 from harness.data.ports import ANY_PORTS, model_options
 from harness.data.sections import NominalParameter, SourceSection
 from harness.errors import InputError
-from harness.signals import Dataset, FloatArray, Run, Trajectory
+from harness.signals import Dataset, FloatArray, Run
 
 if TYPE_CHECKING:
     from harness.physics import System
@@ -136,7 +136,7 @@ class LoadedDataset:
             for column, name in enumerate(wanted):
                 if name in names:
                     u[:, column] = record.u[:, names.index(name)]
-            runs.append(Run(Trajectory(record.t, u, record.y, full, record.x), run.use, run.label))
+            runs.append(Run(replace(record, u=u, spec=full), run.use, run.label))
         return replace(self.dataset, runs=tuple(runs))
 
     def _parameters(self, system: System) -> Mapping[str, Any]:

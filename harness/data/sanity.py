@@ -12,7 +12,7 @@ from harness.data.timebase import SHORTEST
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, Run, Trajectory
 
-__all__ = ["check_run", "check_runs", "saturated", "stuck"]
+__all__ = ["check_run", "check_runs"]
 
 _FACTORS = (
     (180.0 / np.pi, "one is in degrees and the other in radians"),
@@ -72,8 +72,6 @@ def check_run(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> li
         if still[i]:
             notes.append(f"output {channel.name} never moves ({trajectory.y[0, i]:g} {channel.unit})")
         elif channel.kind != "category":
-            notes += stuck(channel, trajectory.y[:, i], spec.sample_time)
-            notes += saturated(channel, trajectory.y[:, i])
             notes += _out_of_range(channel, trajectory.y[:, i])
     for i, channel in enumerate(spec.inputs):
         if not np.ptp(trajectory.u[:, i]):
@@ -123,52 +121,6 @@ def check_runs(runs: Sequence[Run]) -> list[str]:
             )
         seen.setdefault(key, (number, run))
     return [*units_between_runs(runs), *swapped_runs(runs)]
-
-
-def _runs_of_equal(values: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Return start and length of every stretch of equal samples."""
-    edges = np.flatnonzero(np.diff(values)) + 1
-    starts = np.concatenate(([0], edges))
-    return starts, np.diff(np.concatenate((starts, [len(values)])))
-
-
-def stuck(channel: Channel, values: FloatArray, dt: float, kind: str = "output") -> list[str]:
-    """Say that a sensor stood still while it otherwise never does."""
-    starts, lengths = _runs_of_equal(values)
-    longest = int(np.argmax(lengths))
-    length = int(lengths[longest])
-    others = np.delete(lengths, longest)
-    # a plant at rest before its first and after its last excitation is no fault
-    inside = starts[longest] > 0 and starts[longest] + length < len(values)
-    extreme = values[starts[longest]] in (values.min(), values.max())
-    if not (inside and others.size and length >= max(20, 0.01 * len(values)) and not extreme):
-        return []
-    if length < 10 * int(others.max()) and length < 50 * float(np.mean(others)):
-        return []
-    first = starts[longest]
-    return [
-        f"{kind} {channel.name} stands still at {values[first]:g} {channel.unit} for {length} samples from sample "
-        f"{first} ({length * dt:g} s) while elsewhere it does not for more than {int(others.max())}: a stuck sensor or "
-        "a drop-out?"
-    ]
-
-
-def saturated(channel: Channel, values: FloatArray, kind: str = "output") -> list[str]:
-    """Say that a sensor rests at its largest or smallest value in several places."""
-    if np.unique(values[:2000]).size < 8:
-        return []
-    starts, lengths = _runs_of_equal(values)
-    notes = []
-    typical = float(np.median(lengths))
-    for limit, word in ((values.max(), "largest"), (values.min(), "smallest")):
-        at = lengths[values[starts] == limit]
-        inside = int(at.sum())
-        if inside >= max(8, 0.003 * len(values)) and at.max() >= max(5, 5 * typical):
-            notes.append(
-                f"{kind} {channel.name} rests at its {word} value {limit:g} {channel.unit} for {inside} samples in "
-                f"{at.size} places: a saturated sensor or an end stop?"
-            )
-    return notes
 
 
 def _refuse_whirling(channel: Channel, values: FloatArray) -> None:

@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, cast
 
+from harness.data.oddities import examined, lines, odd_pictures, oddities_data
 from harness.diagnosis.algorithm import diagnose
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.kinds import Equations, Kind
+from harness.diagnosis.records.inputs_check import inputs_checked
 from harness.diagnosis.records.stretches import cut_alike
 from harness.diagnosis.steps import Progress
-from harness.diagnosis.systems import AnySystem
+from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects.effect import Effect
 from harness.errors import InputError
 from harness.physics.arm import ArmModel, is_arm, load_arm
@@ -127,6 +129,7 @@ def close_loop(
     from harness.workers import one_thread
 
     folder = _folder(out, resume=resume, force=force)
+    dataset = _looked_at(dataset)
     if (arm := _arm(model)) is not None:
         from harness.diagnosis.arm.close import close_arm
 
@@ -134,14 +137,26 @@ def close_loop(
         return Report(data, folder, arm)
     system = _system(model, parameters, dataset)
     box = is_fmu(system)
+    if by_equations(system):
+        with one_thread():
+            dataset = inputs_checked(system, dataset)
     kind = _black_box() if box else Equations()
     diagnosis = diagnose(dataset, system, kind=kind, progress=progress, folder=folder, dictionary=dictionary)
+    if by_equations(system) and diagnosis.outcome.accepted:
+        # what the model lacked may have hidden that the input is late: its equations are whole now
+        final = diagnosis.final.model.with_parameters(diagnosis.final.values)
+        with one_thread():
+            again = inputs_checked(final, dataset)
+        if again.runs != dataset.runs:
+            dataset = again
+            diagnosis = diagnose(dataset, system, kind=kind, progress=progress, dictionary=dictionary)
     if progress is not None:
         progress(0.9, "report")
     with one_thread():
         data = evidence_data(diagnosis, cut_alike(references, dataset, diagnosis.dataset))
+        data["oddities"] = oddities_data(dataset)
         if folder is not None:
-            write_evidence(diagnosis, data, folder / HTML)
+            write_evidence(diagnosis, data, folder / HTML, odd_pictures(dataset))
     if folder is not None:
         if box:
             repaired = _repaired_fmu(diagnosis, folder)
@@ -194,6 +209,14 @@ def close_loop_file(
         options=None if box else _options(loaded),
         references=loaded.references,
     )
+
+
+def _looked_at(dataset: Dataset) -> Dataset:
+    """Return a data set that was examined, what was found among its warnings."""
+    if dataset.oddities is not None:
+        return dataset
+    found = examined(dataset)
+    return replace(found, warnings=(*found.warnings, *lines(found.oddities or ())))
 
 
 def _options(loaded: LoadedDataset) -> dict[str, Any]:

@@ -226,6 +226,7 @@ class KalmanPass:
         Parameters
         ----------
         record : Trajectory
+            Readings that are missing are passed over: they correct nothing and have no likelihood.
         p : array (np,)
         x0 : array (start_size,)
             Known initial state; the latent forces start from their stationary distribution.
@@ -269,7 +270,7 @@ class KalmanPass:
             return self._in_python(record, p, u, made, columns, how)
         given = {
             "p": p, "x0": start, "p0": variance, "u": u, "d": input_jacobian,
-            "measured": np.ascontiguousarray(record.y),
+            "measured": np.ascontiguousarray(record.readings),
             "columns": np.ascontiguousarray([] if columns is None else columns, dtype=np.intc),
             "r": noise.r**2, "period": self._period, "a": decay, "q": gained, "w": noise.w**2,
             "fade": fade, "q_tau": -2 * noise.s**2 * fade * np.exp(-2 * fade),
@@ -321,7 +322,7 @@ class KalmanPass:
                     made.path.x_before[row], made.path.p_before[row] = x, variance
                 prior = x.copy()
                 for o in range(ny):
-                    e = record.y[row, o] - y[o, 0]
+                    e = record.readings[row, o] - y[o, 0]
                     if period := self._period[o]:
                         e = (e + period / 2) % period - period / 2
                     e -= c[o] @ (x - prior)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from harness.physics.simulator import Intersample
     from harness.physics.system import System
 
-__all__ = ["first_noises", "first_state", "fit_likelihood", "force_scale", "sensor_noise"]
+__all__ = ["first_noises", "first_state", "fit_likelihood", "force_scale", "likelihood_of", "sensor_noise"]
 
 SHARES = (0.02, 0.3)
 """Latent forces that a first fit starts from, as shares of the typical force."""
@@ -88,14 +88,11 @@ def fit_likelihood(
     """
     records = list(trajectories)
     dt = records[0].spec.sample_time
+    likelihood = likelihood_of(system, records, fixed=fixed, latent=latent, white=white, intersample=intersample)
+    model = likelihood.noise_model
     given = dict(start or {})
     free = np.array([not (parameter.fixed or parameter.name in fixed) for parameter in system.parameters], dtype=bool)
     vectors = first_values(system, records, {**system.values(), **given}, free, set(given), intersample)
-    scale = force_scale(system, records, intersample)
-    spread = np.concatenate([record.y for record in records]).std(axis=0)
-    longest = max(len(record) for record in records) * dt / LONGEST
-    model = NoiseModel(scale, np.maximum(spread, 1e-12), latent, white, shortest=dt, longest=max(longest, 2 * dt))
-    likelihood = Likelihood(system, records, model, fixed=fixed, intersample=intersample)
     best: LikelihoodFit | None = None
     for p in vectors:
         x0 = [first_state(system, record, p, intersample) for record in records]
@@ -114,6 +111,25 @@ def fit_likelihood(
             remedy="check units and signs of the records, or give start values",
         )
     return best
+
+
+def likelihood_of(
+    system: System,
+    trajectories: Sequence[Trajectory],
+    *,
+    fixed: Sequence[str] = (),
+    latent: bool = True,
+    white: bool = True,
+    intersample: Intersample = "zoh",
+) -> Likelihood:
+    """Return the likelihood that :func:`fit_likelihood` maximises; its parameters but ``start`` are meant."""
+    records = list(trajectories)
+    dt = records[0].spec.sample_time
+    scale = force_scale(system, records, intersample)
+    spread = np.concatenate([record.y for record in records]).std(axis=0)
+    longest = max(len(record) for record in records) * dt / LONGEST
+    model = NoiseModel(scale, np.maximum(spread, 1e-12), latent, white, shortest=dt, longest=max(longest, 2 * dt))
+    return Likelihood(system, records, model, fixed=fixed, intersample=intersample)
 
 
 def first_noises(model: NoiseModel, sensors: FloatArray, dt: float) -> list[Noise]:
@@ -163,9 +179,11 @@ def force_scale(
 def sensor_noise(records: Sequence[Trajectory]) -> FloatArray:
     """Return a first guess of the sensor noise (ny,): 4th differences, but at least a millionth of the signal."""
     weight = np.sqrt(70.0)
-    y = [np.diff(record.y, n=4, axis=0) for record in records if len(record) > 4]
     spread = np.concatenate([record.y for record in records]).std(axis=0)
-    if not y:
-        return np.asarray(0.01 * spread + 1e-15)
-    found = 1.4826 * np.median(np.abs(np.concatenate(y)), axis=0) / weight
+    found = []
+    for column in range(len(spread)):
+        read = [record.readings[:, column] for record in records]  # of held readings the fresh ones only
+        parts = [np.abs(np.diff(one[np.isfinite(one)], n=4)) for one in read]
+        steps = np.concatenate(parts)
+        found.append(1.4826 * np.median(steps) / weight if steps.size else 0.01 * spread[column])
     return np.asarray(np.clip(found, 1e-6 * spread + 1e-15, None))

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from harness.data.oddities import examined, lines
 from harness.data.sanity import check_run, check_runs
 from harness.errors import InputError
-from harness.signals import Channel, PlantSpec, Run, Trajectory, Use
+from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory, Use
 
 N, DT = 1200, 0.01
 SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"), Channel("theta_rate", "rad/s")), DT)
@@ -85,7 +86,8 @@ def saturated(c: np.ndarray) -> np.ndarray:
     ],
 )
 def test_what_may_be_wrong_is_said(change, words: str) -> None:  # type: ignore[no-untyped-def]
-    notes = check_run(record(change(swing())), MEASURED)
+    odd = record(change(swing()))
+    notes = [*check_run(odd, MEASURED), *lines(examined(Dataset("x", (Run(odd),))).oddities or ())]
     assert any(words in note for note in notes), notes
 
 

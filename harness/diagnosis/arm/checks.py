@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from harness.data.sanity import saturated, stuck
+from harness.data.oddities.levels import saturated, stuck
 from harness.diagnosis.policy import ARM_POLICY
 from harness.diagnosis.records.motion import ORDER, motion_band
 from harness.signals import FloatArray, Run, Trajectory
@@ -90,7 +90,7 @@ def _torque(record: Trajectory, k: int, band: float) -> list[str]:
     channel, values, dt = record.spec.inputs[k], record.u[:, k], record.spec.sample_time
     if not np.ptp(values):
         return [f"torque {channel.name} is constant ({values[0]:g} {channel.unit}): not measured, or not driven?"]
-    notes = [*stuck(channel, values, dt, "torque"), *saturated(channel, values, "torque")]
+    notes = [*stuck(channel, values, dt, "torque"), *saturated(channel, values, "torque").values()]
     share, frequency = chatter(values, dt, band)
     if share > ARM_POLICY.often:
         notes.append(

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from harness.data.oddities import oddities_data
 from harness.diagnosis.arm.diagnose import Progress, diagnose_arm
 from harness.diagnosis.arm.found import ArmDiagnosis
 from harness.effects.effect import Effect
@@ -46,6 +47,7 @@ def close_arm(
     if progress is not None:
         progress(0.9, "report")
     data = arm_report(diagnosis)
+    data["oddities"] = oddities_data(dataset)
     if folder is not None:
         write_arm_html(diagnosis, data, folder / "report.html")
         if arm.path is not None and not diagnosis.misfit:

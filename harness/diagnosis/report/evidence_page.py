@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,12 +27,12 @@ MOST_PORTS = 3
 """Latent forces that the page shows."""
 
 
-def write_evidence(found: Diagnosis, data: dict[str, Any], path: Path) -> None:
-    """Write the page of a diagnosis."""
-    write_atomic(path, render_evidence(data, draw(pictures(found))))
+def write_evidence(found: Diagnosis, data: dict[str, Any], path: Path, odd: Sequence[str] = ()) -> None:
+    """Write the page of a diagnosis; ``odd`` are drawings of channels with odd rows."""
+    write_atomic(path, render_evidence(data, draw(pictures(found)), odd))
 
 
-def render_evidence(data: dict[str, Any], figures: dict[str, str]) -> str:
+def render_evidence(data: dict[str, Any], figures: dict[str, str], odd: Sequence[str] = ()) -> str:
     """Return the page.
 
     Parameters
@@ -40,6 +41,8 @@ def render_evidence(data: dict[str, Any], figures: dict[str, str]) -> str:
         Content of ``report.json``.
     figures : dict
         SVG texts, see :func:`harness.diagnosis.report.figures.draw`.
+    odd : sequence of str
+        SVG texts of channels with odd rows.
     """
     rows = error_rows(data)
     return str(
@@ -48,6 +51,7 @@ def render_evidence(data: dict[str, Any], figures: dict[str, str]) -> str:
         .render(
             data=data,
             figures=figures,
+            odd=odd,
             rows=rows,
             cards=[] if data["misfit"] else _cards(rows, bool(data["effects"])),
             refits=[row for row in data["candidates"] if row["refitted"]],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from harness.data.oddities import described as odd_numbers
 from harness.diagnosis.policy import ARM_POLICY, DATA_POLICY, EFFORT, PLAN_POLICY, RUN_POLICY, Policy, described
 
 __all__ = ["FORMAT", "blank", "numbers"]
@@ -50,6 +51,7 @@ def blank() -> dict[str, Any]:
         "inertial_parameters": None,
         "policy": {},
         "alarms": [],
+        "oddities": [],
         "warnings": [],
         "seconds": 0.0,
     }  # fmt: skip
@@ -64,4 +66,5 @@ def numbers(policy: Policy) -> dict[str, dict[str, Any]]:
         "run": described(RUN_POLICY),
         "plan": described(PLAN_POLICY),
         "arm": described(ARM_POLICY),
+        "odd": odd_numbers(),
     }

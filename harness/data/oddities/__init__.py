@@ -1,0 +1,22 @@
+"""What is odd about records: found by stated tests at stated rates, shown, and kept out of the fits.
+
+==============  ======================================================================================================
+``spike``       readings that the rows before and after contradict; rows of an input that no output felt
+``word``        the same with one value again and again: 0, -1, 9999
+``held``        readings that only repeat: a sensor slower than its record
+``stuck``       a stretch without a change
+``rail``        readings that rest at their largest or smallest value
+``shift``       an input that was written a row late (found with the equations of motion)
+``mismatch``    runs of one use that follow two models
+``step``, ``slow``, ``fast``, ``trend``
+                no faults: the step of an encoder, sampling beside the pace of the motion, a drift
+==============  ======================================================================================================
+
+Inputs that switch between levels, rest at a rail or jump are meant so: nothing is said of them.
+"""
+
+from harness.data.oddities.examine import examined, lines
+from harness.data.oddities.numbers import ODD, described
+from harness.data.oddities.page import DataCheck, odd_pictures, oddities_data
+
+__all__ = ["ODD", "DataCheck", "described", "examined", "lines", "odd_pictures", "oddities_data"]

@@ -1,0 +1,297 @@
+"""Looking at every channel of every run, and leaving out of the fits what is no reading."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import maximum_filter1d
+
+from harness.data.oddities.between import mismatched
+from harness.data.oddities.held import held_readings, stuck_rows
+from harness.data.oddities.levels import coarse_step, saturated, stuck
+from harness.data.oddities.numbers import ODD
+from harness.data.oddities.pace import band_of, trend_of
+from harness.data.oddities.spikes import Spikes, alike, spikes_of, unfelt
+from harness.signals import Channel, Dataset, FloatArray, Oddity, Trajectory
+
+__all__ = ["examined", "lines"]
+
+_SHOWN = 4
+"""Rows that a sentence names."""
+_ONE_TURN = 1.05
+"""Range of an angle over its period up to which its sensor may count one turn."""
+
+
+def examined(dataset: Dataset) -> Dataset:
+    """Return a data set with what is odd about its records, and without the readings that are none.
+
+    Spikes, words for "nothing" and repeated readings count as missing (:attr:`harness.signals.Trajectory.missing`); a
+    row of an input that no output felt is what its neighbours foretell. Everything else is only said.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        One that was examined is returned as it is.
+
+    Returns
+    -------
+    Dataset
+        With ``oddities``.
+
+    Examples
+    --------
+    >>> from harness.signals import PlantSpec, Run
+    >>> rng = np.random.default_rng(0)
+    >>> y = np.sin(0.1 * np.arange(400.0)) + 0.01 * rng.standard_normal(400)
+    >>> y[200] = 9999.0
+    >>> spec = PlantSpec((), (Channel("q", "m"),), 0.5)
+    >>> found = examined(Dataset("x", (Run(Trajectory(np.arange(400) * 0.5, np.zeros((400, 0)), y[:, None], spec)),)))
+    >>> print(found.oddities[0].words)
+    q reads 9999 m in row 200, where its neighbours foretell 0.91 m: counted as missing
+    >>> bool(np.isnan(found.runs[0].trajectory.readings[200, 0]))
+    True
+    """
+    if dataset.oddities is not None:
+        return dataset
+    runs, found = [], []
+    for number, run in enumerate(dataset.runs):
+        looked = _Look(number, run.trajectory)
+        looked.look()
+        runs.append(replace(run, trajectory=looked.mended()))
+        found += looked.oddities
+    found += mismatched(runs)
+    return replace(dataset, runs=tuple(runs), oddities=tuple(found))
+
+
+def lines(oddities: Sequence[Oddity], names: Sequence[str] = (), *, faults: bool = True) -> list[str]:
+    """Return what was found, a line each; only what is a fault unless asked otherwise.
+
+    Parameters
+    ----------
+    oddities : sequence of Oddity
+    names : sequence of str
+        What to call the runs; by default ``run 0`` and so on.
+    faults : bool
+        False for what is worth knowing too.
+
+    Examples
+    --------
+    >>> lines([Oddity("step", 0, "q", (), "q moves in steps of 0.1 m", fault=False)])
+    []
+    >>> lines([Oddity("spike", 1, "q", (3,), "q has a spike")]), lines([Oddity("spike", 0, "q", (3,), "a")], ["a.csv"])
+    (['run 1: q has a spike'], ['a.csv: a'])
+    """
+    return [
+        f"{names[odd.run] if names else f'run {odd.run}'}: {odd.words}" for odd in oddities if odd.fault or not faults
+    ]
+
+
+@dataclass(eq=False)
+class _Look:
+    """One run while it is looked at."""
+
+    run: int
+    record: Trajectory
+    oddities: list[Oddity] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.u, self.y = self.record.u.copy(), self.record.y.copy()
+        known = self.record.missing
+        self.missing = np.zeros(self.y.shape, dtype=bool) if known is None else known.copy()
+        self.resting = np.zeros(self.y.shape, dtype=bool)
+        self.uneven = np.zeros(self.y.shape[1], dtype=bool)
+        self.spec, self.n = self.record.spec, len(self.record)
+
+    def look(self) -> None:
+        """Look at everything."""
+        for column, channel in enumerate(self.spec.inputs):
+            if channel.kind == "real" and self.n >= ODD.fewest:
+                self._input(column, channel)
+        for column, channel in enumerate(self.spec.outputs):
+            if channel.kind == "real" and np.ptp(self.y[:, column]) > 0:
+                self._output(column, channel)
+
+    def mended(self) -> Trajectory:
+        """Return the record with what is no reading marked as missing."""
+        if not self.missing.any() and np.array_equal(self.u, self.record.u):
+            return self.record
+        return replace(self.record, u=self.u, y=self.y, missing=self.missing)
+
+    def _add(self, kind: str, channel: Channel, rows: npt.NDArray[np.intp], words: str, **how: bool) -> None:
+        self.oddities.append(Oddity(kind, self.run, channel.name, tuple(map(int, rows)), words, **how))
+
+    # ---- outputs ---------------------------------------------------------------------------------------------------
+
+    def _output(self, column: int, channel: Channel) -> None:
+        """Look at one output."""
+        y = self.record.y[:, column]
+        plain = y if channel.period is None else _unwrapped(y, channel.period)
+        self._stands(column, channel, plain)
+        for limit, words in saturated(channel, y).items():
+            limits = np.flatnonzero(y == limit)
+            self.resting[limits, column] = True
+            self._add("rail", channel, limits, words)
+        if self.n < ODD.fewest:
+            return
+        fresh = ~self.missing[:, column]
+        self._spikes(column, channel, plain, fresh)
+        step = coarse_step(y[fresh])
+        if step:
+            turn = f", {2 * np.pi / step:.4g} a turn" if channel.unit == "rad" else ""
+            words = f"{channel.name} is read in steps of {step:.4g} {channel.unit}{turn}, more than its noise"
+            self._add("step", channel, np.zeros(0, dtype=np.intp), words, fault=False)
+        self._pace(column, channel)
+
+    def _stands(self, column: int, channel: Channel, plain: FloatArray) -> None:
+        """Find readings that only repeat."""
+        held = held_readings(plain, self.record.u)
+        if held is not None:
+            rows = np.flatnonzero(~held.fresh)
+            how = (
+                f"is refreshed every {_th(held.every)} row"
+                if held.every
+                else f"repeats the reading before in {len(rows)} of {self.n} rows, and then catches up"
+            )
+            words = f"{channel.name} {how}: only fresh readings count"
+            self._leave(column, held.fresh, plain)
+            self.uneven[column] = held.every is None
+            self._add("held", channel, rows, words, used=True)
+            return
+        for words in stuck(channel, self.record.y[:, column], self.spec.sample_time):
+            found = stuck_rows(self.record.y[:, column])
+            assert found is not None
+            first, length = found
+            after = abs(plain[first + length] - plain[first])
+            typical = float(np.median(np.abs(np.diff(plain))))
+            rows = np.arange(first, first + length)
+            self.resting[rows, column] = True
+            caught = after > ODD.catch_up * length * typical  # a plant that stands still starts slowly
+            if caught:
+                fresh = np.ones(self.n, dtype=bool)
+                fresh[first + 1 : first + length] = False
+                self._leave(column, fresh, plain)
+            self._add("stuck", channel, rows, words, used=bool(caught))
+
+    def _spikes(self, column: int, channel: Channel, plain: FloatArray, fresh: npt.NDArray[np.bool_]) -> None:
+        """Find readings that their neighbours contradict."""
+        whole = bool(fresh.all())
+        if not whole and self.uneven[column]:
+            return  # a prediction needs readings at one distance
+        where = np.flatnonzero(fresh)
+        values = plain[where]
+        found = spikes_of(values, self.u if whole else np.zeros((len(values), 0)))
+        # where a signal comes to rest and goes on from there no prediction holds
+        near = maximum_filter1d(self.resting[where, column], 2 * ODD.order + 1)
+        kept = found.rows[~near[found.rows]]
+        found = Spikes(kept, np.where(np.isin(np.arange(len(values)), kept), found.mended, values))
+        for value, places in alike(self.record.y[where, column], found.rows):
+            rows = where[places]
+            words = _reads(channel, value, rows, self.record.y[rows, column], found.mended[places], self.record.t)
+            self._add("spike" if value is None else "word", channel, rows, f"{words}: counted as missing", used=True)
+        if found.rows.size:
+            good = fresh.copy()
+            good[where[found.rows]] = False
+            mended = plain.copy()
+            mended[where] = found.mended
+            if whole:
+                self.y[:, column] += np.where(good, 0.0, mended - plain)
+                self.missing[:, column] |= ~good
+            else:
+                self._leave(column, good, mended)
+
+    def _leave(self, column: int, fresh: npt.NDArray[np.bool_], plain: FloatArray) -> None:
+        """Count readings as missing, with what those beside them foretell in their place."""
+        from scipy.interpolate import PchipInterpolator
+
+        where = np.flatnonzero(fresh)
+        filled = PchipInterpolator(where, plain[where], extrapolate=False)(np.arange(self.n))
+        filled = np.where(np.isfinite(filled), filled, plain[where[-1]])
+        self.y[:, column] = np.where(fresh, self.record.y[:, column], filled)
+        self.missing[:, column] |= ~fresh
+
+    def _pace(self, column: int, channel: Channel) -> None:
+        """Compare the motion with the sampling, and with a line."""
+        y = self.y[:, column]
+        band, dt = band_of(y), self.spec.sample_time
+        nothing = np.zeros(0, dtype=np.intp)
+        if band > ODD.slow:
+            words = (
+                f"{channel.name} moves up to {0.5 * band / dt:.3g} Hz, {1 / dt:.4g} samples a second are few for it: "
+                "what happens between two rows is not in the record"
+            )
+            self._add("slow", channel, nothing, words, fault=False)
+        elif 0.0 < band < ODD.fast:
+            words = (
+                f"{channel.name} moves below {0.5 * band / dt:.3g} Hz, {1 / dt:.4g} samples a second are many for it: "
+                "neighbouring rows say the same, and models of a step ahead learn noise"
+            )
+            self._add("fast", channel, nothing, words, fault=False)
+        share = trend_of(y, self.u)
+        if share:
+            words = f"{channel.name} drifts: a straight line is {share:.0%} of its motion, and no input has one"
+            self._add("trend", channel, nothing, words, fault=False)
+
+    # ---- inputs ----------------------------------------------------------------------------------------------------
+
+    def _input(self, column: int, channel: Channel) -> None:
+        """Find rows of a logged input that the plant did not feel."""
+        u = self.record.u[:, column]
+        found = spikes_of(u, np.zeros((self.n, 0)))
+        if not found.rows.size:
+            return
+        rows, open_rows = unfelt(self.y, self.u, column, found)
+        self._said(channel, u, found, rows, "no output felt it, the row is read as its neighbours foretell", used=True)
+        self._said(channel, u, found, open_rows, "the outputs do not tell whether the plant felt it", fault=False)
+        self.u[rows, column] = found.mended[rows]
+
+    def _said(
+        self, channel: Channel, u: FloatArray, found: Spikes, rows: npt.NDArray[np.intp], remark: str, **how: bool
+    ) -> None:
+        """Add what is to be said of odd rows of an input."""
+        for value, places in alike(u, rows) if rows.size else ():
+            words = _reads(channel, value, places, u[places], found.mended[places], self.record.t)
+            self._add("spike" if value is None else "word", channel, places, f"{words}: {remark}", **how)
+
+
+def _unwrapped(y: FloatArray, period: float) -> FloatArray:
+    """Return an angle without the jumps of a sensor that counts one turn; readings that are no such angle stay.
+
+    Examples
+    --------
+    >>> y = (0.1 * np.arange(100) + np.pi) % (2 * np.pi) - np.pi
+    >>> y[60] = 9999.0
+    >>> _unwrapped(y, 2 * np.pi)[[30, 60, 99]].round(1).tolist()
+    [3.0, 9999.0, 9.9]
+    """
+    low, high = np.percentile(y, [2, 98])
+    inside = np.abs(y - 0.5 * (low + high)) <= period
+    if high - low > _ONE_TURN * period or inside.sum() < 2:
+        return y
+    plain = y.copy()
+    plain[inside] = np.unwrap(y[inside], period=period)
+    return plain
+
+
+def _reads(
+    channel: Channel, value: float | None, rows: npt.NDArray[np.intp], read: FloatArray, told: FloatArray, t: FloatArray
+) -> str:
+    """Return the sentence about odd readings."""
+    unit = "" if channel.unit == "1" else f" {channel.unit}"
+    if len(rows) == 1:
+        when = f"row {rows[0]}" + ("" if value is not None else f" (t = {t[rows[0]]:g} s)")
+        return f"{channel.name} reads {read[0]:.6g}{unit} in {when}, where its neighbours foretell {told[0]:.3g}{unit}"
+    named = ", ".join(map(str, rows[:_SHOWN])) + (", ..." if len(rows) > _SHOWN else "")
+    if value is not None:
+        return f"{channel.name} reads {value:.6g}{unit} in {len(rows)} rows ({named}) that their neighbours contradict"
+    return (
+        f"{channel.name} has {len(rows)} spikes of up to {np.abs(read - told).max():.3g}{unit} (rows {named}), "
+        "which their neighbours contradict"
+    )
+
+
+def _th(number: int) -> str:
+    """Return an ordinal."""
+    return f"{number}{ {2: 'nd', 3: 'rd'}.get(number % 10, 'th') if number not in (12, 13) else 'th' }"

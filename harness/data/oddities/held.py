@@ -1,0 +1,158 @@
+"""Readings that are the one before once more: a sensor slower than its record, a sensor that was stuck."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.data.oddities.numbers import ODD
+from harness.signals import FloatArray
+
+__all__ = ["Held", "held_readings", "rhythm_of", "runs_of_equal", "step_of", "stuck_rows"]
+
+_SHORTEST_STEP = 1e-9
+"""Step of readings over their range below which it is rounding of the numbers."""
+_ON_LATTICE = 0.01
+"""How far off a multiple of a step a difference may be, in steps."""
+_ALL = 0.99
+"""Share of the differences that must be such multiples."""
+_NEAR = 3.5
+"""Steps within which changes are counted: as many of every size up to there, and none among them."""
+_FAINT = 0.05
+"""Part of the typical change of a signal that a reading must have been behind to count."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Readings that only repeat.
+
+    Attributes
+    ----------
+    every : int or None
+        Rows from one reading to the next, where they come in a rhythm.
+    fresh : array of bool (N,)
+        The readings that are some.
+    """
+
+    every: int | None
+    fresh: npt.NDArray[np.bool_]
+
+
+def runs_of_equal(values: FloatArray) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return start and length of every stretch of equal samples."""
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(values)) + 1))
+    return starts, np.diff(np.concatenate((starts, [len(values)])))
+
+
+def step_of(values: FloatArray) -> float:
+    """Return the step of which all differences of the values are multiples; 0 where there is none.
+
+    Examples
+    --------
+    >>> step_of(np.array([0.0, 0.5, 2.0, 1.5, 1.5])), step_of(np.array([0.1, 0.5, 1.7, 2.02, 3.14159]))
+    (0.5, 0.0)
+    """
+    distinct = np.unique(values)
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > _SHORTEST_STEP * np.ptp(values)]
+    if len(gaps) < 2:
+        return 0.0
+    step = float(gaps.min())
+    step = float(np.median(gaps[gaps < 1.5 * step]))  # rounded numbers: the mean of many
+    off = np.abs(gaps / step - np.round(gaps / step))
+    few = len(distinct) > 0.5 * np.ptp(values) / step  # many values on few places
+    return step if np.mean(off < _ON_LATTICE) >= _ALL and (few or np.ptp(values) / step < 1e7) else 0.0
+
+
+def rhythm_of(values: FloatArray) -> int | None:
+    """Return the number of rows from one change of a signal to the next, if all its changes keep a rhythm.
+
+    Examples
+    --------
+    >>> rhythm_of(np.repeat(np.random.default_rng(0).normal(size=100), 5)), rhythm_of(np.arange(100.0))
+    (5, None)
+    """
+    changes = np.flatnonzero(np.diff(values)) + 1
+    if len(changes) < ODD.changes or len(changes) > 0.6 * len(values):
+        return None
+    for every in range(min(ODD.slowest, len(values) // len(changes) + 1), 1, -1):
+        if np.bincount(changes % every).max() >= ODD.phase * len(changes):
+            return every
+    return None
+
+
+def held_readings(y: FloatArray, u: FloatArray) -> Held | None:
+    """Return which readings of an output only repeat the last one, None if none does.
+
+    A repeated reading is held if the next one catches up: a plant that stands still starts slowly, and the readings of
+    an encoder are steps apart.
+
+    Parameters
+    ----------
+    y : array (N,)
+    u : array (N, nu)
+
+    Examples
+    --------
+    >>> y = np.sin(0.05 * np.arange(600.0))
+    >>> held_readings(np.repeat(y[::3], 3), np.zeros((600, 0))).every, held_readings(y, np.zeros((600, 0)))
+    (3, None)
+    """
+    n = len(y)
+    starts, lengths = runs_of_equal(y)
+    rails = (y[starts] == y.max()) | (y[starts] == y.min())  # where it rests at a rail it is held by that
+    repeats = int((lengths - 1)[~rails].sum())
+    if n < ODD.fewest or repeats < max(10, ODD.repeats * n) or len(np.unique(y)) < ODD.changes:
+        return None
+    step = step_of(y)
+    jumps = np.abs(np.diff(y[starts]))
+    by_chance = np.sum(jumps < _NEAR * step) / (2 * int(_NEAR)) if step else 0.0
+    if repeats < ODD.above_step * by_chance + 10:  # noise falls on the same step again
+        return None
+    typical = float(np.median(jumps)) if jumps.size else 0.0
+    if typical <= ODD.above_step * step:
+        return None
+    fresh = np.zeros(n, dtype=bool)
+    fresh[starts] = True
+    every = rhythm_of(y)
+    if every is not None:
+        if any(rhythm_of(column) == every for column in u.T):
+            return None  # an output that only follows an input held as long
+        phase = int(np.bincount(starts[1:] % every).argmax())
+        fresh[:] = False
+        fresh[phase::every] = True
+        fresh[0] = True
+        return Held(every, fresh)
+    held = np.flatnonzero((lengths[1:-1] > 1) & (lengths[1:-1] <= ODD.slowest) & ~rails[1:-1]) + 1
+    if held.size < 10:
+        return None
+    # what the signal moved per row before and after, against the jump after the hold
+    before, after = np.abs(y[starts[held]] - y[starts[held] - 1]), np.abs(y[starts[held + 1]] - y[starts[held]])
+    meanwhile = np.maximum(before / lengths[held - 1], _FAINT * typical) * lengths[held]
+    caught = after / meanwhile
+    if np.median(caught) < ODD.catch_up or np.median(after) <= ODD.above_step * step:
+        return None
+    return Held(None, fresh)
+
+
+def stuck_rows(y: FloatArray) -> tuple[int, int] | None:
+    """Return first row and length of a stretch in which a sensor stood still while it otherwise never does.
+
+    Parameters
+    ----------
+    y : array (N,)
+    """
+    starts, lengths = runs_of_equal(y)
+    longest = int(np.argmax(lengths))
+    first, length = int(starts[longest]), int(lengths[longest])
+    others = np.delete(lengths, longest)
+    # a plant at rest before its first and after its last excitation is no fault
+    inside = first > 0 and first + length < len(y)
+    extreme = y[first] in (y.min(), y.max())
+    if not (inside and others.size and length >= max(ODD.still, 0.01 * len(y)) and not extreme):
+        return None
+    if length < 10 * int(others.max()) and length < 50 * float(np.mean(others)):
+        return None
+    return first, length

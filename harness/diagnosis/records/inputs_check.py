@@ -1,0 +1,207 @@
+"""Inputs that the equations of motion contradict: written a row late, or with rows that the plant did not feel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from harness.data.oddities import ODD, examined
+from harness.data.oddities.spikes import spikes_of
+from harness.errors import HarnessError
+from harness.physics.likelihood import Likelihood
+from harness.physics.likelihood_fit import fit_likelihood, likelihood_of
+from harness.physics.simulator import Intersample
+from harness.physics.system import System
+from harness.signals import Dataset, FloatArray, Oddity, Run, Trajectory
+
+__all__ = ["inputs_checked"]
+
+_SAMPLES = 2000
+"""Rows of a record that are asked; more would tell no other thing."""
+_STEPS = 12
+"""Iterations of a fit that begins at the maximum for a slightly different input."""
+_MOST_ROWS = 2
+"""Rows by which an input may be late."""
+_LADDER = (1.0, 1.5, 2.0, 2.5)
+"""Rows that are tried as long as each is likelier than the one before."""
+_CANNOT = (HarnessError, ArithmeticError, np.linalg.LinAlgError)
+"""What a model raises that cannot be fitted to a record."""
+
+
+def inputs_checked(system: System, dataset: Dataset) -> Dataset:
+    """Return a data set whose inputs are read as the equations of motion ask, with what was found.
+
+    The nominal model is fitted by maximum likelihood, with forces that nobody measured, to a record as it is and with
+    its input read earlier and later. Nothing mechanical lets a plant answer before it is asked: if the record is far
+    likelier with the input read exactly one row (two rows) earlier than as it is, half a row earlier, and half a row
+    earlier still, it was written so late. An input that acts a row later may be a dead time, and is only said. Rows of
+    an input that the outputs alone did not decide (:func:`harness.data.oddities.spikes.unfelt`) are asked alike.
+
+    Parameters
+    ----------
+    system : System
+        The nominal model.
+    dataset : Dataset
+
+    Returns
+    -------
+    Dataset
+        Runs lose as many rows at their end as an input is late.
+    """
+    dataset = examined(dataset)
+    if not system.nx or not system.inputs or not dataset.estimation:
+        return dataset
+    for number, run in enumerate(dataset.runs):
+        if any(_open(odd, number) for odd in dataset.oddities or ()):
+            dataset = _glitches(system, dataset, number, run)
+    return _shifted(system, dataset)
+
+
+def _open(odd: Oddity, run: int) -> bool:
+    """Return True for rows of an input of which the outputs alone do not tell whether the plant felt them."""
+    return odd.run == run and odd.kind in ("spike", "word") and not odd.fault and not odd.used
+
+
+# ---- rows that the plant did not feel ------------------------------------------------------------------------------
+
+
+def _glitches(system: System, dataset: Dataset, number: int, run: Run) -> Dataset:
+    """Return the data set with the open rows of one run decided, as far as they can be."""
+    record = run.trajectory
+    u, told = record.u.copy(), list(dataset.oddities or ())
+    names = [channel.name for channel in record.spec.inputs]
+    asked = [odd for odd in told if _open(odd, number)]
+    for odd in asked:
+        column = names.index(odd.channel)
+        u[list(odd.rows), column] = spikes_of(record.u[:, column], np.zeros((len(record), 0))).mended[list(odd.rows)]
+    first = max(min(min(odd.rows) for odd in asked) - _SAMPLES // 4, 0)
+    part = slice(first, min(first + _SAMPLES, len(record)))
+    equations = _asked(system, record[part], dataset)
+    gained = 0.0 if equations is None else _gain(equations, replace(record, u=u)[part])
+    if not np.isfinite(gained) or abs(gained) < ODD.felt:
+        return dataset
+    rest = [odd for odd in told if odd not in asked]
+    if gained < 0.0:  # the plant felt them: they are inputs like others
+        return replace(dataset, oddities=tuple(rest))
+    found = [
+        replace(odd, words=f"{odd.words.rpartition(':')[0]}: the plant did not feel it, by its equations", fault=True,
+                used=True) for odd in asked
+    ]  # fmt: skip
+    runs = list(dataset.runs)
+    runs[number] = replace(run, trajectory=replace(record, u=u))
+    return _with(replace(dataset, runs=tuple(runs), oddities=tuple(rest)), found)
+
+
+# ---- rows late -----------------------------------------------------------------------------------------------------
+
+
+def _shifted(system: System, dataset: Dataset) -> Dataset:
+    """Return the data set with inputs read as many rows earlier as they were written late."""
+    record = max(dataset.estimation, key=len)
+    moving = [k for k in range(record.spec.nu) if np.ptp(record.u[:, k]) > 0]
+    if len(record) < ODD.fewest or not moving:
+        return dataset
+    cut = record[: min(len(record), _SAMPLES)]
+    spare = _MOST_ROWS + 1
+
+    def read(rows: float) -> Trajectory:
+        """Return the record with its inputs read some rows earlier, without the ends that this may cost."""
+        return replace(cut, u=_earlier(cut.u, rows))[spare : len(cut) - spare]
+
+    equations = _asked(system, read(0.0), dataset)
+    if equations is None:
+        return dataset
+    sides = {sign: _gain(equations, read(0.5 * sign)) for sign in (1.0, -1.0)}
+    sign = max(sides, key=lambda side: sides[side])
+    if sides[sign] < 0.0:
+        return dataset
+    known = {0.0: 0.0, 0.5: sides[sign]}
+    for rows in _LADDER:
+        known[rows] = _gain(equations, read(sign * rows))
+        if known[rows] < max(known.values()):
+            break
+    late = max(known, key=lambda rows: known[rows])
+    beside = [known[rows] for rows in (0.0, late - 0.5, late + 0.5) if rows in known and rows != late]
+    if late not in (1.0, 2.0) or known[late] < max(beside) + ODD.shift:
+        return dataset
+    whole, names = int(late), " and ".join(record.spec.inputs[k].name for k in moving)
+    many = "one row" if whole == 1 else f"{whole} rows"
+    verb = "is" if len(moving) == 1 else "are"
+    number = next(k for k, run in enumerate(dataset.runs) if run.trajectory is record)
+    if sign < 0:
+        words = (
+            f"{names} {verb} recorded {many} early, or the plant has a dead time of {many}: the equations of motion "
+            f"ask for it (log-likelihood {known[late]:.0f} higher), and the record does not tell which"
+        )
+        return _with(dataset, [Oddity("shift", number, names, (), words)])
+    words = (
+        f"{names} {verb} recorded {many} late: the plant answers before (log-likelihood {known[late]:.0f} higher with "
+        f"the input read {many} earlier, as it is here); write u[k] beside the y[k] that it follows, before the step"
+    )
+    runs = [replace(run, trajectory=_reread(run.trajectory, whole)) for run in dataset.runs]
+    return _with(replace(dataset, runs=tuple(runs)), [Oddity("shift", number, names, (), words, used=True)])
+
+
+def _reread(record: Trajectory, rows: int) -> Trajectory:
+    """Return a record with its inputs read some rows earlier."""
+    return replace(record, u=_earlier(record.u, rows))[: len(record) - rows]
+
+
+def _earlier(u: FloatArray, rows: float) -> FloatArray:
+    """Return inputs read some rows earlier, the last ones held; between rows their mean over each sample.
+
+    Examples
+    --------
+    >>> u = np.array([[0.0], [1.0], [3.0]])
+    >>> _earlier(u, 1).ravel().tolist(), _earlier(u, -0.5).ravel().tolist()
+    ([1.0, 3.0, 3.0], [0.0, 0.5, 2.0])
+    """
+    whole = int(np.floor(rows))
+    part = rows - whole
+    places = np.arange(len(u)) + whole
+    near, far = (u[np.clip(places + more, 0, len(u) - 1)] for more in (0, 1))
+    return np.asarray((1.0 - part) * near + part * far)
+
+
+# ---- likelihoods ---------------------------------------------------------------------------------------------------
+
+
+class _Equations:
+    """The nominal model at its maximum for a record, and how likely records beside it are."""
+
+    def __init__(self, system: System, record: Trajectory, intersample: Intersample) -> None:
+        self._likelihood = likelihood_of(system, [record.measured()], intersample=intersample)
+        self._base = fit_likelihood(system, [record.measured()], intersample=intersample)
+        self._intersample = intersample
+
+    def gain(self, record: Trajectory) -> float:
+        """Return how much likelier the model makes a record with another input."""
+        own = self._likelihood
+        other = Likelihood(
+            own.system, [record.measured()], own.noise_model, intersample=self._intersample, passes=own.filter
+        )
+        return self._base.nll - other.maximise(self._base.point, most=_STEPS).nll
+
+
+def _asked(system: System, record: Trajectory, dataset: Dataset) -> _Equations | None:
+    """Return the model at its maximum, None where it cannot be fitted."""
+    try:
+        return _Equations(system, record, dataset.intersample)
+    except _CANNOT:
+        return None
+
+
+def _gain(equations: _Equations, record: Trajectory) -> float:
+    """Return how much likelier a record is, minus infinity where the model cannot be fitted to it."""
+    try:
+        return equations.gain(record)
+    except _CANNOT:
+        return -np.inf
+
+
+def _with(dataset: Dataset, found: Sequence[Oddity]) -> Dataset:
+    """Return the data set with more that was found."""
+    said = [f"run {odd.run}: {odd.words}" for odd in found]
+    return replace(dataset, oddities=(*(dataset.oddities or ()), *found), warnings=(*dataset.warnings, *said))

@@ -1,0 +1,195 @@
+"""What is odd about records: named, left out of the fits, and never seen in clean ones."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness import api
+from harness.data.oddities import examined
+from harness.physics.kalman_pass import KalmanPass, Noise
+from harness.physics.latent import with_latent_forces
+from harness.physics.likelihood_fit import fit_likelihood
+from harness.physics.models import pendulum
+from harness.signals import Channel, Dataset, FloatArray, Oddity, PlantSpec, Run, Trajectory
+
+DT, N = 0.01, 1200
+SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)
+TRUE = {"J": 0.05, "b": 0.02, "mgl": 1.0}
+
+
+def multisine(seed: int) -> FloatArray:
+    rng = np.random.default_rng(seed)
+    f = np.linspace(0.1, 3.0, 15)
+    return np.asarray(0.18 * np.sin(2 * np.pi * np.outer(np.arange(N) * DT, f) + rng.uniform(0, 6.3, 15)).sum(axis=1))
+
+
+SIMULATOR = pendulum().system().simulator(DT)
+
+
+def swing(u: FloatArray, seed: int = 0, noise: float = 1e-3) -> FloatArray:
+    system = pendulum().system()
+    y = SIMULATOR.rollout(system.vector(TRUE), [0.0, 0.0], u[:, None])[:, 0]
+    return np.asarray(y + noise * np.random.default_rng(seed).standard_normal(N))
+
+
+def found(u: FloatArray, y: FloatArray) -> tuple[Trajectory, list[Oddity]]:
+    record = Trajectory(np.arange(len(y)) * DT, u[:, None], y[:, None], SPEC)
+    dataset = examined(Dataset("x", (Run(record),)))
+    return dataset.runs[0].trajectory, [odd for odd in dataset.oddities or () if odd.fault]
+
+
+@pytest.fixture(scope="module")
+def clean() -> tuple[FloatArray, FloatArray]:
+    u = multisine(1)
+    return u, swing(u)
+
+
+@given(rows=st.sets(st.integers(20, N - 20), min_size=1, max_size=8), size=st.floats(0.1, 1e5), sign=st.booleans())
+@settings(max_examples=15, deadline=None)
+def test_spikes_of_any_size_are_marked_row_by_row(rows: set[int], size: float, sign: bool) -> None:
+    u = multisine(1)
+    y = swing(u)
+    odd = y.copy()
+    places = [row for row in sorted(rows) if all(abs(row - other) > 3 for other in rows if other != row)]
+    odd[places] += size * (1 if sign else -1)
+    record, oddities = found(u, odd)
+    marked = [] if record.missing is None else np.flatnonzero(record.missing[:, 0]).tolist()
+    assert marked == places
+    assert {odd.kind for odd in oddities} <= {"spike", "word"}
+    assert np.abs(record.y[:, 0] - y).max() < 0.02  # in their place stands what the neighbours foretell
+
+
+@pytest.mark.parametrize("kind", ["multisine", "prbs", "clipped", "bang-bang", "steps", "pulses"])
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-2])
+def test_nothing_is_odd_about_clean_records(kind: str, noise: float) -> None:
+    rng = np.random.default_rng(3)
+    u = {
+        "multisine": multisine(2),
+        "prbs": np.repeat(rng.choice([-0.5, 0.5], N // 8), 8),
+        "clipped": np.clip(2 * multisine(2), -0.5, 0.5),
+        "bang-bang": 0.5 * np.sign(np.sin(0.05 * np.arange(N))),
+        "steps": np.repeat(rng.uniform(-0.5, 0.5, N // 100), 100),
+        "pulses": np.where(np.isin(np.arange(N), [200, 500, 800]), 20.0, 0.0),
+    }[kind]
+    record, oddities = found(u, swing(u, noise=noise))
+    assert oddities == []
+    assert record.missing is None
+
+
+def test_a_plant_that_sticks_is_no_held_sensor() -> None:
+    x, v, y = 0.0, 0.0, []
+    u = 1.2 * np.sin(0.02 * np.arange(N))
+    for force in u:
+        y.append(x)
+        push = force - np.sign(v or force)
+        moves = v != 0.0 or abs(force) > 1.0
+        new = v + DT * push if moves else 0.0
+        v = 0.0 if v * new < 0 else new
+        x += DT * v
+    still = np.mean(np.diff(y) == 0.0)
+    assert still > 0.1
+    assert found(u, np.array(y))[1] == []
+
+
+@pytest.mark.parametrize("counts", [200, 1024, 8192])
+def test_an_encoder_is_no_fault(counts: int, clean: tuple[FloatArray, FloatArray]) -> None:
+    u, y = clean
+    step = 2 * np.pi / counts
+    assert found(u, np.round(y / step) * step)[1] == []
+
+
+@pytest.mark.parametrize("every", [2, 3, 5, 10])
+def test_a_slow_sensor_is_named_with_its_rhythm(every: int, clean: tuple[FloatArray, FloatArray]) -> None:
+    u, y = clean
+    record, oddities = found(u, np.repeat(y[::every], every)[:N])
+    assert [odd.kind for odd in oddities] == ["held"]
+    assert f"every {every}" in oddities[0].words
+    assert record.missing is not None
+    assert np.flatnonzero(~record.missing[:, 0]).tolist() == list(range(0, N, every))
+
+
+def test_words_for_nothing_are_one_finding(clean: tuple[FloatArray, FloatArray]) -> None:
+    u, y = clean
+    odd = y.copy()
+    odd[[300, 301, 700]] = 9999.0
+    record, oddities = found(u, odd)
+    assert [(o.kind, o.rows) for o in oddities] == [("word", (300, 301, 700))]
+    assert np.abs(record.y).max() < 10
+
+
+def test_a_glitch_of_the_log_is_mended_and_a_push_is_not(clean: tuple[FloatArray, FloatArray]) -> None:
+    u, y = clean
+    pushed = u.copy()
+    pushed[600] = 20.0
+    record, oddities = found(pushed, y)
+    assert [(o.kind, o.channel, o.rows) for o in oddities] == [("spike", "u", (600,))]
+    assert abs(record.u[600, 0] - u[600]) < 0.05
+    record, oddities = found(pushed, swing(pushed))
+    assert oddities == []
+    assert record.u[600, 0] == 20.0
+
+
+def test_a_filter_passes_over_missing_readings(clean: tuple[FloatArray, FloatArray]) -> None:
+    u, y = clean
+    missing = np.zeros((N, 1), dtype=bool)
+    missing[[100, 101, 640]] = True
+    record = Trajectory(np.arange(N) * DT, u[:, None], y[:, None], SPEC, missing=missing)
+    other = replace(record, y=np.where(missing, 1e6, record.y))
+    system = pendulum().system()
+    noise = Noise(np.array([1e-3]), np.array([1e-3]), np.array([0.1]), np.zeros(1))
+    for compiled in (True, False):
+        run = KalmanPass(with_latent_forces(system), DT, compiled=compiled)
+        first, second = (run(one, system.vector(TRUE), [0.0, 0.0], noise) for one in (record, other))
+        assert first is not None
+        assert second is not None
+        assert first.nll == second.nll
+        assert np.flatnonzero(np.isnan(first.e[:, 0])).tolist() == [100, 101, 640]
+    assert record[90:110].missing is not None
+    assert record[:50].missing is None
+
+
+def test_intervals_hold_beside_spikes(clean: tuple[FloatArray, FloatArray]) -> None:
+    u, y = clean
+    odd = y.copy()
+    odd[[150, 500, 501, 900]] += [0.3, -3.0, 5.0, 1e4]
+    fit = fit_likelihood(pendulum().system(), [found(u, odd)[0]])
+    for name, value in TRUE.items():
+        low, high = fit.interval(name, 3.0)
+        assert low < value < high, name
+
+
+def written(path: Path, u: FloatArray, y: FloatArray) -> Path:
+    rows = zip(np.arange(len(y)) * DT, u, y, strict=True)
+    path.write_text("time [s],u [N m],theta [rad]\n" + "".join(f"{t:.9g},{a:.9g},{b:.9g}\n" for t, a, b in rows))
+    return path
+
+
+@pytest.mark.parametrize("late", [1, 2])
+def test_check_data_tells_that_the_input_is_late(
+    late: int, tmp_path: Path, clean: tuple[FloatArray, FloatArray]
+) -> None:
+    u, y = clean
+    odd = y.copy()
+    odd[400] = 9999.0
+    path = written(tmp_path / "log.csv", np.roll(u, late)[late:], odd[late:])
+    check = api.check_data(path, model="pendulum", out=tmp_path / "page.html")
+    assert sorted(odd.kind for odd in check.faults) == ["shift", "word"]
+    assert ("one row late" if late == 1 else "2 rows late") in str(check)
+    page = (tmp_path / "page.html").read_text()
+    assert "<circle" in page
+    assert "9999" in page
+    assert json.loads(json.dumps(check.to_dict()))["oddities"][0]["rows"] == [400 - late]
+    after = check.dataset.estimation[0]
+    assert np.allclose(after.u[:200, 0], u[late : 200 + late], atol=1e-6)
+
+
+def test_check_data_leaves_an_input_in_time_alone(tmp_path: Path, clean: tuple[FloatArray, FloatArray]) -> None:
+    check = api.check_data(written(tmp_path / "log.csv", *clean), model="pendulum")
+    assert check.faults == ()
