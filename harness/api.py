@@ -411,7 +411,6 @@ def learn_residual(
     arguments: Sequence[str] | None = None,
     refit: bool = False,
     seed: int = 0,
-    trust: bool = False,
     force: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> LearnedResidual:
@@ -429,8 +428,6 @@ def learn_residual(
         See :func:`harness.physics.residual_learning.learn_residual_force`.
     seed : int
         Places the bumps.
-    trust : bool
-        Let the stored model run the Python file that it names.
     force : bool
         Overwrite an earlier result in ``out``.
 
@@ -449,7 +446,7 @@ def learn_residual(
         raise InputError(
             "output folder", expected="a folder of its own", got="that of the loop", remedy="choose another --out"
         )
-    model: Any = read_model(loop, trust=trust)
+    model: Any = read_model(loop)
     path = registry.dataset_path(dataset)
     named = None if str(path).endswith(".toml") else getattr(getattr(model, "recipe", None), "model", None)
     loaded = load_dataset(path, model=named, validation=validation, undriven=undriven)
@@ -640,17 +637,10 @@ def isolability(
     return isolability_of(chosen, made, parameters=parameters, sample_time=sample_time, seed=seed)
 
 
-def export(
-    source: str | Path, *, out: str | Path, fmi: str = "both", force: bool = False, trust: bool = False
-) -> list[Path]:
-    """Write a model as co-simulation FMUs, a repaired FMU as an SSP package; see :func:`harness.export.export`.
-
-    ``trust`` allows a ``model.json`` to run the Python file that it names (a model that was given as FILE.py:NAME).
-    """
+def export(source: str | Path, *, out: str | Path, fmi: str = "both", force: bool = False) -> list[Path]:
+    """Write a model as co-simulation FMUs, a repaired FMU as an SSP package; see :func:`harness.export.export`."""
     from harness import export as room
 
-    if not trust:
-        _refuse_python(Path(source))
     if fmi not in ("2", "3", "both"):
         raise InputError("FMI version", expected="2, 3 or both", got=repr(fmi), remedy="choose one", place="--fmi")
     target = Path(out)
@@ -668,7 +658,6 @@ def compare(
     validation: Any = None,
     undriven: Sequence[str] = (),
     out: str | Path | None = None,
-    trust: bool = False,
     force: bool = False,
 ) -> Comparison:
     """Put stored models side by side on one data set: fit, residuals, frequency responses.
@@ -683,8 +672,6 @@ def compare(
         As for ``identify``.
     out : path, optional
         HTML page to write.
-    trust : bool
-        Let a stored model run the Python file that it names.
     force : bool
         Overwrite ``out`` if it exists.
 
@@ -700,7 +687,7 @@ def compare(
 
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
-    found = {str(path): read_model(path, trust=trust) for path in models}
+    found = {str(path): read_model(path) for path in models}
     data = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven).dataset
     result = room.compare(found, data)
     if out is not None:
@@ -904,28 +891,6 @@ def _draw(plot: Callable[[], Any], out: str | Path | None) -> None:
     if out is not None:
         with whole_file(out) as scratch:
             plot().savefig(scratch, format=Path(out).suffix[1:])
-
-
-def _refuse_python(source: Path) -> None:
-    """Raise if a stored model names a Python file, which reading it would run."""
-    import json
-
-    from harness.data.ports import runs_python
-
-    path = source / "model.json" if source.is_dir() else source
-    try:
-        model = json.loads(path.read_text(encoding="utf-8")).get("model") if path.suffix == ".json" else None
-    except (OSError, ValueError, AttributeError):
-        return  # what reads it words the refusal
-    if isinstance(model, str) and runs_python(model):
-        raise InputError(
-            "a stored model that runs Python code",
-            expected="a model that runs no file, or --trust",
-            got=repr(model),
-            remedy="if you trust that file, give --trust (in Python trust=True)",
-            file=path,
-            place="model",
-        )
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:

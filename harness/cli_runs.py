@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from harness import api
-from harness.cli_options import AsJson, Engine, Force, OptionPairs, Resume, ScenarioPairs, Seed, Workers
+from harness.cli_options import AsJson, Engine, Force, OptionPairs, Resume, ScenarioPairs, Seed, Trust, Workers
 from harness.terminal import (
     completed,
     hidden_effect,
@@ -56,6 +56,7 @@ def simulate(
     step: Annotated[float | None, typer.Option(help="of an FMU without a scenario: sample time [s]")] = None,
     tolerance: Annotated[float | None, typer.Option(help="of an FMU without a scenario: of its solver")] = None,
     force: Force = False,
+    trust: Trust = None,
 ) -> None:
     """Run a scenario on a plant and record it; an FMU runs as it is where no scenario is given."""
     notes: list[str] = []
@@ -103,6 +104,7 @@ def bench(
     ] = "first",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="say what would run, and how long it would take")] = False,
     as_json: AsJson = False,
+    trust: Trust = None,
 ) -> None:
     """Run a suite of plants x scenarios x identifiers x seeds and print its table."""
     folder = out if out is not None else Path("results") / Path(suite).stem

@@ -14,6 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Protocol
 
+from harness.trust import trusting
+
 __all__ = ["SHARED", "Batch", "Desk", "do_batch", "last_place", "put_away", "shard_file", "was_ended", "write_shard"]
 
 SHARED = "shared"
@@ -132,11 +134,12 @@ class Desk:
             faulthandler.cancel_dump_traceback_later()
 
 
-def do_batch(batch: Batch, folder: str | Path) -> None:
-    """Do all jobs of a batch in this process and write their shards."""
+def do_batch(batch: Batch, folder: str | Path, trust: Sequence[str] = ()) -> None:
+    """Do all jobs of a batch in this process and write their shards; ``trust`` as :func:`harness.trust.trusting`."""
     place = Path(folder)
     with _watch(place, batch).open("w") as watch, _at(place, batch).open("wb", buffering=0) as at:
         desk = Desk(batch, place, at.fileno(), watch)
         desk.stand(SHARED)
-        batch.work(desk)
+        with trusting(*trust):
+            batch.work(desk)
     put_away(place, batch)

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 from harness.errors import InputError
 from harness.jobs.batch import SHARED, Batch, do_batch, last_place, put_away, shard_file, was_ended, write_shard
+from harness.trust import trusted, trusting
 from harness.workers import death, worker_pool
 
 __all__ = ["AHEAD", "DaskEngine", "Engine", "LocalEngine", "Moved", "make_engine", "run_jobs"]
@@ -128,7 +129,7 @@ class LocalEngine:
         def schedule(batch: Batch) -> None:
             # the watchdog inside the worker keeps the limit of each job; this one is for a worker that is stopped
             backstop = math.ceil((len(batch.jobs) + 1) * (batch.time_limit + 10))
-            waiting[pool.schedule(do_batch, args=[batch, str(shards)], timeout=backstop)] = batch
+            waiting[pool.schedule(do_batch, args=[batch, str(shards), trusted()], timeout=backstop)] = batch
 
         while batches or waiting:
             while batches and len(waiting) < AHEAD * self.workers:
@@ -196,7 +197,9 @@ class DaskEngine:
             workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
             size = max(1, min(BUNDLE, len(batches) // (SHARES * workers)))
             bundles = [tuple(batches[k : k + size]) for k in range(0, len(batches), size)]
-            futures = {client.submit(run_elsewhere, bundle, pure=False, retries=1): bundle for bundle in bundles}
+            futures = {
+                client.submit(run_elsewhere, bundle, trusted(), pure=False, retries=1): bundle for bundle in bundles
+            }
             try:
                 for future in completed(list(futures), loop=client.loop):
                     bundle = futures.pop(future)
@@ -216,14 +219,14 @@ class DaskEngine:
                 raise
 
 
-def run_elsewhere(batches: tuple[Batch, ...]) -> dict[str, bytes]:
+def run_elsewhere(batches: tuple[Batch, ...], trust: Sequence[str] = ()) -> dict[str, bytes]:
     """Run batches through the local engine on a worker of a cluster; returns their shards by job."""
     process = multiprocessing.current_process()
     configuration = getattr(process, "_config", {})
     daemon = configuration.get("daemon", False)
     configuration["daemon"] = False  # cluster workers are daemons by default, and daemons may not have children
     try:
-        with tempfile.TemporaryDirectory(prefix="sysid-harness-") as folder:
+        with tempfile.TemporaryDirectory(prefix="sysid-harness-") as folder, trusting(*trust):
             LocalEngine(1).run(batches, Path(folder), lambda title, jobs: None)
             return {path.stem: path.read_bytes() for path in Path(folder).glob("*.json")}
     finally:
