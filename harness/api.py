@@ -386,18 +386,26 @@ def close_loop(
     -------
     harness.diagnosis.Report
         Its ``data`` is the content of ``report.json``.
+
+    Raises
+    ------
+    InputError
+        If the data, the model or the folder cannot be used.
+    PlantError
+        If an FMU ends its process, or gives no sign of life (:data:`harness.guarded.SILENCE`): it runs in one of its
+        own, which cannot end this one.
     """
     from harness import diagnosis
     from harness.data import load_dataset
 
-    loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
-    return diagnosis.close_loop_file(
-        cast(Any, loaded),  # data that are read already pass through
-        out=out,
-        resume=resume,
-        force=force,
-        progress=progress,
-    )
+    loaded: Any = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
+    how: dict[str, Any] = {"out": out, "resume": resume, "force": force, "progress": progress}
+    if loaded.nominal is not None and loaded.nominal.model.endswith(".fmu") and os.name == "posix":
+        from harness.guarded import guarded
+
+        what = f"the FMU {Path(loaded.nominal.model).name}"
+        return cast("Report", guarded(diagnosis.close_loop_file, loaded, what=what, **how))
+    return diagnosis.close_loop_file(loaded, **how)  # data that are read already pass through
 
 
 def learn_residual(

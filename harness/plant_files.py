@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
 from harness import registry
 from harness.errors import InputError
 from harness.protocols import Plant
+from harness.trust import trusted, trusting
 
-__all__ = ["PLANT_FILES", "fingerprint", "is_plant_file", "make_part", "make_plant"]
+__all__ = ["PLANT_FILES", "fingerprint", "is_plant_file", "make_coupled", "make_part", "make_plant"]
 
 PLANT_FILES = (".fmu", ".toml", ".ssp")
 """Endings of files that are plants."""
@@ -37,7 +39,8 @@ def make_plant(id: str, options: dict[str, Any]) -> Plant:
         Id of a registered plant, or a file: ``.fmu``, ``.toml`` (see :func:`harness.cosim.couple`) or ``.ssp``.
     options : dict
         Its options. An FMU file runs in a process of its own, where a crash cannot end this one, unless
-        ``isolated`` is false; ``timeout`` is then the longest time [s] for one call.
+        ``isolated`` is false; ``timeout`` is then the longest time [s] for one call. The FMUs of a coupling or package
+        share one such process with what steps them.
 
     Raises
     ------
@@ -52,16 +55,36 @@ def make_plant(id: str, options: dict[str, Any]) -> Plant:
     """
     if not is_plant_file(id):
         return cast(Plant, registry.create("plants", id, **options))
+    if id.endswith(".fmu") and not Path(id).is_file():
+        raise InputError("no such FMU", expected="an FMU file", got="no file", remedy="check the path", file=id)
+    inside = {key: value for key, value in options.items() if key not in ("isolated", "timeout")}
+    limit = {"timeout": options["timeout"]} if "timeout" in options else {}
+    apart = options.get("isolated", os.name == "posix")
     if id.endswith(".fmu"):
-        if not Path(id).is_file():
-            raise InputError("no such FMU", expected="an FMU file", got="no file", remedy="check the path", file=id)
-        inside = {key: value for key, value in options.items() if key != "isolated"}
-        if options.get("isolated", os.name == "posix"):
-            return cast(Plant, registry.create("plants", "isolated", plant="fmu", path=id, **inside))
-        return cast(Plant, registry.create("plants", "fmu", path=id, **inside))
+        if apart:
+            return cast(Plant, registry.create("plants", "isolated", plant="fmu", path=id, **limit, **inside))
+        return cast(Plant, registry.create("plants", "fmu", path=id, **limit, **inside))
+    if apart and _holds_fmus(id):
+        given = {"path": id, "changes": inside, "trust": trusted()}
+        return cast(Plant, registry.load("tools", "isolate")("harness.plant_files:make_coupled", given, **limit))
+    return make_coupled(id, inside)
+
+
+def make_coupled(path: str, changes: dict[str, Any], trust: Sequence[str] = ()) -> Plant:
+    """Return the plant of a coupling or a package, in this process; ``trust`` as :func:`harness.trust.trusting`."""
     from harness import cosim
 
-    return (cosim.couple if id.endswith(".toml") else cosim.couple_ssp)(id, make_part, changes=options)
+    with trusting(*trust):
+        return (cosim.couple if path.endswith(".toml") else cosim.couple_ssp)(path, make_part, changes=changes)
+
+
+def _holds_fmus(path: str) -> bool:
+    """Return True for a package, and for a coupling that names files of FMUs."""
+    if not path.endswith(".toml"):
+        return True
+    from harness.cosim.description import read_coupling
+
+    return any(part.fmu is not None or part.plant == "fmu" for part in read_coupling(path).parts.values())
 
 
 def make_part(id: str, options: dict[str, Any]) -> Plant:

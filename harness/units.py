@@ -134,7 +134,7 @@ def _built(text: str) -> Any:
     unit: Any = registry.dimensionless
     for name, power in read:
         one = registry.parse_units(name)
-        if read != [(name, 1)] and registry.Quantity(0.0, one).to_base_units().magnitude:
+        if (len(read) > 1 or power != 1) and registry.Quantity(0.0, one).to_base_units().magnitude:
             one = registry.parse_units(f"delta_{one}")  # in a product a degree is a difference
         unit = unit * (one if power == 1 else one ** (int(power) if power.denominator == 1 else float(power)))
     return unit

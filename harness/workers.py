@@ -10,12 +10,13 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Iterator
-from multiprocessing import spawn
+from collections.abc import Callable, Iterator
+from multiprocessing import Pipe, spawn
+from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
-__all__ = ["death", "one_thread", "worker_pool"]
+__all__ = ["death", "fresh_process", "one_thread", "worker_pool"]
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -52,6 +53,18 @@ def worker_pool(workers: int) -> Iterator[Any]:
         raise
     finally:
         pool.join()
+
+
+def fresh_process(target: Callable[..., None], *arguments: Any) -> tuple[Connection, SpawnProcess]:
+    """Start ``target(connection, *arguments)`` in a process of its own; returns our end of the line, and the process.
+
+    Unlike a worker of a pool it may have processes of its own.
+    """
+    ours, theirs = Pipe()
+    process = _FreshProcess(target=target, args=(theirs, *arguments))
+    process.start()
+    theirs.close()
+    return ours, process
 
 
 @contextlib.contextmanager

@@ -40,7 +40,7 @@ def find_suite(suite: str | Path) -> Path:
                 "no such suite", expected="a TOML file", got="no file", remedy="check the path", file=str(suite)
             )
         return path
-    return Path(registry.load("suites", suite))
+    return Path(registry.load("suites", str(suite)))
 
 
 def is_file(suite: str | Path) -> bool:

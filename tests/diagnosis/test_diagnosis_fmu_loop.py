@@ -18,7 +18,7 @@ from harness.blackbox.reader import fmu_system
 from harness.blackbox.runner import Runner
 from harness.blackbox.simulator import FmuSimulator
 from harness.cosim.ssp_structure import read_structure
-from harness.diagnosis import close_loop
+from harness.diagnosis import close_loop, close_loop_file
 from harness.diagnosis.fmu.passes import FreePass
 from harness.diagnosis.fmu.prepare import FmuWindows, measured_states, nominal_fmu
 from harness.effects import builtin
@@ -336,7 +336,7 @@ def test_a_data_set_file_names_the_fmu_and_what_is_known_of_it(tmp_path, monkeyp
     with pytest.raises(InputError, match=r"--trust box\.fmu"):
         api.close_loop(tmp_path / "dataset.toml", out=tmp_path / "report")
     with trusting(tmp_path / "box.fmu"):
-        api.close_loop(tmp_path / "dataset.toml", out=tmp_path / "report")
+        close_loop_file(tmp_path / "dataset.toml", out=tmp_path / "report")
     data, system = seen[0]
     assert [len(run) for run in data.estimation] == [100]
     assert [(one.name, one.value) for one in system.parameters if not one.fixed] == [("b", 0.03)]
