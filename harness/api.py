@@ -400,7 +400,7 @@ def close_loop(
 
     loaded: Any = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
     how: dict[str, Any] = {"out": out, "resume": resume, "force": force, "progress": progress}
-    if loaded.nominal is not None and loaded.nominal.model.endswith(".fmu") and os.name == "posix":
+    if loaded.nominal is not None and loaded.nominal.model.endswith(".fmu"):
         from harness.guarded import guarded
 
         what = f"the FMU {Path(loaded.nominal.model).name}"
@@ -797,7 +797,22 @@ def order(
 
 
 def check(name: str) -> list[CheckResult]:
-    """Hold a plug-in to its contract; see :func:`harness.conformance.check`."""
+    """Hold a plug-in to its contract, in a process of its own; see :func:`harness.conformance.check`.
+
+    Raises
+    ------
+    InputError
+        If there is no such part, or it needs options to be made.
+    HarnessError
+        If the part ends its process (``crashed``) or hangs (:data:`harness.guarded.SILENCE`).
+    """
+    from harness.guarded import guarded
+
+    return cast("list[CheckResult]", guarded(_checked, name, what=name))
+
+
+def _checked(name: str, *, progress: Callable[..., None]) -> list[CheckResult]:
+    """Return the results of all checks, from the process that is theirs."""
     from harness import conformance
 
     return conformance.check(name)

@@ -16,7 +16,8 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
-from harness.errors import HarnessError, PlantError
+from harness.errors import HarnessError, PlantError, PluginError
+from harness.processes import adopt_orphans, end_children
 from harness.workers import fresh_process
 
 __all__ = ["SILENCE", "alive", "guarded"]
@@ -71,6 +72,8 @@ def guarded(
     HarnessError
         What the work itself raises.
     """
+    if os.name != "posix":
+        return work(*arguments, progress=progress or (lambda *content: None), **options)
     limit = SILENCE if silence is None else silence
     folder = tempfile.TemporaryDirectory(prefix="sysid-apart-", ignore_cleanup_errors=True)
     ours, process = fresh_process(_serve, folder.name, work, arguments, options)
@@ -110,6 +113,7 @@ def _serve(connection: Connection, folder: str, work: Callable[..., Any], argume
     os.setsid()  # an interrupt from the keyboard is the caller's to handle
     os.environ["TMPDIR"] = tempfile.tempdir = folder  # what a crash leaves there goes with it
     parent = os.getppid()
+    adopt_orphans()
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_DEATH_SIGNAL, signal.SIGKILL)
 
@@ -125,6 +129,12 @@ def _serve(connection: Connection, folder: str, work: Callable[..., Any], argume
         answer = ("done", done)
     except HarnessError as error:
         answer = ("failed", error)
+    except MemoryError:
+        answer = ("failed", PlantError("out of memory", status="crashed"))
     except Exception as error:
         answer = ("failed", RuntimeError(f"{type(error).__name__}: {error}"))
+    except BaseException as error:  # an exit, an interrupt that foreign code raised
+        answer = ("failed", PluginError(f"raised {type(error).__name__}: {error}"))
+    _Line.connection = None
+    end_children()
     connection.send(answer)

@@ -10,11 +10,14 @@ import contextlib
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from multiprocessing import Pipe, spawn
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
+
+from harness.processes import adopt_orphans
 
 __all__ = ["death", "fresh_process", "one_thread", "worker_pool"]
 
@@ -108,6 +111,16 @@ def death(error: BaseException) -> str:
 def _quiet() -> None:
     """Prepare a worker: Ctrl-C is the parent's business, and the chatter of engines goes nowhere."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.setpgid(0, 0)  # what it starts ends with it
+    adopt_orphans()
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:  # of a group of its own, it is not ended with the caller's
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.dup2(nowhere, 2)
