@@ -119,6 +119,9 @@ def run(arguments: Sequence[str] | None, interrupts: Interrupts) -> int:
     """Run the command line and return the exit status; every failure is one line on standard error."""
     from typer.main import get_command
 
+    for name in ("stdin", "stdout", "stderr"):  # a descriptor that the caller closed
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r+", encoding="utf-8"))
     try:
         code = get_command(app).main(
             args=None if arguments is None else list(arguments), prog_name="sysid", standalone_mode=False
@@ -130,6 +133,10 @@ def run(arguments: Sequence[str] | None, interrupts: Interrupts) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except SystemExit as ended:
+        if isinstance(ended.__context__, BrokenPipeError):  # the reader has seen enough
+            return 0
+        raise
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted()
     except Exception as error:

@@ -13,6 +13,8 @@ from typing import Any, cast
 import msgspec
 
 from harness import __version__, registry
+from harness.data.description import read_description
+from harness.data.ports import located_model
 from harness.errors import HarnessError
 from harness.fleet.records import FleetRecord
 from harness.fleet.row import blank, encoded, fill
@@ -51,10 +53,27 @@ class RecordJob:
     def job(self) -> str:
         """A hash of the data and of all that decides the answer."""
         content = hashlib.sha256()
-        for path in (self.record.file, self.record.validation):
-            content.update(path.read_bytes() if path is not None else b"")
+        for path in self._files():
+            content.update(hashlib.sha256(path.read_bytes() if path.is_file() else b"").digest())
         what = (__version__, self.record.name, content.hexdigest(), self.model, self.undriven)
         return hashlib.sha256(msgspec.json.encode(what)).hexdigest()[:20]
+
+    def _files(self) -> list[Path]:
+        """Return the files that decide the answer: the record's, those that a data set names, and that of the model."""
+        found = [path for path in (self.record.file, self.record.validation) if path is not None]
+        model, folder = self.model, Path.cwd()
+        if self.record.file.suffix == ".toml":
+            try:
+                read = read_description(self.record.file)
+            except HarnessError:
+                return found  # the row will say so
+            found += [self.record.file.parent / run.file for run in read.runs]
+            if model is None and read.nominal is not None:
+                model, folder = read.nominal.model, self.record.file.parent
+        if model is None:
+            return found
+        file, python, _ = located_model(model, folder).partition(".py:")
+        return [*found, Path(file + python.rstrip(":"))]
 
     @property
     def jobs(self) -> tuple[str, ...]:
