@@ -25,6 +25,7 @@ __all__ = ["SILENCE", "alive", "guarded"]
 SILENCE = 300.0
 """Seconds without a simulation ended or a step of progress after which work counts as hanging: thirty times what the
 longest simulation of the project's records takes (1e5 samples of an FMU, 10 s)."""
+START = 300.0  # s that a process may take to begin: imports on a machine with too much to do
 BEAT = 0.5  # s between signs of life
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux' prctl
 
@@ -74,7 +75,7 @@ def guarded(
     """
     if os.name != "posix":
         return work(*arguments, progress=progress or (lambda *content: None), **options)
-    limit = SILENCE if silence is None else silence
+    limit = START
     folder = tempfile.TemporaryDirectory(prefix="sysid-apart-", ignore_cleanup_errors=True)
     ours, process = fresh_process(_serve, folder.name, work, arguments, options)
     try:
@@ -82,6 +83,7 @@ def guarded(
             if not ours.poll(limit):
                 raise PlantError(f"{what}: no sign of life for {limit:g} s", status="timeout")
             kind, *content = ours.recv()
+            limit = SILENCE if silence is None else silence  # it has begun
             if kind == "progress" and progress is not None:
                 progress(*content)
             elif kind == "done":
@@ -89,6 +91,8 @@ def guarded(
                 return content[0]
             elif kind == "failed":
                 raise content[0]
+            elif kind == "left":
+                raise PluginError(f"{what} {content[0]}")
     except (EOFError, ConnectionResetError):
         process.join(BEAT)
         raise PlantError(f"{what}: the process {_ended(process.exitcode)}", status="crashed") from None
@@ -124,6 +128,7 @@ def _serve(connection: Connection, folder: str, work: Callable[..., Any], argume
 
     threading.Thread(target=watch, daemon=True).start()
     _Line.connection = connection
+    alive()
     try:
         done = work(*arguments, progress=lambda *content: connection.send(("progress", *content)), **options)
         answer = ("done", done)
@@ -134,7 +139,7 @@ def _serve(connection: Connection, folder: str, work: Callable[..., Any], argume
     except Exception as error:
         answer = ("failed", RuntimeError(f"{type(error).__name__}: {error}"))
     except BaseException as error:  # an exit, an interrupt that foreign code raised
-        answer = ("failed", PluginError(f"raised {type(error).__name__}: {error}"))
+        answer = ("left", f"raised {type(error).__name__}: {error}".rstrip(": "))
     _Line.connection = None
     end_children()
     connection.send(answer)

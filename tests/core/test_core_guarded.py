@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from harness.errors import InputError, PlantError
+from harness.errors import InputError, PlantError, PluginError
 from harness.guarded import alive, guarded
 
 
@@ -28,6 +28,16 @@ def work(how: str, note: str = "", *, progress: Callable[..., None]) -> Any:
         time.sleep(600)
     if how == "exit":
         os._exit(0)
+    if how == "leave":
+        raise KeyboardInterrupt
+    if how == "daemon" and os.fork() == 0:
+        os.setsid()
+        if os.fork() == 0:
+            Path(note).write_text(f"{os.getpid()} {os.environ['TMPDIR']}")
+            time.sleep(600)
+        os._exit(0)
+    if how == "daemon":
+        time.sleep(1.0)
     if how == "refuse":
         raise InputError("data", expected="more", got="less", remedy="record more")
     if how == "fault":
@@ -52,6 +62,7 @@ def test_what_is_done_comes_back_with_its_progress() -> None:
         ("hang", PlantError, "the FMU x: no sign of life for 3 s"),
         ("exit", PlantError, "ended itself with exit status 0"),
         ("refuse", InputError, "data: expected more, got less"),
+        ("leave", PluginError, "the FMU x raised KeyboardInterrupt$"),
         ("fault", RuntimeError, "ZeroDivisionError: odd"),
     ],
 )
@@ -61,12 +72,19 @@ def test_every_end_is_one_error_and_leaves_nothing(
     with pytest.raises(error, match=words) as caught:
         guarded(work, how, str(tmp_path / "note"), what="the FMU x", silence=3.0)
     assert getattr(caught.value, "status", "") == {"crash": "crashed", "hang": "timeout", "exit": "crashed",
-                                                   "refuse": "refused"}.get(how, "")  # fmt: skip
+                                                   "refuse": "refused", "leave": "crashed"}.get(how, "")  # fmt: skip
     *processes, folder = (tmp_path / "note").read_text().split()
     deadline = time.monotonic() + 10
     while any(_runs(int(one)) for one in processes):
         assert time.monotonic() < deadline, processes
         time.sleep(0.05)
+    assert not Path(folder).exists()
+
+
+def test_a_daemon_ends_with_the_work(tmp_path: Path) -> None:
+    assert guarded(work, "daemon", str(tmp_path / "note"), what="x") == {"how": "daemon"}
+    daemon, folder = (tmp_path / "note").read_text().split()
+    assert not _runs(int(daemon))
     assert not Path(folder).exists()
 
 
