@@ -52,6 +52,7 @@ _HOMES = {
     "create": "registry",
     "effect": "effects",
     "load_model": "physics",
+    "trusting": "trust",
     "simulate": "api",
     "identify": "api",
     "close_loop": "api",

@@ -584,18 +584,26 @@ def close_loop(
     -------
     harness.diagnosis.Report
         Its ``data`` is the content of ``report.json``.
+
+    Raises
+    ------
+    InputError
+        If the data, the model or the folder cannot be used.
+    PlantError
+        If an FMU ends its process, or gives no sign of life (:data:`harness.guarded.SILENCE`): it runs in one of its
+        own, which cannot end this one.
     """
     from harness import diagnosis
     from harness.data import load_dataset
 
-    loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
-    return diagnosis.close_loop_file(
-        cast(Any, loaded),  # data that are read already pass through
-        out=out,
-        resume=resume,
-        force=force,
-        progress=progress,
-    )
+    loaded: Any = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
+    how: dict[str, Any] = {"out": out, "resume": resume, "force": force, "progress": progress}
+    if loaded.nominal is not None and loaded.nominal.model.endswith(".fmu"):
+        from harness.guarded import guarded
+
+        what = f"the FMU {Path(loaded.nominal.model).name}"
+        return cast("Report", guarded(diagnosis.close_loop_file, loaded, what=what, **how))
+    return diagnosis.close_loop_file(loaded, **how)  # data that are read already pass through
 
 
 def learn_residual(
@@ -609,7 +617,6 @@ def learn_residual(
     arguments: Sequence[str] | None = None,
     refit: bool = False,
     seed: int = 0,
-    trust: bool = False,
     force: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> LearnedResidual:
@@ -627,8 +634,6 @@ def learn_residual(
         See :func:`harness.physics.residual_learning.learn_residual_force`.
     seed : int
         Places the bumps.
-    trust : bool
-        Let the stored model run the Python file that it names.
     force : bool
         Overwrite an earlier result in ``out``.
 
@@ -647,7 +652,7 @@ def learn_residual(
         raise InputError(
             "output folder", expected="a folder of its own", got="that of the loop", remedy="choose another --out"
         )
-    model: Any = read_model(loop, trust=trust)
+    model: Any = read_model(loop)
     path = registry.dataset_path(dataset)
     named = None if str(path).endswith(".toml") else getattr(getattr(model, "recipe", None), "model", None)
     loaded = load_dataset(path, model=named, validation=validation, undriven=undriven)
@@ -744,17 +749,10 @@ def isolability(
     return isolability_of(chosen, made, parameters=parameters, sample_time=sample_time, seed=seed)
 
 
-def export(
-    source: str | Path, *, out: str | Path, fmi: str = "both", force: bool = False, trust: bool = False
-) -> list[Path]:
-    """Write a model as co-simulation FMUs, a repaired FMU as an SSP package; see :func:`harness.export.export`.
-
-    ``trust`` allows a ``model.json`` to run the Python file that it names (a model that was given as FILE.py:NAME).
-    """
+def export(source: str | Path, *, out: str | Path, fmi: str = "both", force: bool = False) -> list[Path]:
+    """Write a model as co-simulation FMUs, a repaired FMU as an SSP package; see :func:`harness.export.export`."""
     from harness import export as room
 
-    if not trust:
-        _refuse_python(Path(source))
     if fmi not in ("2", "3", "both"):
         raise InputError("FMI version", expected="2, 3 or both", got=repr(fmi), remedy="choose one", place="--fmi")
     target = Path(out)
@@ -772,7 +770,6 @@ def compare(
     validation: Any = None,
     undriven: Sequence[str] = (),
     out: str | Path | None = None,
-    trust: bool = False,
     force: bool = False,
     note: Callable[[str], None] | None = None,
 ) -> Comparison:
@@ -788,8 +785,6 @@ def compare(
         As for ``identify``.
     out : path, optional
         HTML page to write.
-    trust : bool
-        Let a stored model run the Python file that it names.
     force : bool
         Overwrite ``out`` if it exists.
     note : callable, optional
@@ -807,7 +802,7 @@ def compare(
 
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
-    found = {str(path): read_model(path, trust=trust) for path in models}
+    found = {str(path): read_model(path) for path in models}
     data = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven).dataset
     _note_oddities(data, note)
     result = room.compare(found, data)
@@ -966,7 +961,22 @@ def check_data(
 
 
 def check(name: str) -> list[CheckResult]:
-    """Hold a plug-in to its contract; see :func:`harness.conformance.check`."""
+    """Hold a plug-in to its contract, in a process of its own; see :func:`harness.conformance.check`.
+
+    Raises
+    ------
+    InputError
+        If there is no such part, or it needs options to be made.
+    HarnessError
+        If the part ends its process (``crashed``) or hangs (:data:`harness.guarded.SILENCE`).
+    """
+    from harness.guarded import guarded
+
+    return cast("list[CheckResult]", guarded(_checked, name, what=name))
+
+
+def _checked(name: str, *, progress: Callable[..., None]) -> list[CheckResult]:
+    """Return the results of all checks, from the process that is theirs."""
     from harness import conformance
 
     return conformance.check(name)
@@ -1138,28 +1148,6 @@ def _draw(plot: Callable[[], Any], out: str | Path | None) -> None:
     if out is not None:
         with whole_file(out) as scratch:
             plot().savefig(scratch, format=Path(out).suffix[1:])
-
-
-def _refuse_python(source: Path) -> None:
-    """Raise if a stored model names a Python file, which reading it would run."""
-    import json
-
-    from harness.data.ports import runs_python
-
-    path = source / "model.json" if source.is_dir() else source
-    try:
-        model = json.loads(path.read_text(encoding="utf-8")).get("model") if path.suffix == ".json" else None
-    except (OSError, ValueError, AttributeError):
-        return  # what reads it words the refusal
-    if isinstance(model, str) and runs_python(model):
-        raise InputError(
-            "a stored model that runs Python code",
-            expected="a model that runs no file, or --trust",
-            got=repr(model),
-            remedy="if you trust that file, give --trust (in Python trust=True)",
-            file=path,
-            place="model",
-        )
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:

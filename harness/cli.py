@@ -164,6 +164,9 @@ def run(
     """Run a command line and return the exit status; every failure is one line on standard error."""
     from typer.main import get_command
 
+    for name in ("stdin", "stdout", "stderr"):  # a descriptor that the caller closed
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r+", encoding="utf-8"))
     try:
         code = get_command(application).main(
             args=None if arguments is None else list(arguments), prog_name=name, standalone_mode=False
@@ -175,6 +178,10 @@ def run(
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except SystemExit as ended:
+        if isinstance(ended.__context__, BrokenPipeError):  # the reader has seen enough
+            return 0
+        raise
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted()
     except Exception as error:

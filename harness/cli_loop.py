@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from harness import api
-from harness.cli_options import AsJson, Force, ModelName, Resume, ScenarioPairs, Seed, Undriven, Validation
+from harness.cli_options import AsJson, Force, ModelName, Resume, ScenarioPairs, Seed, Trust, Undriven, Validation
 from harness.errors import InputError
 from harness.terminal import (
     completed,
@@ -43,6 +43,7 @@ def close_loop(
     workers: Annotated[int | None, typer.Option(min=1, help="of a fleet: processes; default all cores")] = None,
     engine: Annotated[str, typer.Option(help="of a fleet: local, or dask://HOST:PORT")] = "local",
     time_limit: Annotated[float | None, typer.Option(help="of a fleet: seconds for one record")] = None,
+    trust: Trust = None,
 ) -> None:
     """Find the effect that a model lacks, add it, report the error before and after; of one record or of a fleet."""
     from harness.fleet import is_fleet
@@ -136,7 +137,7 @@ def learn_residual(
     seed: Seed = 0,
     as_json: AsJson = False,
     force: Force = False,
-    trust: Annotated[bool, typer.Option("--trust", help="run the Python file that model.json names")] = False,
+    trust: Trust = None,
 ) -> None:
     """Learn what a closed loop left over as a force without a name: not physical, with the hull of its data."""
     with progress_bar("learning a residual force") as bar:
@@ -155,7 +156,6 @@ def learn_residual(
             arguments=argument,
             refit=refit,
             seed=seed,
-            trust=trust,
             force=force,
             progress=show,
         )

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from harness import api
-from harness.cli_options import AsJson, DatasetName, Force, ModelName, OptionPairs, Seed, Undriven, Validation
+from harness.cli_options import AsJson, DatasetName, Force, ModelName, OptionPairs, Seed, Trust, Undriven, Validation
 from harness.errors import InputError
 from harness.terminal import completed, noted, option_pairs, print_identified, print_json, print_rows, say, whole_range
 
@@ -44,6 +44,7 @@ def identify(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="model.json")] = None,
     seed: Seed = 0,
     force: Force = False,
+    trust: Trust = None,
 ) -> None:
     """Fit one model to a data set and score it."""
     fitted = api.identify(
@@ -68,7 +69,7 @@ def compare(
     validation: Validation = None,
     undriven: Undriven = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="page.html")] = None,
-    trust: Annotated[bool, typer.Option("--trust", help="run the Python file that a model.json names")] = False,
+    trust: Trust = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
@@ -84,7 +85,6 @@ def compare(
         validation=validation,
         undriven=undriven or (),
         out=out,
-        trust=trust,
         force=force,
         note=noted,
     )
@@ -104,6 +104,7 @@ def spectrum(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
     as_json: AsJson = False,
     force: Force = False,
+    trust: Trust = None,
 ) -> None:
     """Show the frequency response in the data, with bands and coherence."""
     found = api.spectrum(
@@ -123,10 +124,10 @@ def export(
     out: Annotated[Path, typer.Option("--out", "-o", help="model.fmu; model.ssp for a repaired FMU")],
     fmi: Annotated[str, typer.Option(help="2, 3 or both (then model.fmu is FMI 2.0, model-fmi3.fmu FMI 3.0)")] = "both",
     force: Force = False,
-    trust: Annotated[bool, typer.Option("--trust", help="run the Python file that model.json names")] = False,
+    trust: Trust = None,
 ) -> None:
     """Write a model as a co-simulation FMU, with its C source."""
-    for path in api.export(source, out=out, fmi=fmi, force=force, trust=trust):
+    for path in api.export(source, out=out, fmi=fmi, force=force):
         say(f"wrote {path}")
 
 
@@ -148,6 +149,7 @@ def order(
     seed: Seed = 0,
     as_json: AsJson = False,
     force: Force = False,
+    trust: Trust = None,
 ) -> None:
     """Show which order a linear model needs: held-out errors by order, and singular values."""
     first, last = whole_range(orders, "--orders")

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from harness import api
-from harness.cli_options import AsJson, Engine, Force, OptionPairs, Resume, ScenarioPairs, Seed, Workers
+from harness.cli_options import AsJson, Engine, Force, OptionPairs, Resume, ScenarioPairs, Seed, Trust, Workers
 from harness.errors import InputError, PlantError
 from harness.terminal import (
     completed,
@@ -67,6 +67,7 @@ def simulate(
         typer.Option(metavar="N", help="of a file without a scenario: halve the step N times"),
     ] = None,
     force: Force = False,
+    trust: Trust = None,
 ) -> None:
     """Run a scenario on a plant and record it; an FMU or a system runs as it is where no scenario is given."""
     notes: list[str] = []
@@ -146,6 +147,7 @@ def bench(
     ] = "first",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="say what would run, and how long it would take")] = False,
     as_json: AsJson = False,
+    trust: Trust = None,
 ) -> None:
     """Run a suite of plants x scenarios x identifiers x seeds and print its table."""
     folder = out if out is not None else Path("results") / Path(suite).stem

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
 from harness import registry
 from harness.errors import InputError
 from harness.protocols import Plant
+from harness.trust import trusted, trusting
 
 __all__ = [
     "PLANT_FILES",
@@ -17,6 +19,7 @@ __all__ = [
     "fingerprint",
     "is_plant_file",
     "is_system",
+    "make_coupled",
     "make_part",
     "make_plant",
     "stream_key",
@@ -66,7 +69,8 @@ def make_plant(id: str, options: dict[str, Any]) -> Plant:
         :func:`is_system`).
     options : dict
         Its options. An FMU file runs in a process of its own, where a crash cannot end this one, unless
-        ``isolated`` is false; ``timeout`` is then the longest time [s] for one call.
+        ``isolated`` is false; ``timeout`` is then the longest time [s] for one call. The FMUs of a coupling or package
+        share one such process with what steps them.
 
     Raises
     ------
@@ -81,18 +85,29 @@ def make_plant(id: str, options: dict[str, Any]) -> Plant:
     """
     if not is_plant_file(id):
         return cast(Plant, registry.create("plants", id, **options))
+    if id.endswith(".fmu") and not Path(id).is_file():
+        raise InputError("no such FMU", expected="an FMU file", got="no file", remedy="check the path", file=id)
+    inside = {key: value for key, value in options.items() if key not in ("isolated", "timeout")}
+    limit = {"timeout": options["timeout"]} if "timeout" in options else {}
+    apart = options.get("isolated", os.name == "posix")
     if id.endswith(".fmu"):
-        if not Path(id).is_file():
-            raise InputError("no such FMU", expected="an FMU file", got="no file", remedy="check the path", file=id)
-        inside = {key: value for key, value in options.items() if key != "isolated"}
-        if options.get("isolated", os.name == "posix"):
-            return cast(Plant, registry.create("plants", "isolated", plant="fmu", path=id, **inside))
-        return cast(Plant, registry.create("plants", "fmu", path=id, **inside))
+        if apart:
+            return cast(Plant, registry.create("plants", "isolated", plant="fmu", path=id, **limit, **inside))
+        return cast(Plant, registry.create("plants", "fmu", path=id, **limit, **inside))
+    if apart and _holds_fmus(id):
+        given = {"path": id, "changes": inside, "trust": trusted()}
+        return cast(Plant, registry.load("tools", "isolate")("harness.plant_files:make_coupled", given, **limit))
+    return make_coupled(id, inside)
+
+
+def make_coupled(path: str, changes: dict[str, Any], trust: Sequence[str] = ()) -> Plant:
+    """Return the plant of a coupling or a package, in this process; ``trust`` as :func:`harness.trust.trusting`."""
     from harness import cosim
 
-    if id.endswith(".toml"):
-        return cosim.couple(id, make_part, changes=options)
-    return cosim.couple_ssp(id, make_part, describe_fmu, changes=options)
+    with trusting(*trust):
+        if path.endswith(".toml"):
+            return cosim.couple(path, make_part, changes=changes)
+        return cosim.couple_ssp(path, make_part, describe_fmu, changes=changes)
 
 
 def describe_fmu(path: str | Path) -> dict[str, Any]:
@@ -105,6 +120,15 @@ def describe_fmu(path: str | Path) -> dict[str, Any]:
     """
     content: dict[str, Any] = registry.load("plants", "fmu").describe(path)
     return content
+
+
+def _holds_fmus(path: str) -> bool:
+    """Return True for a system of another tool, and for a coupling that names files of FMUs."""
+    if not path.endswith(".toml"):
+        return True
+    from harness.cosim.description import read_coupling
+
+    return any(part.fmu is not None or part.plant == "fmu" for part in read_coupling(path).parts.values())
 
 
 def make_part(id: str, options: dict[str, Any]) -> Plant:

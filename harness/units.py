@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import functools
 import re
-import tokenize
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from harness.errors import InputError
 from harness.signals import FloatArray
+from harness.unit_grammar import LONGEST, factors
 
 if TYPE_CHECKING:
     import pint
@@ -117,23 +117,27 @@ def _parsed(text: str) -> Any:
     last: Exception | None = None
     for tried in dict.fromkeys((plain, words)):
         try:
-            return _registry().parse_units(tried)
-        except (
-            pint.PintError,
-            ValueError,
-            TypeError,
-            AttributeError,
-            AssertionError,
-            KeyError,
-            tokenize.TokenError,
-        ) as error:
+            return _built(tried)
+        except (pint.PintError, ValueError, TypeError, AttributeError, AssertionError, KeyError) as error:
             last = error
     raise InputError(
         "unknown unit",
         expected="a unit such as 'N m', 'Nm', 'rad/s', 'deg', 'rpm', 'V', 'm/s^2' or '1'",
-        got=repr(text),
+        got=repr(text if len(text) <= LONGEST else f"{text[:LONGEST]}..."),
         remedy="write products with a space and quotients with '/'",
     ) from last
+
+
+def _built(text: str) -> Any:
+    """Return the pint unit of a text."""
+    registry, read = _registry(), factors(text)
+    unit: Any = registry.dimensionless
+    for name, power in read:
+        one = registry.parse_units(name)
+        if (len(read) > 1 or power != 1) and registry.Quantity(0.0, one).to_base_units().magnitude:
+            one = registry.parse_units(f"delta_{one}")  # in a product a degree is a difference
+        unit = unit * (one if power == 1 else one ** (int(power) if power.denominator == 1 else float(power)))
+    return unit
 
 
 def _parse(unit: str, target: Any = None) -> Any:

@@ -10,12 +10,16 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Iterator
-from multiprocessing import spawn
+import time
+from collections.abc import Callable, Iterator
+from multiprocessing import Pipe, spawn
+from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
-__all__ = ["death", "one_thread", "worker_pool"]
+from harness.processes import adopt_orphans
+
+__all__ = ["death", "fresh_process", "one_thread", "worker_pool"]
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -52,6 +56,18 @@ def worker_pool(workers: int) -> Iterator[Any]:
         raise
     finally:
         pool.join()
+
+
+def fresh_process(target: Callable[..., None], *arguments: Any) -> tuple[Connection, SpawnProcess]:
+    """Start ``target(connection, *arguments)`` in a process of its own; returns our end of the line, and the process.
+
+    Unlike a worker of a pool it may have processes of its own.
+    """
+    ours, theirs = Pipe()
+    process = _FreshProcess(target=target, args=(theirs, *arguments))
+    process.start()
+    theirs.close()
+    return ours, process
 
 
 @contextlib.contextmanager
@@ -95,6 +111,16 @@ def death(error: BaseException) -> str:
 def _quiet() -> None:
     """Prepare a worker: Ctrl-C is the parent's business, and the chatter of engines goes nowhere."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.setpgid(0, 0)  # what it starts ends with it
+    adopt_orphans()
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:  # of a group of its own, it is not ended with the caller's
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.dup2(nowhere, 2)

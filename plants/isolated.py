@@ -27,6 +27,7 @@ from harness.protocols import Ability, Plant
 from harness.signals import FloatArray, PlantSpec
 from plants import frames
 from plants.checking import checked_inputs, refuse_input
+from plants.isolated_child import registered
 from plants.temporary import release, temporary_folder
 
 __all__ = ["IsolatedPlant", "isolated"]
@@ -278,12 +279,18 @@ def isolated(plant: str, *, timeout: float = 10.0, **options: Any) -> IsolatedPl
     Parameters
     ----------
     plant : str
-        Id of the plant.
+        Id of a registered plant: a file may name this one, and what is no id would be imported.
     timeout : float
         Longest time [s] for one call.
     **options
         Options of the plant.
+
+    Raises
+    ------
+    InputError
+        If no plant of this id is registered.
     """
+    registered(plant)
     return IsolatedPlant(plant, options, timeout=timeout)
 
 

@@ -25,7 +25,7 @@ from harness.signals import FloatArray
 from plants import frames
 from plants.frames import Answer, Made
 
-__all__ = ["serve"]
+__all__ = ["registered", "serve"]
 
 
 def serve() -> None:
@@ -131,8 +131,20 @@ def _maker(factory: str | Callable[..., Plant]) -> Callable[..., Plant]:
     if ":" in factory:
         module, _, attribute = factory.partition(":")
         return cast(Callable[..., Plant], getattr(importlib.import_module(module), attribute))
-    found = [p for p in importlib.metadata.entry_points(group="sysid_harness.plants") if p.name == factory]
-    if not found:
-        known = sorted({p.name for p in importlib.metadata.entry_points(group="sysid_harness.plants")})
-        raise InputError("unknown plant", expected=f"one of {', '.join(known)}", got=repr(factory), remedy="correct it")
-    return cast(Callable[..., Plant], found[0].load())
+    return cast(Callable[..., Plant], registered(factory).load())
+
+
+def registered(id: str) -> importlib.metadata.EntryPoint:
+    """Return where a registered plant lives.
+
+    Raises
+    ------
+    InputError
+        If no plant is registered under this id.
+    """
+    points = importlib.metadata.entry_points(group="sysid_harness.plants")
+    for point in points:
+        if point.name == id:
+            return point
+    known = sorted({point.name for point in points})
+    raise InputError("unknown plant", expected=f"one of {', '.join(known)}", got=repr(id), remedy="correct it")

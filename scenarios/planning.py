@@ -14,6 +14,7 @@ from harness.errors import InputError
 from harness.protocols import Experiment, Model
 from harness.rng import Streams
 from harness.signals import FloatArray, PlantSpec, residual
+from harness.trust import registered_only
 from scenarios.conditions import Conditions
 from scenarios.noise import PerChannel, per_channel
 
@@ -48,6 +49,7 @@ def read_model(source: Any) -> Model:
             remedy="identify a model first",
             file=str(source),
         ) from error
+    registered_only(content, file=source)
     for entry in entry_points(group="sysid_harness.model_readers", name=str(kind)):
         reader = entry.load()
         read: Model = getattr(reader, "from_dict", reader)(content)

@@ -18,6 +18,7 @@ from harness.errors import InputError
 from harness.fingerprint import files_named, fingerprint
 from harness.plant_files import fingerprint as plant_fingerprint
 from harness.plant_files import is_plant_file, stream_key
+from harness.trust import registered_only
 
 __all__ = ["cells_of", "find_suite", "load_suite", "tasks_of"]
 
@@ -35,14 +36,19 @@ def find_suite(suite: str | Path) -> Path:
     >>> find_suite("quick").name
     'quick.toml'
     """
-    if isinstance(suite, Path) or str(suite).endswith(".toml"):
+    if is_file(suite):
         path = Path(suite)
         if not path.is_file():
             raise InputError(
                 "no such suite", expected="a TOML file", got="no file", remedy="check the path", file=str(suite)
             )
         return path
-    return Path(registry.load("suites", suite))
+    return Path(registry.load("suites", str(suite)))
+
+
+def is_file(suite: str | Path) -> bool:
+    """Return True for the path of a suite, False for the name of a registered one."""
+    return isinstance(suite, Path) or str(suite).endswith(".toml")
 
 
 def load_suite(suite: str | Path) -> Suite:
@@ -56,7 +62,8 @@ def load_suite(suite: str | Path) -> Suite:
     Raises
     ------
     InputError
-        If the file is no TOML, a key is unknown, a value has the wrong type, or two rows would have one name.
+        If the file is no TOML, a key is unknown, a value has the wrong type, two rows would have one name, or it names
+        code that is not trusted (:func:`harness.trust.trusting`).
 
     Examples
     --------
@@ -72,6 +79,14 @@ def load_suite(suite: str | Path) -> Suite:
         read = msgspec.convert(content, Suite)
     except msgspec.ValidationError as error:
         raise _explained(error, path) from error
+    if is_file(suite):  # a registered suite is installed, as code is
+        for number, group in enumerate(read.groups):
+            for kind in ("plants", "scenarios", "identifiers"):
+                for index, part in enumerate(getattr(group, kind)):
+                    place = f"groups[{number}].{kind}[{index}]"
+                    registered_only(part.id, file=path, place=f"{place}.id")
+                    registered_only(part.options, file=path, place=f"{place}.options", options=True)
+            registered_only(msgspec.to_builtins(group.axes), file=path, place=f"groups[{number}].axes", options=True)
     read = msgspec.structs.replace(read, groups=tuple(_located(group, path.parent) for group in read.groups))
     for number, group in enumerate(read.groups):
         _check_group(group, f"groups[{number}]", path)

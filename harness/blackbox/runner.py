@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from harness.blackbox.system import FmuSystem
+from harness.guarded import alive
 from harness.signals import FloatArray
 
 __all__ = ["Runner"]
@@ -52,4 +53,5 @@ class Runner:
             if self._set.get(name) != value:
                 plant.set_parameter(name, value)
                 self._set[name] = value
+        alive()
         return np.asarray(plant.reset(rng=self._rng, x0=x0))

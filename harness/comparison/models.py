@@ -21,6 +21,7 @@ from harness.errors import HarnessError, InputError
 from harness.protocols import Model
 from harness.scoring import Score, equation_error, predict, simulation_error
 from harness.signals import Dataset, FloatArray, Use, residual
+from harness.trust import registered_only
 
 __all__ = ["Compared", "Comparison", "compare", "read_model"]
 
@@ -105,16 +106,14 @@ class Comparison:
         )
 
 
-def read_model(path: str | Path, *, trust: bool = False) -> Model:
+def read_model(path: str | Path) -> Model:
     """Return a model that ``sysid identify -o`` or ``close-loop`` stored.
 
     Raises
     ------
     InputError
-        If the file is missing or is no model, or names Python code and is not trusted.
+        If the file is missing or is no model, or names code that is not trusted (:func:`harness.trust.trusting`).
     """
-    from harness.data.ports import runs_python
-
     path = Path(path)
     path = path / "model.json" if path.is_dir() else path
     try:
@@ -128,15 +127,7 @@ def read_model(path: str | Path, *, trust: bool = False) -> Model:
             remedy="give the file that sysid identify -o wrote",
             file=path,
         ) from error
-    if not trust and isinstance(content.get("model"), str) and runs_python(content["model"]):
-        raise InputError(
-            "a stored model that runs Python code",
-            expected="a model that runs no file, or --trust",
-            got=repr(content["model"]),
-            remedy="if you trust that file, give --trust (in Python trust=True)",
-            file=path,
-            place="model",
-        )
+    registered_only(content, file=path)
     known = [entry.id for entry in registry.entries("model_readers")]
     if kind not in known:
         raise InputError(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from harness.errors import HarnessError
+from harness.guarded import alive
 
 __all__ = ["Broken", "Check", "CheckResult", "NotApplicable", "demand", "run_checks"]
 
@@ -108,6 +109,7 @@ def run_checks(
         for name in unknown
     ]
     for check in checks:
+        alive()
         try:
             check.body(factory)
             broken = ""

@@ -14,6 +14,7 @@ from harness.cosim.master import Coupled
 from harness.cosim.wiring import Connection
 from harness.errors import HarnessError, InputError
 from harness.protocols import Plant
+from harness.trust import registered_only
 
 __all__ = ["CouplingDescription", "Make", "PartDescription", "Wiring", "couple", "read_coupling"]
 
@@ -72,7 +73,8 @@ def read_coupling(path: str | Path) -> CouplingDescription:
     Raises
     ------
     InputError
-        If the file is missing or no TOML, a key is unknown or missing, or a value has the wrong type.
+        If the file is missing or no TOML, a key is unknown or missing, a value has the wrong type, or it names code
+        that is not trusted (:func:`harness.trust.trusting`).
 
     Examples
     --------
@@ -95,6 +97,9 @@ def read_coupling(path: str | Path) -> CouplingDescription:
     except msgspec.ValidationError as error:
         raise _explained(error, path) from error
     for name, part in read.parts.items():
+        named = {"plant": part.plant, "fmu": part.fmu, "mockup": part.mockup}
+        registered_only(named, file=path, place=f"parts.{name}")
+        registered_only(part.options, file=path, place=f"parts.{name}.options", options=True)
         given = [key for key in ("plant", "fmu", "mockup") if getattr(part, key) is not None]
         if len(given) != 1:
             raise InputError(

@@ -203,6 +203,7 @@ class Hdf5File(_Variables):
                 def visit(name: str, item: Any) -> None:
                     if not isinstance(item, h5py.Dataset) or name.startswith("#refs#"):
                         return
+                    _refuse_elsewhere(name, item)
                     variables[name] = self._loaded(item, file, h5py)
                     for key in ("unit", "units"):
                         if key in item.attrs:
@@ -210,6 +211,8 @@ class Hdf5File(_Variables):
                             self._units[name] = text.decode() if isinstance(text, bytes) else str(text)
 
                 file.visititems(visit)
+        except InputError:
+            raise
         except Exception as error:  # the library raises whatever its walk through a damaged file meets
             raise broken(path, "HDF5", error) from error
         super().__init__(variables)
@@ -228,6 +231,21 @@ class Hdf5File(_Variables):
     def unit(self, title: str) -> str | None:
         """Return the unit attribute of a data set."""
         return self._units.get(title)
+
+
+def _refuse_elsewhere(name: str, item: Any) -> None:
+    """Refuse a data set whose numbers lie in other files, which the file may name as it likes."""
+    others = [str(found[0]) for found in item.external or ()]
+    if item.is_virtual:
+        others += [source.file_name for source in item.virtual_sources() if source.file_name != "."]
+    if others:
+        raise InputError(
+            "a data set with its numbers in another file",
+            expected="numbers in the file itself",
+            got=others[0],
+            remedy="repack the file (h5repack), or give that file",
+            place=name,
+        )
 
 
 class MatV73File(Hdf5File):

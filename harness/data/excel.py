@@ -7,6 +7,7 @@ from pathlib import Path
 from harness.data.binary_files import broken, optional
 from harness.data.cells import units_below
 from harness.data.columns import MemoryTable
+from harness.data.packing import refuse_bomb
 from harness.errors import InputError
 
 __all__ = ["ExcelFile"]
@@ -17,6 +18,7 @@ class ExcelFile(MemoryTable):
 
     def __init__(self, path: Path, sheet: str | None = None) -> None:
         openpyxl = optional("openpyxl", "Excel")
+        refuse_bomb(path)
         try:
             book = openpyxl.load_workbook(path, read_only=True, data_only=True)
             sheets = list(book.sheetnames)

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from harness.data.loaded import Nominal
-from harness.data.ports import Ports, located_model, ports_of, rate_unit, runs_python
+from harness.data.ports import Ports, located_model, ports_of, rate_unit
 from harness.data.sections import Description, NominalParameter, SignalSection
 from harness.data.si import si_unit
 from harness.errors import InputError
 from harness.signals import Channel
+from harness.trust import registered_only
 from harness.units import convert, fits
 
 __all__ = ["Plan"]
@@ -88,14 +89,9 @@ class Plan:
             return Nominal(located_model(model, Path.cwd()))
         if section is None:
             return None
-        if model is None and runs_python(section.model):
-            raise InputError(
-                "a data set that runs Python code",
-                expected="a model that runs no file, or the command line naming the file as well",
-                got=repr(section.model),
-                remedy=f"if you trust that file, give --model {section.model} (in Python model={section.model!r})",
-                place="nominal.model",
-            )
+        if model is None:  # else the caller named it too
+            registered_only(section.model, file=self.path, place="nominal.model")
+        registered_only(section.options, file=self.path, place="nominal.options", options=True)
         parameters = {
             name: given if isinstance(given, NominalParameter) else NominalParameter(value=float(given))
             for name, given in section.parameters.items()

@@ -11,7 +11,7 @@ from typing import Any
 from harness.errors import InputError
 from harness.signals import Channel
 
-__all__ = ["ANY_PORTS", "Ports", "located_model", "model_options", "ports_of", "runs_python"]
+__all__ = ["ANY_PORTS", "Ports", "located_model", "model_options", "ports_of"]
 
 ANY_PORTS = "linear"
 """The built-in model that takes its ports from the data."""
@@ -136,17 +136,6 @@ def ports_of(model: str, options: Mapping[str, Any], *, analogy: bool = False) -
         pairs = zip(arm.arm.moving, arm.inputs, arm.positions, strict=True)
         joints = {joint.name: (drive.name, angle.name) for joint, drive, angle in pairs}
     return Ports(system.inputs, tuple(outputs[name] for name in ordered), model, not analogy, joints)
-
-
-def runs_python(model: str) -> bool:
-    """Return True for a model whose definition is a Python file: reading it runs that file.
-
-    Examples
-    --------
-    >>> runs_python("mine.py:arm"), runs_python("mine.py"), runs_python("pendulum")
-    (True, True, False)
-    """
-    return ".py:" in model or model.endswith(".py")
 
 
 def located_model(model: str, folder: Path) -> str:

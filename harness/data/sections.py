@@ -53,8 +53,8 @@ class NominalSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     """
 
     model: str
-    """Built-in name, `FILE.fmu`, `FILE.urdf` or `FILE.py:NAME` (which runs only where the
-    command line names it too)."""
+    """Built-in name, `FILE.fmu`, `FILE.urdf` or `FILE.py:NAME` (Python and FMUs run only where the
+    command line names them too, or after `--trust FILE`)."""
     analogy: bool = False
     """The equations are meant, not the units."""
     options: dict[str, Any] = {}

@@ -14,13 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.data.cells import EMPTY, clock, is_number, units_below
+from harness.data.packing import most_unpacked
 from harness.errors import InputError
 from harness.signals import FloatArray
 
 __all__ = ["TextFile"]
-
-LARGEST = 2 << 30
-"""Bytes that a packed table may unpack to: a table of 1e8 numbers, far below what a small bomb unpacks to."""
 
 _DELIMITERS = (",", ";", "\t")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
@@ -254,14 +252,18 @@ def _text(path: Path) -> tuple[str, str]:
     if path.suffix.lower() == ".gz":
         try:
             with gzip.GzipFile(fileobj=io.BytesIO(raw)) as packed:
-                raw = packed.read(LARGEST + 1)
+                most = most_unpacked(len(raw))
+                raw = packed.read(most + 1)
         except (OSError, EOFError, zlib.error) as error:
             raise InputError(
                 "not a gzip file", expected="a table packed by gzip", got=str(error), remedy="check the file"
             ) from error
-        if len(raw) > LARGEST:
+        if len(raw) > most:
             raise InputError(
-                "a packed table", expected=f"at most {LARGEST >> 30} GiB", got="more", remedy="cut or thin it"
+                "a packed table",
+                expected=f"at most {most >> 20} MiB unpacked",
+                got="more",
+                remedy="unpack it yourself, or cut or thin it",
             )
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         coding = "utf-16"

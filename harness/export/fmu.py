@@ -13,6 +13,7 @@ from harness.errors import InputError
 from harness.export.c_model import description, model_source
 from harness.export.describe import RIGHTS
 from harness.export.linear import Linear, linear_description, linear_source
+from harness.trust import registered_only
 
 if TYPE_CHECKING:
     from harness.physics.simulator import Simulator
@@ -70,6 +71,7 @@ def _package(source: str | Path, target: Path, fmi: str) -> Path | None:
         return None
     if not isinstance(content, dict) or content.get("kind") != "fmu":
         return None
+    registered_only(content, file=path)
     if target.suffix != ".ssp":
         raise InputError(
             "output",
@@ -212,6 +214,7 @@ def _stored(path: Path) -> Callable[..., Path]:
             remedy="give the file that sysid identify -o or sysid close-loop wrote",
             file=path,
         ) from error
+    registered_only(content, file=path)
     if kind not in ("grey-box", "linear"):
         raise InputError(
             "model cannot be exported to an FMU",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,21 +10,15 @@ from pathlib import Path
 from typing import Any, cast
 
 from harness import __version__, registry
+from harness.data.description import read_description
+from harness.data.ports import located_model
 from harness.errors import HarnessError
-from harness.fingerprint import files_named, fingerprint
+from harness.fingerprint import fingerprint
 from harness.fleet.records import FleetRecord
 from harness.fleet.row import blank, encoded, fill
 from harness.jobs import Desk
 
 __all__ = ["RecordJob"]
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML; what cannot be read is told when the record is."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
 
 
 @dataclass(frozen=True)
@@ -57,12 +50,25 @@ class RecordJob:
     @cached_property
     def job(self) -> str:
         """A hash of the data, of the files that they and the model name, and of all else that decides the answer."""
-        files = [path for path in (self.record.file, self.record.validation) if path is not None]
-        named = files_named(self.model)
-        for path in files:
-            if path.suffix == ".toml":
-                named += files_named(_read(path), path.parent)
-        return fingerprint(__version__, self.record.name, self.model, self.undriven, files, named)[:20]
+        files = [path for path in self._files() if path.is_file()]
+        return fingerprint(__version__, self.record.name, self.model, self.undriven, files)[:20]
+
+    def _files(self) -> list[Path]:
+        """Return the files that decide the answer: the record's, those that a data set names, and that of the model."""
+        found = [path for path in (self.record.file, self.record.validation) if path is not None]
+        model, folder = self.model, Path.cwd()
+        if self.record.file.suffix == ".toml":
+            try:
+                read = read_description(self.record.file)
+            except HarnessError:
+                return found  # the row will say so
+            found += [self.record.file.parent / run.file for run in read.runs]
+            if model is None and read.nominal is not None:
+                model, folder = read.nominal.model, self.record.file.parent
+        if model is None:
+            return found
+        file, python, _ = located_model(model, folder).partition(".py:")
+        return [*found, Path(file + python.rstrip(":"))]
 
     @property
     def jobs(self) -> tuple[str, ...]:

@@ -9,15 +9,33 @@ from __future__ import annotations
 
 import faulthandler
 import os
+import signal
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Protocol
 
-__all__ = ["SHARED", "Batch", "Desk", "do_batch", "last_place", "put_away", "shard_file", "was_ended", "write_shard"]
+from harness.processes import Surroundings, end_children, ended
+from harness.trust import trusting
+
+__all__ = [
+    "SHARED",
+    "Batch",
+    "Desk",
+    "do_batch",
+    "end_worker",
+    "last_place",
+    "put_away",
+    "shard_file",
+    "was_ended",
+    "worker_gone",
+    "write_shard",
+]
 
 SHARED = "shared"
 """Where a worker stands while it makes what all jobs of its batch share."""
+HARMED = 70
+"""Exit status of a worker that can do no more."""
 WIDTH = 128
 """Bytes of the name of a place, filled with blanks."""
 
@@ -79,8 +97,28 @@ def _watch(folder: Path, batch: Batch) -> Path:
 
 def last_place(folder: Path, batch: Batch) -> str:
     """Return where a lost worker was: the name of a job, or :data:`SHARED`."""
+    return _last(folder, batch)[1] or SHARED
+
+
+def worker_gone(folder: Path, batch: Batch) -> bool:
+    """Return True if the worker that had begun a batch is no more."""
+    process = _last(folder, batch)[0]
+    return bool(process) and ended(process)
+
+
+def end_worker(folder: Path, batch: Batch) -> None:
+    """End what a lost worker left running: the processes of its group."""
+    process = _last(folder, batch)[0]
+    with suppress(ProcessLookupError, PermissionError):
+        if process and os.getpgid(0) != process:
+            os.killpg(process, signal.SIGKILL)
+
+
+def _last(folder: Path, batch: Batch) -> tuple[int, str]:
+    """Return the process of the worker of a batch and where it was; 0 if none has begun."""
     at = _at(folder, batch)
-    return (at.read_text(encoding="utf-8").strip() if at.exists() else "") or SHARED
+    process, _, place = (at.read_text(encoding="utf-8").strip() if at.exists() else "").partition(" ")
+    return int(process) if process.isdigit() else 0, place
 
 
 def was_ended(folder: Path, batch: Batch) -> bool:
@@ -100,6 +138,7 @@ class Desk:
 
     def __init__(self, batch: Batch, folder: Path, at: int, watch: IO[str]) -> None:
         self._batch, self._folder, self._at, self._watch = batch, folder, at, watch
+        self._surroundings, self._harm = Surroundings(), ""
 
     @contextmanager
     def shared(self) -> Iterator[None]:
@@ -114,12 +153,16 @@ class Desk:
             yield
 
     def put(self, job: str, content: bytes) -> None:
-        """Write the shard of a job, whole or not at all."""
+        """Write the shard of a job, whole or not at all; one that harmed its process is the last in it."""
+        if self._harm:
+            write_shard(self._folder, job, self._batch.lost(job, "crashed", self._harm, shared=False))
+            end_children()
+            os._exit(HARMED)
         write_shard(self._folder, job, content)
 
     def stand(self, place: str) -> None:
         """Write down where the work is."""
-        os.pwrite(self._at, place.encode().ljust(WIDTH), 0)  # one write of one size: never seen half
+        os.pwrite(self._at, f"{os.getpid()} {place}".encode().ljust(WIDTH), 0)  # one write: never seen half
 
     @contextmanager
     def _limited(self, place: str) -> Iterator[None]:
@@ -130,13 +173,15 @@ class Desk:
             yield
         finally:
             faulthandler.cancel_dump_traceback_later()
+            self._harm = self._surroundings.restore()
 
 
-def do_batch(batch: Batch, folder: str | Path) -> None:
-    """Do all jobs of a batch in this process and write their shards."""
+def do_batch(batch: Batch, folder: str | Path, trust: Sequence[str] = ()) -> None:
+    """Do all jobs of a batch in this process and write their shards; ``trust`` as :func:`harness.trust.trusting`."""
     place = Path(folder)
     with _watch(place, batch).open("w") as watch, _at(place, batch).open("wb", buffering=0) as at:
         desk = Desk(batch, place, at.fileno(), watch)
         desk.stand(SHARED)
-        batch.work(desk)
+        with trusting(*trust):
+            batch.work(desk)
     put_away(place, batch)

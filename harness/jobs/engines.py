@@ -14,7 +14,19 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from harness.errors import InputError
-from harness.jobs.batch import SHARED, Batch, do_batch, last_place, put_away, shard_file, was_ended, write_shard
+from harness.jobs.batch import (
+    SHARED,
+    Batch,
+    do_batch,
+    end_worker,
+    last_place,
+    put_away,
+    shard_file,
+    was_ended,
+    worker_gone,
+    write_shard,
+)
+from harness.trust import trusted, trusting
 from harness.workers import death, worker_pool
 
 __all__ = ["AHEAD", "DaskEngine", "Engine", "LocalEngine", "Moved", "make_engine", "run_jobs"]
@@ -124,11 +136,12 @@ class LocalEngine:
         costs the square of their number.
         """
         waiting: dict[Any, Batch] = {}
+        gone: set[Any] = set()  # whose worker ended without a word, as a status of 0 is none to the pool
 
         def schedule(batch: Batch) -> None:
             # the watchdog inside the worker keeps the limit of each job; this one is for a worker that is stopped
             backstop = math.ceil((len(batch.jobs) + 1) * (batch.time_limit + 10))
-            waiting[pool.schedule(do_batch, args=[batch, str(shards)], timeout=backstop)] = batch
+            waiting[pool.schedule(do_batch, args=[batch, str(shards), trusted()], timeout=backstop)] = batch
 
         while batches or waiting:
             while batches and len(waiting) < AHEAD * self.workers:
@@ -136,14 +149,24 @@ class LocalEngine:
             done, _ = wait(list(waiting), timeout=POLL, return_when=FIRST_COMPLETED)
             if not done:
                 moved("", ())
+                quiet = {future for future, batch in waiting.items() if worker_gone(shards, batch)}
+                done = {future for future in quiet & gone if not future.done()}  # twice: the pool may tell how
+                gone = quiet
             for future in done:
                 batch = waiting.pop(future)
-                error = future.exception()
+                error = future.exception() if future.done() else _Left()
+                future.cancel()
                 rest = _after_loss(batch, shards, error) if error is not None else None
                 left = set(rest.jobs) if rest is not None else set()
                 moved(batch.title, [job for job in batch.jobs if job not in left])
                 if rest is not None:
                     batches.appendleft(rest)
+
+
+class _Left(Exception):
+    """A worker ended itself with status 0."""
+
+    exitcode = 0
 
 
 def _after_loss(batch: Batch, shards: Path, error: BaseException) -> Batch | None:
@@ -152,8 +175,10 @@ def _after_loss(batch: Batch, shards: Path, error: BaseException) -> Batch | Non
     late = isinstance(error, TimeoutError) or was_ended(shards, batch)
     status = "timeout" if late else "crashed"
     reason = f"is over its time limit of {batch.time_limit:g} s" if late else death(error)
+    end_worker(shards, batch)
     left = [job for job in batch.jobs if not shard_file(shards, job).exists()]
-    lost = [job for job in left if place in (SHARED, job)] or left[:1]
+    told = place != SHARED and shard_file(shards, place).exists()  # its row says what it did to the worker
+    lost = [job for job in left if place in (SHARED, job)] or ([] if told else left[:1])
     for job in lost:
         write_shard(shards, job, batch.lost(job, status, reason, shared=place == SHARED))
     put_away(shards, batch)
@@ -196,7 +221,9 @@ class DaskEngine:
             workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
             size = max(1, min(BUNDLE, len(batches) // (SHARES * workers)))
             bundles = [tuple(batches[k : k + size]) for k in range(0, len(batches), size)]
-            futures = {client.submit(run_elsewhere, bundle, pure=False, retries=1): bundle for bundle in bundles}
+            futures = {
+                client.submit(run_elsewhere, bundle, trusted(), pure=False, retries=1): bundle for bundle in bundles
+            }
             try:
                 for future in completed(list(futures), loop=client.loop):
                     bundle = futures.pop(future)
@@ -216,14 +243,14 @@ class DaskEngine:
                 raise
 
 
-def run_elsewhere(batches: tuple[Batch, ...]) -> dict[str, bytes]:
+def run_elsewhere(batches: tuple[Batch, ...], trust: Sequence[str] = ()) -> dict[str, bytes]:
     """Run batches through the local engine on a worker of a cluster; returns their shards by job."""
     process = multiprocessing.current_process()
     configuration = getattr(process, "_config", {})
     daemon = configuration.get("daemon", False)
     configuration["daemon"] = False  # cluster workers are daemons by default, and daemons may not have children
     try:
-        with tempfile.TemporaryDirectory(prefix="sysid-harness-") as folder:
+        with tempfile.TemporaryDirectory(prefix="sysid-harness-") as folder, trusting(*trust):
             LocalEngine(1).run(batches, Path(folder), lambda title, jobs: None)
             return {path.stem: path.read_bytes() for path in Path(folder).glob("*.json")}
     finally:

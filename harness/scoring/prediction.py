@@ -5,11 +5,15 @@ Both are :func:`predict` with another horizon (Ljung 1999, *System Identificatio
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.exceptions import ComplexWarning
 
-from harness.errors import InputError
+from harness.errors import InputError, PluginError
 from harness.protocols import FreeRun, Model
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 
@@ -141,7 +145,7 @@ def predict(
     if horizon is not None and horizon < 1:
         raise InputError("horizon", expected="1, 2, ... or None", got=repr(horizon), remedy="use None for a free run")
     x = _initial_state(model, data, initial, initial_samples)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+    with _numbers_of(model):
         if horizon is None:
             return _until_divergence(_free_run(model, x, data.u))
         predictions = np.full((len(data), model.spec.ny), np.nan)
@@ -177,7 +181,7 @@ def states_ahead(model: Model, data: Trajectory, horizon: int = 1, *, initial_sa
         raise InputError(
             "horizon", expected=f"1 .. {len(data) - 1} (samples - 1)", got=repr(horizon), remedy="shorten it"
         )
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+    with _numbers_of(model):
         x = _initial_state(model, data, None, initial_samples)
         return _ahead(model, _filtered(model, x, data), data.u, horizon)
 
@@ -228,7 +232,7 @@ def errors(
     n = len(data)
     predicted = np.full((n, model.spec.ny), np.nan)
     starts = np.arange(0, n, steps)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+    with _numbers_of(model):
         if model.burn_in == 0:
             how = f"estimated in each window of {horizon:g} s"
             states = np.array([_initial_state(model, data[k : k + steps], None, initial_samples) for k in starts])
@@ -283,6 +287,20 @@ def simulation_error(
     skip = model.burn_in if burn_in is None else burn_in
     miss, how = errors(model, data, horizon, initial_samples=initial_samples)
     return _score(data, miss, skip, horizon, how)
+
+
+@contextmanager
+def _numbers_of(model: Model) -> Iterator[None]:
+    """Let a model diverge in silence, and refuse complex numbers: half of one is no answer."""
+    with warnings.catch_warnings(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        warnings.simplefilter("error", ComplexWarning)
+        try:
+            yield
+        except ComplexWarning as error:
+            raise PluginError(
+                f"{type(model).__name__} breaks its contract: expected real outputs and states, got complex ones; "
+                "remedy: return real numbers"
+            ) from error
 
 
 def _initial_state(

@@ -77,6 +77,26 @@ def misbehave(how):
         os.kill(os.getpid(), signal.SIGKILL)
     if how == "exit":
         os._exit(7)
+    if how == "exit-well":
+        os._exit(0)
+    if how == "descriptors":
+        os.closerange(3, 200)
+    if how == "standard-lines":
+        os.closerange(0, 3)
+    if how == "surroundings":
+        os.chdir("/")
+        os.environ.clear()
+        sys.path.clear()
+    if how == "fork" and os.fork() == 0:
+        time.sleep(600)
+        os._exit(0)
+    if how == "fork-back":
+        os.fork()
+    if how == "daemon" and os.fork() == 0:
+        os.setsid()
+        if os.fork() == 0:
+            time.sleep(600)
+        os._exit(0)
     if how == "sys-exit":
         sys.exit("leaving")
     if how == "unfit":

@@ -11,6 +11,7 @@ import pytest
 from harness.benchmark.suite import cells_of, load_suite, tasks_of
 from harness.errors import InputError
 from harness.jobs import make_engine
+from harness.trust import trusting
 
 GROUP = """
 [[groups]]
@@ -125,14 +126,19 @@ def test_a_coupling_and_an_fmu_are_plants_of_a_suite(tmp_path: Path) -> None:
     scenario = '[{id = "prbs", options = {samples = 150}}]'
     group = f'[[groups]]\nplants = {plants}\nscenarios = {scenario}\nidentifiers = [{{id = "arx"}}]\n'
     path.write_text('name = "files"\nseeds = [0]\n' + group)
-    rows = bench(path, out=tmp_path / "out", workers=1).rows
-    assert [(row.plant, row.status) for row in rows] == [("loop.toml", "ok"), ("alone", "ok")], rows
-    before = [cell.job for _, cell in cells_of(tasks_of(load_suite(path)))]
-    shutil.copy(mockup("mass_spring"), tmp_path / "arm.fmu")
-    after = [cell.job for _, cell in cells_of(tasks_of(load_suite(path)))]
-    assert not set(before) & set(after), "another FMU makes another row"
+    with pytest.raises(InputError, match=r"plants\[1\]\.id: a file that runs code.*--trust arm\.fmu"):
+        bench(path, out=tmp_path / "out", workers=1)
+    with trusting(tmp_path / "arm.fmu"):
+        rows = bench(path, out=tmp_path / "out", workers=1).rows
+        assert [(row.plant, row.status) for row in rows] == [("loop.toml", "ok"), ("alone", "ok")], rows
+        before = [cell.job for _, cell in cells_of(tasks_of(load_suite(path)))]
+        shutil.copy(mockup("mass_spring"), tmp_path / "arm.fmu")
+        after = [cell.job for _, cell in cells_of(tasks_of(load_suite(path)))]
+        assert not set(before) & set(after), "another FMU makes another row"
+    with trusting(path), pytest.raises(InputError, match=r"parts\.arm\.fmu: a file that runs code"):
+        load_suite(path)
     (tmp_path / "arm.fmu").unlink()
-    with pytest.raises(InputError, match=r"arm\.fmu: groups\[0\]\.plants\[0\]\.id.*no such plant"):
+    with trusting(tmp_path), pytest.raises(InputError, match=r"arm\.fmu: groups\[0\]\.plants\[0\]\.id.*no such plant"):
         load_suite(path)
 
 

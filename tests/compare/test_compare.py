@@ -126,7 +126,7 @@ def test_the_better_model_is_seen(folder: Path, capsys: pytest.CaptureFixture[st
 def test_a_model_of_other_signals_or_of_python_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     stored = json.loads((folder / "arx1.json").read_text())
     (folder / "odd.json").write_text(json.dumps({**stored, "model": "mine.py:evil"}))
-    with pytest.raises(InputError, match="runs Python code"):
+    with pytest.raises(InputError, match="a file that runs code"):
         api.compare([folder / "odd.json"], folder / "dataset.toml")
     (folder / "none.json").write_text("{}")
     with pytest.raises(InputError, match="not a model"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from harness.cosim import Connection, Coupled, couple
 from harness.errors import InputError
 from harness.plant_files import make_part
 from harness.protocols import Plant
+from harness.trust import trusting
 from plants.fmu import FmuPlant
 from plants.fmu_mockups import pendulum_fmu
 from plants.mockups import mockup
@@ -48,10 +50,11 @@ def make(id: str, options: dict[str, Any]) -> Plant:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path: Path) -> Iterator[Path]:
     (tmp_path / "law.fmu").write_bytes(mockup("pi_controller").read_bytes())
     (tmp_path / "loop.toml").write_text(LOOP)
-    return tmp_path
+    with trusting(tmp_path):
+        yield tmp_path
 
 
 def loop(order: Any = "gauss-seidel") -> Coupled:

@@ -10,6 +10,7 @@ import pytest
 from harness import api
 from harness.data import load_dataset, parse_description
 from harness.errors import InputError
+from harness.trust import trusting
 from plants.mockups import mockup
 
 RNG = np.random.default_rng(0)
@@ -230,9 +231,11 @@ def test_a_users_model_runs_only_where_the_caller_names_it(folder: Path, monkeyp
     monkeypatch.chdir(folder)
     known = ("[signals.u]", "[nominal.parameters]\nJ = 0.3\n[signals.u]")
     path = rewritten(folder, ('"pendulum"', '"mine.py:swing"'), known)
-    with pytest.raises(InputError, match=r"nominal.model: a data set that runs Python code.*--model mine.py:swing"):
+    with pytest.raises(InputError, match=r"nominal.model: a file that runs code.*--trust mine.py"):
         load_dataset(path)
     assert not (folder / "ran").exists()
+    with trusting("mine.py"):
+        assert load_dataset(path).system().parameter("J").value == 0.3
     loaded = load_dataset(path, model="mine.py:swing")
     assert loaded.system().parameter("J").value == 0.3
     assert loaded.system().parameter_names == ("J", "b", "mgl")

@@ -18,7 +18,7 @@ from harness.blackbox.reader import fmu_system
 from harness.blackbox.runner import Runner
 from harness.blackbox.simulator import FmuSimulator
 from harness.cosim.structure import opened
-from harness.diagnosis import close_loop
+from harness.diagnosis import close_loop, close_loop_file
 from harness.diagnosis.fmu.passes import FreePass
 from harness.diagnosis.fmu.prepare import FmuWindows, measured_states, nominal_fmu
 from harness.effects import builtin
@@ -29,6 +29,7 @@ from harness.physics.kalman_pass import Noise
 from harness.plant_files import make_plant
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 from harness.specs import spec_to_dict
+from harness.trust import trusting
 from plants.mockups import mockup
 
 DT, N = 0.01, 1000
@@ -175,11 +176,15 @@ def test_friction_inside_the_fmu_is_found_from_the_angle_alone(dry):
 def test_the_repaired_fmu_is_one_package_that_repeats_the_report(dry, tmp_path):
     report, folder, data = dry
     target = tmp_path / "repaired.ssp"
-    assert api.export(folder, out=target) == [target]
+    with pytest.raises(InputError, match=r"--trust nominal\.fmu"):
+        api.export(folder, out=target)
+    with trusting(folder):
+        assert api.export(folder, out=target) == [target]
     run, system = data.validation[0], report.model
     x0 = np.array([0.4, 0.1])
     with pytest.raises(InputError, match=r"repaired\.ssp"):
-        api.export(folder, out=tmp_path / "repaired.fmu")
+        with trusting(folder):
+            api.export(folder, out=tmp_path / "repaired.fmu")
     own = FmuSimulator(system, Runner(system.nominal, DT)).run(system.vector(), x0, run.u)[1]
     with make_plant(str(target), {}) as plant:
         y = [plant.reset(rng=np.random.default_rng(0), x0={"nominal.theta": 0.4, "nominal.omega": 0.1})]
@@ -193,7 +198,8 @@ def test_the_package_states_its_units(dry, tmp_path):
     from fmpy.ssp.ssd import read_ssd  # held against the schema of SSP 1.0
 
     target = tmp_path / "repaired.ssp"
-    api.export(dry[1], out=target)
+    with trusting(dry[1]):
+        api.export(dry[1], out=target)
     described = read_ssd(str(target))
     units = {one.name: one for one in described.units}
     torque = units["N m"]
@@ -328,7 +334,10 @@ def test_a_data_set_file_names_the_fmu_and_what_is_known_of_it(tmp_path, monkeyp
     (tmp_path / "dataset.toml").write_text(head + "[time]\ncolumn = 'time [s]'\n" + signals + runs)
     seen = []
     monkeypatch.setattr("harness.diagnosis.close.close_loop", lambda *given, **options: seen.append(given))
-    api.close_loop(tmp_path / "dataset.toml", out=tmp_path / "report")
+    with pytest.raises(InputError, match=r"--trust box\.fmu"):
+        api.close_loop(tmp_path / "dataset.toml", out=tmp_path / "report")
+    with trusting(tmp_path / "box.fmu"):
+        close_loop_file(tmp_path / "dataset.toml", out=tmp_path / "report")
     data, system = seen[0]
     assert [len(run) for run in data.estimation] == [100]
     assert [(one.name, one.value) for one in system.parameters if not one.fixed] == [("b", 0.03)]

@@ -193,7 +193,7 @@ def arrange(folder: Path, line: str) -> None:
         shutil.rmtree(folder / "report")
         (folder / "unexplained").rename(folder / "report")
     if "repaired.ssp" in given and given[0] == "simulate":
-        sysid("sysid export box --out repaired.ssp")
+        sysid("sysid export box --trust box --out repaired.ssp")
     if "iiwa" in given:
         (folder / "run.csv").unlink()
         sysid("sysid simulate iiwa-bullet --scenario arm-designed -S duration=5 -S noise=1e-4 -o run.csv")

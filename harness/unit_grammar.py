@@ -1,0 +1,108 @@
+"""The grammar of a unit's text: names multiplied, divided and raised to small powers, and nothing else.
+
+A text comes from anybody's file. It is read here, in bounded time, and pint is asked for one name at a time: its own
+reading of a whole text computes what it finds, and 9^9^9 does not end.
+"""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+
+__all__ = ["LONGEST", "factors"]
+
+LONGEST, DEEPEST, HIGHEST = 80, 4, 9
+"""Characters, nested parentheses and size of an exponent that a unit may have: nothing that is measured needs more."""
+
+_NUMBER = r"[-+]?\d{1,4}(?:\.\d{1,4})?(?![eE]?\d)"
+_TOKEN = re.compile(
+    r" *(?:(?P<name>Δ?°?[^\W\d_]\w*|[°%‰])|(?P<one>1(?:\.0*)?(?![\w.]))|(?P<sign>\*(?!\*)|[/.()])"
+    rf"|(?:\^|\*\*) *(?:(?P<power>{_NUMBER})|[({{] *(?P<part>{_NUMBER}) *(?:/ *(?P<whole>\d{{1,4}}) *)?[)}}]))"
+)
+_RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+_WORDS = (
+    (re.compile("[\t\u00a0\u2009\u202f]"), " "),
+    (re.compile(r"\bper\b"), "/"),
+    (re.compile(r"\b(?:square|sq) +(\w+)"), r"\1^2"),
+    (re.compile(r"\bcubic +(\w+)"), r"\1^3"),
+    (re.compile(r" squared\b"), "^2"),
+    (re.compile(r" cubed\b"), "^3"),
+)
+"""What is said in words, and how the grammar writes it."""
+
+Factors = list[tuple[str, Fraction]]
+
+
+def factors(text: str) -> Factors:
+    """Return the names in a unit's text with their powers, in order; empty for ``1``.
+
+    Parameters
+    ----------
+    text : str
+        ``product = factor {["*" | "." | "/"] factor}``, ``factor = (name | "1" | "(" product ")") ["^" exponent]``. An
+        exponent is a number or a fraction in parentheses, also as raised signs; ``**`` is ``^``.
+
+    Raises
+    ------
+    ValueError
+        If the text is anything else, longer than 80 characters, or has an exponent above 9.
+
+    Examples
+    --------
+    >>> [(name, str(power)) for name, power in factors("kg m² / (s^2 K)^(1/2)")]
+    [('kg', '1'), ('m', '2'), ('s', '-1'), ('K', '-1/2')]
+    """
+    if len(text) > LONGEST:
+        raise ValueError("too long")
+    for pattern, written in _WORDS:
+        text = pattern.sub(written, text)
+    text = re.sub("[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda found: f"^{found[0].translate(_RAISED)} ", text).strip()
+    tokens: list[re.Match[str]] = []
+    place = 0
+    while place < len(text):
+        found = _TOKEN.match(text, place)
+        if found is None:
+            raise ValueError(f"character {place + 1}")
+        tokens.append(found)
+        place = found.end()
+    result, left = _product(tokens, 0)
+    if left:
+        raise ValueError("a parenthesis too many")
+    return result
+
+
+def _product(tokens: list[re.Match[str]], depth: int) -> tuple[Factors, list[re.Match[str]]]:
+    """Return the factors of a product, and the tokens after it."""
+    if depth > DEEPEST:
+        raise ValueError("parentheses in parentheses")
+    result, tokens = _factor(tokens, depth)
+    while tokens and tokens[0]["sign"] != ")":
+        over = tokens[0]["sign"] == "/"
+        more, tokens = _factor(tokens[1:] if tokens[0]["sign"] in ("*", ".", "/") else tokens, depth)
+        result = result + [(name, -power if over else power) for name, power in more]
+    return result, tokens
+
+
+def _factor(tokens: list[re.Match[str]], depth: int) -> tuple[Factors, list[re.Match[str]]]:
+    """Return the factors of a name, a 1 or a parenthesis with its exponent, and the tokens after it."""
+    if not tokens:
+        raise ValueError("an end where a unit is expected")
+    first, tokens = tokens[0], tokens[1:]
+    if first["sign"] == "(":
+        result, tokens = _product(tokens, depth + 1)
+        if not tokens:
+            raise ValueError("an open parenthesis")
+        tokens = tokens[1:]
+    elif first["name"] or first["one"]:
+        result = [(first["name"], Fraction(1))] if first["name"] else []
+    else:
+        raise ValueError("a sign where a unit is expected")
+    if tokens and (given := tokens[0]["power"] or tokens[0]["part"]):
+        whole = int(tokens[0]["whole"] or 1)
+        if not whole:
+            raise ValueError("an exponent over 0")
+        result = [(name, power * Fraction(given) / whole) for name, power in result]
+        tokens = tokens[1:]
+    if any(abs(power) > HIGHEST for _, power in result):
+        raise ValueError("too high an exponent")
+    return result, tokens

@@ -1,0 +1,96 @@
+"""A unit's text comes from anybody's file: it is read in bounded time, or refused in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness.errors import InputError
+from harness.unit_grammar import factors
+from harness.units import base_units, convert, fits
+
+SOUND = (
+    "N m",
+    "rad/s",
+    "kg*m^2/s^2",
+    "W/(m^2 K)",
+    "V/Hz^(1/2)",
+    "m/s²",
+    "°/s",
+    "degC",
+    "%",
+    "µm",
+    "kgm2",
+    "N·m",
+    "1/s",
+)
+MUTATIONS = st.sampled_from([*"()[]{}^*/.+-,;:#\n\r\t\0\\\"'`!?=<>|&~$@%°²⁹⁻019eEjJ_ ", "^9^9^9", "**", "//", "1/0",
+                             "e999", "lambda", "if ", "((", "9" * 30, "\u2028", "\U0001f600", "\u0301"])  # fmt: skip
+
+
+@st.composite
+def mutated(draw: st.DrawFn) -> str:
+    text = draw(st.sampled_from(SOUND))
+    for _ in range(draw(st.integers(1, 4))):
+        place = draw(st.integers(0, len(text)))
+        text = text[:place] + draw(MUTATIONS) + text[place + draw(st.integers(0, 2)) :]
+    return text
+
+
+@settings(deadline=None, max_examples=400)
+@given(mutated() | st.text(max_size=30))
+def test_a_text_is_a_unit_or_refused(text: str) -> None:
+    for call in (lambda: base_units(text), lambda: fits(text, "rad"), lambda: convert(np.ones(2), text, "m")):
+        said = _refusal(call)
+        assert "\n" not in said
+        assert len(said) < 400
+
+
+def _refusal(call: Callable[[], Any]) -> str:
+    try:
+        call()
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["9^9^9", "m^9^9", "m(", "m)", "1/0", "m/0", "m # s", "m\ns", "m^99", "m^(1/0)", "1e3", "m**1e9",
+     "(" * 50 + "m" + ")" * 50,
+     "m" * 100, "m ** (9**9)", "__import__('os')", "m!", "10 m", "", "/s", "m*", "m//s", "m^^2"],
+)  # fmt: skip
+def test_what_is_no_unit_is_refused(text: str) -> None:
+    if text:
+        with pytest.raises(InputError, match="unknown unit"):
+            base_units(text)
+    with pytest.raises(ValueError, match=r"."):
+        factors(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "target"),
+    [("N m", 1.0, "J"), ("kgm2/s2", 1.0, "J"), ("W/m²K", 1.0, "W*K/m^2"), ("V/Hz**0.5", 1.0, "V/Hz^(1/2)"),
+     ("deg C", 300.15, "K"), ("degC/min", 1 / 60, "K/s"), ("Δ°C", 27.0, "K"), ("%", 0.01, "1"), 
+     ("m per s", 3.6, "km/h"),
+     ("square mm", 1e-6, "m^2"), ("s^{-1}", 60.0, "1/min"), ("µm⋅ms⁻¹", 1e-3, "m/s"),
+ ("(N m)/(rad/s)", 1.0, "N m s/rad"),
+     ("m s^-2.5", 1.0, "m/s^(5/2)"), ("rpm", np.pi / 30, "rad/s"), ("((m))", 1.0, "m"), ("1.0", 1.0, "1")],
+)  # fmt: skip
+def test_what_engineers_write_is_read(text: str, value: float, target: str) -> None:
+    given = 27.0 if "C" in text and "min" not in text else 1.0
+    assert convert(np.array([given]), text, target)[0] == pytest.approx(value, rel=1e-12)
+
+
+PARTS = st.tuples(st.sampled_from(["m", "kg", "s", "rad", "K"]), st.integers(-4, 4).filter(bool))
+
+
+@given(st.lists(PARTS, min_size=1, max_size=4))
+def test_powers_of_a_quotient_change_their_sign(parts: list[tuple[str, int]]) -> None:
+    product = " ".join(f"{name}^{power}" for name, power in parts)
+    assert factors(f"1/({product})") == [(name, -power) for name, power in factors(product)]

@@ -1,0 +1,87 @@
+"""FMUs of a coupling, and an FMU as nominal model, end a process of their own and never the command."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from harness import api, trusting
+from harness.errors import PlantError
+from harness.fmi.build import build_fmu
+from harness.plant_files import make_plant
+from plants.mockups import mockup
+
+RNG = np.random.default_rng(0)
+LOOP = """
+sample_time = 0.01
+inputs = { push = "odd.u" }
+outputs = ["odd.y", "other.theta"]
+[parts.odd]
+fmu = "hostile.fmu"
+options = { parameters = { mode = MODE } }
+[parts.other]
+mockup = "pendulum"
+[[connections]]
+from = "push"
+to = "odd.u"
+[[connections]]
+from = "push"
+to = "other.u"
+gain_unit = "N m"
+"""
+
+
+@pytest.mark.parametrize(
+    ("mode", "status", "words"),
+    [(1, "crashed", "SIGSEGV"), (3, "crashed", "exited with status 0"), (4, "timeout", "2 s")],
+)
+def test_a_coupling_survives_its_fmus(
+    odd_fmu: Callable[..., Path], tmp_path: Path, mode: int, status: str, words: str
+) -> None:
+    shutil.copy(odd_fmu("hostile"), tmp_path / "hostile.fmu")
+    path = tmp_path / "loop.toml"
+    path.write_text(LOOP.replace("MODE", str(mode)))
+    with trusting(path), make_plant(str(path), {"timeout": 2.0}) as plant:
+        for _ in range(2):  # and once more, in a new process
+            plant.reset(rng=RNG)
+            with pytest.raises(PlantError, match=words) as caught:
+                [plant.step(np.ones(1)) for _ in range(5)]
+            assert caught.value.status == status
+            assert str(caught.value).startswith("loop.toml: ")
+
+
+def test_a_coupling_apart_gives_the_numbers_of_one_that_is_not(tmp_path: Path) -> None:
+    text = LOOP.replace("options = { parameters = { mode = MODE } }\n", "").replace("odd.y", "odd.theta")
+    path = tmp_path / "loop.toml"
+    path.write_text(text.replace("gain_unit", "# gain_unit"))
+    shutil.copy(mockup("pendulum"), tmp_path / "hostile.fmu")
+    u = np.sin(0.1 * np.arange(200))[:, None]
+    found = []
+    with trusting(tmp_path):
+        for options in ({}, {"isolated": False}):
+            with make_plant(str(path), dict(options)) as plant:
+                first = plant.reset(rng=RNG, x0={"odd.theta": 0.3})
+                found.append(np.vstack([first, *(plant.step(row) for row in u)]))
+    assert np.array_equal(*found)
+
+
+@pytest.mark.parametrize(("mode", "status", "words"), [(1, "crashed", "SIGSEGV"), (4, "timeout", "no sign of life")])
+def test_a_nominal_fmu_ends_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int, status: str, words: str
+) -> None:
+    monkeypatch.setattr("harness.guarded.SILENCE", 6.0)
+    shutil.copytree(Path(__file__).parent / "fmus" / "hostile", tmp_path / "source")
+    described = tmp_path / "source" / "modelDescription.xml"
+    described.write_text(described.read_text().replace('<Integer start="0"/>', f'<Integer start="{mode}"/>'))
+    build_fmu(tmp_path / "source", 2, tmp_path / "theirs.fmu")
+    t = 0.01 * np.arange(200)
+    rows = "".join(f"{a},{np.sin(3 * a)},{0.3 * (1 - np.cos(3 * a))}\n" for a in t)
+    (tmp_path / "run.csv").write_text("time [s],u [1],y [1]\n" + rows)
+    with pytest.raises(PlantError, match=f"the FMU theirs.fmu: .*{words}") as caught:
+        api.close_loop(tmp_path / "run.csv", model=str(tmp_path / "theirs.fmu"), out=tmp_path / "report")
+    assert caught.value.status == status
+    assert "\n" not in str(caught.value)
