@@ -337,7 +337,6 @@ class ArmPolicy:
     unit_within: float = _number(
         1.5, "factor within which a torque gain is a change of unit", "units lie a factor of ten apart"
     )
-    no_gain: float = _number(1e-06, "factor of a torque below which it is 0", "its bound")
     sure: float = _number(3.0, "standard errors of a noise level that are allowed for", "99.7 %")
     silent: float = _number(
         0.001, "largest torque of an effect over the error below which it shows nothing", "a thousandth of the noise"

@@ -16,6 +16,7 @@ from harness.diagnosis.arm.joint import JointRegression, joint_dictionary, white
 from harness.diagnosis.arm.misfit import misfit_reasons
 from harness.diagnosis.arm.motion import ArmRun, arm_runs, standstill
 from harness.diagnosis.arm.regression import RegressionForm
+from harness.diagnosis.arm.simpler import take_simpler_laws
 from harness.diagnosis.arm.wide import WideResult, wide_search
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
 from harness.diagnosis.records.prepare import checked
@@ -79,7 +80,7 @@ def diagnose_arm(
 
     with one_thread():
         dataset = checked(dataset, arm)
-        warnings = [*dataset.warnings, *check_torques(dataset.runs)]
+        warnings = [*dataset.warnings, *arm.notes, *check_torques(dataset.runs)]
         say(0.02, "motion of the joints")
         runs = arm_runs(arm, dataset)
         still = standstill(runs)
@@ -115,7 +116,7 @@ def diagnose_arm(
         diagnosis = ArmDiagnosis(
             dataset, arm, runs, wide, joints, still, bodies=bodies, policy=policy, warnings=warnings + wide.notes
         )
-        diagnosis.misfit = misfit_reasons(dataset, arm, runs, diagnosis.joints, policy, arm_policy)
+        diagnosis.misfit = misfit_reasons(dataset, arm, runs, diagnosis.joints, policy)
     diagnosis.seconds = time.monotonic() - began
     return diagnosis
 
@@ -204,6 +205,7 @@ def _joint(
         candidates,
         policy=replace(policy, least=arm_policy.sensor, alone=arm_policy.alone, alone_z=arm_policy.alone_z),
     )
+    take_simpler_laws(form, outcome, candidates, policy)
     factor = runs["validation"][0].motion.factor
     passed = 0.8 / factor if factor > 1 else 1.0  # of the power of white noise, by the decimation
     noise = max(white_noise(run.u[:, k]) for run in dataset.validation) * float(np.sqrt(passed))

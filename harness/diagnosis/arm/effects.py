@@ -147,7 +147,7 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
     for k, channel in enumerate(arm.inputs):
         factor = _par("gain", "1", "relative error of the torque", policy.gain - 1, least=1 / policy.gain - 1)
         words = "The torque of one joint is wrong by a factor.", "left to the search on the joint", heavier
-        add(_effect(GAIN, [factor], words), channel.name, _gain(k))
+        add(_effect(GAIN, [factor], words), channel.name, _gain(arm, k))
     return wide
 
 
@@ -187,12 +187,13 @@ def _elastic(arm: ArmModel, k: int) -> Callable[[ArmRun], FloatArray]:
     return columns
 
 
-def _gain(k: int) -> Callable[[ArmRun], FloatArray]:
-    """Return the column of a wrong torque gain."""
+def _gain(arm: ArmModel, k: int) -> Callable[[ArmRun], FloatArray]:
+    """Return the column of a wrong torque gain: what the motion needs, for no torque explains itself."""
 
     def columns(run: ArmRun) -> FloatArray:
-        result = np.zeros((*run.calm.u.shape, 1))
-        result[:, k, 0] = run.calm.u[:, k]
+        m = run.calm
+        result = np.zeros((*m.u.shape, 1))
+        result[:, k, 0] = (arm.torques(m.q, m.v, m.a) + arm.damped(m.v))[:, k]
         return result
 
     return columns

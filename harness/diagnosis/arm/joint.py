@@ -105,7 +105,8 @@ class JointRegression:
                 m = run.motion
                 # effects see the calm torque: a factor on the measured one would lower the residual by its noise
                 torque = run.calm.u[:, pick]
-                columns = [torque, known[use][number][:, None] + torque - m.u[:, pick], -run.first[:, pick]]
+                rough = m.u[:, pick] - torque
+                columns = [torque, known[use][number][:, None] - rough, rough, -run.first[:, pick]]
                 if free is not None:
                     columns.append(free[use][number])
                 own = np.concatenate(columns, axis=1)
@@ -303,17 +304,18 @@ def joint_dictionary(
 
     usual = [*(builtin()[name] for name in JOINT_EFFECTS), rotor_inertia]
     effects = usual if dictionary is None else list(dictionary)
+    effects = [_of_this_unit(effect) if effect.name == "input_gain" else effect for effect in effects]
     if arm.damping[joint] > 0:
         effects = [_either_sign(effect) if effect.name == "viscous_friction" else effect for effect in effects]
     torque = run.calm.u[:, joint]
     dt = run.motion.sample_time
     corner = ARM_POLICY.calm * motion_band(run.motion.q[:, joint], dt)[0]
     noise = white_noise(run.motion.u[:, joint]) * float(np.sqrt(min(4 * corner * dt, 1.0)))
-    # inertia is known on an absolute scale here, so a factor on the torque shows
+    # where inertia is known on an absolute scale, a factor on the torque shows; beside free inertia it is that inertia
     placed = [
         candidate
         for candidate in place_all(regression.nominal, effects)
-        if expressible(candidate) or candidate.effect.name == "input_gain"
+        if expressible(candidate) or (candidate.effect.name == "input_gain" and not regression.own)
     ]
     loud = noise > ARM_POLICY.noisy * float(np.std(torque))
     noisy = [candidate for candidate in placed if candidate.effect.name in ON_TORQUE and loud]
@@ -338,19 +340,38 @@ def _either_sign(effect: Effect) -> Effect:
     return replace(effect, parameters=tuple(replace(parameter, sign="any") for parameter in effect.parameters))
 
 
+def _of_this_unit(effect: Effect) -> Effect:
+    """Return a factor on the torque within what a torque constant may be off: beyond, it is another unit or gear."""
+    low, high = 1 / ARM_POLICY.gain, ARM_POLICY.gain
+    return replace(
+        effect,
+        parameters=tuple(
+            replace(parameter, minimum=low, maximum=high) if parameter.main else parameter
+            for parameter in effect.parameters
+        ),
+    )
+
+
 def _joint_equations(system: System, free: int) -> Equations:
-    """Return torque needed minus torque given, with its derivatives."""
+    """Return the torque that the joint asks of its input minus the measured one, with its derivatives.
+
+    Where an effect multiplies the torque, what the motion needs is divided by that factor. The other way round, a
+    factor near zero would make every residual small: the torque would explain itself.
+    """
     import casadi as ca
 
     q, v, a, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("a"), ca.SX.sym("t")
-    u, p = ca.SX.sym("u", 2 + free), system.p
+    u, p = ca.SX.sym("u", 3 + free), system.p
     swap_from = ca.vertcat(system.x, system.u, system.gravity, system.t)
     swap_to = ca.vertcat(q, v, u[0], ca.DM([0.0, -1.0]), t)
     matrix, force, drive = (
         ca.substitute(ca.SX(term), swap_from, swap_to)
         for term in (system.mass_matrix, system.generalized_forces, system.input_forces)
     )
-    left_over = matrix @ a - force + u[1] + ca.dot(p[:free], u[2:])
+    left_over = matrix @ a - force + u[1] + ca.dot(p[:free], u[3:])
+    factor = ca.jacobian(drive, u[0])
+    if not ca.depends_on(factor, ca.vertcat(q, v, u, t)):
+        left_over = left_over / factor + (1 / factor - 1) * u[2]
     jacobian = ca.jacobian(left_over, p)
     strong = ca.Function("strong", [q, v, a, u, p, t], [left_over, jacobian])
     none = ca.SX.zeros(1, p.numel())

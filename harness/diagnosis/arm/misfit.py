@@ -8,11 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from harness.diagnosis.arm.effects import GAIN
 from harness.diagnosis.arm.found import JointDiagnosis
 from harness.diagnosis.arm.motion import ArmRun, arm_runs, moving_rows
 from harness.diagnosis.arm.wide import OWN, own_columns
-from harness.diagnosis.policy import ARM_POLICY, ArmPolicy, Policy
+from harness.diagnosis.policy import ARM_POLICY, Policy
 from harness.physics.arm import ArmModel
 from harness.signals import Dataset, FloatArray
 
@@ -43,7 +42,6 @@ def misfit_reasons(
     runs: Mapping[str, Sequence[ArmRun]],
     joints: Sequence[JointDiagnosis],
     policy: Policy,
-    arm_policy: ArmPolicy,
 ) -> tuple[str, ...]:
     """Return why an arm does not fit its log, and what probably is wrong; empty if it fits.
 
@@ -56,7 +54,6 @@ def misfit_reasons(
     joints : sequence of JointDiagnosis
         With all effects that were accepted.
     policy : Policy
-    arm_policy : ArmPolicy
     """
     reasons = []
     bad = sorted((joint for joint in joints if not joint.share <= policy.misfit_nrmse), key=lambda joint: -joint.share)
@@ -67,20 +64,6 @@ def misfit_reasons(
         )
     if len(bad) > SHOWN:
         reasons.append(f"so it is at {len(bad) - SHOWN} more joints")
-    gains = {
-        accepted.placed.at: joint.final.values[accepted.placed.name("gain")]
-        for joint in joints
-        for accepted in joint.outcome.accepted
-        if accepted.placed.effect.name == GAIN
-    }
-    wild = {name: gain for name, gain in gains.items() if not 1 / arm_policy.gain < gain < arm_policy.gain}
-    for name, gain in list(wild.items())[:SHOWN]:
-        text = (
-            f"would have to be {gain:.3g} times what was recorded"
-            if gain > ARM_POLICY.no_gain
-            else "tells nothing of the motion"
-        )
-        reasons.append(f"the torque {name} {text}")
     if reasons:  # the last one is what to do, where it is known
         reasons += _likely(dataset, arm, runs, [joint.joint for joint in joints], policy)
     return tuple(reasons)
