@@ -82,7 +82,8 @@ class JointRegression:
 
     Notes
     -----
-    The nominal joint has one parameter of its own: ``clock``, by how long its torque is recorded too late.
+    The nominal joint has one parameter of its own: ``clock``, by how long its torque is recorded too late, within what
+    its first-order column can say.
     """
 
     def __init__(
@@ -95,7 +96,10 @@ class JointRegression:
     ) -> None:
         self.joint = joint
         count = 0 if free is None else free["estimation"][0].shape[1]
-        self.nominal = joint_system(arm, joint, count)
+        first = runs["estimation"][0].motion
+        band = motion_band(first.q[:, joint], first.sample_time)[0]
+        latest = max(ARM_POLICY.rows_late * first.sample_time, ARM_POLICY.late / (2 * np.pi * band))
+        self.nominal = joint_system(arm, joint, count, latest=latest)
         self.own = frozenset(name for name in self.nominal.parameter_names if name != CLOCK)
         self.motions: dict[str, tuple[Motion, ...]] = {}
         pick = slice(joint, joint + 1)
@@ -262,8 +266,8 @@ def _thinned(motion: Motion) -> Motion:
     )
 
 
-def joint_system(arm: ArmModel, joint: int, free: int = 0) -> System:
-    """Return one joint as a system: its torque, its clock, and factors of ``free`` known columns."""
+def joint_system(arm: ArmModel, joint: int, free: int = 0, *, latest: float = np.inf) -> System:
+    """Return one joint as a system: its torque, its clock (within ``latest`` [s]), factors of known columns."""
     import casadi as ca
 
     from harness.physics.parameters import Parameter
@@ -277,7 +281,7 @@ def joint_system(arm: ArmModel, joint: int, free: int = 0) -> System:
         inputs=(drive,),
         outputs=(position,),
         states=(position, Channel(f"{position.name}_rate", f"{position.unit}/s")),
-        parameters=(Parameter(CLOCK, "s", 0.0), *inertia),
+        parameters=(Parameter(CLOCK, "s", 0.0, -latest, latest), *inertia),
         x=x,
         u=u,
         p=p,

@@ -161,7 +161,7 @@ def _effects(found: ArmDiagnosis) -> tuple[list[dict[str, Any]], list[list[dict[
     for accepted in found.wide.accepted:
         effects.append(effect_data(found.wide.fit, accepted))
         members = _members(accepted)
-        if accepted.placed.effect.name.startswith(("payload", "link_mass")):
+        if accepted.placed.effect.name.startswith(("payload", "link_")):
             members.append({"name": "parameter", "at": "inertial parameters that the URDF gives the same link"})
         ties.append(members)
         apart.append(separating([placed for group in accepted.tie for placed in group]))

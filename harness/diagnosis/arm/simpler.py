@@ -72,16 +72,23 @@ def take_simpler_laws(form: Form, outcome: Outcome, candidates: Sequence[Placed]
         gain = (value(fit) - value(outcome.model)) / 2
         evidence = (sum(known.evidence for known in old) + gain) / len(new)
         validation = (sum(known.validation for known in old) + gain) / len(new)
-        tie = tuple(dict.fromkeys([tuple(known.placed for known in old), *(one for known in old for one in known.tie)]))
+        gone = tuple(known.placed for known in old)
+        tie = dict.fromkeys([gone, *(old[0].tie if len(old) == 1 else ())]) if lawful else ()
         present = {str(placed) for placed in fit.effects}
-        rivals = [group for group in tie if lawful and not present & {*map(str, group)}]
+        rivals = [group for group in tie if not present & {*map(str, group)}]
         place = min(outcome.accepted.index(known) for known in old)
-        kept = [replace(known, beside=None) for known in outcome.accepted if known not in old]
+        kept = [_beside(known, present) for known in outcome.accepted if known not in old]
         made = [
             Accepted(placed, ((placed,), *rivals), evidence, validation, found=min(known.found for known in old))
             for placed in new
         ]
         outcome.accepted, outcome.model = [*kept[:place], *made, *kept[place:]], fit
+
+
+def _beside(known: Accepted, present: set[str]) -> Accepted:
+    """Return an accepted effect without rivals that now stand beside it."""
+    tie = [group for group in known.tie if group == (known.placed,) or not present & {*map(str, group)}]
+    return replace(known, tie=tuple(tie), beside=None)
 
 
 def _better(
