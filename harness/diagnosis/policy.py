@@ -350,7 +350,9 @@ class ArmPolicy:
         "URDFs with masses halved or lengths times 0.7: 0.5 and more",
     )
     as_well: float = _number(
-        0.02, "share of the variance by which free bodies may explain less than effects do", "two percent are a tie"
+        1.05,
+        "residual of free bodies over that of the effects that were found, up to which they explain a joint as well",
+        "a wrong gain of one joint, which bodies cannot be, leaves many times its noise",
     )
     sure: float = _number(3.0, "standard errors of a noise level that are allowed for", "99.7 %")
     silent: float = _number(

@@ -135,9 +135,9 @@ def _misfit(found: ArmDiagnosis, policy: ArmPolicy) -> tuple[str, ...]:
     alike = look_like_another_arm(found.wide, found.joints)
     if not mistake and found.arm.inertia == "fixed" and (reasons or len(alike) >= SEVERAL):
         directions = _inertial_directions(found.arm, found.runs["estimation"])
-        free = free_bodies(found.arm, found.runs, found.joints, directions, policy)
+        free = free_bodies(found.arm, found.runs, found.joints, found.wide, directions, policy)
         named = [] if reasons else alike
-        if free is not None and (other := other_arm_reasons(free, named, found.joints, found.policy, policy)):
+        if free is not None and (other := other_arm_reasons(free, named, found.policy, policy)):
             return other
     return (*reasons, *mistake)
 

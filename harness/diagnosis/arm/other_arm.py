@@ -32,13 +32,17 @@ class FreeBodies:
     ----------
     distance : float
         Rms of the torques by which they differ from the URDF's, over the rms of these: of all judged joints together.
-    shares : dict
-        By joint, the part of the torque's variance that they and each joint's friction explain (validation records,
-        parameters from the estimation records).
+    share : float
+        Part of the torque's variance that they and each joint's friction explain, at the joint where it is least
+        (validation records, parameters from the estimation records).
+    beside : float
+        Rms residual over that of the effects on the whole arm that were found beside the same friction, at the joint
+        where it is largest.
     """
 
     distance: float
-    shares: dict[int, float]
+    share: float
+    beside: float
 
 
 def look_like_another_arm(wide: WideResult, joints: Sequence[JointDiagnosis]) -> list[str]:
@@ -54,6 +58,7 @@ def free_bodies(
     arm: ArmModel,
     runs: Mapping[str, Sequence[ArmRun]],
     joints: Sequence[JointDiagnosis],
+    wide: WideResult,
     directions: Sequence[FloatArray],
     policy: ArmPolicy,
 ) -> FreeBodies | None:
@@ -66,6 +71,7 @@ def free_bodies(
         With the torques that the URDF's bodies need.
     joints : sequence of JointDiagnosis
         Those that were judged.
+    wide : WideResult
     directions : sequence of array (10 * bodies,)
         Of the inertial parameters that this motion moves.
     policy : ArmPolicy
@@ -77,24 +83,23 @@ def free_bodies(
         return None
     equation = regression.equation(())
     p = np.array([fit.values[name] for name in equation.system.parameter_names])
-    left = np.concatenate([r for r, _ in equation.residual(p, "validation")])
     counts = np.concatenate(regression.counts["validation"])
-    rms = np.sqrt(np.sum(left**2 * counts, axis=0) / np.maximum(counts.sum(axis=0), 1))
+
+    def rms(residual: Sequence[FloatArray]) -> FloatArray:
+        squares = np.sum(np.concatenate(residual) ** 2 * counts, axis=0)
+        return np.asarray(np.sqrt(squares / np.maximum(counts.sum(axis=0), 1)))
+
+    left = rms([r for r, _ in equation.residual(p, "validation")])
+    found = rms(wide.fit.detail.residual["validation"])
     own = [k for k, name in enumerate(equation.system.parameter_names) if name in regression.own]
     moved = np.concatenate([columns[:, :, own] @ p[own] for _, columns in equation.residual(p, "estimation")])
     rigid = np.concatenate([run.slim(run.rigid[:, places], places) for run in runs["estimation"]])
     distance = float(np.sqrt(np.sum(moved**2) / max(float(np.sum(rigid**2)), 1e-300)))
-    shares = {joint.joint: 1.0 - (float(rms[k]) / max(joint.torque, 1e-300)) ** 2 for k, joint in enumerate(joints)}
-    return FreeBodies(distance, shares)
+    sizes = np.array([max(joint.torque, 1e-300) for joint in joints])
+    return FreeBodies(distance, 1.0 - float(np.max(left / sizes)) ** 2, float(np.max(left / np.maximum(found, 1e-300))))
 
 
-def other_arm_reasons(
-    free: FreeBodies,
-    alike: Sequence[str],
-    joints: Sequence[JointDiagnosis],
-    policy: Policy,
-    arm_policy: ArmPolicy,
-) -> tuple[str, ...]:
+def other_arm_reasons(free: FreeBodies, alike: Sequence[str], policy: Policy, arm_policy: ArmPolicy) -> tuple[str, ...]:
     """Return that the URDF is another arm's, and what to do; nothing where free inertial parameters do not say so.
 
     They have to be far from the URDF's, and to explain every joint, as well as all that was found does.
@@ -104,17 +109,13 @@ def other_arm_reasons(
     free : FreeBodies
     alike : sequence of str
         What was found and may be another arm.
-    joints : sequence of JointDiagnosis
     policy : Policy
     arm_policy : ArmPolicy
     """
-    if free.distance < arm_policy.other_arm:
+    far = free.distance >= arm_policy.other_arm
+    if not far or free.share < 1.0 - policy.misfit_nrmse**2 or free.beside > arm_policy.as_well:
         return ()
-    for joint in joints:
-        found = 1.0 - (joint.left("validation") / max(joint.torque, 1e-300)) ** 2
-        if free.shares[joint.joint] < max(found - arm_policy.as_well, 1.0 - policy.misfit_nrmse**2):
-            return ()
-    least = np.floor(1000 * min(free.shares.values())) / 10
+    least = np.floor(1000 * free.share) / 10
     text = (
         f"this URDF does not describe this arm: masses or lengths. Fitted freely, inertial parameters explain "
         f"{least:g} % of every joint's torque, and ask for torques that differ from the URDF's by "
