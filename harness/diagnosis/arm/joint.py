@@ -82,8 +82,8 @@ class JointRegression:
 
     Notes
     -----
-    The nominal joint has one parameter of its own: ``clock``, by how long its torque is recorded too late, within what
-    its first-order column can say.
+    The nominal joint has one parameter of its own: ``clock``, by how long its torque is recorded too late;
+    ``latest`` [s] is how far its first-order column can say that, beyond it is a column that explains something else.
     """
 
     def __init__(
@@ -98,8 +98,8 @@ class JointRegression:
         count = 0 if free is None else free["estimation"][0].shape[1]
         first = runs["estimation"][0].motion
         band = motion_band(first.q[:, joint], first.sample_time)[0]
-        latest = max(ARM_POLICY.rows_late * first.sample_time, ARM_POLICY.late / (2 * np.pi * band))
-        self.nominal = joint_system(arm, joint, count, latest=latest)
+        self.latest = max(ARM_POLICY.rows_late * first.sample_time, ARM_POLICY.late / (2 * np.pi * band))
+        self.nominal = joint_system(arm, joint, count)
         self.own = frozenset(name for name in self.nominal.parameter_names if name != CLOCK)
         self.motions: dict[str, tuple[Motion, ...]] = {}
         pick = slice(joint, joint + 1)
@@ -107,10 +107,12 @@ class JointRegression:
             made = []
             for number, run in enumerate(parts):
                 m = run.motion
-                # effects see the calm torque: a factor on the measured one would lower the residual by its noise
+                # effects see the calm torque, and a factor on it what is needed, as calm: noise that is in the residual
+                # too would take part in the fit
                 torque = run.calm.u[:, pick]
                 rough = m.u[:, pick] - torque
-                columns = [torque, known[use][number][:, None] - rough, rough, -run.first[:, pick]]
+                needed = known[use][number][:, None]
+                columns = [torque, needed - rough, rough, run.calmed(needed) - needed, -run.first[:, pick]]
                 if free is not None:
                     columns.append(free[use][number])
                 own = np.concatenate(columns, axis=1)
@@ -266,8 +268,8 @@ def _thinned(motion: Motion) -> Motion:
     )
 
 
-def joint_system(arm: ArmModel, joint: int, free: int = 0, *, latest: float = np.inf) -> System:
-    """Return one joint as a system: its torque, its clock (within ``latest`` [s]), factors of known columns."""
+def joint_system(arm: ArmModel, joint: int, free: int = 0) -> System:
+    """Return one joint as a system: its torque, its clock, and factors of ``free`` known columns."""
     import casadi as ca
 
     from harness.physics.parameters import Parameter
@@ -281,7 +283,7 @@ def joint_system(arm: ArmModel, joint: int, free: int = 0, *, latest: float = np
         inputs=(drive,),
         outputs=(position,),
         states=(position, Channel(f"{position.name}_rate", f"{position.unit}/s")),
-        parameters=(Parameter(CLOCK, "s", 0.0, -latest, latest), *inertia),
+        parameters=(Parameter(CLOCK, "s", 0.0), *inertia),
         x=x,
         u=u,
         p=p,
@@ -365,17 +367,19 @@ def _joint_equations(system: System, free: int) -> Equations:
     import casadi as ca
 
     q, v, a, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("a"), ca.SX.sym("t")
-    u, p = ca.SX.sym("u", 3 + free), system.p
+    u, p = ca.SX.sym("u", 4 + free), system.p
     swap_from = ca.vertcat(system.x, system.u, system.gravity, system.t)
     swap_to = ca.vertcat(q, v, u[0], ca.DM([0.0, -1.0]), t)
     matrix, force, drive = (
         ca.substitute(ca.SX(term), swap_from, swap_to)
         for term in (system.mass_matrix, system.generalized_forces, system.input_forces)
     )
-    left_over = matrix @ a - force + u[1] + ca.dot(p[:free], u[3:])
+    left_over = matrix @ a - force + u[1] + ca.dot(p[:free], u[4:])
     factor = ca.jacobian(drive, u[0])
     if not ca.depends_on(factor, ca.vertcat(q, v, u, t)):
-        left_over = left_over / factor + (1 / factor - 1) * u[2]
+        measured = u[0] + u[2]
+        needed = left_over + factor * u[0] + u[2]
+        left_over = needed / factor - measured + (1 / factor - 1) * u[3]
     jacobian = ca.jacobian(left_over, p)
     strong = ca.Function("strong", [q, v, a, u, p, t], [left_over, jacobian])
     none = ca.SX.zeros(1, p.numel())
