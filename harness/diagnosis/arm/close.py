@@ -110,8 +110,7 @@ def repaired_urdf(found: ArmDiagnosis, data: dict[str, Any]) -> str:
         elif effect["name"].startswith("payload") and values["m"] > 0:
             _hang(root, joints[found.arm.arm.moving[-1].name], values)
         elif effect["name"] == "link_inertia":
-            joint = joints[effect["at"].removeprefix("link of ")]
-            _turn(root, joint, values)
+            _turn(root, joints[effect["at"].removeprefix("link of ")], values["I"])
         else:
             left.append(f"{effect['name']} at {effect['at']}")
     if left:
@@ -119,8 +118,8 @@ def repaired_urdf(found: ArmDiagnosis, data: dict[str, Any]) -> str:
     return str(ElementTree.tostring(root, encoding="unicode")) + "\n"
 
 
-def _turn(root: ElementTree.Element, joint: ElementTree.Element, values: dict[str, float]) -> None:
-    """Scale the inertia tensor of the link behind a joint, or give it one."""
+def _turn(root: ElementTree.Element, joint: ElementTree.Element, moment: float) -> None:
+    """Give the link behind a joint the inertia tensor of a ball."""
     child = joint.find("child")
     assert child is not None
     link = next(link for link in root.findall("link") if link.get("name") == child.get("link"))
@@ -130,11 +129,7 @@ def _turn(root: ElementTree.Element, joint: ElementTree.Element, values: dict[st
     if element is None:
         element = ElementTree.SubElement(inertial, "inertia")
     for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"):
-        if "scale" in values:
-            moment = float(element.get(name, "0")) * max(1.0 + values["scale"], 0.0)
-        else:
-            moment = values["I"] if name[1] == name[2] else 0.0
-        element.set(name, f"{moment:.9g}")
+        element.set(name, f"{moment if name[1] == name[2] else 0.0:.9g}")
 
 
 def _hang(root: ElementTree.Element, last: ElementTree.Element, values: dict[str, float]) -> None:

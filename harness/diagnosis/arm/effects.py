@@ -24,8 +24,6 @@ STEP = 1e-4
 GAIN = "input_gain"
 LIGHTEST = -0.95
 """Relative error of a link that leaves it next to no mass."""
-NO_TENSOR = -1.1
-"""Relative error of an inertia tensor that is not there at all, with a tenth for the error of the estimate."""
 GYRATION = 0.5
 """Largest radius of gyration of a link whose tensor a URDF does not state [m]."""
 
@@ -152,7 +150,8 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
                 heavier,
             )
             add(_effect("link_mass", [scale], words), f"link of {joint.name}", _link(arm, number))
-            add(_tensor(joint, policy), f"link of {joint.name}", _turning(arm, number))
+            if not joint.inertia.any():
+                add(_tensor(joint), f"link of {joint.name}", _turning(arm, number))
     for k, channel in enumerate(arm.inputs):
         factor = _par("gain", "1", "relative error of the torque", policy.gain - 1, least=1 / policy.gain - 1)
         words = "The torque of one joint is wrong by a factor.", "left to the search on the joint", heavier
@@ -160,23 +159,22 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
     return wide
 
 
-def _tensor(joint: Joint, policy: ArmPolicy) -> Effect:
-    """Return the effect of a wrong inertia tensor, or of one that the URDF does not state."""
-    faster = "the same path at several speeds: what a tensor needs grows with the square of the speed, gravity stays"
-    if joint.inertia.any():
-        scale = _par("scale", "1", "relative error of the inertia tensor; -1: none", policy.gain - 1, least=NO_TENSOR)
-        formula = "inertia about the centre of mass of the link times (1 + scale), mass and centre as they are"
-        return _effect("link_inertia", [scale], ("The URDF gives this link the wrong inertia tensor.", formula, faster))
+def _tensor(joint: Joint) -> Effect:
+    """Return the effect of an inertia tensor that the URDF does not state.
+
+    A factor on one that it does state is not tried: at a joint of next to no inertia the noise of its acceleration asks
+    for none.
+    """
     moment = _par("I", "kg m^2", "moment of inertia about every axis", joint.mass * GYRATION**2, sign="+")
+    faster = "the same path at several speeds: what a tensor needs grows with the square of the speed, gravity stays"
     words = "The URDF gives this link no inertia tensor.", "inertia I about the centre of mass, as of a ball", faster
     return _effect("link_inertia", [moment], words)
 
 
 def _turning(arm: ArmModel, number: int) -> Callable[[ArmRun], FloatArray]:
-    """Return the column of one link's inertia tensor about its centre; of a ball's where the URDF states none."""
-    tensor = arm.arm.joints[number].inertia
+    """Return the column of a ball's inertia in the place of one link's."""
     own = np.zeros_like(arm.arm.parameters)
-    own[10 * number + 4 : 10 * number + 10] = (tensor if tensor.any() else np.eye(3))[np.triu_indices(3)]
+    own[10 * number + 4 : 10 * number + 10] = np.eye(3)[np.triu_indices(3)]
     return lambda run: arm.torques(run.calm.q, run.calm.v, run.calm.a, parameters=own)[:, :, None]
 
 
