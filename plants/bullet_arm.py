@@ -15,7 +15,7 @@ from numpy import ndarray
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
-from plants.bullet_engine import explicit_urdf, moving_joints, stiffest_rate
+from plants.bullet_engine import explicit_urdf, moving_joints, stated_dynamics, stiffest_rate
 from plants.bullet_outputs import BASE_STATES, Camera, Keypoints, channels, reader
 from plants.bullet_world import Control, Saved, Settings, World
 from plants.checking import checked_inputs, initial_values, per_item, positive, refuse_input
@@ -57,8 +57,9 @@ class ArmPlant:
         Greatest force of the motors of driven joints under velocity and position control [N m].
     home : float or sequence
         Initial joint positions [rad].
-    joint_damping, joint_friction : float or sequence
-        Viscous [N m s/rad] and dry [N m] friction of each joint.
+    joint_damping, joint_friction : float or sequence, optional
+        Viscous [N m s/rad] and dry [N m] friction of each joint; those that the file states (``<dynamics>``) if not
+        given.
     linear_damping, angular_damping : float
         Bullet's damping of the links.
     velocity_clip : float
@@ -116,8 +117,8 @@ class ArmPlant:
         input_limit: float | Sequence[float] | None = None,
         motor_force: float | Sequence[float] = 300.0,
         home: float | Sequence[float] = 0.0,
-        joint_damping: float | Sequence[float] = 0.0,
-        joint_friction: float | Sequence[float] = 0.0,
+        joint_damping: float | Sequence[float] | None = None,
+        joint_friction: float | Sequence[float] | None = None,
         linear_damping: float = 0.0,
         angular_damping: float = 0.0,
         velocity_clip: float = 1e4,
@@ -145,11 +146,13 @@ class ArmPlant:
                 raise InputError(f"option {name}", expected=" or ".join(known), got=repr(chosen), remedy="correct it")
         if int(substeps) != substeps or substeps < 1:
             raise InputError("option substeps", expected="an integer >= 1", got=repr(substeps), remedy="correct it")
-        moving = moving_joints(explicit_urdf(urdf, locked=locked))
+        tensors = inertia == "file"
+        moving = moving_joints(explicit_urdf(urdf, locked=locked, tensors=tensors))
         n = len(moving)
+        stated = stated_dynamics(urdf, locked)
         tip = end_effector or next(str(child.get("link")) for child in moving[-1].iter("child"))
-        damping = per_item("joint_damping", joint_damping, n, "joints")
-        friction = per_item("joint_friction", joint_friction, n, "joints")
+        damping = per_item("joint_damping", stated[0] if joint_damping is None else joint_damping, n, "joints")
+        friction = per_item("joint_friction", stated[1] if joint_friction is None else joint_friction, n, "joints")
         for name, value in (
             *(("joint_damping", value) for value in damping),
             *(("joint_friction", value) for value in friction),
@@ -168,7 +171,7 @@ class ArmPlant:
                 "dry friction on a joint with a velocity or position motor",
                 expected="control = torque",
                 got=control,
-                remedy="remove joint_friction: Bullet's friction is that very motor",
+                remedy="use joint_friction = 0: Bullet's friction is that very motor",
             )
         settings = Settings(
             step=positive("sample_time", sample_time) / substeps,
@@ -216,7 +219,9 @@ class ArmPlant:
         self.true_parameters: dict[str, float] = {}
         load_at = (payload_link or tip, payload, payload_offset) if payload > 0 else None
         shapes = table is not None or inertia == "shape"
-        text = explicit_urdf(urdf, damping=damping, limits=joint_limits, payload=load_at, shapes=shapes, locked=locked)
+        text = explicit_urdf(
+            urdf, damping=damping, limits=joint_limits, payload=load_at, shapes=shapes, locked=locked, tensors=tensors
+        )
         self._world = World(text, settings)
         seen_by = camera if isinstance(camera, Camera) else Camera(**(camera or {}))
         self._measured = (outputs, tip, keypoints, seen_by)

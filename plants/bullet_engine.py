@@ -6,6 +6,8 @@ What Bullet 3.2 does behind the back, each measured and each handled here:
 * ``changeDynamics(jointDamping=0)`` is ignored and limits once read from a file cannot be taken away again, so both
   are written into the URDF before it is read.
 * Velocity motors are on by default; every joint's motor is set to the declared friction (0 by default).
+* An inertia tensor that no body has becomes 0; joints that are floating or planar, and ``<mimic>``, are left out: all
+  are refused by name. ``<dynamics>`` is read by :func:`stated_dynamics`: Bullet forgets its friction.
 * Links have 0.04 linear and angular damping; rates are clipped at 100 rad/s.
 * Joint damping is an explicit torque computed once for each ``stepSimulation``, whatever ``numSubSteps`` says: with
   damping the substeps are separate calls. The motor's greatest impulse is computed from the whole time step: with
@@ -29,9 +31,22 @@ from typing import Any
 import numpy as np
 
 from harness.errors import InputError, PlantError, PluginError
+from harness.physics.inertia import triangle_excess
+from harness.physics.joints import MOVING
+from harness.physics.urdf import dynamics_of, inertial_of, refuse_dependent
 from harness.signals import FloatArray
 
-__all__ = ["bullet", "data_file", "engine_joints", "explicit_urdf", "load", "moving_joints", "quiet", "stiffest_rate"]
+__all__ = [
+    "bullet",
+    "data_file",
+    "engine_joints",
+    "explicit_urdf",
+    "load",
+    "moving_joints",
+    "quiet",
+    "stated_dynamics",
+    "stiffest_rate",
+]
 
 
 @contextlib.contextmanager
@@ -98,6 +113,7 @@ def explicit_urdf(
     payload: tuple[str, float, Sequence[float]] | None = None,
     shapes: bool = True,
     locked: Sequence[str] = (),
+    tensors: bool = True,
 ) -> ET.Element:
     """Return a URDF with nothing left to Bullet's defaults, its meshes found.
 
@@ -115,11 +131,14 @@ def explicit_urdf(
         Keep the shapes for collisions; without them loading and stepping are faster.
     locked : sequence of str
         Joints that are made rigid.
+    tensors : bool
+        The inertia tensors of the file are used: Bullet makes one that no body has zero, so that it is refused.
 
     Raises
     ------
     InputError
-        If it cannot be read, has no moving joint, or has no such link.
+        If it cannot be read, has no moving joint, has no such link, or holds what Bullet would leave out in silence:
+        joints of other kinds, joints that follow others, impossible inertias.
     """
     root, folder = _parsed(source)
     joints = {str(joint.get("name")): joint for joint in root.iter("joint")}
@@ -129,6 +148,7 @@ def explicit_urdf(
         joints[name].set("type", "fixed")
         for mimic in joints[name].findall("mimic"):
             joints[name].remove(mimic)
+    _refuse_left_out(root, None if folder is None else Path(source), locked, tensors=tensors)
     moving = moving_joints(root)
     if not moving:
         raise InputError(
@@ -159,6 +179,54 @@ def explicit_urdf(
         name = mesh.get("filename", "").removeprefix("package://")
         mesh.set("filename", str((base / name).resolve()))
     return root
+
+
+def stated_dynamics(source: str | Path, locked: Sequence[str] = ()) -> tuple[list[float], list[float]]:
+    """Return damping and dry friction of the joints that move, as a URDF states them; 0 where it does not.
+
+    Parameters
+    ----------
+    source : str or Path
+        A file, or the text of one.
+    locked : sequence of str
+        Joints that are made rigid.
+    """
+    root, folder = _parsed(source)
+    stated = dynamics_of(root, None if folder is None else Path(source))
+    both = [
+        stated.get(str(joint.get("name")), (0.0, 0.0))
+        for joint in moving_joints(root)
+        if joint.get("name") not in locked
+    ]
+    return [damping for damping, _ in both], [friction for _, friction in both]
+
+
+def _refuse_left_out(root: ET.Element, file: Path | None, locked: Sequence[str], *, tensors: bool) -> None:
+    """Refuse by name what Bullet would leave out of a URDF without a word."""
+    refuse_dependent(root, locked, file)
+    for joint in root.findall("joint"):
+        kind, name = joint.get("type", ""), joint.get("name", "")
+        if kind not in (*MOVING, "fixed"):
+            raise InputError(
+                "kind of joint",
+                expected=f"one of {', '.join(sorted(MOVING))}, fixed",
+                got=repr(kind),
+                remedy="split it into such joints, lock it, or for a free base use fixed_base = false",
+                file=file,
+                place=f"joint {name}",
+            )
+    for link in root.findall("link"):
+        mass, _, inertia = inertial_of(link, file)
+        excess = triangle_excess(inertia) if tensors and mass > 0 else 0.0
+        if excess > 0:
+            raise InputError(
+                "an inertia that no body has, which Bullet makes 0",
+                expected="principal moments >= 0, each at most the sum of the other two",
+                got=f"one that is too large by {100 * excess:.2g} % of itself",
+                remedy="correct <inertia>, or use inertia = shape",
+                file=file,
+                place=f"link {link.get('name')}",
+            )
 
 
 def load(client: int, root: ET.Element, *, fixed_base: bool, inertia_from_file: bool, position: Sequence[float]) -> int:

@@ -27,6 +27,7 @@ from harness.data.sections import Description, RunSection
 from harness.data.tables import BARE, FORMATS, Table, nearest, open_table, suffix_of
 from harness.data.timebase import Piece, TimeRules, pieces_of, refuse_unlikely_seconds
 from harness.errors import InputError
+from harness.physics.arm import is_arm
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 from harness.units import convert, fits
 
@@ -152,6 +153,7 @@ class _Reader:
         self._refuse_conditioning()
         measured = tuple((plan.port(name), plan.signal(name).derivative) for name in plan.outputs)
         self._check_files()
+        arm = plan.nominal is not None and is_arm(plan.nominal.model)
         for number, section in enumerate(self.description.runs):
             file, place = self._file(number, section), f"runs[{number}]"
             try:
@@ -161,7 +163,7 @@ class _Reader:
                 for order, piece in enumerate(pieces):
                     spec = spec or self._spec(piece.sample_time)
                     trajectory, extra = self._trajectory(piece, spec)
-                    notes += check_run(trajectory, measured)
+                    notes += check_run(trajectory, measured, inverse_dynamics=arm)
                     label = section.label + (f"/{order}" if len(pieces) > 1 else "")
                     runs.append(Run(trajectory, section.use, label.lstrip("/")))
                     references.append(extra)

@@ -29,7 +29,9 @@ _FACTORS = (
 )
 
 
-def check_run(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> list[str]:
+def check_run(
+    trajectory: Trajectory, measured: Sequence[tuple[str, int]], *, inverse_dynamics: bool = False
+) -> list[str]:
     """Return what is to be said about one run, and refuse what cannot be used.
 
     Parameters
@@ -38,6 +40,8 @@ def check_run(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> li
         Any length.
     measured : sequence of (port, derivative)
         What each output is; ``theta_rate`` in rad/s beside ``theta`` in rad is its derivative.
+    inverse_dynamics : bool
+        The model gives the inputs of a motion (an arm): where a controller holds the motion, the torque follows it.
 
     Raises
     ------
@@ -83,7 +87,7 @@ def check_run(trajectory: Trajectory, measured: Sequence[tuple[str, int]]) -> li
     notes += said
     for i, channel in enumerate(spec.outputs):
         _refuse_whirling(channel, trajectory.y[:, i])
-    return notes + swapped_in_and_out(trajectory, besides=sure)
+    return notes if inverse_dynamics else notes + swapped_in_and_out(trajectory, besides=sure)
 
 
 def _refuse_other_categories(channel: Channel, values: FloatArray) -> None:

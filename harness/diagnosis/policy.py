@@ -337,7 +337,23 @@ class ArmPolicy:
     unit_within: float = _number(
         1.5, "factor within which a torque gain is a change of unit", "units lie a factor of ten apart"
     )
-    no_gain: float = _number(1e-06, "factor of a torque below which it is 0", "its bound")
+    late: float = _number(
+        0.1,
+        "angle of the fastest motion by which a torque's clock may be off [rad]",
+        "its column is of first order: 0.5 % off there; half a second between two columns of one joint is no clock",
+    )
+    rows_late: float = _number(3.0, "and rows, where that is more", "a log is written before or after a step or two")
+    other_arm: float = _number(
+        0.25,
+        "torques of freely fitted bodies over the URDF's, apart, from which on it may be another arm's",
+        "CAD is right within a tenth; a payload alone is one effect, and is named",
+        "URDFs with masses halved or lengths times 0.7: 0.5 and more",
+    )
+    as_well: float = _number(
+        1.05,
+        "residual of free bodies over that of the effects that were found, up to which they explain a joint as well",
+        "a wrong gain of one joint, which bodies cannot be, leaves many times its noise",
+    )
     sure: float = _number(3.0, "standard errors of a noise level that are allowed for", "99.7 %")
     silent: float = _number(
         0.001, "largest torque of an effect over the error below which it shows nothing", "a thousandth of the noise"

@@ -13,8 +13,9 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.errors import InputError
+from harness.physics.inertia import triangle_excess
 from harness.physics.rigid_tree import Arm
-from harness.physics.urdf import load_urdf
+from harness.physics.urdf import dynamics_of, load_urdf, refuse_dependent
 from harness.signals import Channel, FloatArray
 
 __all__ = ["ARMS", "GRAVITY", "ArmModel", "is_arm", "load_arm"]
@@ -44,6 +45,8 @@ class ArmModel:
         Whether the inertial parameters of the URDF are believed, or fitted to the data.
     path : Path or None
         The file.
+    notes : tuple of str
+        What its user should know of the file: links without mass or inertia, gears.
 
     Examples
     --------
@@ -62,6 +65,7 @@ class ArmModel:
     outputs: tuple[Channel, ...]
     inertia: Literal["fixed", "calibrated"] = "fixed"
     path: Path | None = None
+    notes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.name}: {self.n} joints, inertial parameters {self.inertia}"
@@ -193,7 +197,9 @@ def load_arm(name: str | Path, *, inertia: str = "fixed", locked: Sequence[str] 
         raise InputError(
             "arm without joints", expected="a joint that moves", got="none", remedy="choose another URDF", file=path
         )
-    dynamics = _dynamics(path)
+    root = ElementTree.parse(path).getroot()
+    refuse_dependent(root, locked, path)
+    dynamics = dynamics_of(root, path)
     inputs, outputs = [], []
     for number, joint in enumerate(arm.moving, start=1):
         slides = joint.kind == "prismatic"
@@ -208,7 +214,44 @@ def load_arm(name: str | Path, *, inertia: str = "fixed", locked: Sequence[str] 
         outputs=tuple(outputs),
         inertia=inertia,  # type: ignore[arg-type]
         path=path,
+        notes=tuple(_notes(arm, root)),
     )
+
+
+def _notes(arm: Arm, root: ElementTree.Element) -> list[str]:
+    """Return what a reader of the URDF should know of its bodies and drives."""
+    links = {joint.get("name"): _name(joint.find("child"), "link") for joint in root.findall("joint")}
+    notes = []
+    for number, joint in enumerate(arm.joints):
+        link = links[joint.name]
+        carried = {number}
+        for other, below in enumerate(arm.joints):
+            if below.parent in carried:
+                carried.add(other)
+        if joint in arm.moving and not any(arm.joints[k].mass > 0 for k in carried):
+            notes.append(f"the URDF gives link {link} no mass, nor what it carries: joint {joint.name} moves nothing")
+        elif joint.mass > 0 and not joint.inertia.any():
+            notes.append(f"the URDF gives link {link} no inertia tensor: it is a point mass")
+        elif joint.mass > 0 and (excess := triangle_excess(joint.inertia)) > 0:
+            notes.append(
+                f"the URDF gives link {link} an inertia that no body has: its largest principal moment exceeds the "
+                f"sum of the other two by {100 * excess:.2g} % of itself"
+            )
+    for drive in root.findall("transmission"):
+        for element in drive.iter("mechanicalReduction"):
+            ratio = (element.text or "").strip()
+            if ratio not in ("", "1", "1.0"):
+                name = _name(drive.find("joint"), "name")
+                notes.append(
+                    f"the URDF states a gear ratio of {ratio} at joint {name}: torques and positions are taken on the "
+                    "side of the joint, and the inertia of its rotor is not in the URDF"
+                )
+    return list(dict.fromkeys(notes))
+
+
+def _name(element: ElementTree.Element | None, key: str) -> str:
+    """Return what an element names."""
+    return "" if element is None else element.get(key, "")
 
 
 def _installed(name: str) -> Path:
@@ -223,31 +266,3 @@ def _installed(name: str) -> Path:
             remedy="install pybullet, or give a URDF file",
         )
     return path
-
-
-def _dynamics(path: Path) -> dict[str, tuple[float, float]]:
-    """Return damping and friction of every joint that states them; the file has been read before."""
-    result = {}
-    for joint in ElementTree.parse(path).getroot().findall("joint"):
-        element = joint.find("dynamics")
-        if element is None:
-            continue
-        values = []
-        for key in ("damping", "friction"):
-            text = element.get(key, "0")
-            try:
-                value = float(text)
-            except ValueError:
-                value = float("nan")
-            if not 0 <= value < np.inf:
-                raise InputError(
-                    key,
-                    expected="a number >= 0",
-                    got=repr(text),
-                    remedy="correct it",
-                    file=path,
-                    place=f"joint {joint.get('name')}",
-                )
-            values.append(value)
-        result[joint.get("name", "")] = (values[0], values[1])
-    return result

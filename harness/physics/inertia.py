@@ -20,11 +20,15 @@ __all__ = [
     "is_consistent",
     "pseudo_inertia",
     "to_log_cholesky",
+    "triangle_excess",
 ]
 
 TEN = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 """Names of the ten: mass, first moments, inertia about the frame of the joint."""
 UNITS = ("kg", "kg m", "kg m", "kg m", *("kg m^2",) * 6)
+
+ROUNDED = 1e-9
+"""Relative size below which what is missing to an inertia that a body can have is rounding."""
 
 _UPPER = np.triu_indices(3)
 # Places of a11 a12 a13 a14 a22 a23 a24 a33 a34 a44 of an upper triangular matrix.
@@ -86,6 +90,24 @@ def is_consistent(parameters: FloatArray, *, tolerance: float = 0.0) -> bool:
     """
     values = np.linalg.eigvalsh(pseudo_inertia(parameters))
     return bool(np.all(values[..., 0] > -tolerance * np.abs(values[..., -1])))
+
+
+def triangle_excess(inertia: FloatArray) -> float:
+    """Return by which share of itself the largest principal moment of a tensor (3, 3) is too large for any body.
+
+    Of a body every principal moment is at most the sum of the other two: 0 where that holds, and of no inertia at all.
+
+    Examples
+    --------
+    >>> triangle_excess(np.diag([1.0, 1.0, 1.9])), round(triangle_excess(np.diag([0.01, 0.5, 0.01])), 2)
+    (0.0, 0.96)
+    """
+    low, middle, high = np.linalg.eigvalsh(np.asarray(inertia, dtype=float))
+    size = max(abs(low), abs(high))
+    if not size > 0:
+        return 0.0
+    excess = max(high - low - middle, -low) / size
+    return float(excess) if excess > ROUNDED else 0.0
 
 
 def from_log_cholesky(theta: FloatArray) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from harness.physics.joints import MOVING, Joint
 from harness.physics.rigid_tree import Arm
 from harness.signals import FloatArray
 
-__all__ = ["load_urdf", "pose_of", "vector_of"]
+__all__ = ["dynamics_of", "inertial_of", "load_urdf", "pose_of", "refuse_dependent", "vector_of"]
 
 
 def load_urdf(path: str | Path) -> Arm:
@@ -42,7 +43,7 @@ def load_urdf(path: str | Path) -> Arm:
         root = ElementTree.parse(file).getroot()
     except ElementTree.ParseError as error:
         raise InputError("not XML", expected="a URDF file", got=str(error), remedy="repair it", file=file) from error
-    bodies = {link.get("name", ""): _body(link, file) for link in root.findall("link")}
+    bodies = {link.get("name", ""): inertial_of(link, file) for link in root.findall("link")}
     if root.tag != "robot" or not bodies:
         raise InputError(
             "not a URDF", expected="a <robot> with links", got=f"<{root.tag}>", remedy="check the file", file=file
@@ -96,7 +97,7 @@ def _joint(element: ElementTree.Element, parent: int, body: tuple[float, FloatAr
             "kind of joint",
             expected=f"one of {', '.join(sorted(MOVING))}, fixed",
             got=repr(kind),
-            remedy="split it into such joints",
+            remedy="split it into such joints; a base that floats is not an arm's",
             file=file,
             place=place,
         )
@@ -124,21 +125,70 @@ def _joint(element: ElementTree.Element, parent: int, body: tuple[float, FloatAr
     )
 
 
-def _body(link: ElementTree.Element, file: Path) -> tuple[float, FloatArray, FloatArray]:
-    """Return mass, centre of mass and inertia about it of a link; zeros where it has none."""
+def inertial_of(link: ElementTree.Element, file: Path | None) -> tuple[float, FloatArray, FloatArray]:
+    """Return mass, centre of mass and inertia about it (3, 3) of a link; zeros where it has none.
+
+    Raises
+    ------
+    InputError
+        If a number is none, or the mass is negative.
+    """
     place = f"link {link.get('name')}"
     inertial = link.find("inertial")
     if inertial is None:
         return 0.0, np.zeros(3), np.zeros((3, 3))
     rotation, centre = pose_of(inertial.find("origin"), file, place)
     mass = _number(inertial.find("mass"), "value", 0.0, file, place)
+    if not 0 <= mass < math.inf:
+        raise InputError(
+            "mass", expected="a mass >= 0", got=f"{mass:g} kg", remedy="correct it", file=file, place=place
+        )
     element = inertial.find("inertia")
     xx, xy, xz, yy, yz, zz = (_number(element, f"i{n}", 0.0, file, place) for n in ("xx", "xy", "xz", "yy", "yz", "zz"))
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return mass, centre, rotation @ inertia @ rotation.T
 
 
-def pose_of(origin: ElementTree.Element | None, file: Path, place: str) -> tuple[FloatArray, FloatArray]:
+def dynamics_of(root: ElementTree.Element, file: Path | None) -> dict[str, tuple[float, float]]:
+    """Return damping and friction of every joint that states them, by name.
+
+    Raises
+    ------
+    InputError
+        If one is no number >= 0.
+    """
+    result = {}
+    for joint in root.findall("joint"):
+        element = joint.find("dynamics")
+        if element is None:
+            continue
+        place = f"joint {joint.get('name')}"
+        values = [_number(element, key, 0.0, file, place) for key in ("damping", "friction")]
+        for key, value in zip(("damping", "friction"), values, strict=True):
+            if not 0 <= value < math.inf:
+                raise InputError(
+                    key, expected="a number >= 0", got=f"{value:g}", remedy="correct it", file=file, place=place
+                )
+        result[joint.get("name", "")] = (values[0], values[1])
+    return result
+
+
+def refuse_dependent(root: ElementTree.Element, locked: Collection[str], file: Path | None) -> None:
+    """Refuse joints that follow another one (``<mimic>``) and are not locked: they are no coordinates of their own."""
+    for joint in root.findall("joint"):
+        mimic, name = joint.find("mimic"), joint.get("name", "")
+        if mimic is not None and name not in locked:
+            raise InputError(
+                "a joint that follows another one",
+                expected="joints that move by themselves",
+                got=f"<mimic joint={mimic.get('joint', '')!r}>",
+                remedy=f"lock it (option locked = [{name!r}]), or remove <mimic> where nothing couples the two",
+                file=file,
+                place=f"joint {name}",
+            )
+
+
+def pose_of(origin: ElementTree.Element | None, file: Path | None, place: str) -> tuple[FloatArray, FloatArray]:
     """Return rotation matrix and position of an ``origin`` (rpy: about fixed x, then y, then z)."""
     roll, pitch, yaw = vector_of(origin, "rpy", (0.0, 0.0, 0.0), file, place)
     cr, sr, cp, sp, cy, sy = (f(x) for x in (roll, pitch, yaw) for f in (math.cos, math.sin))
@@ -153,7 +203,7 @@ def pose_of(origin: ElementTree.Element | None, file: Path, place: str) -> tuple
 
 
 def vector_of(
-    element: ElementTree.Element | None, key: str, default: tuple[float, float, float], file: Path, place: str
+    element: ElementTree.Element | None, key: str, default: tuple[float, float, float], file: Path | None, place: str
 ) -> FloatArray:
     """Return three numbers of an attribute."""
     text = None if element is None else element.get(key)
@@ -168,7 +218,7 @@ def vector_of(
     return np.array(values)
 
 
-def _number(element: ElementTree.Element | None, key: str, default: float, file: Path, place: str) -> float:
+def _number(element: ElementTree.Element | None, key: str, default: float, file: Path | None, place: str) -> float:
     """Return a number of an attribute."""
     text = None if element is None else element.get(key)
     if text is None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +11,8 @@ import pytest
 from harness.diagnosis.arm import misfit
 from harness.diagnosis.arm.motion import arm_runs
 from harness.diagnosis.close import close_loop
-from harness.diagnosis.policy import ARM_POLICY, POLICY
 from harness.diagnosis.report.keys import blank
 from harness.effects import builtin
-from harness.effects.effect import Placed
 from harness.physics.arm import ArmModel, load_arm
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
@@ -96,31 +92,6 @@ def test_one_joint_that_nothing_explains_is_enough() -> None:
     wrong = [(one, np.where(np.arange(7) == 4, one.motion.u[::-1], one.motion.u)) for one in runs]
     assert misfit._explained(right, range(7))[1] < 0.1
     assert misfit._explained(wrong, range(7))[1] > 0.25
-
-
-@pytest.mark.parametrize(
-    ("gain", "words"),
-    [
-        (0.5, ""),
-        (2.0, ""),
-        (5.0, "have to be 5 times"),
-        (0.1, "have to be 0.1 times"),
-        (1e-9, "nothing of"),
-    ],
-)
-def test_a_torque_that_would_have_to_be_another_one_is_no_effect(
-    gain: float, words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(misfit, "_likely", lambda *_: [])
-    placed = Placed(builtin()["input_gain"], "tau3")
-    outcome = SimpleNamespace(accepted=[SimpleNamespace(placed=placed)])
-    joint: Any = SimpleNamespace(
-        joint=2, share=0.1, outcome=outcome, final=SimpleNamespace(values={placed.name("gain"): gain})
-    )
-    nothing: Any = None
-    reasons = misfit.misfit_reasons(nothing, nothing, {}, [joint], POLICY, ARM_POLICY)
-    assert len(reasons) == bool(words)
-    assert all(words in text and "the torque tau3" in text for text in reasons)
 
 
 def test_an_arm_that_does_not_fit_gets_no_green_badge_and_no_urdf(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -385,3 +386,42 @@ def test_golden_records(golden: Callable[[str, Trajectory, float], None]) -> Non
     with panda() as arm:
         inputs = np.sin(np.outer(np.arange(100) * 0.004, 3.0 + np.arange(7))) * [20, 20, 20, 20, 3, 3, 3]
         golden("panda-bullet", perform(arm, Experiment(inputs), rng=RNG(0)), 1e-9)
+
+
+def hinge(inside: str = "", *, kind: str = "revolute", iyy: float = 0.01) -> str:
+    """Return a URDF of one hinged rod of 1 kg."""
+    return (
+        f'<robot name="p"><link name="base"/><joint name="hinge" type="{kind}"><parent link="base"/><child link="rod"/>'
+        f'<axis xyz="0 1 0"/>{inside}</joint><link name="rod"><inertial><origin xyz="0 0 -0.5"/><mass value="1"/>'
+        f'<inertia ixx="0.01" iyy="{iyy}" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>'
+    )
+
+
+def fall(urdf: str, **options: Any) -> FloatArray:
+    """Return the last outputs of a free swing of 2 s."""
+    with ArmPlant(urdf, **options) as arm:
+        arm.reset(rng=RNG(0), x0={"q1": 0.5})
+        return np.asarray(arm.rollout(np.zeros((500, 1)))[-1])
+
+
+def test_damping_and_friction_of_the_file_are_simulated_unless_options_say_otherwise() -> None:
+    stated = hinge('<dynamics damping="0.2" friction="0.05"/>')
+    bare = fall(hinge())
+    assert not np.allclose(fall(stated), bare, atol=1e-3)
+    np.testing.assert_array_equal(fall(stated), fall(hinge(), joint_damping=0.2, joint_friction=0.05))
+    np.testing.assert_array_equal(fall(stated, joint_damping=0.0, joint_friction=0.0), bare)
+
+
+@pytest.mark.parametrize(
+    ("urdf", "words"),
+    [
+        (hinge(iyy=0.5), "link rod: an inertia that no body has"),
+        (hinge('<mimic joint="other"/>'), "joint hinge: a joint that follows another one"),
+        (hinge(kind="floating"), "joint hinge: kind of joint"),
+        (hinge(kind="planar"), "joint hinge: kind of joint"),
+        (hinge('<dynamics friction="-1"/>'), "joint hinge: friction"),
+    ],
+)
+def test_what_bullet_leaves_out_without_a_word_is_refused_by_name(urdf: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        ArmPlant(urdf)

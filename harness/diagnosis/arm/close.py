@@ -111,11 +111,27 @@ def repaired_urdf(found: ArmDiagnosis, data: dict[str, Any]) -> str:
             dynamics.set(key[0], f"{float(dynamics.get(key[0], '0')) + values[key[1]]:.9g}")
         elif effect["name"].startswith("payload") and values["m"] > 0:
             _hang(root, joints[found.arm.arm.moving[-1].name], values)
+        elif effect["name"] == "link_inertia":
+            _turn(root, joints[effect["at"].removeprefix("link of ")], values["I"])
         else:
             left.append(f"{effect['name']} at {effect['at']}")
     if left:
         root.insert(0, ElementTree.Comment(f" a URDF cannot hold: {', '.join(left)}; see report.json "))
     return str(ElementTree.tostring(root, encoding="unicode")) + "\n"
+
+
+def _turn(root: ElementTree.Element, joint: ElementTree.Element, moment: float) -> None:
+    """Give the link behind a joint the inertia tensor of a ball."""
+    child = joint.find("child")
+    assert child is not None
+    link = next(link for link in root.findall("link") if link.get("name") == child.get("link"))
+    inertial = link.find("inertial")
+    assert inertial is not None
+    element = inertial.find("inertia")
+    if element is None:
+        element = ElementTree.SubElement(inertial, "inertia")
+    for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"):
+        element.set(name, f"{moment if name[1] == name[2] else 0.0:.9g}")
 
 
 def _hang(root: ElementTree.Element, last: ElementTree.Element, values: dict[str, float]) -> None:

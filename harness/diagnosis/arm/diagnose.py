@@ -8,14 +8,17 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from harness.diagnosis.arm.bodies import SEEN, ArmBodies, bodies_of_arm, bodies_of_joints, unit_torques
 from harness.diagnosis.arm.checks import check_torques
 from harness.diagnosis.arm.found import ArmDiagnosis, JointDiagnosis
 from harness.diagnosis.arm.joint import JointRegression, joint_dictionary, white_noise
-from harness.diagnosis.arm.misfit import misfit_reasons
+from harness.diagnosis.arm.misfit import likely_mistake, misfit_reasons
 from harness.diagnosis.arm.motion import ArmRun, arm_runs, standstill
+from harness.diagnosis.arm.other_arm import free_bodies, look_like_another_arm, other_arm_reasons
 from harness.diagnosis.arm.regression import RegressionForm
+from harness.diagnosis.arm.simpler import take_simpler_laws
 from harness.diagnosis.arm.wide import WideResult, wide_search
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
 from harness.diagnosis.records.prepare import checked
@@ -29,6 +32,8 @@ from harness.workers import one_thread
 
 __all__ = ["diagnose_arm"]
 
+SEVERAL = 2
+"""Effects from which on they may be another arm together: one alone is what it is called."""
 ROUNDS = 3
 """Times that joints are searched beside bodies, at most."""
 
@@ -79,14 +84,16 @@ def diagnose_arm(
 
     with one_thread():
         dataset = checked(dataset, arm)
-        warnings = [*dataset.warnings, *check_torques(dataset.runs)]
+        warnings = [*dataset.warnings, *arm.notes, *check_torques(dataset.runs)]
         say(0.02, "motion of the joints")
         runs = arm_runs(arm, dataset)
-        still = standstill(runs)
+        still = np.where(_only_noise(arm, dataset), 1.0, standstill(runs))
         moving = _moving(arm, dataset, still, arm_policy)
         warnings += [
             f"{arm.positions[k].name} stands still for {100 * still[k]:.0f} % of the time: "
             "its torque is not judged (record it moving)"
+            if still[k] > arm_policy.sticks
+            else f"{arm.inputs[k].name} never changes although {arm.positions[k].name} moves: its joint is not judged"
             for k in range(arm.n)
             if k not in moving
         ]
@@ -115,9 +122,24 @@ def diagnose_arm(
         diagnosis = ArmDiagnosis(
             dataset, arm, runs, wide, joints, still, bodies=bodies, policy=policy, warnings=warnings + wide.notes
         )
-        diagnosis.misfit = misfit_reasons(dataset, arm, runs, diagnosis.joints, policy, arm_policy)
+        diagnosis.misfit = _misfit(diagnosis, arm_policy)
     diagnosis.seconds = time.monotonic() - began
     return diagnosis
+
+
+def _misfit(found: ArmDiagnosis, policy: ArmPolicy) -> tuple[str, ...]:
+    """Return why the arm does not fit its log and what to check, a wrong URDF included; empty if it fits."""
+    reasons = misfit_reasons(found.arm, found.joints, found.policy)
+    judged = [joint.joint for joint in found.joints]
+    mistake = likely_mistake(found.dataset, found.arm, found.runs, judged, found.policy) if reasons else ()
+    alike = look_like_another_arm(found.wide, found.joints)
+    if not mistake and found.arm.inertia == "fixed" and (reasons or len(alike) >= SEVERAL):
+        directions = _inertial_directions(found.arm, found.runs["estimation"])
+        free = free_bodies(found.arm, found.runs, found.joints, found.wide, directions, policy)
+        named = [] if reasons else alike
+        if free is not None and (other := other_arm_reasons(free, named, found.policy, policy)):
+            return other
+    return (*reasons, *mistake)
 
 
 def _with_bodies(
@@ -158,8 +180,17 @@ def _with_bodies(
     return wide, joints, bodies
 
 
+def _only_noise(arm: ArmModel, dataset: Dataset) -> NDArray[np.bool_]:
+    """Return for every joint whether its position is hardly more than noise: it stands still."""
+    sizes = [
+        [float(np.std(run.y[:, k])) > ARM_POLICY.sure * white_noise(run.y[:, k]) for run in dataset.estimation]
+        for k in range(arm.n)
+    ]
+    return np.array([not any(runs) for runs in sizes])
+
+
 def _moving(arm: ArmModel, dataset: Dataset, still: FloatArray, policy: ArmPolicy) -> list[int]:
-    """Return the joints that move enough to be judged, or refuse an arm without any."""
+    """Return the joints that can be judged: they move enough and their torque was measured. Refuse an arm without."""
     moving = [k for k in range(arm.n) if still[k] <= policy.sticks]
     if not moving:
         raise InputError(
@@ -170,7 +201,18 @@ def _moving(arm: ArmModel, dataset: Dataset, still: FloatArray, policy: ArmPolic
             ),
             remedy="record the arm on a path that keeps its joints moving",
         )
-    return moving
+    told = [k for k in moving if all(np.ptp(run.u[:, k]) > 0 for run in (*dataset.estimation, *dataset.validation))]
+    if not told:
+        raise InputError(
+            f"no torque of {dataset.name!r} changes, although joints move",
+            expected="the torques that went with the motion",
+            got=", ".join(
+                f"{arm.inputs[k].name} = {dataset.estimation[0].u[0, k]:g} {arm.inputs[k].unit}" for k in moving
+            )
+            + " in every row",
+            remedy="log measured or commanded torques: some simulators report 0 for the torques that a user commands",
+        )
+    return told
 
 
 def _joint(
@@ -204,6 +246,7 @@ def _joint(
         candidates,
         policy=replace(policy, least=arm_policy.sensor, alone=arm_policy.alone, alone_z=arm_policy.alone_z),
     )
+    take_simpler_laws(form, outcome, candidates, policy)
     factor = runs["validation"][0].motion.factor
     passed = 0.8 / factor if factor > 1 else 1.0  # of the power of white noise, by the decimation
     noise = max(white_noise(run.u[:, k]) for run in dataset.validation) * float(np.sqrt(passed))

@@ -15,6 +15,7 @@ from harness.diagnosis.arm.motion import ArmRun
 from harness.diagnosis.policy import ARM_POLICY, ArmPolicy
 from harness.effects.effect import Effect, EffectParameter, Placed
 from harness.physics.arm import ArmModel
+from harness.physics.joints import Joint
 from harness.signals import FloatArray
 
 __all__ = ["GAIN", "Wide", "wide_effects"]
@@ -23,6 +24,8 @@ STEP = 1e-4
 GAIN = "input_gain"
 LIGHTEST = -0.95
 """Relative error of a link that leaves it next to no mass."""
+GYRATION = 0.5
+"""Largest radius of gyration of a link whose tensor a URDF does not state [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +38,13 @@ class Wide:
         All of its parameters are linear, and 0 where it does nothing.
     columns : callable
         ``ArmRun -> (N, n, k)``: torque that the joints need more, for a parameter of 1.
+    of_bodies : bool
+        Another arm (other masses, lengths) can look like several of its kind together.
     """
 
     placed: Placed
     columns: Callable[[ArmRun], FloatArray]
+    of_bodies: bool = True
 
     def __str__(self) -> str:
         return str(self.placed)
@@ -82,8 +88,8 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
     frame = arm.arm.joints[tip].name
     whole = sum(joint.mass for joint in arm.arm.joints)
 
-    def add(effect: Effect, at: str, columns: Callable[[ArmRun], FloatArray]) -> None:
-        wide.append(Wide(Placed(effect, at), columns))
+    def add(effect: Effect, at: str, columns: Callable[[ArmRun], FloatArray], of_bodies: bool = True) -> None:
+        wide.append(Wide(Placed(effect, at), columns, of_bodies))
 
     def body(row: int, offset: int) -> Callable[[ArmRun], FloatArray]:
         unit = np.zeros(10 * len(arm.arm.joints))
@@ -133,7 +139,7 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
             f"{channel.name} of the link = {channel.name} - compliance * {arm.inputs[k].name}",
             "fast excitation (to half of the resonance sqrt(k/J)), or a position sensor on the link",
         )
-        add(_effect("joint_elasticity", [soft], words), channel.name, _elastic(arm, k))
+        add(_effect("joint_elasticity", [soft], words), channel.name, _elastic(arm, k), of_bodies=False)
     for number in arm.links:
         joint = arm.arm.joints[number]
         if joint.mass > 0:
@@ -144,11 +150,32 @@ def wide_effects(arm: ArmModel, torques: FloatArray, policy: ArmPolicy = ARM_POL
                 heavier,
             )
             add(_effect("link_mass", [scale], words), f"link of {joint.name}", _link(arm, number))
+            if not joint.inertia.any():
+                add(_tensor(joint), f"link of {joint.name}", _turning(arm, number))
     for k, channel in enumerate(arm.inputs):
         factor = _par("gain", "1", "relative error of the torque", policy.gain - 1, least=1 / policy.gain - 1)
         words = "The torque of one joint is wrong by a factor.", "left to the search on the joint", heavier
-        add(_effect(GAIN, [factor], words), channel.name, _gain(k))
+        add(_effect(GAIN, [factor], words), channel.name, _gain(arm, k))
     return wide
+
+
+def _tensor(joint: Joint) -> Effect:
+    """Return the effect of an inertia tensor that the URDF does not state.
+
+    A factor on one that it does state is not tried: at a joint of next to no inertia the noise of its acceleration asks
+    for none.
+    """
+    moment = _par("I", "kg m^2", "moment of inertia about every axis", joint.mass * GYRATION**2, sign="+")
+    faster = "the same path at several speeds: what a tensor needs grows with the square of the speed, gravity stays"
+    words = "The URDF gives this link no inertia tensor.", "inertia I about the centre of mass, as of a ball", faster
+    return _effect("link_inertia", [moment], words)
+
+
+def _turning(arm: ArmModel, number: int) -> Callable[[ArmRun], FloatArray]:
+    """Return the column of a ball's inertia in the place of one link's."""
+    own = np.zeros_like(arm.arm.parameters)
+    own[10 * number + 4 : 10 * number + 10] = np.eye(3)[np.triu_indices(3)]
+    return lambda run: arm.torques(run.calm.q, run.calm.v, run.calm.a, parameters=own)[:, :, None]
 
 
 def _zero(arm: ArmModel, k: int) -> Callable[[ArmRun], FloatArray]:
@@ -187,12 +214,13 @@ def _elastic(arm: ArmModel, k: int) -> Callable[[ArmRun], FloatArray]:
     return columns
 
 
-def _gain(k: int) -> Callable[[ArmRun], FloatArray]:
-    """Return the column of a wrong torque gain."""
+def _gain(arm: ArmModel, k: int) -> Callable[[ArmRun], FloatArray]:
+    """Return the column of a wrong torque gain: what the motion needs, for no torque explains itself."""
 
     def columns(run: ArmRun) -> FloatArray:
-        result = np.zeros((*run.calm.u.shape, 1))
-        result[:, k, 0] = run.calm.u[:, k]
+        m = run.calm
+        result = np.zeros((*m.u.shape, 1))
+        result[:, k, 0] = (arm.torques(m.q, m.v, m.a) + arm.damped(m.v))[:, k]
         return result
 
     return columns

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from harness.diagnosis.arm.bodies import ArmBodies
-from harness.diagnosis.arm.joint import JointRegression
+from harness.diagnosis.arm.joint import CLOCK, JointRegression
 from harness.diagnosis.arm.motion import ArmRun, moving_rows
 from harness.diagnosis.arm.wide import WideResult
 from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
@@ -70,6 +70,12 @@ class JointDiagnosis:
         for run, counts in zip(self.regression.torque("validation"), self.regression.counts["validation"], strict=True):
             rows.append(run[counts[:, 0] > 0])
         return float(np.std(np.concatenate(rows)))
+
+    @property
+    def clock(self) -> float | None:
+        """By how long its torque is recorded too late [s]; None where that is more than a clock can be."""
+        value = self.final.values[CLOCK]
+        return value if abs(value) <= self.regression.latest else None
 
     def left(self, use: str) -> float:
         """Return the rms of the residual torque of the final model while the joint moves."""

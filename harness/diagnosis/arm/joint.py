@@ -83,7 +83,8 @@ class JointRegression:
 
     Notes
     -----
-    The nominal joint has one parameter of its own: ``clock``, by how long its torque is recorded too late.
+    The nominal joint has one parameter of its own: ``clock``, by how long its torque is recorded too late;
+    ``latest`` [s] is how far its first-order column can say that, beyond it is a column that explains something else.
     """
 
     def __init__(
@@ -96,6 +97,9 @@ class JointRegression:
     ) -> None:
         self.joint = joint
         count = 0 if free is None else free["estimation"][0].shape[1]
+        first = runs["estimation"][0].motion
+        band = motion_band(first.q[:, joint], first.sample_time)[0]
+        self.latest = max(ARM_POLICY.rows_late * first.sample_time, ARM_POLICY.late / (2 * np.pi * band))
         self.nominal = joint_system(arm, joint, count)
         self.own = frozenset(name for name in self.nominal.parameter_names if name != CLOCK)
         self.motions: dict[str, tuple[Motion, ...]] = {}
@@ -104,9 +108,12 @@ class JointRegression:
             made = []
             for number, run in enumerate(parts):
                 m = run.motion
-                # effects see the calm torque: a factor on the measured one would lower the residual by its noise
+                # effects see the calm torque, and a factor on it what is needed, as calm: noise that is in the residual
+                # too would take part in the fit
                 torque = run.calm.u[:, pick]
-                columns = [torque, known[use][number][:, None] + torque - m.u[:, pick], -run.first[:, pick]]
+                rough = m.u[:, pick] - torque
+                needed = known[use][number][:, None]
+                columns = [torque, needed - rough, rough, run.calmed(needed) - needed, -run.first[:, pick]]
                 if free is not None:
                     columns.append(free[use][number])
                 own = np.concatenate(columns, axis=1)
@@ -306,17 +313,18 @@ def joint_dictionary(
 
     usual = [*(builtin()[name] for name in JOINT_EFFECTS), rotor_inertia]
     effects = usual if dictionary is None else list(dictionary)
+    effects = [_of_this_unit(effect) if effect.name == "input_gain" else effect for effect in effects]
     if arm.damping[joint] > 0:
         effects = [_either_sign(effect) if effect.name == "viscous_friction" else effect for effect in effects]
     torque = run.calm.u[:, joint]
     dt = run.motion.sample_time
     corner = ARM_POLICY.calm * motion_band(run.motion.q[:, joint], dt)[0]
     noise = white_noise(run.motion.u[:, joint]) * float(np.sqrt(min(4 * corner * dt, 1.0)))
-    # inertia is known on an absolute scale here, so a factor on the torque shows
+    # where inertia is known on an absolute scale, a factor on the torque shows; beside free inertia it is that inertia
     placed = [
         candidate
         for candidate in place_all(regression.nominal, effects)
-        if expressible(candidate) or candidate.effect.name == "input_gain"
+        if expressible(candidate) or (candidate.effect.name == "input_gain" and not regression.own)
     ]
     loud = noise > ARM_POLICY.noisy * float(np.std(torque))
     noisy = [candidate for candidate in placed if candidate.effect.name in ON_TORQUE and loud]
@@ -341,19 +349,40 @@ def _either_sign(effect: Effect) -> Effect:
     return replace(effect, parameters=tuple(replace(parameter, sign="any") for parameter in effect.parameters))
 
 
+def _of_this_unit(effect: Effect) -> Effect:
+    """Return a factor on the torque within what a torque constant may be off: beyond, it is another unit or gear."""
+    low, high = 1 / ARM_POLICY.gain, ARM_POLICY.gain
+    return replace(
+        effect,
+        parameters=tuple(
+            replace(parameter, minimum=low, maximum=high) if parameter.main else parameter
+            for parameter in effect.parameters
+        ),
+    )
+
+
 def _joint_equations(system: System, free: int) -> Equations:
-    """Return torque needed minus torque given, with its derivatives."""
+    """Return the torque that the joint asks of its input minus the measured one, with its derivatives.
+
+    Where an effect multiplies the torque, what the motion needs is divided by that factor. The other way round, a
+    factor near zero would make every residual small: the torque would explain itself.
+    """
     import casadi as ca
 
     q, v, a, t = ca.SX.sym("q"), ca.SX.sym("v"), ca.SX.sym("a"), ca.SX.sym("t")
-    u, p = ca.SX.sym("u", 2 + free), system.p
+    u, p = ca.SX.sym("u", 4 + free), system.p
     swap_from = ca.vertcat(system.x, system.u, system.gravity, system.t)
     swap_to = ca.vertcat(q, v, u[0], ca.DM([0.0, -1.0]), t)
     matrix, force, drive = (
         ca.substitute(ca.SX(term), swap_from, swap_to)
         for term in (system.mass_matrix, system.generalized_forces, system.input_forces)
     )
-    left_over = matrix @ a - force + u[1] + ca.dot(p[:free], u[2:])
+    left_over = matrix @ a - force + u[1] + ca.dot(p[:free], u[4:])
+    factor = ca.jacobian(drive, u[0])
+    if not ca.depends_on(factor, ca.vertcat(q, v, u, t)):
+        measured = u[0] + u[2]
+        needed = left_over + factor * u[0] + u[2]
+        left_over = needed / factor - measured + (1 / factor - 1) * u[3]
     jacobian = ca.jacobian(left_over, p)
     strong = ca.Function("strong", [q, v, a, u, p, t], [left_over, jacobian])
     none = ca.SX.zeros(1, p.numel())

@@ -8,17 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from harness.diagnosis.arm.effects import GAIN
 from harness.diagnosis.arm.found import JointDiagnosis
 from harness.diagnosis.arm.motion import ArmRun, arm_runs, moving_rows
 from harness.diagnosis.arm.wide import OWN, own_columns
-from harness.diagnosis.policy import ARM_POLICY, ArmPolicy, Policy
+from harness.diagnosis.policy import ARM_POLICY, Policy
 from harness.physics.arm import ArmModel
 from harness.signals import Dataset, FloatArray
 
-__all__ = ["misfit_reasons"]
+__all__ = ["likely_mistake", "misfit_reasons"]
 
 DEGREES = np.pi / 180
+MANY = 20.0
+"""Times the torque from which on a residual is not given in percent of it."""
 SHOWN = 3
 """Joints that are named one by one."""
 UNITS = {1e3: "N mm and not N m", 1e-3: "kN m and not N m", 1e2: "N cm and not N m", 9.80665: "kgf m and not N m"}
@@ -37,15 +38,36 @@ SLOW = 10
 """Samples of the filtered residual that are taken for one: it is coloured, and only a rough figure is asked for."""
 
 
-def misfit_reasons(
-    dataset: Dataset,
-    arm: ArmModel,
-    runs: Mapping[str, Sequence[ArmRun]],
-    joints: Sequence[JointDiagnosis],
-    policy: Policy,
-    arm_policy: ArmPolicy,
+def misfit_reasons(arm: ArmModel, joints: Sequence[JointDiagnosis], policy: Policy) -> tuple[str, ...]:
+    """Return why an arm does not fit its log; empty if it fits.
+
+    Parameters
+    ----------
+    arm : ArmModel
+    joints : sequence of JointDiagnosis
+        With all effects that were accepted.
+    policy : Policy
+    """
+    bad = sorted((joint for joint in joints if not joint.share <= policy.misfit_nrmse), key=lambda joint: -joint.share)
+    reasons = [_left(arm, joint) for joint in bad[:SHOWN]]
+    if len(bad) > SHOWN:
+        reasons.append(f"so it is at {len(bad) - SHOWN} more joints")
+    return tuple(reasons)
+
+
+def _left(arm: ArmModel, joint: JointDiagnosis) -> str:
+    """Say what the model leaves of a joint's torque: in percent, or as a torque where that is out of all proportion."""
+    name, unit = arm.positions[joint.joint].name, arm.inputs[joint.joint].unit
+    if joint.share > MANY:
+        left = joint.left("validation")
+        return f"at {name} the model is off by {left:.3g} {unit}, and the torque changes by {joint.torque:.3g} {unit}"
+    return f"at {name} what the model leaves is {100 * joint.share:.0f} % as large as all that the torque does"
+
+
+def likely_mistake(
+    dataset: Dataset, arm: ArmModel, runs: Mapping[str, Sequence[ArmRun]], joints: Sequence[int], policy: Policy
 ) -> tuple[str, ...]:
-    """Return why an arm does not fit its log, and what probably is wrong; empty if it fits.
+    """Return what to check: the mistake whose repair makes the log much likelier, if there is one.
 
     Parameters
     ----------
@@ -53,43 +75,10 @@ def misfit_reasons(
     arm : ArmModel
     runs : mapping
         Motions by use.
-    joints : sequence of JointDiagnosis
-        With all effects that were accepted.
+    joints : sequence of int
+        Those that were judged.
     policy : Policy
-    arm_policy : ArmPolicy
     """
-    reasons = []
-    bad = sorted((joint for joint in joints if not joint.share <= policy.misfit_nrmse), key=lambda joint: -joint.share)
-    for joint in bad[:SHOWN]:
-        reasons.append(
-            f"at {arm.positions[joint.joint].name} what the model leaves is {100 * joint.share:.0f} % as large as all "
-            "that the torque does"
-        )
-    if len(bad) > SHOWN:
-        reasons.append(f"so it is at {len(bad) - SHOWN} more joints")
-    gains = {
-        accepted.placed.at: joint.final.values[accepted.placed.name("gain")]
-        for joint in joints
-        for accepted in joint.outcome.accepted
-        if accepted.placed.effect.name == GAIN
-    }
-    wild = {name: gain for name, gain in gains.items() if not 1 / arm_policy.gain < gain < arm_policy.gain}
-    for name, gain in list(wild.items())[:SHOWN]:
-        text = (
-            f"would have to be {gain:.3g} times what was recorded"
-            if gain > ARM_POLICY.no_gain
-            else "tells nothing of the motion"
-        )
-        reasons.append(f"the torque {name} {text}")
-    if reasons:  # the last one is what to do, where it is known
-        reasons += _likely(dataset, arm, runs, [joint.joint for joint in joints], policy)
-    return tuple(reasons)
-
-
-def _likely(
-    dataset: Dataset, arm: ArmModel, runs: Mapping[str, Sequence[ArmRun]], joints: Sequence[int], policy: Policy
-) -> list[str]:
-    """Return the mistake whose repair makes the log much likelier, if there is one."""
     estimation = runs["estimation"]
     base, _ = _explained([(run, run.motion.u) for run in estimation], joints)
     best, words = base + policy.misfit_gain, ""
@@ -97,7 +86,7 @@ def _likely(
         value, left = _explained(pairs, joints)
         if value > best and left <= policy.misfit_nrmse**2:  # torques that belong to no motion are mended by nothing
             best, words = value, text
-    return [f"check {words}: with that repaired the model fits far better"] if words else []
+    return (f"check {words}: with that repaired the model fits far better",) if words else ()
 
 
 def _mistakes(

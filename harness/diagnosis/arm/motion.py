@@ -34,6 +34,8 @@ class ArmRun:
         Time derivatives of the calm torques.
     rigid : array (N, n)
         Torque that the nominal arm needs along the motion, the URDF's damping and friction included.
+    corner : float
+        Of the calm motion [Hz].
     """
 
     motion: Motion
@@ -41,6 +43,11 @@ class ArmRun:
     first: FloatArray
     second: FloatArray
     rigid: FloatArray
+    corner: float
+
+    def calmed(self, values: FloatArray) -> FloatArray:
+        """Return columns (N,) or (N, k) filtered as the calm motion is."""
+        return _low_passed(values, self.corner, self.motion.sample_time)
 
     def slim(self, columns: FloatArray, joints: Sequence[int] | None = None) -> FloatArray:
         """Return columns (N, n) or (N, n, k) of these joints, low-passed and decimated as the residual is."""
@@ -104,18 +111,23 @@ def _run(arm: ArmModel, record: Trajectory, intersample: str) -> ArmRun:
     band = max(motion_band(record.y[:, k], motion.sample_time)[0] for k in range(arm.n))
     still = np.abs(motion.v) <= ARM_POLICY.still * np.sqrt(np.mean(motion.v[motion.inside] ** 2, axis=0))
     motion = replace(motion, counts=1.0 - still)
-    calm = _calmed(motion, ARM_POLICY.calm * band)
+    corner = ARM_POLICY.calm * band
+    calm = _calmed(motion, corner)
     dt = motion.sample_time
     first = np.gradient(calm.u, dt, axis=0)
-    return ArmRun(motion, calm, first, np.gradient(first, dt, axis=0), rigid)
+    return ArmRun(motion, calm, first, np.gradient(first, dt, axis=0), rigid, corner)
 
 
 def _calmed(motion: Motion, corner: float) -> Motion:
     """Return a motion low-passed without delay at a corner [Hz]."""
+    q, v, u = (_low_passed(part, corner, motion.sample_time) for part in (motion.q, motion.v, motion.u))
+    return replace(motion, q=q, v=v, a=np.gradient(v, motion.sample_time, axis=0), u=u)
+
+
+def _low_passed(values: FloatArray, corner: float, sample_time: float) -> FloatArray:
+    """Return columns (N,) or (N, k) low-passed without delay at a corner [Hz]."""
     from scipy import signal
 
-    dt, rows = motion.sample_time, motion.q.shape[0]
-    sos = signal.butter(ORDER, min(2 * corner * dt, 0.9), output="sos")
-    pad = min(int(4 / (corner * dt)), rows - 1)
-    q, v, u = (np.asarray(signal.sosfiltfilt(sos, part, axis=0, padlen=pad)) for part in (motion.q, motion.v, motion.u))
-    return replace(motion, q=q, v=v, a=np.gradient(v, dt, axis=0), u=u)
+    sos = signal.butter(ORDER, min(2 * corner * sample_time, 0.9), output="sos")
+    pad = min(int(4 / (corner * sample_time)), len(values) - 1)
+    return np.asarray(signal.sosfiltfilt(sos, values, axis=0, padlen=pad))

@@ -5,7 +5,8 @@ What does not apply is empty: an arm is not simulated, so there are no simulatio
 ``joints``
     By joint: ``joint`` (name of its position), ``link_joint`` (name in the URDF), ``judged``, ``standstill`` (share of
     the time), ``effects``, ``before`` and ``after`` (by use: rms of the torque residual while it moves), ``unit``,
-    ``torque_rms``, ``clock_s`` (by how long its torque is recorded too late), ``not_tried``; under ``left``: ``share``
+    ``torque_rms``, ``clock_s`` (by how long its torque is recorded too late; null where
+    that is more than a clock can be), ``not_tried``; under ``left``: ``share``
     (of the torque's standard deviation that stays unexplained, its noise taken off), ``noise`` (of the torque's
     samples, as it shows in the residual), ``predictable`` and ``axis`` (what could still be predicted, over what),
     ``error`` (partial autocorrelations and deviation of the error that the likelihood found).
@@ -162,7 +163,7 @@ def _effects(found: ArmDiagnosis) -> tuple[list[dict[str, Any]], list[list[dict[
     for accepted in found.wide.accepted:
         effects.append(effect_data(found.wide.fit, accepted))
         members = _members(accepted)
-        if accepted.placed.effect.name.startswith(("payload", "link_mass")):
+        if accepted.placed.effect.name.startswith(("payload", "link_")):
             members.append({"name": "parameter", "at": "inertial parameters that the URDF gives the same link"})
         ties.append(members)
         apart.append(separating([placed for group in accepted.tie for placed in group]))
@@ -212,7 +213,7 @@ def _joint(found: ArmDiagnosis, k: int, before: dict[str, Any], after: dict[str,
     if judged is not None:
         error = judged.final.detail.errors[0]
         entry["effects"] = [] if found.misfit else [str(accepted.placed) for accepted in judged.outcome.accepted]
-        entry["clock_s"] = known(judged.final.values["clock"])
+        entry["clock_s"] = None if judged.clock is None else known(judged.clock)
         entry["left"] = {
             "share": known(judged.share),
             "noise": known(judged.noise),

@@ -1,0 +1,126 @@
+"""Does the URDF describe this arm at all? Wrong masses or lengths look like several smaller errors together.
+
+A payload of a third of the arm, gains of two joints that carry gravity and zeros of every joint explain a log of an arm
+whose URDF has half of its masses. So where more than one such effect was found, or the arm does not fit, its inertial
+parameters are fitted freely: how far they are from the URDF's is measured by the torques that both ask for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from harness.diagnosis.arm.effects import GAIN
+from harness.diagnosis.arm.found import JointDiagnosis
+from harness.diagnosis.arm.motion import ArmRun
+from harness.diagnosis.arm.regression import RegressionForm
+from harness.diagnosis.arm.wide import WideRegression, WideResult
+from harness.diagnosis.policy import ArmPolicy, Policy
+from harness.physics.arm import ArmModel
+from harness.signals import FloatArray
+
+__all__ = ["FreeBodies", "free_bodies", "look_like_another_arm", "other_arm_reasons"]
+
+
+@dataclass(frozen=True)
+class FreeBodies:
+    """What inertial parameters come to that are free of the URDF.
+
+    Attributes
+    ----------
+    distance : float
+        Rms of the torques by which they differ from the URDF's, over the rms of these: of all judged joints together.
+    share : float
+        Part of the torque's variance that they and each joint's friction explain, at the joint where it is least
+        (validation records, parameters from the estimation records).
+    beside : float
+        Rms residual over that of the effects on the whole arm that were found beside the same friction, at the joint
+        where it is largest.
+    """
+
+    distance: float
+    share: float
+    beside: float
+
+
+def look_like_another_arm(wide: WideResult, joints: Sequence[JointDiagnosis]) -> list[str]:
+    """Return the effects that were found and that wrong masses or lengths can look like, by name and place."""
+    whole = [str(known.placed) for known in wide.accepted if wide.effects[str(known.placed)].of_bodies]
+    gains = [
+        str(known.placed) for joint in joints for known in joint.outcome.accepted if known.placed.effect.name == GAIN
+    ]
+    return whole + gains
+
+
+def free_bodies(
+    arm: ArmModel,
+    runs: Mapping[str, Sequence[ArmRun]],
+    joints: Sequence[JointDiagnosis],
+    wide: WideResult,
+    directions: Sequence[FloatArray],
+    policy: ArmPolicy,
+) -> FreeBodies | None:
+    """Return the fit with free inertial parameters beside the friction of every joint; None where there is none.
+
+    Parameters
+    ----------
+    arm : ArmModel
+    runs : mapping
+        With the torques that the URDF's bodies need.
+    joints : sequence of JointDiagnosis
+        Those that were judged.
+    wide : WideResult
+    directions : sequence of array (10 * bodies,)
+        Of the inertial parameters that this motion moves.
+    policy : ArmPolicy
+    """
+    places = [joint.joint for joint in joints]
+    regression = WideRegression(arm, runs, places, directions, policy)
+    fit = RegressionForm(regression, policy).fit((), [{}], None)
+    if fit is None:
+        return None
+    equation = regression.equation(())
+    p = np.array([fit.values[name] for name in equation.system.parameter_names])
+    counts = np.concatenate(regression.counts["validation"])
+
+    def rms(residual: Sequence[FloatArray]) -> FloatArray:
+        squares = np.sum(np.concatenate(residual) ** 2 * counts, axis=0)
+        return np.asarray(np.sqrt(squares / np.maximum(counts.sum(axis=0), 1)))
+
+    left = rms([r for r, _ in equation.residual(p, "validation")])
+    found = rms(wide.fit.detail.residual["validation"])
+    own = [k for k, name in enumerate(equation.system.parameter_names) if name in regression.own]
+    moved = np.concatenate([columns[:, :, own] @ p[own] for _, columns in equation.residual(p, "estimation")])
+    rigid = np.concatenate([run.slim(run.rigid[:, places], places) for run in runs["estimation"]])
+    distance = float(np.sqrt(np.sum(moved**2) / max(float(np.sum(rigid**2)), 1e-300)))
+    sizes = np.array([max(joint.torque, 1e-300) for joint in joints])
+    return FreeBodies(distance, 1.0 - float(np.max(left / sizes)) ** 2, float(np.max(left / np.maximum(found, 1e-300))))
+
+
+def other_arm_reasons(free: FreeBodies, alike: Sequence[str], policy: Policy, arm_policy: ArmPolicy) -> tuple[str, ...]:
+    """Return that the URDF is another arm's, and what to do; nothing where free inertial parameters do not say so.
+
+    They have to be far from the URDF's, and to explain every joint, as well as all that was found does.
+
+    Parameters
+    ----------
+    free : FreeBodies
+    alike : sequence of str
+        What was found and may be another arm.
+    policy : Policy
+    arm_policy : ArmPolicy
+    """
+    far = free.distance >= arm_policy.other_arm
+    if not far or free.share < 1.0 - policy.misfit_nrmse**2 or free.beside > arm_policy.as_well:
+        return ()
+    least = np.floor(1000 * free.share) / 10
+    text = (
+        f"this URDF does not describe this arm: masses or lengths. Fitted freely, inertial parameters explain "
+        f"{least:g} % of every joint's torque, and ask for torques that differ from the URDF's by "
+        f"{100 * free.distance:.0f} % of these"
+    )
+    if alike:
+        text += f"; {', '.join(name.replace('_', ' ').replace('@', ' at ') for name in alike)} together only imitate it"
+    return (text, 'check masses, centres and lengths in the URDF, or fit them with options = {inertia = "calibrated"}')
