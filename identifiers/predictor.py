@@ -9,11 +9,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from harness.errors import FitError
+from harness.judgement import feedback_of, refuse_law
 from harness.lqr import spectral_radius
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.directions import lively_directions
-from identifiers.excitation import feedback_of, refuse_feedback_of_records
+from identifiers.excitation import refuse_feedback_of_records
 from identifiers.filters import stationary_gain
 from identifiers.linear_model import LinearModel
 from identifiers.observers import innovation_form
@@ -114,6 +115,7 @@ class Subspace:
         records, spec = usable(trajectories, samples=2 * window + 2, what=what)
         real_signals(spec, what)
         moving(records, what)
+        refuse_law(records, what, self.least_excitation)
         measured = records[0]
         if directions := lively_directions(records):
             records = directions.compressed(records)
