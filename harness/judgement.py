@@ -11,7 +11,7 @@ import numpy as np
 from harness.errors import FitError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
-__all__ = ["Feedback", "Law", "dependence_text", "feedback_of", "law_of", "refuse_law"]
+__all__ = ["Feedback", "Law", "dependence_text", "feedback_of", "law_of", "refuse_law", "refuse_undetermined"]
 
 # Samples that are looked at: at so many, what an excitation of 5 % of the input does to the outputs shows.
 _ROWS = 10_000
@@ -122,6 +122,36 @@ def refuse_law(records: Sequence[Trajectory], what: str, least_excitation: float
     )
 
 
+def refuse_undetermined(records: Sequence[Trajectory], what: str, least_excitation: float = 2.0) -> None:
+    """Raise if inputs move together, or by a law alone: for identifiers with no decision on rank of their own.
+
+    Parameters
+    ----------
+    records, what, least_excitation
+        As of :func:`refuse_law`.
+
+    Raises
+    ------
+    FitError
+        If the inputs depend on one another but for a constant, or :func:`law_of` finds a law.
+    """
+    spec = records[0].spec
+    if least_excitation > 0 and spec.nu > 1:
+        u = np.concatenate([record.u for record in records])
+        spread = u.std(axis=0)
+        _, values, right = np.linalg.svd((u - u.mean(axis=0)) / np.where(spread > 0, spread, 1.0), full_matrices=False)
+        if values[-1] <= _THIN * values[0]:
+            size = np.where(spread > 0, spread, 1.0)
+            law = dependence_text(right[-1] / size, size, [channel.name for channel in spec.inputs])
+            raise FitError(
+                f"{what}: the data do not determine the model",
+                expected="inputs that do not move together",
+                got=f"{law} but for a constant",
+                remedy="excite every input by itself, or leave one out",
+            )
+    refuse_law(records, what, least_excitation)
+
+
 def law_of(records: Sequence[Trajectory]) -> Law | None:
     """Return the law that an input follows with nothing beside it, None where something else moves every input.
 
@@ -158,6 +188,8 @@ def law_of(records: Sequence[Trajectory]) -> Law | None:
     some = _seen_through_few(some)
     shares, chances, alone = _granger(some, 4)
     for column in range(spec.nu):
+        if not np.ptp(np.concatenate([record.u[:, column] for record in some])) > 0:
+            continue  # a constant is no answer
         sure = chances[column] < _DOUBT and shares[column] > 0.01
         if not sure and alone[column] > _FORETOLD:
             continue
@@ -322,6 +354,8 @@ def _moments(
     moments, slopes = z.T @ target / rows, z.T @ law / rows
     gains = np.linalg.lstsq(slopes, moments, rcond=_RANK)[0]
     weight, turned = np.linalg.eigh(_spread(z, target - law @ gains, lengths, lags))
+    if not weight[-1] > 0:  # nothing is left at all
+        return np.sqrt(rows) * gains / np.where(length > 0, length, 1.0), np.eye(length.size), 0.0, 1
     root = (turned / np.sqrt(np.maximum(weight, 1e-10 * weight[-1]))).T
     gains, _, rank, _ = np.linalg.lstsq(root @ slopes, root @ moments, rcond=_RANK)
     wrong = root @ (moments - slopes @ gains)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.errors import FitError, InputError
-from harness.judgement import refuse_law
+from harness.judgement import refuse_undetermined
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
@@ -232,7 +232,7 @@ class EmbedToControl:
         records, spec = usable(trajectories, samples=self.lags + 3 * self.window, what=what)
         real_signals(spec, what)
         moving(records, what)
-        refuse_law(records, what, self.least_excitation)
+        refuse_undetermined(records, what, self.least_excitation)
         if spec.feedthrough:
             raise FitError(
                 f"{what}: feedthrough",

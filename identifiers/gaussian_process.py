@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.errors import FitError, InputError
-from harness.judgement import refuse_law
+from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, Trajectory
 from harness.specs import spec_from_dict
 from identifiers.lag_state import LagModel, Scaling, regression_data
@@ -211,7 +211,7 @@ class GaussianProcess:
         records, spec = usable(trajectories, samples=self.order + 2, what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
-        refuse_law(records, what, self.least_excitation)
+        refuse_undetermined(records, what, self.least_excitation)
         # Samples are drawn by row: in whatever order records come, they make the same model.
         records.sort(key=lambda record: (len(record), record.y.tobytes()))
         rows, later = regression_data(records, self.order)

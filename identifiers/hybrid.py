@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError, InputError
-from harness.judgement import refuse_law
+from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, Trajectory
 from harness.specs import spec_from_dict
 from identifiers.lag_state import LagModel, Scaling, regression_data
@@ -132,7 +132,7 @@ class PiecewiseAffine:
         records, spec = usable(trajectories, samples=self.order + 2, what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
-        refuse_law(records, what, self.least_excitation)
+        refuse_undetermined(records, what, self.least_excitation)
         rows, targets = regression_data(records, self.order)
         least = 2 * self.modes * (rows.shape[1] + 1)
         if len(rows) < least:

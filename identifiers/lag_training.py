@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from harness.judgement import refuse_law
+from harness.judgement import refuse_undetermined
 from harness.rng import stream
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.ensemble import own_spread
@@ -139,12 +139,12 @@ def lag_task(trajectories: Sequence[Trajectory], order: int, what: str, least_ex
     what : str
         Name of the identifier, for messages.
     least_excitation : float
-        As of :func:`harness.judgement.refuse_law`.
+        As of :func:`harness.judgement.refuse_undetermined`.
     """
     records, spec = usable(trajectories, samples=max(10, 2 * order + 6), what=what)
     real_signals(spec, what)
     moving(records, what, inputs=False)
-    refuse_law(records, what, least_excitation)
+    refuse_undetermined(records, what, least_excitation)
     # Batches are drawn by row: in whatever order records come, they make the same model.
     records.sort(key=lambda record: (len(record), record.y.tobytes()))
     cuts = [len(record) - max(len(record) // 5, order + 2) for record in records]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.errors import InputError
-from harness.judgement import refuse_law
+from harness.judgement import refuse_undetermined
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
@@ -184,7 +184,7 @@ class NeuralStateSpace:
         records, spec = usable(trajectories, samples=2 * lags + 20, what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
-        refuse_law(records, what, self.least_excitation)
+        refuse_undetermined(records, what, self.least_excitation)
         records.sort(key=lambda record: (len(record), record.y.tobytes()))
         need_torch(what)
         (u_mean, u_std), (y_mean, y_std) = (

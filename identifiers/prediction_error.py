@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.errors import FitError
-from harness.judgement import feedback_of, refuse_law
+from harness.judgement import feedback_of, refuse_undetermined
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.linear_model import LinearModel
@@ -100,7 +100,7 @@ class PredictionError:
         if spec.nu == 0:
             raise FitError(f"{what}: no input", expected="an input", got="none", remedy="use dmdc for free motion")
         moving(records, what)
-        refuse_law(records, what, self.least_excitation)
+        refuse_undetermined(records, what, self.least_excitation)
         records, scaling = scaled(records)
         notes: dict[str, Any] = {"structure": self.structure}
         order = self.order

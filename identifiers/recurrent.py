@@ -12,7 +12,7 @@ import numpy as np
 
 from harness.distributions import NormalMixture, normal
 from harness.errors import FitError, InputError
-from harness.judgement import refuse_law
+from harness.judgement import refuse_undetermined
 from harness.rng import stream
 from harness.scoring import predict, same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
@@ -259,7 +259,7 @@ class NeuralOutputError:
         records, spec = usable(trajectories, samples=5 * (self.order + 4), what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
-        refuse_law(records, what, self.least_excitation)
+        refuse_undetermined(records, what, self.least_excitation)
         records.sort(key=lambda record: (len(record), record.y.tobytes()))
         (u_mean, u_std), (y_mean, y_std) = (
             centred([record.u for record in records]),

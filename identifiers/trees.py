@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError, InputError
-from harness.judgement import refuse_law
+from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, Trajectory
 from harness.specs import spec_from_dict
 from identifiers.lag_state import LagModel, Scaling, regression_data
@@ -244,7 +244,7 @@ class RandomForest:
         records, spec = usable(trajectories, samples=self.order + 2, what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
-        refuse_law(records, what, self.least_excitation)
+        refuse_undetermined(records, what, self.least_excitation)
         rows, later = regression_data(records, self.order)
         if len(rows) < 2 * self.leaf:
             raise FitError(

@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.distributions import NormalMixture, normal
 from harness.errors import FitError, InputError
-from harness.judgement import refuse_law
+from harness.judgement import refuse_undetermined
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
@@ -165,7 +165,7 @@ class Volterra:
         if spec.nu == 0:
             raise FitError(f"{what}: no inputs", expected="an input", got="none", remedy="use another identifier")
         moving(records, what)
-        refuse_law(records, what, self.least_excitation)
+        refuse_undetermined(records, what, self.least_excitation)
         u = np.concatenate([record.u for record in records])
         mean, scale = u.mean(axis=0), np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
         parts, held = [], []
