@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.errors import FitError
+from harness.judgement import refuse_law
 from harness.lqr import spectral_radius
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.excitation import Columns, refuse_feedback
@@ -62,6 +63,7 @@ class Arx:
         records, spec = usable(trajectories, samples=4, what=what)
         real_signals(spec, what)
         moving(records, what)
+        refuse_law(records, what, self.least_excitation)
         ladder: dict[str, Any] = {}
         order, delay = self.order, self.delay
         if order is None:

@@ -99,6 +99,9 @@ class AttentionNetwork:
         File from which an interrupted fit goes on.
     progress : bool
         Show a bar on the error stream.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
     """
 
     order: int = 20
@@ -111,6 +114,7 @@ class AttentionNetwork:
     batch: int = 128
     checkpoint: str | None = None
     progress: bool = False
+    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> AttentionEnsemble:
         """Return the ensemble; held-out losses stand in its notes."""
@@ -123,7 +127,7 @@ class AttentionNetwork:
                 got=f"{numbers}, rate {self.rate}",
                 remedy="correct them",
             )
-        task = lag_task(trajectories, self.order, what)
+        task = lag_task(trajectories, self.order, what, self.least_excitation)
         spec, d = task.spec, self.width
         shapes = {
             "embed": (spec.ny + spec.nu, d),

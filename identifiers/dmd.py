@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.errors import FitError
+from harness.judgement import refuse_law
 from harness.lqr import spectral_radius
 from harness.scoring import predict
 from harness.signals import FloatArray, PlantSpec, Trajectory
@@ -98,6 +99,7 @@ class Dmdc:
         records, spec = usable(trajectories, samples=self.delays + 2, what=what)
         real_signals(spec, what)
         moving(records, what)
+        refuse_law(records, what, self.least_excitation)
         if self.rank is None:
             return self._full(records, spec, what)
         if self.scale:

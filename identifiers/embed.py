@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.errors import FitError, InputError
+from harness.judgement import refuse_undetermined
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 from harness.specs import spec_from_dict, spec_to_dict
@@ -204,6 +205,9 @@ class EmbedToControl:
         File from which an interrupted fit goes on.
     progress : bool
         Show a bar on the error stream.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
     """
 
     latent: int = 4
@@ -215,6 +219,7 @@ class EmbedToControl:
     batch: int = 96
     checkpoint: str | None = None
     progress: bool = False
+    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LatentModel:
         """Return the model; held-out losses stand in its notes."""
@@ -227,6 +232,7 @@ class EmbedToControl:
         records, spec = usable(trajectories, samples=self.lags + 3 * self.window, what=what)
         real_signals(spec, what)
         moving(records, what)
+        refuse_undetermined(records, what, self.least_excitation)
         if spec.feedthrough:
             raise FitError(
                 f"{what}: feedthrough",

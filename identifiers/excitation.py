@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from harness.errors import FitError
+from harness.judgement import dependence_text
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.records import lagged_blocks
-from identifiers.regression import Solution, dependence_text, solve
+from identifiers.regression import Solution, solve
 
-__all__ = ["Columns", "Feedback", "feedback_of", "refuse_collinear", "refuse_feedback", "refuse_feedback_of_records"]
+__all__ = ["Columns", "refuse_collinear", "refuse_feedback", "refuse_feedback_of_records"]
 
 # Columns have rms 1: a combination ten times smaller is a near-dependence, one of size 1 is a signal by itself.
 _WEAK = 0.1
@@ -160,83 +161,6 @@ def refuse_feedback_of_records(records: Sequence[Trajectory], lags: int, least: 
     noise = 1.4826 * np.median(np.abs(rough - np.median(rough, axis=0)), axis=0) / np.sqrt(70.0)
     quiet = replace(solution, residual_rms=np.minimum(solution.residual_rms, noise))
     refuse_feedback(quiet, Columns(spec, lags), least, what, ridge=_TINY)
-
-
-@dataclass(frozen=True)
-class Feedback:
-    """How far past outputs foretell an input beyond its own past.
-
-    Parameters
-    ----------
-    share : float
-        Share of the input's unpredictable part that past outputs explain, of the input where it is most.
-    probability : float
-        Of a share at least so large in open loop.
-    """
-
-    share: float
-    probability: float
-
-    @property
-    def found(self) -> bool:
-        """True if chance is no explanation (less than 1 in 1000) and the share is not negligible (1 %)."""
-        return self.probability < 1e-3 and self.share > 0.01
-
-
-def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
-    """Test whether outputs foretell the input beyond its own past: feedback (Granger 1969; Ljung 1999, sec. 13.4).
-
-    Parameters
-    ----------
-    records : sequence of Trajectory
-    lags : int
-        Samples of the past.
-
-    Returns
-    -------
-    Feedback
-
-    Examples
-    --------
-    >>> from harness.signals import Channel
-    >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
-    >>> rng = np.random.default_rng(0)
-    >>> u, y = rng.normal(size=(500, 1)), np.zeros((500, 1))
-    >>> for k in range(499):
-    ...     y[k + 1] = 0.8 * y[k] + u[k] + 0.3 * rng.normal()
-    >>> feedback_of([Trajectory(np.arange(500.0), u, y, spec)]).found
-    False
-    """
-    from scipy.stats import f
-
-    spec = records[0].spec
-    long = [record for record in records if len(record) > lags + 1]
-    past_u = [[record.u[lags - j : len(record) - j] for j in range(1, lags + 1)] for record in long]
-    # a controller acts on the output of the same sample, unless that depends on the input itself
-    past_y = [[record.y[lags - j : len(record) - j] for j in range(int(spec.feedthrough), lags + 1)] for record in long]
-    rows = sum(len(record) - lags for record in long)
-    width = 1 + lags * spec.nu + (lags + 1) * spec.ny
-    if spec.nu == 0 or rows <= 2 * width:
-        return Feedback(0.0, 1.0)
-    own = np.concatenate([np.hstack([np.ones((len(p[0]), 1)), *p]) for p in past_u])
-    both = np.hstack([own, np.concatenate([np.hstack(p) for p in past_y])])
-    target = np.concatenate([record.u[lags:] for record in long])
-    size = np.linalg.norm(both, axis=0)
-    # Norms of residuals are those of the triangle: it is small.
-    stacked = np.hstack([both / np.where(size > 0, size, 1.0), target])
-    triangle = np.asarray(np.linalg.qr(stacked, mode="r"), dtype=np.float64)
-    wanted, lost = triangle[:, both.shape[1] :], []
-    for columns in (triangle[:, : own.shape[1]], triangle[:, : both.shape[1]]):
-        q, values, _ = np.linalg.svd(columns, full_matrices=False)
-        q = q[:, values > 1e-10 * values[0]]
-        lost.append((np.sum((wanted - q @ (q.T @ wanted)) ** 2, axis=0), q.shape[1]))
-    (alone, few), (helped, many) = lost
-    floor = 1e-20 * np.sum(target**2, axis=0)  # an input that its own past foretells exactly needs no feedback
-    share = np.where(alone > floor, 1.0 - helped / np.maximum(alone, 1e-300), 0.0)
-    worst = int(np.argmax(share))
-    added, remaining = max(many - few, 1), max(rows - many, 1)
-    ratio = (share[worst] / added) / max((1.0 - share[worst]) / remaining, 1e-300)
-    return Feedback(float(share[worst]), min(1.0, float(f.sf(ratio, added, remaining)) * spec.nu))
 
 
 def _noise(solution: Solution, columns: Columns) -> FloatArray:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.errors import FitError, InputError
+from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, Trajectory
 from harness.specs import spec_from_dict
 from identifiers.lag_state import LagModel, Scaling, regression_data
@@ -186,12 +187,16 @@ class GaussianProcess:
     affine : bool
         Add a linear term to the kernel. Free runs then leave the data on straight lines instead of turning back to the
         mean, but the bands hardly widen there: what is nearly affine where it was seen is taken for affine everywhere.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
     """
 
     order: int = 1
     exact: int = 500
     inducing: int = 200
     affine: bool = False
+    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> GaussianProcessModel:
         """Return the model; lengths and noise stand in its notes, in the units of the data."""
@@ -206,6 +211,7 @@ class GaussianProcess:
         records, spec = usable(trajectories, samples=self.order + 2, what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
+        refuse_undetermined(records, what, self.least_excitation)
         # Samples are drawn by row: in whatever order records come, they make the same model.
         records.sort(key=lambda record: (len(record), record.y.tobytes()))
         rows, later = regression_data(records, self.order)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError, InputError
+from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, Trajectory
 from harness.specs import spec_from_dict
 from identifiers.lag_state import LagModel, Scaling, regression_data
@@ -110,12 +111,16 @@ class PiecewiseAffine:
         Random starts besides the clustered one.
     region_weight : float
         What a place outside a region costs, in units of a squared standard deviation of the residual.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
     """
 
     modes: int = 2
     order: int = 1
     starts: int = 5
     region_weight: float = 1.0
+    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> PiecewiseAffineModel:
         """Return the model; share of samples in each mode and of those in none stand in its notes."""
@@ -127,6 +132,7 @@ class PiecewiseAffine:
         records, spec = usable(trajectories, samples=self.order + 2, what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
+        refuse_undetermined(records, what, self.least_excitation)
         rows, targets = regression_data(records, self.order)
         least = 2 * self.modes * (rows.shape[1] + 1)
         if len(rows) < least:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError, InputError
+from harness.judgement import refuse_law
 from harness.lqr import spectral_radius
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
@@ -328,6 +329,7 @@ class Edmdc:
         records, spec = usable(trajectories, samples=self.delays + 2, what=what)
         real_signals(spec, what)
         moving(records, what)
+        refuse_law(records, what, self.least_excitation)
         arguments = [_arguments(record, self.delays) for record in records]
         together = np.concatenate(arguments)
         scale = np.abs(together).max(axis=0)

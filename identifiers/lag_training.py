@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from harness.judgement import refuse_undetermined
 from harness.rng import stream
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.ensemble import own_spread
@@ -127,7 +128,7 @@ class LagTask:
         return tuple(replace(draft, variance=variance, reach=reach) for draft in drafts)
 
 
-def lag_task(trajectories: Sequence[Trajectory], order: int, what: str) -> LagTask:
+def lag_task(trajectories: Sequence[Trajectory], order: int, what: str, least_excitation: float) -> LagTask:
     """Return the task that records pose; raises FitError if they cannot be learned from.
 
     Parameters
@@ -137,10 +138,13 @@ def lag_task(trajectories: Sequence[Trajectory], order: int, what: str) -> LagTa
         Past outputs and inputs.
     what : str
         Name of the identifier, for messages.
+    least_excitation : float
+        As of :func:`harness.judgement.refuse_undetermined`.
     """
     records, spec = usable(trajectories, samples=max(10, 2 * order + 6), what=what)
     real_signals(spec, what)
     moving(records, what, inputs=False)
+    refuse_undetermined(records, what, least_excitation)
     # Batches are drawn by row: in whatever order records come, they make the same model.
     records.sort(key=lambda record: (len(record), record.y.tobytes()))
     cuts = [len(record) - max(len(record) // 5, order + 2) for record in records]

@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.errors import FitError
 from harness.estimate import Estimate
+from harness.judgement import refuse_law
 from harness.lqr import spectral_radius
 from harness.signals import FloatArray, Trajectory
 from identifiers.arx import Arx, design, one_step, solution_notes
@@ -82,6 +83,7 @@ class StateLeastSquares:
         records, spec = usable(trajectories, samples=2, what=what)
         real_signals(spec, what)
         moving(records, what)
+        refuse_law(records, what, self.least_excitation)
         if self.method not in ("ls", "iv", "tls", "l1", "linf"):
             raise FitError(
                 f"{what}: method", expected="ls, iv, tls, l1 or linf", got=repr(self.method), remedy="use one of these"

@@ -85,6 +85,9 @@ class NeuralNetwork:
         File from which an interrupted fit goes on.
     progress : bool
         Show a bar on the error stream.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
     """
 
     order: int = 1
@@ -95,6 +98,7 @@ class NeuralNetwork:
     batch: int = 256
     checkpoint: str | None = None
     progress: bool = False
+    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> EnsembleModel:
         """Return the ensemble; held-out losses stand in its notes."""
@@ -104,7 +108,7 @@ class NeuralNetwork:
             raise InputError(
                 f"options of {what}", expected="numbers of at least 1 and a rate > 0", got=str(numbers), remedy="raise"
             )
-        task = lag_task(trajectories, self.order, what)
+        task = lag_task(trajectories, self.order, what, self.least_excitation)
         spec, scaling, size = task.spec, task.scaling, task.size
         layers = draw_layers((task.x.shape[1], *self.hidden, spec.ny), rng, self.members)
         layers[-1] = (0.1 * layers[-1][0], layers[-1][1])

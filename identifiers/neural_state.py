@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.errors import InputError
+from harness.judgement import refuse_undetermined
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
@@ -155,6 +156,9 @@ class NeuralStateSpace:
         File from which an interrupted fit goes on.
     progress : bool
         Show a bar on the error stream.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
     """
 
     order: int = 3
@@ -166,6 +170,7 @@ class NeuralStateSpace:
     direct: bool = False
     checkpoint: str | None = None
     progress: bool = False
+    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> NeuralStateModel:
         """Return the model; held-out losses stand in its notes."""
@@ -179,6 +184,7 @@ class NeuralStateSpace:
         records, spec = usable(trajectories, samples=2 * lags + 20, what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
+        refuse_undetermined(records, what, self.least_excitation)
         records.sort(key=lambda record: (len(record), record.y.tobytes()))
         need_torch(what)
         (u_mean, u_std), (y_mean, y_std) = (

@@ -9,9 +9,9 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.errors import FitError
+from harness.judgement import feedback_of, refuse_undetermined
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
-from identifiers.excitation import feedback_of
 from identifiers.linear_model import LinearModel
 from identifiers.observers import innovation_form
 from identifiers.polynomial import Orders, Part, Polynomials, block_form, errors_and_gradients
@@ -60,6 +60,9 @@ class PredictionError:
         Fit a constant level of each output too.
     stable : bool
         Where an output's model is unstable, search it again among those with all poles within radius 0.999.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
 
     Examples
     --------
@@ -79,6 +82,7 @@ class PredictionError:
     delay: int = 1
     offset: bool = True
     stable: bool = False
+    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return the model in innovation form; an output-error model has no filter gain."""
@@ -96,6 +100,7 @@ class PredictionError:
         if spec.nu == 0:
             raise FitError(f"{what}: no input", expected="an input", got="none", remedy="use dmdc for free motion")
         moving(records, what)
+        refuse_undetermined(records, what, self.least_excitation)
         records, scaling = scaled(records)
         notes: dict[str, Any] = {"structure": self.structure}
         order = self.order

@@ -9,11 +9,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from harness.errors import FitError
+from harness.judgement import feedback_of, refuse_law
 from harness.lqr import spectral_radius
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.directions import lively_directions
-from identifiers.excitation import feedback_of, refuse_feedback_of_records
+from identifiers.excitation import refuse_feedback_of_records
 from identifiers.filters import stationary_gain
 from identifiers.linear_model import LinearModel
 from identifiers.observers import innovation_form
@@ -114,6 +115,7 @@ class Subspace:
         records, spec = usable(trajectories, samples=2 * window + 2, what=what)
         real_signals(spec, what)
         moving(records, what)
+        refuse_law(records, what, self.least_excitation)
         measured = records[0]
         if directions := lively_directions(records):
             records = directions.compressed(records)
@@ -204,7 +206,7 @@ class Subspace:
         if method == "parsim":
             predicted = _parsim(data, self.direct, what)
         elif method == "pbsid":
-            predicted = _pbsid(data, self.direct, max(orders) if self.order else 1, what)
+            predicted = _pbsid(data, self.direct, what)
         else:
             predicted = _oblique(data, what)
         left, values, right = _weighted(data, predicted, method)
@@ -362,15 +364,15 @@ def _exciting(data: _Stacked, needed: int, what: str) -> None:
         )
 
 
-def _pbsid(data: _Stacked, direct: bool, order: int, what: str) -> FloatArray:
+def _pbsid(data: _Stacked, direct: bool, what: str) -> FloatArray:
     """Return the part of the future outputs that the past explains, by the predictor from the past alone (PBSID).
 
     A high-order ARX model, solved with a ridge, gives the Markov parameters of the predictor; what it says of output i
     ahead from the past is the same weights, moved by i samples (Chiuso 2007, Automatica 43, sec. 3). Nothing of the
-    future is regressed on, so a smooth input does no harm; of the input, what tells a model of that order is asked
-    for (persistent excitation of order 2 n, Ljung 1999, *System Identification*, theorem 13.1).
+    future is regressed on, so a smooth input does no harm; but the past of the input must move in all its directions
+    (persistent excitation, Ljung 1999, *System Identification*, theorem 13.1), else the ridge alone decides.
     """
-    _exciting(data, min(2 * order, data.window) * data.nu, what)
+    _exciting(data, data.window * data.nu, what)
     past, window, both = data.past(), data.window, data.nu + data.ny
     columns = np.hstack([past, data.u(window, window + 1)]) if direct else past
     weights = ridge_by_cross_validation(columns, data.y(window, window + 1), data.rows)[: past.shape[1]]
@@ -385,6 +387,7 @@ def _pbsid(data: _Stacked, direct: bool, order: int, what: str) -> FloatArray:
 def _parsim(data: _Stacked, direct: bool, what: str) -> FloatArray:
     """Return the same row by row, with only inputs and innovations of the past: PARSIM-E (Qin & Ljung 2003)."""
     past, window = data.past(), data.window
+    _exciting(data, window * data.nu, what)
     found, innovations = [], np.zeros((data.triangle.shape[0], 0))
     for i in range(window):
         last = window + i + (1 if direct else 0)

@@ -12,6 +12,7 @@ import numpy as np
 
 from harness.distributions import NormalMixture, normal
 from harness.errors import FitError, InputError
+from harness.judgement import refuse_undetermined
 from harness.rng import stream
 from harness.scoring import predict, same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
@@ -227,6 +228,9 @@ class NeuralOutputError:
         File in which finished starts are kept, and from which an interrupted fit goes on.
     progress : bool
         Show a bar on the error stream.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
     """
 
     order: int = 3
@@ -239,6 +243,7 @@ class NeuralOutputError:
     direct: bool = False
     checkpoint: str | None = None
     progress: bool = False
+    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> RecurrentEnsemble:
         """Return the ensemble; the held-out errors of its members stand in its notes."""
@@ -254,6 +259,7 @@ class NeuralOutputError:
         records, spec = usable(trajectories, samples=5 * (self.order + 4), what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
+        refuse_undetermined(records, what, self.least_excitation)
         records.sort(key=lambda record: (len(record), record.y.tobytes()))
         (u_mean, u_std), (y_mean, y_std) = (
             centred([record.u for record in records]),

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from harness.errors import FitError
+from harness.judgement import dependence_text
 from harness.signals import FloatArray
 from identifiers.normal import NormalEquations
 
-__all__ = ["Solution", "dependence_text", "solve"]
+__all__ = ["Solution", "solve"]
 
 # The Gram matrix squares the condition number: beyond this (of scaled columns) half of the digits are gone.
 _GRAM_LIMIT = 1e5
-# Terms of a dependence that are named: those above this share of the largest.
-_SHOWN = 1e-3
 Blocks = Callable[[], Iterable[tuple[FloatArray, FloatArray]]]
 
 
@@ -176,38 +175,6 @@ def _by_qr(
     coefficients = (right.T @ ((left.T @ z) / values[:, None])) / scale[:, None]
     rms = _residual(blocks, coefficients)
     return Solution(coefficients, values, rms, rows, "QR (ill-conditioned)", r, scale)
-
-
-def dependence_text(direction: FloatArray, size: FloatArray, names: Sequence[str]) -> str:
-    """Return ``u = -0.5 x - 0.1 v`` for coefficients of regressors whose sum stays zero.
-
-    Parameters
-    ----------
-    direction : array (p,)
-    size : array (p,)
-        Sizes of the regressors: terms that move little are left out.
-    names : sequence of str
-        The last of those that count most stands on the left.
-
-    Examples
-    --------
-    >>> dependence_text(np.array([0.5, 0.1, 1.0]), np.ones(3), ("x", "v", "u"))
-    'u = -0.5 x - 0.1 v'
-    """
-    weight = np.abs(direction * size)
-    counted = [j for j in range(direction.size) if weight[j] > _SHOWN * weight.max()]
-    lead = max(j for j in counted if weight[j] >= 0.1 * weight.max())
-    terms = sorted((j for j in counted if j != lead), key=lambda j: -weight[j])[:6]
-    text = f"{names[lead]} ="
-    for number, j in enumerate(terms):
-        value = -direction[j] / direction[lead]
-        sign = "-" if value < 0 else "+"
-        text += (
-            f" {sign} {abs(value):.4g} {names[j]}"
-            if number
-            else f" {'-' if value < 0 else ''}{abs(value):.4g} {names[j]}"
-        )
-    return text if terms else f"{text} 0"
 
 
 def _residual(blocks: Blocks, coefficients: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from harness.errors import FitError
 from harness.estimate import Estimate, RankDecision
+from harness.judgement import refuse_law
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.derivatives import Derivative, derivative_rows, measured_motion, unwrapped
 from identifiers.excitation import refuse_feedback_of_records
@@ -218,6 +219,7 @@ class Stlsq:
         records, spec = usable(trajectories, samples=3 if self.time == "discrete" else 8, what=what)
         real_signals(spec, what)
         moving(records, what)
+        refuse_law(records, what, self.least_excitation)
         refuse_feedback_of_records(records, self.order or 1, self.least_excitation, what)
         if self.time == "discrete" or self.order is not None or _rates_measured(spec):
             return self._fitted(records, spec, self.order or 1, what, rng)

@@ -9,11 +9,11 @@ from typing import Any, Literal
 import numpy as np
 
 from harness.errors import FitError
+from harness.judgement import feedback_of, refuse_law
 from harness.lqr import spectral_radius
 from harness.scoring import simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.decaying import LARGEST, Decaying, decaying_response
-from identifiers.excitation import feedback_of
 from identifiers.filters import stationary_gain
 from identifiers.hankel import Hankel, leading_triplets
 from identifiers.linear_model import LinearModel
@@ -148,6 +148,9 @@ class HoKalman:
         squares, whose noise at frequencies that the input hardly excites can end up as a state that grows.
     stable : bool
         Move eigenvalues on or outside the unit circle to radius 0.999, and fit B anew.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
 
     Examples
     --------
@@ -171,6 +174,7 @@ class HoKalman:
     direct: bool = False
     regularised: bool = True
     stable: bool = False
+    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return a balanced model; in innovation form with ``observer``, else in output-error form."""
@@ -189,6 +193,7 @@ class HoKalman:
                 remedy="correct the options",
             )
         moving(records, what)
+        refuse_law(records, what, self.least_excitation)
         decaying: Decaying | None = None
         if self.observer is None:
             response, level, rms = markov_parameters(records, self.markov, offset=self.offset)

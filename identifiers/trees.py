@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError, InputError
+from harness.judgement import refuse_undetermined
 from harness.signals import FloatArray, Trajectory
 from harness.specs import spec_from_dict
 from identifiers.lag_state import LagModel, Scaling, regression_data
@@ -219,12 +220,16 @@ class RandomForest:
         Least number of samples in a leaf.
     increments : bool
         Predict the change of the output: what a tree rounds off is then small beside the output.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
     """
 
     order: int = 2
     trees: int = 30
     leaf: int = 5
     increments: bool = True
+    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> ForestModel:
         """Return the model; its errors come from the samples that a tree did not see."""
@@ -239,6 +244,7 @@ class RandomForest:
         records, spec = usable(trajectories, samples=self.order + 2, what=what)
         real_signals(spec, what)
         moving(records, what, inputs=False)
+        refuse_undetermined(records, what, self.least_excitation)
         rows, later = regression_data(records, self.order)
         if len(rows) < 2 * self.leaf:
             raise FitError(

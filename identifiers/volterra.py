@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.distributions import NormalMixture, normal
 from harness.errors import FitError, InputError
+from harness.judgement import refuse_undetermined
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
@@ -140,10 +141,14 @@ class Volterra:
         Samples that the output remembers, the present one included.
     order : {1, 2}
         1 is a finite impulse response.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
     """
 
     memory: int = 20
     order: int = 2
+    least_excitation: float = 2.0
 
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> VolterraModel:
         """Return the model."""
@@ -160,6 +165,7 @@ class Volterra:
         if spec.nu == 0:
             raise FitError(f"{what}: no inputs", expected="an input", got="none", remedy="use another identifier")
         moving(records, what)
+        refuse_undetermined(records, what, self.least_excitation)
         u = np.concatenate([record.u for record in records])
         mean, scale = u.mean(axis=0), np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
         parts, held = [], []

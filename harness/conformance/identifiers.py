@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from harness.conformance import fitted, seams, substance
+from harness.conformance.feedback import feedback_told
 from harness.conformance.results import Broken, Check, CheckResult, demand, run_checks
 from harness.conformance.running import EXAMPLES, alike, fit, for_all, one_step, untouched
 from harness.conformance.subject import Factory, Subject, Subjects, shown
@@ -88,6 +89,7 @@ def identifier_checks(*, kinds: tuple[str, ...] = KINDS, examples: int = EXAMPLE
         ("data_matter", "other data give another model", on_survey(substance.data_matter)),
         ("beats_trivial", "predicts better than what needs no model", on_survey(substance.beats_trivial)),
         ("inputs_matter", "every input has an effect in the model", on_survey(substance.inputs_matter)),
+        ("feedback_told", "records that show only a controller are refused or warned of", on_survey(feedback_told)),
         ("start_matters", "a simulation starts where the record does", on_survey(substance.initial_state_matters)),
         ("model_burn_in", "a burn-in that leaves something to score", on_models(fitted.burn_in)),
         ("model_pure_steps", "a model's methods are pure", on_models(fitted.pure_steps)),

@@ -15,6 +15,7 @@ from typing import Any, Self
 import numpy as np
 
 from harness.errors import FitError
+from harness.judgement import refuse_law
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
 
@@ -39,6 +40,7 @@ class CLASS:
             raise FitError("records of different plants", expected=str(spec), got="another", remedy="separate them")
         if any(channel.kind != "real" for channel in (*spec.inputs, *spec.outputs)):
             raise FitError("categories", expected="real signals", got="others", remedy="choose mdp-counting")
+        refuse_law(trajectories, "NAME")  # under a controller alone many plants give the same records
         rows = [np.hstack([one.y[:-1], one.u[:-1], np.ones((len(one) - 1, 1))]) for one in trajectories if len(one) > 1]
         needed = spec.ny + spec.nu + 2
         if sum(map(len, rows)) < needed:

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from harness.errors import FitError, InputError
+from harness.judgement import refuse_law
 from harness.protocols import Experiment, Hindsight
 from harness.rng import Streams
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
@@ -90,6 +91,7 @@ def refuse_misfits(trajectories: Records, same: Callable[[Records], bool] | None
     spec = trajectories[0].spec
     if any(channel.kind != "real" for channel in (*spec.inputs, *spec.outputs)):
         raise FitError("signals", expected="real numbers", got="categories", remedy="choose another identifier")
+    refuse_law(trajectories, "sound")
 
 
 # ---- ten identifiers as others write them --------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import pytest
 
 from harness.conformance import CheckResult, check_identifier, check_online_identifier, identifier_checks
 from harness.errors import FitError
+from harness.judgement import refuse_law
 from harness.protocols import Hindsight
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
@@ -48,6 +49,7 @@ class Honest:
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> Any:
         if not trajectories or any(t.spec != trajectories[0].spec for t in trajectories):
             raise FitError("records", expected="of one plant", got="others", remedy="separate them")
+        self.judge(trajectories)
         trajectories = self.seen(trajectories)
         past = np.vstack([np.hstack([t.y[:-1], t.u[:-1], np.ones((len(t) - 1, 1))]) for t in trajectories])
         following = np.vstack([t.y[1:] for t in trajectories])
@@ -55,6 +57,9 @@ class Honest:
             raise FitError("too short", expected="more", got=str(len(past)), remedy="record longer")
         G = np.linalg.lstsq(past, following, rcond=1e-10)[0]
         return self.model(replace(trajectories[0].spec, states=()), G * self.luck(rng))
+
+    def judge(self, trajectories: Sequence[Trajectory]) -> None:
+        refuse_law(trajectories, "honest")
 
     def seen(self, trajectories: Sequence[Trajectory]) -> Sequence[Trajectory]:
         return trajectories
@@ -64,6 +69,11 @@ class Honest:
 
     def model(self, spec: PlantSpec, G: FloatArray) -> Any:
         return Model(spec, G)
+
+
+class TakesTheControllerForThePlant(Honest):
+    def judge(self, trajectories: Sequence[Trajectory]) -> None:
+        pass
 
 
 class MutatesData(Honest):
@@ -238,6 +248,7 @@ def test_an_honest_identifier_passes() -> None:
         (NotJson, "model_stored_and_read", "JSON"),
         (OtherSampleTime, "model_other_data_refused", "sample time"),
         (Mutable, "interface", "frozen"),
+        (TakesTheControllerForThePlant, "feedback_told", "nothing else moved u"),
     ],
 )
 def test_each_cheat_fails_the_check_named_for_it(cheat: Callable[[], Any], check: str, words: str) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from harness.errors import FitError
+from harness.judgement import feedback_of
 from harness.registry import create
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.excitation import feedback_of
 
 A = np.array([[0.9, 0.2], [-0.1, 0.8]])
 B = np.array([[0.0], [1.0]])
@@ -115,7 +115,7 @@ def test_a_plant_kept_moving_by_its_own_noise_hides_no_feedback(case, process, n
 
 
 @pytest.mark.parametrize("delay", [2, 3])
-def test_feedback_is_named_by_the_lag_of_the_input_that_follows_it(delay):
+def test_feedback_is_named_whatever_delay_a_fit_assumes(delay):
     data = [record(400, 0, noise=1e-6, process=0.01)]
-    with pytest.raises(FitError, match=rf"u\[k-{delay - 1}\] = .*[qv]\[k-{delay - 1}\]"):
+    with pytest.raises(FitError, match=r"u = -0\.5 v - 0\.3 q"):
         create("identifiers", "arx", order=4, delay=delay).fit(data, rng=np.random.default_rng(0))

@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from harness.errors import FitError, InputError
+from harness.judgement import refuse_law
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 
 __all__ = ["NeighbourModel", "Neighbours"]
@@ -65,6 +66,7 @@ class Neighbours:
             raise FitError("records of different plants", expected=str(spec), got="another", remedy="separate them")
         if any(channel.kind != "real" for channel in (*spec.inputs, *spec.outputs)):
             raise FitError("categories", expected="real signals", got="others", remedy="choose mdp-counting")
+        refuse_law(trajectories, "neighbours")
         # one record at a time: no situation reaches across a seam
         pairs = [_situations(record, self.lags) for record in trajectories if len(record) > self.lags]
         situations = np.vstack([past for past, _ in pairs]) if pairs else np.empty((0, 1))

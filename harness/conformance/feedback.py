@@ -1,0 +1,74 @@
+"""Check that an identifier does not take a controller for the plant."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from harness.conformance.results import NotApplicable, demand
+from harness.conformance.running import fit, one_step
+from harness.conformance.subject import Subject
+from harness.errors import HarnessError
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
+
+__all__ = ["feedback_told"]
+
+SAMPLES = 500
+"""Of each of two records: enough for a judge to see a law, little enough for a slow fit."""
+NOISES = (1e-4, 0.05)
+"""Of the sensors, relative to the outputs: far below, and about as large as what a residual shows by itself."""
+RIGHT = 0.5
+"""One-step error under fresh inputs, relative to that of the last value, of a model that knows the plant still."""
+
+_A = np.array([[0.95, 0.2], [-0.1, 0.8]])
+_B = np.array([[0.0], [1.0]])
+_GAIN = np.array([[-0.3, -0.5]])
+_SPEC = PlantSpec((Channel("u", "V"),), (Channel("q", "m"), Channel("v", "m")), 0.1)
+
+
+def feedback_told(subject: Subject) -> None:
+    """Demand a refusal, a warning in the model's notes, or the right answer, where only a controller moved the input.
+
+    Under ``u = K x`` many plants give the same records, and a fit that names one of them names it by chance.
+    :func:`harness.judgement.refuse_law` tells.
+    """
+    if not any(kind.startswith("linear") for kind in subject.kinds):
+        raise NotApplicable("it takes no linear system")
+    fresh = _record(99, np.zeros((1, 2)), dither=1.0, noise=0.0)
+    for noise in NOISES:
+        records = [_record(seed, _GAIN, dither=0.0, noise=noise) for seed in (0, 1)]
+        try:
+            model = fit(subject.factory(), records)
+        except HarnessError:
+            continue
+        demand(
+            _warned(model) or _error(model, fresh) < RIGHT,
+            f"records in which u = K y, and nothing else moved u, give a model without a word (noise {noise:g} of the "
+            "outputs): refuse them (harness.judgement.refuse_law), or say so in the model's notes under 'warning'",
+        )
+
+
+def _record(seed: int, gain: FloatArray, *, dither: float, noise: float) -> Trajectory:
+    """Return a record under ``u = gain x`` of true states, with a dither of that size beside it."""
+    rng = np.random.default_rng([seed, 47])
+    u, x = dither * rng.normal(size=(SAMPLES, 1)), np.zeros((SAMPLES, 2))
+    for k in range(SAMPLES):
+        u[k] += gain @ x[k]
+        if k + 1 < SAMPLES:
+            x[k + 1] = _A @ x[k] + _B @ u[k] + 0.1 * rng.normal(size=2) * (noise > 0)
+    return Trajectory(np.arange(SAMPLES) * 0.1, u, x + noise * x.std(axis=0) * rng.normal(size=x.shape), _SPEC)
+
+
+def _warned(model: Any) -> bool:
+    """Return True if a model's notes hold a warning."""
+    notes = getattr(model, "notes", {})
+    return bool(notes.get("warning") or notes.get("warnings"))
+
+
+def _error(model: Any, data: Trajectory) -> float:
+    """Return the largest one-step error of an output, relative to that of its last value."""
+    skip = int(model.burn_in) + 2
+    own = np.mean((data.y - one_step(model, data))[skip:] ** 2, axis=0)
+    last = np.mean(np.diff(data.y, axis=0)[skip - 1 :] ** 2, axis=0)
+    return float(np.sqrt(np.nan_to_num(own / last, nan=np.inf)).max())

@@ -1,0 +1,426 @@
+"""One judge of records for all identifiers: whether anything beside the controller moves the inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from harness.errors import FitError
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
+
+__all__ = ["Feedback", "Law", "dependence_text", "feedback_of", "law_of", "refuse_law", "refuse_undetermined"]
+
+# Samples that are looked at: at so many, what an excitation of 5 % of the input does to the outputs shows.
+_ROWS = 10_000
+# Samples before and after the window of a law that bear witness against it.
+_REACH = 3
+# Probability of calling a record of pure feedback excited, and of an open loop that is asked about laws at all.
+_DOUBT = 1e-5
+# A law that leaves less than this share of what an input's own past leaves is exact: nothing else moved the input.
+_EXACT = 1e-3
+# Of an input: what its own past leaves when it follows from it, as a multisine or a free motion does.
+_FORETOLD = 1e-6
+# What a law leaves of its input at most: it explains half of it.
+_HALF = 0.7
+# An input's own past: so many times what outputs have to say, and at most so many samples.
+_LONGER, _OWN = 4, 40
+# Outputs beyond so many are seen through as many principal directions.
+_MOST = 16
+# Terms of a dependence that are named: those above this share of the largest.
+_SHOWN = 1e-3
+# Probability, in a law without an integral, of one that is taken to have it.
+_INTEGRAL = 0.05
+# Regressors and witnesses that depend on others up to these shares are left out.
+_RANK, _THIN = 1e-6, 1e-8
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """How far past outputs foretell an input beyond its own past.
+
+    Parameters
+    ----------
+    share : float
+        Share of the input's unpredictable part that past outputs explain, of the input where it is most.
+    probability : float
+        Of a share at least so large in open loop.
+    """
+
+    share: float
+    probability: float
+
+    @property
+    def found(self) -> bool:
+        """True if chance is no explanation (less than 1 in 1000) and the share is not negligible (1 %)."""
+        return self.probability < 1e-3 and self.share > 0.01
+
+
+@dataclass(frozen=True)
+class Law:
+    """A controller that explains an input.
+
+    Parameters
+    ----------
+    column : int
+        Of the input.
+    text : str
+        The law, as far as it is known: ``u = -0.5 v - 0.3 q``.
+    departure : float
+        What it leaves of the input, relative to the input's standard deviation.
+    probability : float
+        Of so much correlation of that departure with the other samples, were it only noise of the sensors.
+    """
+
+    column: int
+    text: str
+    departure: float
+    probability: float
+
+
+@dataclass(frozen=True)
+class _Form:
+    """Controllers of one form: an input, or its change, from the outputs of so many samples."""
+
+    lags: int
+    change: bool
+
+
+# Proportional; with a derivative; with an integral; with both.
+_FORMS = (_Form(0, False), _Form(1, False), _Form(1, True), _Form(2, True))
+
+
+def refuse_law(records: Sequence[Trajectory], what: str, least_excitation: float = 2.0) -> None:
+    """Raise if an input is nothing but the answer of a controller to the measured outputs.
+
+    For identifiers that learn what the inputs do. A model of known structure, whose parameters a motion under feedback
+    can tell, need not ask.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    what : str
+        Name of the identifier, for messages.
+    least_excitation : float
+        0 asks nothing.
+
+    Raises
+    ------
+    FitError
+        If :func:`law_of` finds a law.
+    """
+    law = law_of(records) if least_excitation > 0 else None
+    if law is None:
+        return
+    raise FitError(
+        f"{what}: the data do not determine the model",
+        expected="inputs that something beside the controller moves",
+        got=f"{law.text} up to {law.departure:.1e} of full size, which noise of the sensors explains",
+        remedy="add an excitation to what the controller commands",
+    )
+
+
+def refuse_undetermined(records: Sequence[Trajectory], what: str, least_excitation: float = 2.0) -> None:
+    """Raise if inputs move together, or by a law alone: for identifiers with no decision on rank of their own.
+
+    Parameters
+    ----------
+    records, what, least_excitation
+        As of :func:`refuse_law`.
+
+    Raises
+    ------
+    FitError
+        If the inputs depend on one another but for a constant, or :func:`law_of` finds a law.
+    """
+    spec = records[0].spec
+    if least_excitation > 0 and spec.nu > 1:
+        u = np.concatenate([record.u for record in records])
+        spread = u.std(axis=0)
+        _, values, right = np.linalg.svd((u - u.mean(axis=0)) / np.where(spread > 0, spread, 1.0), full_matrices=False)
+        if values[-1] <= _THIN * values[0]:
+            size = np.where(spread > 0, spread, 1.0)
+            law = dependence_text(right[-1] / size, size, [channel.name for channel in spec.inputs])
+            raise FitError(
+                f"{what}: the data do not determine the model",
+                expected="inputs that do not move together",
+                got=f"{law} but for a constant",
+                remedy="excite every input by itself, or leave one out",
+            )
+    refuse_law(records, what, least_excitation)
+
+
+def law_of(records: Sequence[Trajectory]) -> Law | None:
+    """Return the law that an input follows with nothing beside it, None where something else moves every input.
+
+    Asked only where outputs foretell an input beyond its own past (:func:`feedback_of`), or its own past foretells it
+    wholly. A controller ``u = K x`` seen through sensors ``y = x + e`` leaves ``v = u - K y = -K e``: nothing that the
+    plant ever felt. So v must be uncorrelated with the inputs of all samples, the present one too, and with the outputs
+    of all samples that the law does not use, before and after. What truly moves the plant is not: the present input
+    contains it, and later outputs answer it. The gains are found by the generalised method of moments with these
+    samples as instruments, and Hansen's statistic (1982, Econometrica 50:1029, lemma 4.2) tests them all at once, for
+    the proportional, derivative and integral controllers. The size of the noise decides nothing.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+
+    Returns
+    -------
+    Law or None
+
+    Examples
+    --------
+    >>> spec, rng = PlantSpec((Channel("u"),), (Channel("y"),), 1.0), np.random.default_rng(0)
+    >>> u, y = np.zeros((500, 1)), np.zeros((500, 1))
+    >>> for k in range(500):
+    ...     u[k] = -0.5 * y[k]
+    ...     y[k + 1 : k + 2] = 0.9 * y[k] + u[k] + rng.normal()
+    >>> law_of([Trajectory(np.arange(500.0), u, y + 0.1 * rng.normal(size=y.shape), spec)]).text
+    'u = -0.4964 y'
+    """
+    spec = records[0].spec
+    if spec.nu == 0 or any(channel.kind == "category" for channel in (*spec.inputs, *spec.outputs)):
+        return None
+    some = _first(records)
+    some = _seen_through_few(some)
+    shares, chances, alone = _granger(some, 4)
+    for column in range(spec.nu):
+        if not np.ptp(np.concatenate([record.u[:, column] for record in some])) > 0:
+            continue  # a constant is no answer
+        sure = chances[column] < _DOUBT and shares[column] > 0.01
+        if not sure and alone[column] > _FORETOLD:
+            continue
+        exact = _EXACT * alone[column]
+        for form in _FORMS:
+            departure, probability, text = _tested(some, column, form)
+            noise = probability > _DOUBT and departure < _HALF
+            if (noise or departure < exact) and (sure or form.lags == 0):
+                return Law(column, text, departure, probability)
+        if sure and shares[column] > 1.0 - _EXACT**2:
+            left = float(alone[column] * np.sqrt(max(1.0 - shares[column], 0.0)))
+            return Law(column, f"{spec.inputs[column].name} follows from the last 4 samples", left, 1.0)
+    return None
+
+
+def feedback_of(records: Sequence[Trajectory], lags: int = 4) -> Feedback:
+    """Test whether outputs foretell the input beyond its own past: feedback (Granger 1969; Ljung 1999, sec. 13.4).
+
+    The input's own past is as long as all samples of the outputs are many: a sum of sines follows from a past of twice
+    their number, and outputs that only stand for an older past are no feedback.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    lags : int
+        Samples of the outputs' past.
+
+    Returns
+    -------
+    Feedback
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec
+    >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    >>> rng = np.random.default_rng(0)
+    >>> u, y = rng.normal(size=(500, 1)), np.zeros((500, 1))
+    >>> for k in range(499):
+    ...     y[k + 1] = 0.8 * y[k] + u[k] + 0.3 * rng.normal()
+    >>> feedback_of([Trajectory(np.arange(500.0), u, y, spec)]).found
+    False
+    """
+    if records[0].spec.nu == 0:
+        return Feedback(0.0, 1.0)
+    shares, chances, _ = _granger(records, lags)
+    worst = int(np.argmax(shares))
+    return Feedback(float(shares[worst]), min(1.0, float(chances[worst]) * shares.size))
+
+
+def dependence_text(direction: FloatArray, size: FloatArray, names: Sequence[str]) -> str:
+    """Return ``u = -0.5 x - 0.1 v`` for coefficients of regressors whose sum stays zero.
+
+    Parameters
+    ----------
+    direction : array (p,)
+    size : array (p,)
+        Sizes of the regressors: terms that move little are left out.
+    names : sequence of str
+        The last of those that count most stands on the left.
+
+    Examples
+    --------
+    >>> dependence_text(np.array([0.5, 0.1, 1.0]), np.ones(3), ("x", "v", "u"))
+    'u = -0.5 x - 0.1 v'
+    """
+    weight = np.abs(direction * size)
+    counted = [j for j in range(direction.size) if weight[j] > _SHOWN * weight.max()]
+    lead = max(j for j in counted if weight[j] >= 0.1 * weight.max())
+    terms = sorted((j for j in counted if j != lead), key=lambda j: -weight[j])[:6]
+    text = f"{names[lead]} ="
+    for number, j in enumerate(terms):
+        value = -direction[j] / direction[lead]
+        sign = "-" if value < 0 else "+"
+        text += (
+            f" {sign} {abs(value):.4g} {names[j]}"
+            if number
+            else f" {'-' if value < 0 else ''}{abs(value):.4g} {names[j]}"
+        )
+    return text if terms else f"{text} 0"
+
+
+def _granger(records: Sequence[Trajectory], lags: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return, of every input: share that outputs explain, its chance in open loop, and what the own past leaves."""
+    from scipy.stats import f
+
+    spec = records[0].spec
+    nu, ny = spec.nu, spec.ny
+    nothing = np.zeros(nu), np.ones(nu), np.ones(nu)
+    rows = sum(map(len, records))
+    past = min(lags + _LONGER * (lags + 1) * ny, _OWN)
+    past = max(lags, min(past, (rows // 4 - (lags + 1) * ny) // max(nu, 1), min(map(len, records)) // 3))
+    long = [record for record in records if len(record) > past + 1]
+    rows = sum(len(record) - past for record in long)
+    if rows <= 2 * (1 + past * nu + (lags + 1) * ny):
+        return nothing
+    own, others, target = [], [], []
+    for record in long:
+        stop = len(record)
+        own.append(np.hstack([np.ones((stop - past, 1)), *(record.u[past - j : stop - j] for j in range(1, past + 1))]))
+        # a controller acts on the output of the same sample, unless that depends on the input itself
+        seen = [record.y[past - j : stop - j] for j in range(int(spec.feedthrough), lags + 1)]
+        others.append(np.hstack(seen))
+        target.append(record.u[past:])
+    few, more, wanted = np.concatenate(own), np.concatenate(others), np.concatenate(target)
+    # Norms of residuals are those of the triangle: it is small.
+    triangle = np.asarray(np.linalg.qr(np.hstack([_unit(few), _unit(more), wanted]), mode="r"), dtype=np.float64)
+    wanted, lost = triangle[:, -nu:], []
+    for width in (few.shape[1], few.shape[1] + more.shape[1]):
+        q, values, _ = np.linalg.svd(triangle[:, :width], full_matrices=False)
+        q = q[:, values > 1e-10 * values[0]]
+        lost.append((np.sum((wanted - q @ (q.T @ wanted)) ** 2, axis=0), q.shape[1]))
+    (alone, fewer), (helped, many) = lost
+    power = rows * np.concatenate([record.u for record in long]).var(axis=0)
+    floor = _FORETOLD**2 * power  # an input that its own past foretells needs no feedback
+    shares = np.where(alone > floor, 1.0 - helped / np.maximum(alone, 1e-300), 0.0)
+    added, remaining = max(many - fewer, 1), max(rows - many, 1)
+    ratio = (shares / added) / np.maximum((1.0 - shares) / remaining, 1e-300)
+    return shares, f.sf(ratio, added, remaining), np.sqrt(alone / np.where(power > 0, power, 1.0))
+
+
+def _tested(records: Sequence[Trajectory], column: int, form: _Form) -> tuple[float, float, str]:
+    """Return what the best law of a form leaves of an input, Hansen's probability that it is noise, and the law."""
+    from scipy.stats import chi2
+
+    spec = records[0].spec
+    lags, first = form.lags, int(spec.feedthrough)
+    targets, laws, witnesses = [], [], []
+    for record in records:
+        k = np.arange(lags + _REACH + 1, len(record) - _REACH)
+        if not k.size:
+            continue
+        one, u, y = np.ones((k.size, 1)), record.u, record.y
+        targets.append(u[k, column] - (u[k - 1, column] if form.change else 0.0))
+        laws.append(np.hstack([one, *(y[k - j] for j in range(first, lags + first + 1))]))
+        around = [u[k - j] for j in range(-_REACH, lags + _REACH + 1)]
+        before = [y[k - j] for j in range(lags + first + 1, lags + _REACH + 1)]
+        witnesses.append(np.hstack([one, *around, *before, *(y[k + j] for j in range(1, _REACH + 1))]))
+    if not targets or sum(map(len, targets)) < 3 * witnesses[0].shape[1]:
+        return 1.0, 0.0, ""
+    target, law, lengths = np.concatenate(targets), np.concatenate(laws), [len(part) for part in targets]
+    witness = _unit(np.concatenate(witnesses))
+    gains, covariance, statistic, free = _moments(target, law, witness, lengths, lags)
+    if form.change:
+        # without an integral the law is that of the other forms, which bear sharper witness than its change does
+        integral = np.tile(np.eye(spec.ny), lags + 1)
+        total, among = integral @ gains[1:], integral @ covariance[1:, 1:] @ integral.T
+        if chi2.sf(float(total @ np.linalg.lstsq(among, total, rcond=1e-9)[0]), spec.ny) > _INTEGRAL:
+            return 1.0, 0.0, ""
+    size = float(np.concatenate([record.u[:, column] for record in records]).std())
+    departure = float(np.std(target - law @ gains)) / (size if size > 0 else 1.0)
+    text = _text(spec, column, form, -gains[1:], law.std(axis=0)[1:], float(target.std()))
+    return departure, float(chi2.sf(statistic, free)), text
+
+
+def _moments(
+    target: FloatArray, law: FloatArray, witness: FloatArray, lengths: Sequence[int], lags: int
+) -> tuple[FloatArray, FloatArray, float, int]:
+    """Return gains, their covariance, Hansen's statistic and its freedom, by two steps of the method of moments."""
+    rows, length = target.size, np.linalg.norm(law, axis=0)
+    left, values, _ = np.linalg.svd(witness, full_matrices=False)
+    z, law = left[:, values > _THIN * values[0]] * np.sqrt(rows), _unit(law) * np.sqrt(rows)
+    moments, slopes = z.T @ target / rows, z.T @ law / rows
+    gains = np.linalg.lstsq(slopes, moments, rcond=_RANK)[0]
+    weight, turned = np.linalg.eigh(_spread(z, target - law @ gains, lengths, lags))
+    if not weight[-1] > 0:  # nothing is left at all
+        return np.sqrt(rows) * gains / np.where(length > 0, length, 1.0), np.eye(length.size), 0.0, 1
+    root = (turned / np.sqrt(np.maximum(weight, 1e-10 * weight[-1]))).T
+    gains, _, rank, _ = np.linalg.lstsq(root @ slopes, root @ moments, rcond=_RANK)
+    wrong = root @ (moments - slopes @ gains)
+    unit = np.sqrt(rows) / np.where(length > 0, length, 1.0)
+    inverse = np.linalg.pinv(root @ slopes, rcond=_RANK)
+    covariance = inverse @ inverse.T / rows * np.outer(unit, unit)
+    return unit * gains, covariance, float(rows * (wrong @ wrong)), max(z.shape[1] - int(rank), 1)
+
+
+def _text(spec: PlantSpec, column: int, form: _Form, gains: FloatArray, spread: FloatArray, own: float) -> str:
+    """Return a law in words, without its constant; ``gains`` are those of ``u + gains y = 0``."""
+    name = spec.inputs[column].name
+    lags = range(int(spec.feedthrough), form.lags + int(spec.feedthrough) + 1)
+    seen = [c.name if j == 0 else f"{c.name}[k-{j}]" for j in lags for c in spec.outputs]
+    lead = f"the change of {name}" if form.change else name
+    if not np.any(np.abs(gains * spread) >= _SHOWN * own):
+        return f"{lead} = 0"
+    # the input stands on the left, however large one of the outputs' terms may be
+    direction, size = np.append(gains, 1.0), np.append(spread, max(own, float(np.abs(gains * spread).max())))
+    return dependence_text(direction, size, [*seen, lead])
+
+
+def _spread(z: FloatArray, departure: FloatArray, lengths: Sequence[int], lags: int) -> FloatArray:
+    """Return the covariance of ``sqrt(N) mean(z v)`` for a v that is independent of z and remembers so many lags.
+
+    Autocovariances under Bartlett's window of twice the memory, which keep the sum positive (Newey & West 1987).
+    """
+    rows = departure.size
+    total = np.mean(departure**2) * np.eye(z.shape[1])
+    edges = np.concatenate([[0], np.cumsum(lengths)])
+    for j in range(1, 2 * lags + 1):
+        own, crossed = 0.0, np.zeros((z.shape[1],) * 2)
+        for start, stop in pairwise(edges):
+            if stop - start > j:
+                own += float(departure[start + j : stop] @ departure[start : stop - j])
+                crossed += z[start + j : stop].T @ z[start : stop - j]
+        total += (1.0 - j / (2 * lags + 1)) * own / rows * (crossed + crossed.T) / rows
+    return np.asarray(total, dtype=np.float64)
+
+
+def _first(records: Sequence[Trajectory]) -> list[Trajectory]:
+    """Return the records up to so many samples in all."""
+    some, left = [], _ROWS
+    for record in records:
+        if left > 0:
+            some.append(record[:left])
+            left -= len(record)
+    return some
+
+
+def _seen_through_few(records: Sequence[Trajectory]) -> list[Trajectory]:
+    """Return records whose many outputs are replaced by their leading directions, each output counted by its size."""
+    spec = records[0].spec
+    if spec.ny <= _MOST:
+        return list(records)
+    together = np.concatenate([record.y for record in records])
+    middle, size = together.mean(axis=0), together.std(axis=0)
+    weight = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0)
+    turn = np.linalg.eigh(np.cov(((together - middle) * weight).T))[1][:, -_MOST:]
+    outputs = tuple(Channel(f"direction {j + 1}") for j in range(_MOST))
+    few = PlantSpec(spec.inputs, outputs, spec.sample_time, (), spec.feedthrough)
+    return [Trajectory(record.t, record.u, (record.y - middle) * weight @ turn, few) for record in records]
+
+
+def _unit(columns: FloatArray) -> FloatArray:
+    """Return columns of length 1 (those of zeros stay)."""
+    size = np.linalg.norm(columns, axis=0)
+    return np.asarray(columns / np.where(size > 0, size, 1.0), dtype=np.float64)

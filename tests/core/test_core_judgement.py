@@ -1,0 +1,75 @@
+"""What moves under a controller alone is told from what something else moves, whatever the sensors' noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from harness.errors import FitError
+from harness.judgement import feedback_of, law_of, refuse_undetermined
+from harness.signals import Channel, PlantSpec, Trajectory
+
+A, B = np.array([[1.02, 0.2], [0.0, 0.9]]), np.array([[0.0], [1.0]])
+SPEC = PlantSpec((Channel("u"),), (Channel("q"), Channel("v")), 0.1)
+NOISES = (0.0, 1e-6, 1e-3, 0.03, 0.1)
+
+
+def closed(seed, noise, *, integral=0.0, dither=0.0, measured=False, n=600):
+    """Return a record under ``u = -K y - I sum(y)``, of true states or of the sensors' words for them."""
+    rng = np.random.default_rng(seed)
+    x, total = np.zeros(2), np.zeros(2)
+    u, y = np.zeros((n, 1)), np.zeros((n, 2))
+    for k in range(n):
+        y[k] = x + noise * rng.normal(size=2)
+        seen = y[k] if measured else x
+        total += seen
+        u[k] = -(0.8 * seen[0] + 0.7 * seen[1]) - integral * total[0] + dither * rng.normal()
+        x = A @ x + B @ u[k] + 0.3 * rng.normal(size=2)
+    return Trajectory(np.arange(n) * 0.1, u, y, SPEC)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("integral", [0.0, 0.05])
+@pytest.mark.parametrize("measured", [False, True])
+def test_a_controller_alone_is_seen_at_every_noise(noise, integral, measured):
+    assert all(law_of([closed(s, noise, integral=integral, measured=measured)]) is not None for s in range(3))
+
+
+@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("integral", [0.0, 0.05])
+def test_what_is_added_to_the_controller_is_enough(noise, integral):
+    for seed in range(3):
+        data = [closed(seed, noise, integral=integral, dither=1.0)]
+        assert feedback_of(data).found
+        assert law_of(data) is None
+
+
+def test_a_law_is_told_with_its_gains():
+    law = law_of([closed(0, 0.05)])
+    assert law is not None
+    assert law.text.startswith("u = -0.")
+    gains = [float(part) for part in law.text.replace("u =", "").replace("- ", "-").split() if part[-1] not in "qv"]
+    assert sorted(np.abs(gains)) == pytest.approx([0.7, 0.8], abs=0.05)
+
+
+@pytest.mark.parametrize("lines", [1, 3, 10, 30])
+@pytest.mark.parametrize("noise", [0.0, 0.01, 1.0])
+def test_sines_in_open_loop_are_no_feedback(lines, noise):
+    rng, k = np.random.default_rng(lines), np.arange(800)
+    u = np.sin(np.outer(k, rng.uniform(0.05, 2.5, lines)) + rng.uniform(0, 6, lines)).sum(axis=1)[:, None]
+    y = np.zeros((800, 1))
+    for j in range(799):
+        y[j + 1] = 0.9 * y[j] + u[j]
+    seen = y + noise * y.std() * rng.normal(size=y.shape)
+    data = [Trajectory(k * 1.0, u, seen, PlantSpec((Channel("u"),), (Channel("y"),), 1.0))]
+    assert law_of(data) is None
+
+
+def test_inputs_that_move_together_are_named():
+    rng = np.random.default_rng(0)
+    a = rng.normal(size=300)
+    spec = PlantSpec((Channel("a"), Channel("b")), (Channel("y"),), 1.0)
+    data = Trajectory(np.arange(300.0), np.column_stack([a, 1 - 2 * a]), rng.normal(size=(300, 1)), spec)
+    with pytest.raises(FitError, match=r"b = -2 a but for a constant"):
+        refuse_undetermined([data], "mine")
+    refuse_undetermined([data], "mine", 0.0)
