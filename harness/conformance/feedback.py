@@ -57,7 +57,8 @@ def _record(seed: int, gain: FloatArray, *, dither: float, noise: float) -> Traj
         u[k] += gain @ x[k]
         if k + 1 < SAMPLES:
             x[k + 1] = _A @ x[k] + _B @ u[k] + 0.1 * rng.normal(size=2) * (noise > 0)
-    return Trajectory(np.arange(SAMPLES) * 0.1, u, x + noise * x.std(axis=0) * rng.normal(size=x.shape), _SPEC)
+    y = np.asarray(x + noise * x.std(axis=0) * rng.normal(size=x.shape), dtype=np.float64)
+    return Trajectory(np.arange(SAMPLES, dtype=np.float64) * 0.1, u, y, _SPEC)
 
 
 def _warned(model: Any) -> bool:
