@@ -221,5 +221,7 @@ def test_a_command_runs(
     for long, short in SHORTENED.items():
         line = line.replace(long, short)
     if "*" in line:
-        line = shlex.join([line.split()[0], *(str(one) for word in words(line) for one in sorted(Path().glob(word)) or [word])])
+        line = shlex.join(
+            [line.split()[0], *(str(one) for word in words(line) for one in sorted(Path().glob(word)) or [word])]
+        )
     sysid(line)
