@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from harness.diagnosis.contested import at_optimum, carried, simple_fits_of, uncontested
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Equations, Kind
@@ -16,6 +18,7 @@ from harness.diagnosis.search.rounding import add_rounding
 from harness.diagnosis.search.rounds import search
 from harness.diagnosis.steps import (
     Progress,
+    beaten,
     candidates_of,
     form_of,
     nominal_fit,
@@ -78,14 +81,19 @@ def diagnose(
         remembered = Remembered(form, folder)
         say("first fit of the nominal model", 0.02)
         nominal = nominal_fit(remembered, form, doubts)
+        candidates, faults = candidates_of(form, dictionary)
+        simple = simple_fits_of(kind, form, nominal, candidates, say)
+        nominal = at_optimum(remembered, form, nominal, simple, policy)
         # search, unless the records are wrong
         wrong = [*(doubt.words for doubt in doubts if doubt.certain), *mostly_noise(form, nominal, policy)]
-        candidates, faults = candidates_of(form, dictionary)
         candidates = [] if wrong else candidates
+        if simple is not None and candidates and form.latent and carried(form, nominal, policy):
+            remembered.proposed = functools.partial(simple.proposals, policy)
         outcome = search(remembered, nominal, candidates, policy=policy, say=say, sizes=form.sizes)
+        outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
         add_rounding(remembered, outcome, dataset, candidates, policy)
         # grade what is left
-        runs, leftover, moved = what_free_runs_say(kind, form, outcome, dataset, policy, say)
+        runs, leftover, moved = what_free_runs_say(kind, form, outcome, dataset, policy, say, simple)
         widened(form, outcome)
         misfit = misfit_reasons(form, outcome.model, runs, policy, wrong)
         apart = form.apart(outcome.model)
@@ -98,10 +106,11 @@ def diagnose(
         runs,
         misfit,
         policy,
-        [*warnings, *cut, *moved, *taken_back(outcome), *faults],
+        [*warnings, *cut, *moved, *taken_back(outcome), *beaten(rival), *faults],
         time.monotonic() - began,
         apart,
         doubtful=bool(doubts),
+        rival=rival,
     )
     if apart is not None and diagnosis.disagree:
         diagnosis.warnings.append(apart.words(outcome.model.values))
