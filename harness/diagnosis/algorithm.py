@@ -11,7 +11,7 @@ from harness.diagnosis.contested import at_optimum, carried, simple_fits_of, unc
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Equations, Kind
-from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise
+from harness.diagnosis.misfit import far_from_declared, likely_mistakes, misfit_reasons, mostly_noise
 from harness.diagnosis.policy import POLICY, Policy
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.search.rounding import add_rounding
@@ -90,13 +90,16 @@ def diagnose(
         if simple is not None and candidates and form.latent and carried(form, nominal, policy):
             remembered.proposed = functools.partial(simple.proposals, policy)
         outcome = search(remembered, nominal, candidates, policy=policy, say=say, sizes=form.sizes)
-        outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
+        rival = ""
+        if not wrong:
+            outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
         add_rounding(remembered, outcome, dataset, candidates, policy)
         # grade what is left
         runs, leftover, moved = what_free_runs_say(kind, form, outcome, dataset, policy, say, simple)
         widened(form, outcome)
         misfit = misfit_reasons(form, outcome.model, runs, policy, wrong)
         apart = form.apart(outcome.model)
+        far = far_from_declared(outcome.model)
     diagnosis = Diagnosis(
         dataset,
         system,
@@ -106,10 +109,10 @@ def diagnose(
         runs,
         misfit,
         policy,
-        [*warnings, *cut, *moved, *taken_back(outcome), *beaten(rival), *faults],
+        [*warnings, *far, *cut, *moved, *taken_back(outcome), *beaten(rival), *faults],
         time.monotonic() - began,
         apart,
-        doubtful=bool(doubts),
+        doubtful=bool(doubts or far),
         rival=rival,
     )
     if apart is not None and diagnosis.disagree:

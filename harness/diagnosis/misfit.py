@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from harness.diagnosis.forms.form import WholeForm
-from harness.diagnosis.policy import Policy
+from harness.diagnosis.policy import DATA_POLICY, EFFORT, Policy
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.search.fit import Fit
 from harness.physics.likelihood_fit import sensor_noise
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
-__all__ = ["likely_mistakes", "misfit_reasons", "mistakes", "mostly_noise"]
+__all__ = ["far_from_declared", "likely_mistakes", "misfit_reasons", "mistakes", "mostly_noise"]
 
 DEGREES = np.pi / 180
 MOSTLY = 0.5
@@ -109,6 +109,26 @@ def mostly_noise(form: WholeForm, nominal: Fit, policy: Policy) -> list[str]:
     shares = _noise(form, nominal) / form.noise_model.output_scale**2
     noisy = shares.size > 0 and bool((1.0 - shares <= policy.misfit_nrmse**2).all())
     return [_noisy(form, shares)] if noisy else []
+
+
+def far_from_declared(nominal: Fit) -> list[str]:
+    """Return a warning about parameters that the data determine, and far from what the model declares of them.
+
+    A time column in ms that was read in s leaves a model that fits as well as before, with an inertia a million times
+    off. Declared values are rough by a power of ten; beyond two, a unit is likelier than the plant.
+    """
+    far = []
+    for parameter in nominal.model.parameters:
+        name, declared = parameter.name, parameter.value
+        if parameter.fixed or not parameter.positive or "@" in name or name not in nominal.free or not declared > 0:
+            continue
+        factor = nominal.values[name] / declared
+        told = nominal.deviations.get(name, np.inf) < EFFORT.untold
+        if told and not 1.0 / DATA_POLICY.far < factor < DATA_POLICY.far:
+            far.append(f"{name} is {factor:.2g} times its declared value")
+    if not far:
+        return []
+    return [f"{' and '.join(far)}: check the units of time and of the columns, or declare what the plant has"]
 
 
 def _noise(form: WholeForm, fit: Fit) -> FloatArray:

@@ -34,6 +34,8 @@ __all__ = ["SimpleFit", "SimpleFits"]
 _FAILURES = (HarnessError, ArithmeticError, np.linalg.LinAlgError)
 _ROUGHLY = 1e-3
 """Relative decrease of the cost at which a fit that is only to be ranked has come far enough."""
+_HALVINGS = ((10, 6, _ROUGHLY), (40, EFFORT.points, _ROUGHLY / 10), (200, EFFORT.points, _ROUGHLY / 1e4))
+"""Iterations of scattered starts, how many go on, and the decrease at which one has come far enough, stage by stage."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +185,8 @@ class SimpleFits:
 
     def errors(self, values: Mapping[str, float]) -> FloatArray | None:
         """Return the rms error of every output (ny,) of the estimation records with values of the nominal model."""
-        fitted = seen_values(self._form, (), values)
+        names = self._form.nominal.parameter_names
+        fitted = seen_values(self._form, (), {name: values[name] for name in names})
         if fitted is None or not fitted.finite:
             return None
         return np.asarray(np.sqrt(np.mean(np.concatenate(list(fitted.estimation)) ** 2, axis=0)) * self._form.weights)
@@ -219,20 +222,29 @@ class SimpleFits:
         for number in range(EFFORT.scattered):
             factor = np.exp(EFFORT.spread * draw.normal(size=plain.shape)) if number else 1.0
             trials.append(_Trial((), np.where(free, np.clip(plain * factor, low, high), plain), np.zeros(0), np.inf))
-        for most in (6, 25):
+        for most, kept, decrease in _HALVINGS:
             after = []
             for trial in trials:
                 try:
                     if trial.x0.size == 0:
                         trial.x0 = self._states(self._windows((), trial.p), (), trial.p)
-                    after.append(self._stepped(trial, most))
+                    after.append(self._stepped(trial, most, decrease))
                 except _FAILURES:
                     continue
             trials = sorted((trial for trial in after if trial is not None), key=lambda trial: trial.cost)
-            trials = trials[: EFFORT.points]
-        return [dict(zip(system.parameter_names, map(float, trial.p), strict=True)) for trial in trials]
+            trials = trials[:kept]
+        return [self._start_of(system, trial) for trial in trials]
 
     # ---- the work ------------------------------------------------------------------------------------------------
+
+    def _start_of(self, system: System, trial: _Trial) -> dict[str, float]:
+        """Return where a likelihood fit starts: parameters, and the initial states of records that stay whole."""
+        start = dict(zip(system.parameter_names, map(float, trial.p), strict=True))
+        if self._form.horizon is None:
+            names = [channel.name for channel in system.states]
+            for row, state in enumerate(trial.x0):
+                start |= {f"x0[{row}].{name}": float(value) for name, value in zip(names, state, strict=True)}
+        return start
 
     def _vector(self, effects: Sequence[Placed], values: Mapping[str, float]) -> FloatArray:
         system = self._form.system(effects)
@@ -265,7 +277,7 @@ class SimpleFits:
         except _FAILURES:
             return None
 
-    def _stepped(self, trial: _Trial, most: int) -> _Trial | None:
+    def _stepped(self, trial: _Trial, most: int, decrease: float = _ROUGHLY) -> _Trial | None:
         """Return where so many steps lead; None where the simulation diverges."""
         system = self._form.system(trial.effects)
         assert isinstance(system, System)
@@ -273,7 +285,7 @@ class SimpleFits:
         p = np.where(log_scaled(system) & free, np.maximum(trial.p, _least(system)), trial.p)
         windows = self._windows(trial.effects, p)
         with np.errstate(all="ignore"):
-            solution = minimise(windows, p, trial.x0, free, most, decrease=_ROUGHLY)
+            solution = minimise(windows, p, trial.x0, free, most, decrease=decrease)
         if not np.isfinite(solution.evaluation.cost):
             return None
         return _Trial(trial.effects, solution.p, solution.x0, solution.evaluation.cost)
