@@ -87,7 +87,7 @@ def diagnose(
         # search, unless the records are wrong
         wrong = [*(doubt.words for doubt in doubts if doubt.certain), *mostly_noise(form, nominal, policy)]
         candidates = [] if wrong else candidates
-        if simple is not None and candidates and form.latent and carried(form, nominal, policy):
+        if simple is not None and candidates and form.latent and carried(form, nominal, policy, policy.large):
             remembered.proposed = functools.partial(simple.proposals, policy)
         outcome = search(remembered, nominal, candidates, policy=policy, say=say, sizes=form.sizes)
         rival = ""

@@ -51,12 +51,15 @@ def follows_whole(kind: Kind, form: WholeForm, policy: Policy = POLICY) -> bool:
     return any(error is not None and bool((error <= near).all()) for error in errors)
 
 
-def carried(form: WholeForm, fit: Fit, policy: Policy) -> bool:
-    """Return True if a latent force may carry a missing law, or a free run errs by more than its sensors do."""
+def carried(form: WholeForm, fit: Fit, policy: Policy, share: float | None = None) -> bool:
+    """Return True if a latent force may carry a missing law, or a free run errs by more than its sensors do.
+
+    ``share`` of the typical force is what it is then larger than: what counts as an effect unless another is given.
+    """
     noise = fit.detail.points["estimation"].noise
     if form.latent:
         force = np.sqrt(noise.s**2 + noise.w**2)
-        return bool((force > policy.disturbed * form.noise_model.force_scale).any())
+        return bool((force > (policy.disturbed if share is None else share) * form.noise_model.force_scale).any())
     return bool((noise.r > policy.tie * sensor_noise(form.records["estimation"])).any())
 
 
