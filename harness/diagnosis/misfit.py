@@ -115,7 +115,7 @@ def far_from_declared(nominal: Fit) -> list[str]:
     """Return a warning about parameters that the data determine, and far from what the model declares of them.
 
     A time column in ms that was read in s leaves a model that fits as well as before, with an inertia a million times
-    off. Declared values are rough by a power of ten; beyond two, a unit is likelier than the plant.
+    off. A declared value that is rough by a power of ten and a plant a hundred times as large leave a factor of 1000.
     """
     far = []
     for parameter in nominal.model.parameters:
@@ -123,8 +123,9 @@ def far_from_declared(nominal: Fit) -> list[str]:
         if parameter.fixed or not parameter.positive or "@" in name or name not in nominal.free or not declared > 0:
             continue
         factor = nominal.values[name] / declared
+        most = DATA_POLICY.far * DATA_POLICY.near
         told = nominal.deviations.get(name, np.inf) < EFFORT.untold
-        if told and not 1.0 / DATA_POLICY.far < factor < DATA_POLICY.far:
+        if told and not 1.0 / most < factor < most:
             far.append(f"{name} is {factor:.2g} times its declared value")
     if not far:
         return []
