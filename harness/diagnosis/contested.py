@@ -101,7 +101,8 @@ def uncontested(
     -------
     outcome : Outcome
     rival : str
-        The effect to which the answer still loses, as the likelihood accepts nothing that does not; else empty.
+        The effect to which the answer loses by half of what the nominal model leaves, as the likelihood accepts nothing
+        that does not lose; else empty.
     """
     form = remembered.form
     if simple is None or simple.nominal is None or not form.latent or not carried(form, outcome.model, policy):
@@ -111,8 +112,9 @@ def uncontested(
     if best is None:
         return outcome, ""
     replaced = _with_rival(remembered, outcome, simple, policy)
-    if replaced is None:
-        return outcome, best.name
+    if replaced is None:  # of many simple fits to a disturbed record some run a little nearer by chance
+        clear = simple.further(simple.seen(outcome.model), best.fitted, policy, policy.proxy)
+        return outcome, best.name if clear else ""
     alone, accepted, rounds = replaced.model, list(replaced.accepted), list(replaced.rounds)
     further = search(remembered, replaced.nominal, candidates, policy=policy, say=say, sizes=sizes, begun=replaced)
     if simple.further(simple.seen(further.model), simple.seen(alone), policy):

@@ -23,11 +23,15 @@ from harness.diagnosis.search.compare import impossible
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.outcome import Outcome, Round
 from harness.diagnosis.search.score_test import score_test
-from harness.diagnosis.steps import candidates_of, form_of, nominal_fit
+from harness.diagnosis.steps import beaten, candidates_of, form_of, nominal_fit
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.physics import Ode, load_model
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
+
+
+def silent(what: str, part: float | None = None) -> None:
+    """Tell nobody."""
 
 
 def battery() -> Ode:
@@ -78,7 +82,7 @@ def judged_by_hand(foreign_pendulum: Callable[..., Dataset]) -> Any:
     nominal = nominal_fit(remembered, form, [])
     names = ("coulomb_friction", "quadratic_drag", "linear_spring", "force_bias")
     candidates, _ = candidates_of(form, [builtin()[name] for name in names])
-    simple = simple_fits_of(Equations(), form, nominal, candidates, lambda what: None)
+    simple = simple_fits_of(Equations(), form, nominal, candidates, silent)
     assert simple is not None
     return SimpleNamespace(form=form, remembered=remembered, nominal=nominal, candidates=candidates, simple=simple)
 
@@ -105,14 +109,10 @@ def test_an_answer_gives_way_to_the_simple_fit_that_runs_nearer(judged_by_hand: 
     test = score_test(made.form, made.nominal, made.candidates, POLICY)
     nothing = Outcome(made.nominal, made.nominal, rounds=[Round(made.nominal, test, ())])
     spring = [placed for placed in made.candidates if placed.effect.name == "linear_spring"]
-    outcome, rival = uncontested(
-        made.remembered, nothing, made.simple, spring, POLICY, lambda what, part=None: None, made.form.sizes
-    )
+    outcome, rival = uncontested(made.remembered, nothing, made.simple, spring, POLICY, silent, made.form.sizes)
     assert rival == ""
     assert [str(one.placed) for one in outcome.accepted][:1] == ["coulomb_friction@theta"]
-    again, rival = uncontested(
-        made.remembered, outcome, made.simple, spring, POLICY, lambda what, part=None: None, made.form.sizes
-    )
+    again, rival = uncontested(made.remembered, outcome, made.simple, spring, POLICY, silent, made.form.sizes)
     assert rival == ""
     assert again.accepted == outcome.accepted, "the right law loses to nothing"
 
@@ -121,11 +121,11 @@ def test_a_rival_that_the_likelihood_refuses_is_said(judged_by_hand: Any) -> Non
     made = judged_by_hand
     nothing = Outcome(made.nominal, made.nominal)
     strict = replace(POLICY, evidence=1e6)
-    outcome, rival = uncontested(
-        made.remembered, nothing, made.simple, [], strict, lambda what, part=None: None, made.form.sizes
-    )
+    outcome, rival = uncontested(made.remembered, nothing, made.simple, [], strict, silent, made.form.sizes)
     assert rival == "coulomb_friction@theta"
     assert outcome is nothing
+    assert [words for words in beaten(rival) if rival in words]
+    assert beaten("") == []
 
 
 @settings(max_examples=40, deadline=None)

@@ -191,10 +191,11 @@ class SimpleFits:
             return None
         return np.asarray(np.sqrt(np.mean(np.concatenate(list(fitted.estimation)) ** 2, axis=0)) * self._form.weights)
 
-    def further(self, mine: Fitted | None, other: Fitted | None, policy: Policy) -> bool:
+    def further(self, mine: Fitted | None, other: Fitted | None, policy: Policy, share: float | None = None) -> bool:
         """Return True if free runs of a model are further from the validation records than those of another.
 
-        By a share of what the nominal model leaves that is worth it. Errors of a free run remember what came before:
+        By a share of what the nominal model leaves, one that is worth it unless another is given. Errors of a free run
+        remember what came before:
         a standard error over blocks says nothing of them. What diverges is further than anything.
         """
         assert self.nominal is not None
@@ -203,7 +204,7 @@ class SimpleFits:
         if mine is None or not mine.finite:
             return True
         more = _mean_square(mine.validation) - _mean_square(other.validation)
-        return more > policy.explained * self.nominal.error("validation")
+        return more > (policy.explained if share is None else share) * self.nominal.error("validation")
 
     def scattered(self) -> list[dict[str, float]]:
         """Return values of the nominal model from which free runs come near, of many starts around the declared ones.
