@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from harness.diagnosis.contested import at_optimum, carried, simple_fits_of, uncontested
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.dictionary import laws_of
 from harness.diagnosis.forms.remembered import Remembered
 from harness.diagnosis.kinds import Equations, Kind
 from harness.diagnosis.misfit import likely_mistakes, misfit_reasons, mostly_noise
-from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.policy import DATA_POLICY, POLICY, Policy
 from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.search.rounding import add_rounding
 from harness.diagnosis.search.rounds import search
 from harness.diagnosis.steps import (
     Progress,
+    beaten,
     candidates_of,
     form_of,
     nominal_fit,
@@ -79,19 +82,27 @@ def diagnose(
         remembered = Remembered(form, folder)
         say("first fit of the nominal model", 0.02)
         nominal = nominal_fit(remembered, form, doubts)
+        candidates, faults = candidates_of(form, laws)
+        simple = simple_fits_of(kind, form, nominal, candidates, say)
+        nominal = at_optimum(remembered, form, nominal, simple, policy)
         # search, unless the records are wrong
         wrong = [*(doubt.words for doubt in doubts if doubt.certain), *mostly_noise(form, nominal, policy)]
-        candidates, faults = candidates_of(form, laws)
         candidates = [] if wrong else candidates
+        if simple is not None and candidates and form.latent and carried(form, nominal, policy, policy.large):
+            remembered.proposed = functools.partial(simple.proposals, policy)
         outcome = search(remembered, nominal, candidates, policy=policy, say=say, sizes=form.sizes)
+        rival = ""
+        if not wrong:
+            outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
         add_rounding(remembered, outcome, dataset, candidates, policy)
         # grade what is left
-        runs, leftover, moved = what_free_runs_say(kind, form, outcome, dataset, policy, say)
+        runs, leftover, moved = what_free_runs_say(kind, form, outcome, dataset, policy, say, simple)
         widened(form, outcome)
         misfit = misfit_reasons(form, outcome.model, runs, policy, wrong)
         apart = form.apart(outcome.model)
         alarms = [doubt.words for doubt in doubts if not doubt.certain]
         alarms += [] if doubts else sizes_off(system, outcome.model)
+        far = sizes_off(system, outcome.model, DATA_POLICY.far * DATA_POLICY.near)
     diagnosis = Diagnosis(
         dataset,
         system,
@@ -101,11 +112,12 @@ def diagnose(
         runs,
         misfit,
         policy,
-        [*alarms, *cut, *moved, *faults],
+        [*alarms, *cut, *moved, *beaten(rival), *faults],
         time.monotonic() - began,
         apart,
-        doubtful=bool(doubts),
+        doubtful=bool(doubts or far),
         alarms=tuple(alarms),
+        rival=rival,
     )
     if apart is not None and diagnosis.disagree:
         diagnosis.warnings.append(apart.words(outcome.model.values))

@@ -41,6 +41,8 @@ class Diagnosis:
     """True where a unit may be wrong, though the model fits as it is."""
     alarms: tuple[str, ...] = ()
     """What a reader must know before anything else: a unit or a column that may be wrong. They are warnings too."""
+    rival: str = ""
+    """An effect that alone comes nearer to the validation records in free runs, and that the likelihood refuses."""
 
     @property
     def nominal(self) -> Fit:
@@ -84,7 +86,7 @@ class Diagnosis:
         """True where something is left: that could be predicted, that no effect takes away, or between the uses."""
         left = self.leftover.best is not None or self.latent_share > self.policy.large
         refused = not self.outcome.accepted and self.outcome.promised(self.policy) is not None
-        return left or refused or bool(self.outcome.withdrawn) or self.disagree
+        return left or refused or bool(self.outcome.withdrawn) or self.disagree or bool(self.rival)
 
     @property
     def disagree(self) -> bool:
@@ -96,7 +98,7 @@ class Diagnosis:
         """How much of the motion the final model explains over the horizon, and whether more could be predicted."""
         if self.misfit:
             return "does_not_fit"
-        if self.incomplete:
+        if self.incomplete or (self.outcome.accepted and self.runs.left > self.policy.proxy):
             return "proxy_or_incomplete"
         quiet = self.latent_share <= self.policy.disturbed and not self.runs.worse(self.policy)
         good = quiet and self.runs.left <= self.policy.explained and not (self.stand_in or self.doubtful)

@@ -167,6 +167,11 @@ class Policy:
         "share of the variance left, at most, to call a model adequate, and by which free runs must come nearer",
         "a fit of 95 %",
     )
+    proxy: float = _number(
+        0.5,
+        "share of the variance left beyond which accepted effects are a proxy at best, whatever the likelihood says",
+        "half of the motion unexplained is no model of it",
+    )
     chance: float = _number(
         0.02,
         "probability that a reading lies within 1 % of a step of a grid point though there is no grid",
@@ -231,6 +236,22 @@ class Effort:
         "an end stop began 116 below the base in log-likelihood and gained 68 with every step; flanks that only push "
         "began below a play and ended 1000 above it",
         "judged records from 230000, which judge no more",
+    )
+    proposed: int = _number(
+        4,
+        "output-error fits with one effect, the nearest ones, that the search begins whatever the score test promises",
+        "cost; their special cases are begun too",
+    )
+    scattered: int = _number(
+        32,
+        "starts of an output-error fit of a nominal model of which the data do not tell every state",
+        "3 of 32 led a cell with a time constant ten times off to its maximum",
+        "tests",
+    )
+    spread: float = _number(
+        2.0,
+        "standard deviation of the logarithm of such starts over the declared values",
+        "declared values are off by a power of ten at most",
     )
     close: float = _number(
         30.0, "log-likelihood within which the second start goes on beside the first", "cost", "tests"

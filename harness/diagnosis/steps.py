@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from harness.diagnosis.contested import follows_whole
 from harness.diagnosis.dictionary import Laws, placed
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.forms.remembered import Remembered
@@ -15,6 +16,7 @@ from harness.diagnosis.policy import Policy
 from harness.diagnosis.records.columns_check import Doubt
 from harness.diagnosis.records.stretches import stretched, windowed
 from harness.diagnosis.runs.compare import FreeRuns, free_runs
+from harness.diagnosis.runs.simple_fits import SimpleFits
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Leftover, left_over
 from harness.diagnosis.search.outcome import Outcome
@@ -22,12 +24,13 @@ from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import FitError
-from harness.physics.parameters import said_far
+from harness.physics.parameters import FAR, said_far
 from harness.signals import Dataset
 
 __all__ = [
     "Progress",
     "Say",
+    "beaten",
     "candidates_of",
     "form_of",
     "nominal_fit",
@@ -38,10 +41,10 @@ __all__ = [
 ]
 
 Progress = Callable[[float, str], None]
-MOVED = (
-    "Free runs of the validation records err more with the accepted effects than without them, though nothing is left "
-    "that could be predicted: an unknown force moves these runs more than the effects do, and one error may cancel "
-    "another by chance. What was accepted rests on the likelihood, one step ahead."
+STANDS = (
+    "Free runs of the validation records err more with the accepted effects than the nominal model at its nearest, and "
+    "less once the parameters are fitted to free runs as well: the effects stand, the parameters are those of the "
+    "likelihood."
 )
 
 
@@ -69,7 +72,7 @@ def form_of(
     """Return the likelihood of the data, in stretches that are judged one by one, and warnings about these."""
     judged = stretched(stretched(dataset), use="validation")
     form = kind.form(system, judged, laws)
-    if not form.latent:  # a plant that loses its start cannot be judged by whole free runs
+    if not form.latent and not follows_whole(kind, form, policy):  # a plant that loses its start
         horizon = kind.horizon(system, system.values(), judged)
         whole = windowed(judged, horizon.seconds and policy.window * horizon.seconds)
         form = kind.form(system, whole, laws)
@@ -109,25 +112,34 @@ def candidates_of(form: WholeForm, laws: Laws) -> tuple[list[Placed], list[str]]
 
 
 def what_free_runs_say(
-    kind: Kind, form: WholeForm, outcome: Outcome, dataset: Dataset, policy: Policy, say: Say
+    kind: Kind,
+    form: WholeForm,
+    outcome: Outcome,
+    dataset: Dataset,
+    policy: Policy,
+    say: Say,
+    simple: SimpleFits | None = None,
 ) -> tuple[FreeRuns, Leftover, list[str]]:
     """Return free runs before and after, what is left of the final model, and warnings.
 
-    Accepted effects with which the model runs further from the data are taken back where something is left.
+    Accepted effects with which the model runs further from the data than the nominal one at its nearest are taken back,
+    unless free runs would have them with other parameters.
     """
     horizon = kind.horizon(form.nominal, outcome.nominal.values, dataset)
 
     def run_freely() -> FreeRuns:
         noise = outcome.model.detail.points["estimation"].noise.r
-        return free_runs(kind.runs(form, dataset, noise, horizon), horizon, outcome.nominal, outcome.model)
+        output = kind.runs(form, dataset, noise, horizon)
+        nearest = simple.nominal.values if simple is not None and form.latent and simple.nominal is not None else None
+        return free_runs(output, horizon, outcome.nominal, outcome.model, nearest)
 
     runs = run_freely()
     say("what is left", 0.8)
     leftover = left_over(form, outcome.model, policy)
     if not runs.worse(policy):
         return runs, leftover, []
-    if leftover.best is None:
-        return runs, leftover, [MOVED]
+    if leftover.best is None and simple is not None and simple.nearer(outcome.model, policy):
+        return runs, leftover, [STANDS]
     outcome.withdraw()
     return run_freely(), left_over(form, outcome.model, policy), []
 
@@ -139,8 +151,18 @@ def widened(form: WholeForm, outcome: Outcome) -> None:
     outcome.model = outcome.nominal if same else form.with_deviations(outcome.model)
 
 
-def sizes_off(system: AnySystem, fit: Fit) -> list[str]:
-    """Return a warning about parameters far from what was declared."""
+def sizes_off(system: AnySystem, fit: Fit, factor: float = FAR) -> list[str]:
+    """Return a warning about parameters that the data determine, and a factor from what was declared."""
     intervals = {name: fit.interval(name) for name in fit.free if np.isfinite(fit.deviations.get(name, np.nan))}
-    said = said_far(system.parameters, {name: fit.values[name] for name in fit.free}, intervals)
+    said = said_far(system.parameters, {name: fit.values[name] for name in fit.free}, intervals, factor)
     return [] if said is None else [f"{said}. If the plant is that size, give the model such values"]
+
+
+def beaten(rival: str) -> list[str]:
+    """Return a warning about an effect to which the answer loses in free runs."""
+    if not rival:
+        return []
+    return [
+        f"{rival} alone, fitted to free runs, comes nearer to the validation records than this answer does, and the "
+        "likelihood does not accept it: what is missing is not in the dictionary, or these data do not tell it"
+    ]

@@ -121,8 +121,9 @@ def said_far(
     parameters: Iterable[Parameter],
     values: Mapping[str, float],
     intervals: Mapping[str, tuple[float, float]] | None = None,
+    factor: float = FAR,
 ) -> str | None:
-    """Return in words which fitted parameters are a factor :data:`FAR` from their declared values; None if none is.
+    """Return in words which fitted parameters are a factor from their declared values; None if none is.
 
     Parameters
     ----------
@@ -133,6 +134,7 @@ def said_far(
     intervals : mapping, optional
         Low and high where the data tell them: a small value counts only where its interval leaves 0 out, as a friction
         that is not there is no mistake.
+    factor : float
 
     Examples
     --------
@@ -145,7 +147,7 @@ def said_far(
             continue
         ratio = abs(values[one.name] / one.value)
         low, high = (intervals or {}).get(one.name, (0.0, 0.0))
-        if ratio >= FAR or (ratio <= 1 / FAR and low * high > 0):
+        if ratio >= factor or (ratio <= 1 / factor and low * high > 0):
             unit = "" if one.unit == "1" else f" {one.unit}"
             parts.append(f"{one.name} = {values[one.name]:.4g}{unit} is {ratio:.2g} times the declared {one.value:g}")
     return f"check the units of the columns, time included: {', '.join(parts)}" if parts else None

@@ -115,6 +115,7 @@ def test_an_accepted_law_is_not_polished_into_what_it_forbids(monkeypatch: pytes
         def __init__(self, level: float, penalised: float) -> None:
             self.values, self.penalised = {f"{placed}.Fc": level, f"{placed}.w": 0.1}, penalised
             self.effects, self.free, self.on_bound, self.converged = (placed,), (f"{placed}.Fc",), (), True
+            self.deviations, self.logarithmic = {f"{placed}.Fc": 0.01}, frozenset[str]()
 
         def log_likelihood(self, use: str) -> float:
             return self.penalised

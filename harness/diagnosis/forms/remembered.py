@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,8 @@ class Remembered:
         if folder is not None:
             decides = [described(numbers) for numbers in (POLICY, EFFORT, DATA_POLICY)]
             self.store = Store(folder, fingerprint(data_fingerprint(form.dataset), decides, __version__))
+        self.proposed: Callable[[], list[Suspect]] = list
+        """What else is begun beside the nominal model, whatever a first-order test says."""
 
     @property
     def nominal(self) -> AnySystem:
@@ -98,8 +100,10 @@ class Remembered:
         return self.form.columns(fit, candidates)
 
     def suspects(self, base: Fit, rival: Begun | None, candidates: Sequence[Placed]) -> list[Suspect]:
-        """Pass on."""
-        return self.form.suspects(base, rival, candidates)
+        """Pass on, with what is proposed beside the nominal model."""
+        known = {str(placed) for placed in candidates}
+        more = [] if base.effects else [suspect for suspect in self.proposed() if str(suspect.placed) in known]
+        return [*self.form.suspects(base, rival, candidates), *more]
 
     def test_functions(self, fit: Fit) -> list[Column]:
         """Pass on."""

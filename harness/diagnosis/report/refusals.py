@@ -36,12 +36,15 @@ _SENTENCES: dict[Kind, Callable[[Refusal], str]] = {
     ),
     Kind.SIGN: lambda r: f"{r.subject} = {r.numbers[0]:.3g} has a sign that physics forbids",
     Kind.BOUND: lambda r: f"{r.subject} ended on its bound, {r.numbers[0]:.3g}: these data do not determine it",
+    Kind.UNDETERMINED: lambda r: (
+        f"{r.subject} = {r.numbers[0]:.3g} is not determined by these data: the law is what it is without it"
+    ),
     Kind.LAW: lambda r: f"its values break its own law, which asks that {r.subject}",
     Kind.OTHER_LAW: lambda r: (
         f"beside it {r.subject} would be no such law any more: {'' if r.cause is None else refusal_text(r.cause)}"
     ),
     Kind.WITHDRAWN: lambda r: (
-        "with it the model runs further from the validation records than without, and something is left"
+        "with it the model runs further from the validation records than the nominal one at its nearest"
     ),
 }
 

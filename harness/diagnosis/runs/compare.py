@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,10 +15,11 @@ from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.runs.states import on_validation, settled_states
 from harness.diagnosis.search.fit import Fit
+from harness.effects.effect import Placed
 from harness.errors import HarnessError
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["FreeRuns", "free_runs", "seen"]
+__all__ = ["FreeRuns", "changed", "free_runs", "seen", "seen_values"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,24 +77,43 @@ class FreeRuns:
         """Return by how much the sum of squared errors grows, and its standard error over blocks."""
         assert self.before is not None
         assert self.after is not None
-        sums: list[float] = []
-        for new, old in zip(self.after.validation, self.before.validation, strict=True):
-            edges = np.linspace(0, len(new), policy.blocks + 1).astype(int)
-            change = np.concatenate([[0.0], np.cumsum((new**2 - old**2).sum(axis=1))])
-            sums += list(np.diff(change[edges]))
-        more = np.array(sums)
-        return float(more.sum()), float(np.sqrt(len(more)) * more.std(ddof=1))
+        return changed(self.after, self.before, policy)
 
 
-def free_runs(output: FreeRunForm, horizon: Horizon, nominal: Fit, final: Fit) -> FreeRuns:
-    """Simulate both models over windows, initial states fitted to each."""
+def changed(new: Fitted, old: Fitted, policy: Policy) -> tuple[float, float]:
+    """Return by how much the sum of squared errors of the validation records grows, and its error over blocks."""
+    sums: list[float] = []
+    for mine, theirs in zip(new.validation, old.validation, strict=True):
+        edges = np.linspace(0, len(mine), policy.blocks + 1).astype(int)
+        change = np.concatenate([[0.0], np.cumsum((mine**2 - theirs**2).sum(axis=1))])
+        sums += list(np.diff(change[edges]))
+    more = np.array(sums)
+    return float(more.sum()), float(np.sqrt(len(more)) * more.std(ddof=1))
+
+
+def free_runs(
+    output: FreeRunForm, horizon: Horizon, nominal: Fit, final: Fit, best: Mapping[str, float] | None = None
+) -> FreeRuns:
+    """Simulate both models over windows, initial states fitted to each.
+
+    ``best`` are parameters of the nominal model that were fitted to free runs: beside a latent force its likelihood is
+    largest elsewhere, and what an effect brings is told against the nearest that the nominal model can come.
+    """
     before = seen(output, nominal)
     after = before if final is nominal else seen(output, final)
+    if best is not None and final is not nominal:
+        able = [before, seen_values(output, (), best)]
+        before = min((one for one in able if one is not None and one.finite), key=_inside, default=before)
     left, motion = np.inf, _motion(output.records["validation"], horizon)
     if after is not None and after.finite:
         error = np.concatenate(list(after.validation)) * output.weights
         left = float(np.max(np.mean(error**2, axis=0) / np.maximum(motion, 1e-300)))
     return FreeRuns(horizon, output, before, after, left, motion)
+
+
+def _inside(fitted: Fitted) -> float:
+    """Return the mean square of the errors of the estimation records."""
+    return float(np.mean(np.concatenate(list(fitted.estimation)) ** 2))
 
 
 def _motion(records: Sequence[Trajectory], horizon: Horizon) -> FloatArray:
@@ -119,17 +139,39 @@ def _motion(records: Sequence[Trajectory], horizon: Horizon) -> FloatArray:
 
 def seen(output: FreeRunForm, fit: Fit) -> Fitted | None:
     """Return a fit as free runs show it, its parameters held; None where the simulation diverges."""
-    system = output.system(fit.effects)
-    p = system.vector({name: fit.values[name] for name in system.parameter_names})
+    return seen_values(output, fit.effects, fit.values, fit.own, converged=fit.converged)
+
+
+def seen_values(
+    output: FreeRunForm,
+    effects: Sequence[Placed],
+    values: Mapping[str, float],
+    own: Mapping[str, float] | None = None,
+    *,
+    converged: bool = True,
+) -> Fitted | None:
+    """Return a model with effects as free runs show it, its parameters held; None where the simulation diverges.
+
+    ``own`` is where the search for what belongs to the validation records starts: by default where the estimation
+    records have it.
+    """
+    system = output.system(effects)
+    p = system.vector({name: values[name] for name in system.parameter_names})
+    per_record = {
+        placed.name(parameter.name): values[placed.name(parameter.name)]
+        for placed in effects
+        for parameter in placed.effect.parameters
+        if parameter.per_record and not parameter.fixed
+    }
     try:
         with np.errstate(all="ignore"):
             windows = output.windows(system, p, "estimation")
             states = [output.from_data(windows.simulator, run, p)[0] for run in output.records["estimation"]]
             x0 = settled_states(output, system, p, "estimation", windows, windows.starts_from(states))
             record: dict[str, Any] = {
-                "values": dict(fit.values), "x0": x0.tolist(), "converged": fit.converged, "message": "",
+                "values": dict(values), "x0": x0.tolist(), "converged": converged, "message": "",
             }  # fmt: skip
-            record.update(on_validation(output, system, record, fit.own))
-            return output.evaluate(fit.effects, record)
+            record.update(on_validation(output, system, record, per_record if own is None else own))
+            return output.evaluate(effects, record)
     except (HarnessError, ArithmeticError, np.linalg.LinAlgError):
         return None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from harness.diagnosis.policy import POLICY, Policy
+from harness.diagnosis.policy import EFFORT, POLICY, Policy
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.effects.effect import Placed
@@ -198,7 +198,18 @@ def impossible(placed: Placed, fit: Fit) -> list[Refusal]:
             near = [value]
         if near and near[0] != parameter.neutral:
             reasons.append(Refusal(Kind.BOUND, parameter.name, (near[0],)))
+        elif parameter.main and _undetermined(name, parameter.neutral or 0.0, fit):
+            reasons.append(Refusal(Kind.UNDETERMINED, parameter.name, (value,)))
     return reasons + violations(placed, fit)
+
+
+def _undetermined(name: str, neutral: float, fit: Fit) -> bool:
+    """Return True for a parameter that its own standard deviation cannot tell from nothing, or from e times as much.
+
+    Three values that only tell a straight line together are none of them told: a wave far longer than the travel.
+    """
+    deviation = fit.deviations.get(name, 0.0)
+    return deviation >= (EFFORT.untold if name in fit.logarithmic else abs(fit.values[name] - neutral))
 
 
 def wrong_signs(placed: Placed, values: Mapping[str, float]) -> list[Refusal]:

@@ -33,6 +33,8 @@ class Kind(Enum):
     """A parameter, the ``subject``, has a sign that its law does not have: the value."""
     BOUND = "bound"
     """A parameter, the ``subject``, lies on its bound: the bound."""
+    UNDETERMINED = "undetermined"
+    """The main parameter, the ``subject``, is not told from nothing, or from e times as much: its value."""
     LAW = "law"
     """What its law asks of its values does not hold: the sentence of the law is the ``subject``."""
     OTHER_LAW = "other law"

@@ -45,6 +45,7 @@ def search(
     policy: Policy = POLICY,
     say: Say = lambda text: None,
     sizes: Mapping[str, Mapping[str, float]] | None = None,
+    begun: Outcome | None = None,
 ) -> Outcome:
     """Find the effects that a model lacks.
 
@@ -59,12 +60,14 @@ def search(
         Told what is done.
     sizes : mapping, optional
         Sizes of the data by port, for what laws that refine others start from.
+    begun : Outcome, optional
+        What was found before, to go on from.
 
     Returns
     -------
     Outcome
     """
-    outcome = Outcome(nominal, nominal, laws=form.laws)
+    outcome = Outcome(nominal, nominal, laws=form.laws) if begun is None else begun
     while len(outcome.accepted) < policy.most:
         base = outcome.model
         present = {str(placed) for placed in base.effects}

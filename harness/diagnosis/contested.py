@@ -1,0 +1,156 @@
+"""An answer held against what simple fits by output error can do: more starts before the search, a rival after it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from harness.diagnosis.forms.form import WholeForm
+from harness.diagnosis.forms.remembered import Remembered
+from harness.diagnosis.kinds import Kind
+from harness.diagnosis.policy import EFFORT, POLICY, Policy
+from harness.diagnosis.records.horizon import Horizon
+from harness.diagnosis.runs.form import FreeRunForm
+from harness.diagnosis.runs.simple_fits import SimpleFit, SimpleFits
+from harness.diagnosis.search.compare import Judged, judged
+from harness.diagnosis.search.fit import Fit
+from harness.diagnosis.search.outcome import Outcome
+from harness.diagnosis.search.rounds import search
+from harness.diagnosis.search.ties import Accepted, tie_set, total
+from harness.effects.effect import Placed
+from harness.physics.likelihood_fit import sensor_noise
+
+__all__ = ["at_optimum", "carried", "follows_whole", "simple_fits_of", "uncontested"]
+
+
+def simple_fits_of(
+    kind: Kind, form: WholeForm, nominal: Fit, candidates: Sequence[Placed], say: Callable[[str], None]
+) -> SimpleFits | None:
+    """Return output-error fits of the records that the likelihood judges; None where nothing compiled simulates them.
+
+    Outputs are compared by what a straight line leaves of them, as the free runs of the report are.
+    """
+    whole = Horizon(None, "records are cut for the likelihood already")
+    horizon = kind.horizon(form.nominal, nominal.values, form.dataset) if form.latent else whole
+    runs = kind.runs(form, form.dataset, form.noise_model.output_scale, horizon)
+    return SimpleFits(runs, nominal.values, candidates, say) if type(runs) is FreeRunForm else None
+
+
+def follows_whole(kind: Kind, form: WholeForm, policy: Policy = POLICY) -> bool:
+    """Return True if whole free runs of the nominal model come as near to their records as the sensors read.
+
+    Of a plant that loses its start, free runs are cut into windows; but over a window shorter than its time constants
+    these are hardly told. Where nothing carries a run away, whole records tell all that they can.
+    """
+    runs = kind.runs(form, form.dataset, form.noise_model.output_scale, Horizon(None, "whole records"))
+    if type(runs) is not FreeRunForm:
+        return False
+    simple, near = SimpleFits(runs, form.nominal.values()), policy.tie * sensor_noise(form.records["estimation"])
+    errors = [simple.errors(values) for values in simple.scattered()]
+    return any(error is not None and bool((error <= near).all()) for error in errors)
+
+
+def carried(form: WholeForm, fit: Fit, policy: Policy, share: float | None = None) -> bool:
+    """Return True if a latent force may carry a missing law, or a free run errs by more than its sensors do.
+
+    ``share`` of the typical force is what it is then larger than: what counts as an effect unless another is given.
+    """
+    noise = fit.detail.points["estimation"].noise
+    if form.latent:
+        force = np.sqrt(noise.s**2 + noise.w**2)
+        return bool((force > (policy.disturbed if share is None else share) * form.noise_model.force_scale).any())
+    return bool((noise.r > policy.tie * sensor_noise(form.records["estimation"])).any())
+
+
+def at_optimum(
+    remembered: Remembered, form: WholeForm, nominal: Fit, simple: SimpleFits | None, policy: Policy = POLICY
+) -> Fit:
+    """Return the nominal fit, begun again from where free runs come nearest if it may have ended beside its maximum.
+
+    Where some state is told by no output, many starts around the declared values are tried as well.
+    """
+    if simple is None or not carried(form, nominal, policy):
+        return nominal
+    starts = [] if simple.nominal is None else [simple.nominal.values]
+    if len(form.first_starts()) == 1:  # nothing but the declared values tells where to start
+        starts += simple.scattered()
+    best = nominal
+    for start in starts:
+        fit = remembered.fit((), [start], None)
+        if fit is not None and fit.penalised > best.penalised + policy.tie:
+            best = fit
+    return best
+
+
+def uncontested(
+    remembered: Remembered,
+    outcome: Outcome,
+    simple: SimpleFits | None,
+    candidates: Sequence[Placed],
+    policy: Policy,
+    say: Callable[[str], None],
+    sizes: Mapping[str, Mapping[str, float]],
+) -> tuple[Outcome, str]:
+    """Return an answer that does not lose, in free runs of the validation records, to the best fit with one effect.
+
+    Where it does, that effect takes its place if the likelihood accepts it, and the search goes on from there as long
+    as that is not lost again.
+
+    Returns
+    -------
+    outcome : Outcome
+    rival : str
+        The effect to which the answer loses by half of what the nominal model leaves, as the likelihood accepts nothing
+        that does not lose; else empty.
+    """
+    form = remembered.form
+    if simple is None or simple.nominal is None or not form.latent or not carried(form, outcome.model, policy):
+        return outcome, ""
+    say("against simple fits")
+    best = _rival(simple, outcome.model, policy)
+    if best is None:
+        return outcome, ""
+    replaced = _with_rival(remembered, outcome, simple, policy)
+    if replaced is None:  # of many simple fits to a disturbed record some run a little nearer by chance
+        clear = simple.further(simple.seen(outcome.model), best.fitted, policy, policy.proxy)
+        return outcome, best.name if clear else ""
+    alone, accepted, rounds = replaced.model, list(replaced.accepted), list(replaced.rounds)
+    further = search(remembered, replaced.nominal, candidates, policy=policy, say=say, sizes=sizes, begun=replaced)
+    if simple.further(simple.seen(further.model), simple.seen(alone), policy):
+        further.model, further.accepted, further.rounds = alone, accepted, rounds
+    return further, ""
+
+
+def _rival(simple: SimpleFits, model: Fit, policy: Policy) -> SimpleFit | None:
+    """Return the fit with one effect to which a model loses, as it was fitted and as free runs would have it."""
+    best = min(simple.table, key=lambda fit: fit.error("validation"), default=None)
+    if best is None or not simple.further(simple.seen(model), best.fitted, policy):
+        return None
+    again = simple.refitted(model)
+    return best if simple.further(None if again is None else again.fitted, best.fitted, policy) else None
+
+
+def _with_rival(remembered: Remembered, outcome: Outcome, simple: SimpleFits, policy: Policy) -> Outcome | None:
+    """Return an outcome with the simple fit in the place of the answer that the likelihood accepts; None if none.
+
+    The likeliest of those that run nearer to the validation records than the answer, also with the parameters that
+    the likelihood gives them.
+    """
+    mine, passed = simple.seen(outcome.model), list[Judged]()
+    for near in sorted(simple.table, key=lambda fit: fit.error("validation"))[: EFFORT.refits]:
+        if not simple.further(mine, near.fitted, policy):
+            break
+        fit = remembered.fit(near.effects, [near.values], outcome.nominal)
+        row = judged(near.effects, fit, outcome.nominal, outcome.nominal, policy)
+        if row.passed and fit is not None and simple.further(mine, simple.seen(fit), policy):
+            passed.append(row)
+    if not passed:
+        return None
+    best = max(passed, key=total)
+    assert best.fit is not None
+    assert best.comparison is not None
+    gains = best.comparison.evidence, best.comparison.validation
+    found = Outcome(outcome.nominal, best.fit, rounds=list(outcome.rounds[:1]), laws=remembered.laws)
+    found.accepted = [Accepted(best.added[0], tie_set(best, passed, remembered.laws, policy), *gains)]
+    return found
