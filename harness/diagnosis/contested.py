@@ -34,7 +34,7 @@ def simple_fits_of(
     whole = Horizon(None, "records are cut for the likelihood already")
     horizon = kind.horizon(form.nominal, nominal.values, form.dataset) if form.latent else whole
     runs = kind.runs(form, form.dataset, form.noise_model.output_scale, horizon)
-    return SimpleFits(runs, nominal.values, candidates, say) if type(runs) is FreeRunForm else None
+    return SimpleFits(runs, nominal.values, candidates, say, form.laws) if type(runs) is FreeRunForm else None
 
 
 def follows_whole(kind: Kind, form: WholeForm, policy: Policy = POLICY) -> bool:

@@ -132,8 +132,8 @@ def said_far(
     values : mapping
         The fitted values.
     intervals : mapping, optional
-        Low and high where the data tell them: a small value counts only where its interval leaves 0 out, as a friction
-        that is not there is no mistake.
+        Low and high where the data tell them: a large value counts only where its interval leaves the declared one out,
+        a small one only where it leaves 0 out, as a friction that is not there is no mistake.
     factor : float
 
     Examples
@@ -147,7 +147,8 @@ def said_far(
             continue
         ratio = abs(values[one.name] / one.value)
         low, high = (intervals or {}).get(one.name, (0.0, 0.0))
-        if ratio >= factor or (ratio <= 1 / factor and low * high > 0):
+        within = one.name in (intervals or {}) and min(low, high) <= one.value <= max(low, high)
+        if (ratio >= factor and not within) or (ratio <= 1 / factor and low * high > 0):
             unit = "" if one.unit == "1" else f" {one.unit}"
             parts.append(f"{one.name} = {values[one.name]:.4g}{unit} is {ratio:.2g} times the declared {one.value:g}")
     return f"check the units of the columns, time included: {', '.join(parts)}" if parts else None

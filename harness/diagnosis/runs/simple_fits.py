@@ -19,7 +19,7 @@ from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.search.fit import Fit, Suspect
 from harness.diagnosis.systems import by_equations
-from harness.effects import nested
+from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
 from harness.physics.levenberg import log_scaled, minimise, minimise_states
@@ -97,8 +97,10 @@ class SimpleFits:
         start: Mapping[str, float],
         candidates: Sequence[Placed] = (),
         say: Callable[[str], None] = lambda what: None,
+        laws: Dictionary | None = None,
     ) -> None:
         self._form, self._start, self._candidates, self._say = form, dict(start), list(candidates), say
+        self._laws = Dictionary.builtin() if laws is None else laws
 
     @functools.cached_property
     def nominal(self) -> SimpleFit | None:
@@ -139,7 +141,9 @@ class SimpleFits:
         begun = [trial for placed in self._candidates if (trial := self._begun(placed)) is not None]
         begun.sort(key=lambda trial: trial.cost)
         leaders = begun[: EFFORT.begun]
-        simpler = {f"{name}@{t.effects[0].at}" for t in leaders for name in map(str, nested(t.effects[0].effect))}
+        simpler = {
+            f"{name}@{t.effects[0].at}" for t in leaders for name in map(str, self._laws.nested(t.effects[0].effect))
+        }
         leaders += [trial for trial in begun[EFFORT.begun :] if str(trial.effects[0]) in simpler]
         found = [fit for trial in leaders if (fit := self._finished(trial)) is not None]
         found = [fit for fit in found if fit.error("estimation") < self.nominal.error("estimation")]
@@ -155,7 +159,11 @@ class SimpleFits:
         enough = (1.0 - policy.explained) * self.nominal.error("estimation")
         near = [fit for fit in self.table if fit.error("estimation") < enough]
         leaders = near[: EFFORT.proposed]
-        simpler = {f"{name}@{fit.effects[0].at}" for fit in leaders for name in map(str, nested(fit.effects[0].effect))}
+        simpler = {
+            f"{name}@{fit.effects[0].at}"
+            for fit in leaders
+            for name in map(str, self._laws.nested(fit.effects[0].effect))
+        }
         chosen = [*leaders, *(fit for fit in near[EFFORT.proposed :] if str(fit.effects[0]) in simpler)]
         return [Suspect(fit.effects[0], (fit.values,)) for fit in chosen]
 
