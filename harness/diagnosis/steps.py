@@ -154,7 +154,8 @@ def widened(form: WholeForm, outcome: Outcome) -> None:
 def sizes_off(system: AnySystem, fit: Fit, factor: float = FAR) -> list[str]:
     """Return a warning about parameters that the data determine, and a factor from what was declared."""
     intervals = {name: fit.interval(name) for name in fit.free if np.isfinite(fit.deviations.get(name, np.nan))}
-    said = said_far(system.parameters, {name: fit.values[name] for name in fit.free}, intervals, factor)
+    values = {name: fit.values[name] for name in fit.free if name not in fit.on_bound}
+    said = said_far(system.parameters, values, intervals, factor)
     return [] if said is None else [f"{said}. If the plant is that size, give the model such values"]
 
 

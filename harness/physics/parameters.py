@@ -117,6 +117,10 @@ def as_parameter(name: str, given: Any, *, minimum: float = -np.inf) -> Paramete
     )
 
 
+GONE = 1e-9
+"""Share of its declared value below which a parameter has vanished: what is not there has no unit that may be wrong."""
+
+
 def said_far(
     parameters: Iterable[Parameter],
     values: Mapping[str, float],
@@ -148,7 +152,7 @@ def said_far(
         ratio = abs(values[one.name] / one.value)
         low, high = (intervals or {}).get(one.name, (0.0, 0.0))
         within = one.name in (intervals or {}) and min(low, high) <= one.value <= max(low, high)
-        if (ratio >= factor and not within) or (ratio <= 1 / factor and low * high > 0):
+        if (ratio >= factor and not within) or (GONE < ratio <= 1 / factor and low * high > 0):
             unit = "" if one.unit == "1" else f" {one.unit}"
             parts.append(f"{one.name} = {values[one.name]:.4g}{unit} is {ratio:.2g} times the declared {one.value:g}")
     return f"check the units of the columns, time included: {', '.join(parts)}" if parts else None
