@@ -51,7 +51,7 @@ _HOMES = {
     "load_dataset": "data",
     "create": "registry",
     "effect": "effects",
-    "load_model": "physics",
+    "load_model": "fitted",
     "simulate": "api",
     "identify": "api",
     "close_loop": "api",

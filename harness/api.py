@@ -9,10 +9,11 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Unpack, cast
 
 from harness import registry
 from harness.errors import HarnessError, InputError, PluginError
+from harness.fitted import FittedModel, Usable, load_model
 from harness.parts import LISTED, describe_part, list_parts
 from harness.plant_files import is_plant_file, make_plant
 from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from harness.comparison import Comparison, OrderSelection, Spectrum
     from harness.conformance import CheckResult
     from harness.data import Nominal
+    from harness.data.chosen import Signals
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
     from harness.fleet import FleetResult
@@ -35,7 +37,9 @@ if TYPE_CHECKING:
     from harness.study.package import Package
 
 __all__ = [
+    "DEFAULT_IDENTIFIER",
     "LISTED",
+    "FittedModel",
     "Identified",
     "answer_study",
     "bench",
@@ -51,6 +55,8 @@ __all__ = [
     "isolability",
     "learn_residual",
     "list_parts",
+    "load_model",
+    "new",
     "order",
     "plan_bench",
     "query",
@@ -228,9 +234,13 @@ def table(directory: str | Path) -> BenchResult:
     return benchmark.table(directory)
 
 
+DEFAULT_IDENTIFIER = "arx"
+"""Where none is asked for: least squares without start values, its order and delay chosen on data held out."""
+
+
 @dataclass(frozen=True)
-class Identified:
-    """What ``identify`` returns: the model, and its scores by use of the data."""
+class Identified(Usable):
+    """What ``identify`` returns: the model, and its scores by use of the data; to be used as a :class:`FittedModel`."""
 
     model: Model
     equation_error: dict[Use, list[Score]]
@@ -265,25 +275,31 @@ class Identified:
 
 
 def identify(
-    dataset: str | Path,
+    dataset: Any,
+    y: Any = None,
     *,
-    identifier: str,
+    identifier: str | None = None,
     options: Mapping[str, Any] | None = None,
     model: str | None = None,
-    validation: str | Path | None = None,
+    validation: Any = None,
     undriven: Sequence[str] = (),
     out: str | Path | None = None,
     seed: int = 0,
     force: bool = False,
+    **signals: Unpack[Signals],
 ) -> Identified:
-    """Fit one model to a data set and score it on every use of the data.
+    """Fit one model to a data set, or to an input and an output, and score it on every use of the data.
 
     Parameters
     ----------
-    dataset : path
-        ``dataset.toml``, or a CSV or Parquet file.
-    identifier : str
-        Id of a registered identifier.
+    dataset : path, table, records, or the input
+        ``dataset.toml``, a table (CSV, Parquet, ..., or a DataFrame, an xarray Dataset, a mapping of arrays), a
+        :class:`Trajectory` or several, a :class:`Dataset`; or, beside ``y``, the input alone.
+    y : array (N,) or (N, ny), Series or DataFrame, optional
+        Output, where the first argument is the input u, (N,) or (N, nu): ``u[k]`` is held on ``[t[k], t[k+1])``. Give
+        ``sample_time`` [s] (an index of times that both share is read). Numbers count as they are.
+    identifier : str, optional
+        Id of a registered identifier; without a physical model :data:`DEFAULT_IDENTIFIER`.
     options : mapping, optional
         Its options.
     model : str, optional
@@ -299,11 +315,23 @@ def identify(
         For identifiers that draw random numbers.
     force : bool
         Overwrite ``out`` if it exists.
+    **signals : Signals
+        ``input``, ``output``, ``column``, ``unit``, ``sample_time`` and ``run``, as for :func:`harness.load_dataset`.
 
     Raises
     ------
     InputError
         If the data or the options cannot be used (``FitError`` if no model can be learned from them).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> u = np.random.default_rng(0).standard_normal(400)
+    >>> y = np.zeros(400)
+    >>> for k in range(399):
+    ...     y[k + 1] = 0.8 * y[k] + 0.5 * u[k]
+    >>> identify(u, y, sample_time=0.1, options={"order": 1}).poles.round(3)
+    array([0.8+0.j])
     """
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
@@ -311,7 +339,27 @@ def identify(
     from harness.predictive import probability_score
     from harness.scoring import equation_error, simulation_error
 
-    loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
+    if y is not None:
+        from harness.data.memory import input_and_output
+
+        dataset, names, others = input_and_output(dataset, y)
+        if "input" in signals or "output" in signals:
+            raise InputError(
+                "input and output", expected="arrays u and y, or a table with input= and output=", got="both",
+                remedy="leave out one",
+            )  # fmt: skip
+        signals = {**signals, "input": names, "output": others}
+    if identifier is None and model is not None:
+        raise InputError(
+            "no identifier for a physical model",
+            expected="identifier = ... (sysid: --identifier), such as output-error",
+            got=f"the model {model} alone",
+            remedy="choose one (sysid list identifiers)",
+        )
+    identifier = DEFAULT_IDENTIFIER if identifier is None else identifier
+    loaded = load_dataset(
+        registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven, **signals
+    )
     data = loaded.dataset
     made = registry.create("identifiers", identifier, **_with_model(identifier, dict(options or {}), loaded.nominal))
     if not isinstance(made, Identifier):
@@ -351,15 +399,16 @@ def _said(model: Model) -> tuple[str, ...]:
 
 
 def close_loop(
-    dataset: str | Path,
+    dataset: Any,
     *,
     out: str | Path,
     model: str | None = None,
-    validation: str | Path | None = None,
+    validation: Any = None,
     undriven: Sequence[str] = (),
     resume: bool = False,
     force: bool = False,
     progress: Callable[[float, str], None] | None = None,
+    **signals: Unpack[Signals],
 ) -> Report:
     """Find the effect that a model lacks, add it, report the error before and after.
 
@@ -381,6 +430,8 @@ def close_loop(
         Overwrite a finished report in ``out``.
     progress : callable, optional
         Called as ``progress(fraction_done, what)``.
+    **signals : Signals
+        As for :func:`identify`.
 
     Returns
     -------
@@ -390,7 +441,9 @@ def close_loop(
     from harness import diagnosis
     from harness.data import load_dataset
 
-    loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
+    loaded = load_dataset(
+        registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven, **signals
+    )
     return diagnosis.close_loop_file(
         cast(Any, loaded),  # data that are read already pass through
         out=out,
@@ -670,6 +723,7 @@ def compare(
     out: str | Path | None = None,
     trust: bool = False,
     force: bool = False,
+    **signals: Unpack[Signals],
 ) -> Comparison:
     """Put stored models side by side on one data set: fit, residuals, frequency responses.
 
@@ -687,6 +741,8 @@ def compare(
         Let a stored model run the Python file that it names.
     force : bool
         Overwrite ``out`` if it exists.
+    **signals : Signals
+        As for :func:`identify`.
 
     Raises
     ------
@@ -701,7 +757,15 @@ def compare(
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
     found = {str(path): read_model(path, trust=trust) for path in models}
-    data = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven).dataset
+    spec = next(iter(found.values())).spec
+    data = load_dataset(
+        registry.dataset_path(dataset),
+        model=model,
+        validation=validation,
+        undriven=undriven,
+        ports=(spec.inputs, spec.outputs) if _is_table(dataset) and model is None else None,
+        **signals,
+    ).dataset
     result = room.compare(found, data)
     if out is not None:
         with whole_file(out) as scratch:
@@ -717,6 +781,7 @@ def spectrum(
     segment: int | None = None,
     out: str | Path | None = None,
     force: bool = False,
+    **signals: Unpack[Signals],
 ) -> Spectrum:
     """Return the frequency response that the estimation records of a data set show.
 
@@ -732,6 +797,8 @@ def spectrum(
         Picture to write: ``.svg``, ``.png`` or ``.pdf``.
     force : bool
         Overwrite ``out`` if it exists.
+    **signals : Signals
+        As for :func:`identify`.
 
     Raises
     ------
@@ -742,7 +809,7 @@ def spectrum(
     from harness.data import load_dataset
 
     _refuse_picture(out, force=force)
-    data = load_dataset(registry.dataset_path(dataset), model=model, undriven=undriven).dataset
+    data = load_dataset(registry.dataset_path(dataset), model=model, undriven=undriven, **signals).dataset
     found = room.spectrum([one.measured() for one in data.estimation], segment=segment)
     _draw(found.plot, out)
     return found
@@ -760,6 +827,7 @@ def order(
     out: str | Path | None = None,
     seed: int = 0,
     force: bool = False,
+    **signals: Unpack[Signals],
 ) -> OrderSelection:
     """Fit models of every order, judge them on data that they did not see, and show where more is no gain.
 
@@ -781,6 +849,8 @@ def order(
         For identifiers that draw random numbers.
     force : bool
         Overwrite ``out`` if it exists.
+    **signals : Signals
+        As for :func:`identify`.
 
     Raises
     ------
@@ -792,13 +862,27 @@ def order(
 
     _refuse_picture(out, force=force)
     path = registry.dataset_path(dataset)
-    data = load_dataset(path, model=model, validation=validation, undriven=undriven).dataset
+    data = load_dataset(path, model=model, validation=validation, undriven=undriven, **signals).dataset
     asked: dict[str, Any] = {"identifiers": identifiers} if identifiers else {}
     if orders:
         asked["orders"] = orders
     found = room.order_selection(data, options=options, seed=seed, **asked)
     _draw(found.plot, out)
     return found
+
+
+def _is_table(dataset: Any) -> bool:
+    """Return True for a table whose columns someone has to name, False where a file or a record says it itself."""
+    if isinstance(dataset, str | Path):
+        return Path(registry.dataset_path(dataset)).suffix != ".toml"
+    return isinstance(dataset, Mapping) or hasattr(dataset, "columns") or hasattr(dataset, "data_vars")
+
+
+def new(kind: str, name: str, *, folder: str | Path = ".") -> list[Path]:
+    """Begin a plug-in of one's own and return the files written; see :func:`harness.scaffold.new`."""
+    from harness.scaffold import new as begin
+
+    return begin(kind, name, folder=folder)
 
 
 def check(name: str) -> list[CheckResult]:

@@ -100,9 +100,8 @@ def new(
 ) -> None:
     """Begin a plug-in: a distribution of its own that works and passes its checks."""
     from harness.scaffold import entry_name
-    from harness.scaffold import new as begin
 
-    for path in begin(kind, name, folder=folder):
+    for path in api.new(kind, name, folder=folder):
         say(f"wrote {path}")
     say(f"now: cd {folder / f'sysid-{name}'} && pip install -e . && sysid check {entry_name(kind, name)}")
 

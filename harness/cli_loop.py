@@ -9,7 +9,23 @@ from typing import Annotated
 import typer
 
 from harness import api
-from harness.cli_options import AsJson, Force, ModelName, Resume, ScenarioPairs, Seed, Undriven, Validation
+from harness.cli_options import (
+    AsJson,
+    Columns,
+    Force,
+    Inputs,
+    ModelName,
+    Outputs,
+    Resume,
+    Runs,
+    SampleTime,
+    ScenarioPairs,
+    Seed,
+    Undriven,
+    Units,
+    Validation,
+    signals_of,
+)
 from harness.errors import InputError
 from harness.terminal import (
     completed,
@@ -37,6 +53,12 @@ def close_loop(
     model: ModelName = None,
     validation: Validation = None,
     undriven: Undriven = None,
+    input: Inputs = None,
+    output: Outputs = None,
+    column: Columns = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    run: Runs = None,
     as_json: Annotated[bool, typer.Option("--json", help="print report.json")] = False,
     resume: Resume = False,
     force: Force = False,
@@ -47,7 +69,15 @@ def close_loop(
     """Find the effect that a model lacks, add it, report the error before and after; of one record or of a fleet."""
     from harness.fleet import is_fleet
 
+    signals = signals_of(input, output, column, unit, sample_time, run)
     if is_fleet(dataset):
+        if any(signals.values()):
+            raise InputError(
+                "columns chosen for a fleet",
+                expected="records whose titles are the model's ports, or a dataset.toml for each",
+                got=" ".join(f"--{name.replace('_', '-')}" for name, value in signals.items() if value),
+                remedy="leave it out",
+            )
         if validation is not None or force:
             raise InputError(
                 "option of one record",
@@ -80,6 +110,7 @@ def close_loop(
             resume=resume,
             force=force,
             progress=show,
+            **signals,
         )
     if as_json:
         print_json(report.data)

@@ -8,7 +8,23 @@ from typing import Annotated
 import typer
 
 from harness import api
-from harness.cli_options import AsJson, DatasetName, Force, ModelName, OptionPairs, Seed, Undriven, Validation
+from harness.cli_options import (
+    AsJson,
+    Columns,
+    DatasetName,
+    Force,
+    Inputs,
+    ModelName,
+    OptionPairs,
+    Outputs,
+    Runs,
+    SampleTime,
+    Seed,
+    Undriven,
+    Units,
+    Validation,
+    signals_of,
+)
 from harness.errors import InputError
 from harness.terminal import completed, option_pairs, print_identified, print_json, print_rows, say, whole_range
 
@@ -17,11 +33,23 @@ __all__ = ["compare", "export", "identify", "order", "spectrum"]
 
 def identify(
     dataset: DatasetName,
-    identifier: Annotated[str, typer.Option(help="id of an identifier", autocompletion=completed("identifiers"))],
+    identifier: Annotated[
+        str | None,
+        typer.Option(
+            help="id of an identifier; default arx where no physical model is given",
+            autocompletion=completed("identifiers"),
+        ),
+    ] = None,
     option: OptionPairs = None,
     model: ModelName = None,
     validation: Validation = None,
     undriven: Undriven = None,
+    input: Inputs = None,
+    output: Outputs = None,
+    column: Columns = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    run: Runs = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="model.json")] = None,
     seed: Seed = 0,
     force: Force = False,
@@ -37,8 +65,9 @@ def identify(
         out=out,
         seed=seed,
         force=force,
+        **signals_of(input, output, column, unit, sample_time, run),
     )
-    print_identified(fitted, identifier)
+    print_identified(fitted, identifier or api.DEFAULT_IDENTIFIER)
     if out is not None:
         say(f"wrote {out}")
 
@@ -48,6 +77,12 @@ def compare(
     model: ModelName = None,
     validation: Validation = None,
     undriven: Undriven = None,
+    input: Inputs = None,
+    output: Outputs = None,
+    column: Columns = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    run: Runs = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="page.html")] = None,
     trust: Annotated[bool, typer.Option("--trust", help="run the Python file that a model.json names")] = False,
     as_json: AsJson = False,
@@ -67,6 +102,7 @@ def compare(
         out=out,
         trust=trust,
         force=force,
+        **signals_of(input, output, column, unit, sample_time, run),
     )
     if as_json:
         print_json(found.rows())
@@ -80,13 +116,27 @@ def spectrum(
     dataset: DatasetName,
     model: ModelName = None,
     undriven: Undriven = None,
+    input: Inputs = None,
+    output: Outputs = None,
+    column: Columns = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    run: Runs = None,
     segment: Annotated[int | None, typer.Option(min=16, help="samples of a segment of Welch's method")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Show the frequency response in the data, with bands and coherence."""
-    found = api.spectrum(dataset, model=model, undriven=undriven or (), segment=segment, out=out, force=force)
+    found = api.spectrum(
+        dataset,
+        model=model,
+        undriven=undriven or (),
+        segment=segment,
+        out=out,
+        force=force,
+        **signals_of(input, output, column, unit, sample_time, run),
+    )
     if as_json:
         print_json(found.rows(64))
     else:
@@ -122,6 +172,12 @@ def order(
     model: ModelName = None,
     validation: Validation = None,
     undriven: Undriven = None,
+    input: Inputs = None,
+    output: Outputs = None,
+    column: Columns = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    run: Runs = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
     seed: Seed = 0,
     as_json: AsJson = False,
@@ -140,6 +196,7 @@ def order(
         out=out,
         seed=seed,
         force=force,
+        **signals_of(input, output, column, unit, sample_time, run),
     )
     if as_json:
         print_json(

@@ -3,14 +3,36 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from harness.terminal import completed
+from harness.terminal import completed, text_pairs
 
-__all__ = ["AsJson", "DatasetName", "Engine", "Force", "ModelName", "OptionPairs", "Resume", "ScenarioPairs", "Seed",
-           "Undriven", "Validation", "Workers"]  # fmt: skip
+if TYPE_CHECKING:
+    from harness.data.chosen import Signals
+
+__all__ = [
+    "AsJson",
+    "Columns",
+    "DatasetName",
+    "Engine",
+    "Force",
+    "Inputs",
+    "ModelName",
+    "OptionPairs",
+    "Outputs",
+    "Resume",
+    "Runs",
+    "SampleTime",
+    "ScenarioPairs",
+    "Seed",
+    "Undriven",
+    "Units",
+    "Validation",
+    "Workers",
+    "signals_of",
+]
 
 OptionPairs = Annotated[list[str] | None, typer.Option("--option", "-O", metavar="k=v", help="option, repeatable")]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
@@ -31,3 +53,42 @@ ScenarioPairs = Annotated[
     list[str] | None, typer.Option("--scenario-option", "-S", metavar="k=v", help="scenario option, repeatable")
 ]
 DatasetName = Annotated[str, typer.Argument(metavar="DATASET", help="dataset.toml, CSV, Parquet, or a recording")]
+Inputs = Annotated[
+    list[str] | None,
+    typer.Option("--input", metavar="NAME", help="of a table: an input, repeatable; none if nothing drives it"),
+]
+Outputs = Annotated[
+    list[str] | None, typer.Option("--output", metavar="NAME", help="of a table: an output, repeatable")
+]
+Columns = Annotated[
+    list[str] | None,
+    typer.Option("--column", metavar="NAME=TITLE", help="of a table: column of a signal or of time, repeatable"),
+]
+Units = Annotated[
+    list[str] | None,
+    typer.Option("--unit", metavar="NAME=UNIT", help="of a table: unit of a signal or of time, repeatable"),
+]
+SampleTime = Annotated[float | None, typer.Option("--sample-time", help="of a table without a time column [s]")]
+Runs = Annotated[
+    list[str] | None,
+    typer.Option("--run", metavar="[USE=]FILE", help="of a table: a further record, repeatable; USE as estimation"),
+]
+
+
+def signals_of(
+    input: list[str] | None,
+    output: list[str] | None,
+    column: list[str] | None,
+    unit: list[str] | None,
+    sample_time: float | None,
+    run: list[str] | None,
+) -> Signals:
+    """Return what the options say of the columns of a table."""
+    return {
+        "input": input or None,
+        "output": output or None,
+        "column": text_pairs(column, "--column"),
+        "unit": text_pairs(unit, "--unit"),
+        "sample_time": sample_time,
+        "run": run or None,
+    }

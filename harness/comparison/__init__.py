@@ -5,6 +5,7 @@ from __future__ import annotations
 from harness.comparison.models import Compared, Comparison, compare
 from harness.comparison.orders import OrderSelection, order_selection
 from harness.comparison.residuals import Correlation, correlations
+from harness.comparison.responses import Response, response
 from harness.comparison.spectra import Spectrum, spectrum
 
 __all__ = [
@@ -12,9 +13,11 @@ __all__ = [
     "Comparison",
     "Correlation",
     "OrderSelection",
+    "Response",
     "Spectrum",
     "compare",
     "correlations",
     "order_selection",
+    "response",
     "spectrum",
 ]

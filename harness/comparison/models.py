@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,6 +16,7 @@ from harness.comparison.residuals import LAGS, Correlation, correlations
 from harness.comparison.spectra import Spectrum, spectrum
 from harness.display import STYLE, table
 from harness.errors import HarnessError, InputError
+from harness.plots import inlined
 from harness.protocols import Model
 from harness.scoring import Score, equation_error, predict, simulation_error
 from harness.signals import Dataset, FloatArray, Use, residual
@@ -95,7 +94,10 @@ class Comparison:
 
     def html(self) -> str:
         """Return the page: table, residual correlations, Bode diagrams with the bands of the data."""
-        figures = [_picture(_residual_figure(self)), *([_picture(_bode_figure(self))] if self.spectrum else [])]
+        figures = [
+            inlined(_residual_figure(self), "correlations of the residuals"),
+            *([inlined(_bode_figure(self), "frequency responses")] if self.spectrum else []),
+        ]
         names = ", ".join(escape(compared.name) for compared in self.models)
         return (
             f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
@@ -250,10 +252,3 @@ def _response(model: Model, frequency: FloatArray, sample_time: float) -> Any:
     a, b, c, d = (np.asarray(part, dtype=float) for part in parts)
     z = np.exp(2j * np.pi * frequency * sample_time)
     return np.array([c @ np.linalg.solve(point * np.eye(len(a)) - a, b) + d for point in z])
-
-
-def _picture(figure: Any) -> str:
-    """Return a figure inlined as SVG."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="svg")
-    return f'<p><img alt="" src="data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"></p>'

@@ -1,4 +1,4 @@
-"""One CSV or Parquet file as a whole data set: its columns carry the names of the model's ports."""
+"""One table as a whole data set: its columns carry the names of the model's ports, or the caller names them."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from pathlib import Path
 
 import msgspec
 
+from harness.data.chosen import Chosen
 from harness.data.headers import split_header
 from harness.data.ports import Ports, located_model, ports_of
 from harness.data.sections import Description, NominalSection, RunSection, SignalSection, TimeSection
-from harness.data.tables import BARE, REFERENCE, Table, open_table, suffix_of
+from harness.data.tables import FORMATS, REFERENCE, Table, open_table, suffix_of
 from harness.data.trajectories import stored_spec
 from harness.errors import InputError
 from harness.signals import Channel
@@ -26,76 +27,94 @@ def describe_bare(
     ports: tuple[Sequence[Channel], Sequence[Channel]] | None,
     notes: list[str],
     tables: dict[Path, Table],
-) -> tuple[Description, Ports]:
+    chosen: Chosen,
+) -> tuple[Description, Ports | None]:
     """Return the description that a bare file amounts to, and the ports that name its columns.
+
+    Parameters
+    ----------
+    chosen : Chosen
+        What the caller says of the columns. The names are those of the model's ports where there is a model that has
+        some, else those that the caller chose as inputs and outputs.
 
     Raises
     ------
     InputError
-        If no model names the ports, or no column carries the name of one.
+        If neither a model nor the caller says which columns are meant, or a column is not there.
     """
     table = open_table(path, tables)
-    stored = stored_spec(path)
-    if model is None and ports is None and stored is None:
-        raise InputError(
-            "a bare file without a model",
-            expected="--model NAME, whose ports name the columns",
-            got="none",
-            remedy="add --model, or write a dataset.toml",
-            file=path,
-        )
-    if ports is not None:
-        known = Ports(tuple(ports[0]), tuple(ports[1]), model or "the model")
-    elif model is not None and (found := ports_of(located_model(model, Path.cwd()), {})) is not None:
-        known = found
-    elif stored is not None:
-        known = Ports(stored.inputs, stored.outputs, path.name)
+    known = _known_ports(path, model, ports)
+    if known is None or chosen.outputs is not None or chosen.inputs is not None:
+        signals, said = chosen.sections(table, ported=known is not None)
+        notes += said
     else:
-        raise InputError(
-            f"the model {model} takes any ports",
-            expected="a dataset.toml that says which columns are inputs",
-            got="a bare table",
-            remedy="write a dataset.toml, or use a Parquet file of sysid simulate, which knows",
-            file=path,
-        )
-    signals = _signals(table, known, path, notes)
-    runs, second = _runs(path, table, validation, next(iter(signals)), tables)
+        signals = _signals(table, known, path, notes, chosen)
+    runs, second = _runs(path, table, validation, next(iter(signals)), tables, chosen)
     notes += second
     nominal = NominalSection(model=model) if model is not None else None
     names = [split_header(title)[0] for title in table.titles]
-    clock = _clock(names)
-    time = TimeSection(column=clock) if clock not in ("", "time", *signals) else None
-    return Description(name=path.stem, signals=signals, runs=runs, nominal=nominal, time=time), known
+    clock = chosen.columns.get("time") or _clock(names)
+    unit = chosen.units.get("time")
+    time = TimeSection(column=clock, unit=unit) if unit or clock not in ("", "time", *signals) else None
+    described = Description(
+        name=path.stem, signals=signals, runs=runs, nominal=nominal, time=time, sample_time=chosen.sample_time
+    )
+    return described, known
 
 
-def _signals(table: Table, ports: Ports, path: Path, notes: list[str]) -> dict[str, SignalSection]:
-    """Return a signal for every column that carries the name of a port or of its rate."""
+def _known_ports(
+    path: Path, model: str | None, ports: tuple[Sequence[Channel], Sequence[Channel]] | None
+) -> Ports | None:
+    """Return the ports that name the columns of a file; None where only the caller can."""
+    if ports is not None:
+        return Ports(tuple(ports[0]), tuple(ports[1]), model or "the model", rates=False)
+    if model is not None and (found := ports_of(located_model(model, Path.cwd()), {})) is not None:
+        return found
+    stored = stored_spec(path)
+    return None if stored is None else Ports(stored.inputs, stored.outputs, path.name, rates=False)
+
+
+def _signals(table: Table, ports: Ports, path: Path, notes: list[str], chosen: Chosen) -> dict[str, SignalSection]:
+    """Return a signal for every column that carries the name of a port or of its rate, or was said to be one."""
     signals: dict[str, SignalSection] = {}
-    inputs = {channel.name for channel in ports.inputs}
-    outputs: dict[str, tuple[str, int]] = {channel.name: (channel.name, 0) for channel in ports.outputs}
-    for channel in ports.outputs:
-        outputs.setdefault(Ports.channel_name(channel.name, 1), (channel.name, 1))
+    inputs = {channel.name: channel for channel in ports.inputs}
+    outputs = {channel.name: (channel, 0) for channel in ports.outputs}
+    for channel in ports.outputs if ports.rates else ():
+        outputs.setdefault(Ports.channel_name(channel.name, 1), (channel, 1))
+    chosen.refuse_unused((*inputs, *outputs, "time"))
+    said: dict[str | None, str] = {}
+    for name, given in chosen.columns.items():
+        if (found := table.find(given)) is None:
+            raise table.missing(given)
+        said[found] = name
     # tau_1 is as good as tau1
     plain = {port.replace("_", ""): port for port in inputs}
-    bare = {name.replace("_", ""): target for name, target in outputs.items()}
+    bare = {name.replace("_", ""): name for name in outputs}
     names = {split_header(title)[0]: title for title in table.titles}
     clock = names.get(_clock(list(names)), "")
     ignored = []
     for title in table.titles:
-        name = split_header(title)[0]
-        # the unit stays with the title: a validation file may state another one
-        if name in inputs:
-            signals[name] = SignalSection(role="input")
-        elif name in outputs:
-            port, derivative = outputs[name]
-            signals[name] = SignalSection(role="output", port=port, derivative=derivative)
-        elif name.replace("_", "") in plain:
-            signals[name] = SignalSection(role="input", port=plain[name.replace("_", "")])
-        elif name.replace("_", "") in bare:
-            port, derivative = bare[name.replace("_", "")]
-            signals[name] = SignalSection(role="output", port=port, derivative=derivative)
-        elif name.startswith(REFERENCE):
+        name = said.get(title, split_header(title)[0])
+        if title not in said and name in chosen.columns:
+            name = ""  # another column was said to be this one
+        # a unit in the title stays there: a validation file may state another one
+        unit = chosen.units.get(name)
+        column: str | None = title if title in said else None
+        if name.startswith(REFERENCE):
             signals[name] = SignalSection(role="reference")
+            continue
+        flat = name.replace("_", "")
+        port = name if name in inputs else "" if name in outputs else plain.get(flat, "")
+        measured = "" if port else name if name in outputs else bare.get(flat, "")
+        if port:
+            unit = unit or _plain_number(inputs[port], split_header(title)[1])
+            signals[name] = SignalSection(role="input", port=None if port == name else port, unit=unit, column=column)
+        elif measured:
+            channel, derivative = outputs[measured]
+            unit = unit or (None if derivative else _plain_number(channel, split_header(title)[1]))
+            signals[name] = SignalSection(
+                role="output", port=channel.name, derivative=derivative, unit=unit, column=column
+            )
         elif name != "time" and title != clock:
             ignored.append(title)
     if not any(signal.role == "output" for signal in signals.values()):
@@ -103,12 +122,18 @@ def _signals(table: Table, ports: Ports, path: Path, notes: list[str]) -> dict[s
             f"no column is an output of {ports.model}",
             expected=f"a column named {' or '.join(map(str, ports.outputs[:6]))}",
             got=", ".join(table.titles[:12]),
-            remedy="rename the columns, choose another --model, or write a dataset.toml",
+            remedy=f"say which column it is (--column {ports.outputs[0].name}=TITLE), choose another --model, "
+            "or write a dataset.toml",
             file=path,
         )
     if ignored:
         notes.append(f"columns that are no ports of {ports.model} are ignored: {', '.join(ignored[:8])}")
     return signals
+
+
+def _plain_number(channel: Channel, stated: str | None) -> str | None:
+    """Return the unit of a column whose title states none: that of a port that is a plain number, else unknown."""
+    return "1" if stated is None and channel.unit == "1" else None
 
 
 def _clock(names: Sequence[str]) -> str:
@@ -121,29 +146,40 @@ def _clock(names: Sequence[str]) -> str:
 
 
 def _runs(
-    path: Path, table: Table, validation: str | Path | None, first: str, tables: dict[Path, Table]
+    path: Path,
+    table: Table,
+    validation: str | Path | None,
+    first: str,
+    tables: dict[Path, Table],
+    chosen: Chosen,
 ) -> tuple[tuple[RunSection, ...], list[str]]:
-    """Return the estimation and validation run: two files, or two thirds and one third of one."""
+    """Return the runs: the file and those beside it; two thirds and one third of it where none validates."""
     own = RunSection(file=path.name, use="estimation")
-    if validation is not None and Path(validation) in tables:
-        return (own, RunSection(file=str(validation), use="validation")), []
-    if validation is not None:
-        other = Path(validation)
-        if suffix_of(other) not in BARE:
-            raise InputError(
-                "validation file",
-                expected=f"a file that ends in {' or '.join(BARE)}",
-                got=other.name,
-                remedy="give a CSV or Parquet file",
-                file=other,
-            )
-        return (own, RunSection(file=str(other.resolve()), use="validation")), []
-    n = len(table.read(first)[0])
+    beside = [(use, Path(file)) for use, file in chosen.runs]
+    beside += [] if validation is None else [("validation", Path(validation))]
+    runs = [RunSection(file=str(file if file in tables else _table_file(file, use)), use=use) for use, file in beside]
+    if chosen.whole or any(run.use == "validation" for run in runs):
+        return (own, *runs), []
+    n = len(table.read(chosen.columns.get(first, first))[0])
     cut = 2 * n // 3
     if cut < 1:
-        return (own,), []
+        return (own, *runs), []
     note = f"no validation file: rows {cut} to {n} of {path.name}, its last third, validate"
     return (
         msgspec.structs.replace(own, rows=(0, cut)),
         RunSection(file=path.name, use="validation", rows=(cut, n)),
+        *runs,
     ), [note]
+
+
+def _table_file(file: Path, use: str) -> Path:
+    """Return the whole path of a further file; refuse one that is no table."""
+    if suffix_of(file) not in FORMATS:
+        raise InputError(
+            f"{use} file",
+            expected=f"a file that ends in {' or '.join(FORMATS)}",
+            got=file.name,
+            remedy="give a file with the same columns",
+            file=file,
+        )
+    return file.resolve()

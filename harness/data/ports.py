@@ -31,12 +31,15 @@ class Ports:
         For messages.
     units_fixed : bool
         False where the model takes over the units of the data.
+    rates : bool
+        False where the rates of the outputs cannot be measured too: a fitted model has the outputs that it has.
     """
 
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
     model: str = "the model"
     units_fixed: bool = True
+    rates: bool = True
 
     def find(self, port: str, role: str) -> Channel:
         """Return the channel of a port.
