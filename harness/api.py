@@ -23,7 +23,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory, Use
 if TYPE_CHECKING:
     from harness.benchmark import Answer, BenchResult
     from harness.benchmark.planning import Plan
-    from harness.comparison import Comparison, OrderSelection, Spectrum
+    from harness.comparison import Comparison, OrderSelection, ReportComparison, Spectrum
     from harness.conformance import CheckResult
     from harness.data import Nominal
     from harness.data.chosen import Signals
@@ -47,6 +47,7 @@ __all__ = [
     "close_fleet",
     "close_loop",
     "compare",
+    "compare_reports",
     "describe_fmu",
     "describe_part",
     "export",
@@ -248,6 +249,26 @@ class Identified(Usable):
     warnings: tuple[str, ...]
     probability: dict[Use, list[ProbabilityScore]] = field(default_factory=dict)
     """One step ahead, of a model that predicts distributions; empty for others."""
+
+    def errors(self) -> dict[str, tuple[float, str]]:
+        """Return the rms of the free run on validation data (on estimation data where none validates), with its unit.
+
+        By output, over all runs of that use.
+        """
+        from harness.comparison.models import free_run_errors
+
+        return free_run_errors(self.model, self.simulation_error)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return model, scores and warnings, ready for JSON."""
+        scores = {
+            name: {
+                use: [{"rms": s.rms.tolist(), "nrmse": s.nrmse.tolist(), "samples": s.samples} for s in own]
+                for use, own in found.items()
+            }
+            for name, found in (("equation_error", self.equation_error), ("simulation_error", self.simulation_error))
+        }
+        return {"model": self.model.to_dict(), **scores, "warnings": list(self.warnings)}
 
     def _rows(self) -> list[tuple[str, ...]]:
         """Return use, run, output, NRMSE one step ahead and in free run, rms in free run."""
@@ -771,6 +792,13 @@ def compare(
         with whole_file(out) as scratch:
             scratch.write_text(result.html(), encoding="utf-8")
     return result
+
+
+def compare_reports(first: str | Path, second: str | Path) -> ReportComparison:
+    """Say what differs between two reports of the closed loop; see :func:`harness.comparison.compare_reports`."""
+    from harness import comparison as room
+
+    return room.compare_reports(first, second)
 
 
 def spectrum(

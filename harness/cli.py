@@ -1,6 +1,7 @@
 """The ``sysid`` command: words and printing only; what it does is in :mod:`harness.api`.
 
-Exit status: 0 done (whatever the verdict), 1 a fault of ours, 2 input that cannot be used, 130 interrupted.
+Exit status: 0 done (whatever the verdict), 1 done and it fails what was asked (``--fail-on``, ``--max-error``,
+``sysid check``), 2 input that cannot be used, 70 a fault of ours, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -16,14 +17,17 @@ import typer
 from harness import __version__, api
 from harness.cli_loop import close_loop, isolability, learn_residual
 from harness.cli_models import compare, export, identify, order, spectrum
-from harness.cli_options import AsJson
+from harness.cli_options import AsJson, Junit, judged
 from harness.cli_runs import bench, query, simulate, table
 from harness.cli_study import study_app
-from harness.errors import HarnessError, InputError
+from harness.errors import HarnessError
 from harness.interrupts import INTERRUPTED, Interrupts
-from harness.terminal import fail, print_fmu, print_json, print_parts, print_rows, say
+from harness.terminal import fail, print_fmu, print_json, print_parts, print_rows, print_written, say
 
 __all__ = ["app", "run"]
+
+OWN_FAULT = 70
+"""Exit status of a fault in this program: EX_SOFTWARE of sysexits.h (4.0BSD)."""
 
 app = typer.Typer(
     name="sysid",
@@ -73,23 +77,19 @@ def list_command(
 @app.command()
 def check(
     name: Annotated[str, typer.Argument(metavar="NAME_OR_FILE", help="id of a plug-in, or FILE.py:NAME")],
+    junit: Junit = None,
     as_json: AsJson = False,
 ) -> None:
-    """Hold a plug-in to its contract; exit 2 if it breaks it."""
+    """Hold a plug-in to its contract; exit status 1 if it breaks it."""
     results = api.check(name)
     if as_json:
         print_json([{"name": r.name, "passed": r.passed, "reason": r.reason} for r in results])
     else:
         for result in results:
             say(f"{'pass' if result.passed else 'FAIL'}  {result.name}{': ' + result.reason if result.reason else ''}")
-    failed = [result.name for result in results if not result.passed]
-    if failed:
-        raise InputError(
-            f"{name} breaks its contract",
-            expected=f"{len(results)} checks passed",
-            got=f"{len(failed)} failed ({', '.join(failed)})",
-            remedy="see the reasons above",
-        )
+    from harness.acceptance import Check
+
+    judged("check", [Check(name, result.name, result.passed, result.reason or "") for result in results], junit)
 
 
 @app.command()
@@ -97,12 +97,14 @@ def new(
     kind: Annotated[str, typer.Argument(metavar="KIND", help="identifier | plant | scenario | effect | model")],
     name: Annotated[str, typer.Argument(metavar="NAME", help="its id, such as soft-friction")],
     folder: Annotated[Path, typer.Option(help="where sysid-NAME/ is made")] = Path("."),
+    as_json: AsJson = False,
 ) -> None:
     """Begin a plug-in: a distribution of its own that works and passes its checks."""
     from harness.scaffold import entry_name
 
-    for path in api.new(kind, name, folder=folder):
-        say(f"wrote {path}")
+    print_written(api.new(kind, name, folder=folder), as_json=as_json)
+    if as_json:
+        return
     say(f"now: cd {folder / f'sysid-{name}'} && pip install -e . && sysid check {entry_name(kind, name)}")
 
 
@@ -159,5 +161,5 @@ def _failed(error: Exception) -> int:
     return fail(
         f"a fault in sysid-harness: {type(error).__name__}: {' '.join(str(error).split())}; "
         "remedy: set SYSID_HARNESS_DEBUG=1 for the traceback and report it",
-        1,
+        OWN_FAULT,
     )

@@ -14,6 +14,8 @@ from harness.cli_options import (
     DatasetName,
     Force,
     Inputs,
+    Junit,
+    MaxError,
     ModelName,
     OptionPairs,
     Outputs,
@@ -23,10 +25,21 @@ from harness.cli_options import (
     Undriven,
     Units,
     Validation,
+    demands_of,
+    judged,
     signals_of,
 )
 from harness.errors import InputError
-from harness.terminal import completed, option_pairs, print_identified, print_json, print_rows, say, whole_range
+from harness.terminal import (
+    completed,
+    option_pairs,
+    print_identified,
+    print_json,
+    print_rows,
+    print_written,
+    say,
+    whole_range,
+)
 
 __all__ = ["compare", "export", "identify", "order", "spectrum"]
 
@@ -52,9 +65,13 @@ def identify(
     run: Runs = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="model.json")] = None,
     seed: Seed = 0,
+    max_error: MaxError = None,
+    junit: Junit = None,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Fit one model to a data set and score it."""
+    demands = demands_of(None, max_error, None)
     fitted = api.identify(
         dataset,
         identifier=identifier,
@@ -67,13 +84,21 @@ def identify(
         force=force,
         **signals_of(input, output, column, unit, sample_time, run),
     )
-    print_identified(fitted, identifier or api.DEFAULT_IDENTIFIER)
-    if out is not None:
-        say(f"wrote {out}")
+    name = identifier or api.DEFAULT_IDENTIFIER
+    if as_json:
+        print_json(fitted.to_dict())
+    else:
+        print_identified(fitted, name)
+        if out is not None:
+            say(f"wrote {out}")
+    judged("identify", demands.of_errors(name, fitted.errors()), junit)
 
 
 def compare(
-    files: Annotated[list[str], typer.Argument(metavar="MODEL... DATASET", help="model.json files, then the data set")],
+    files: Annotated[
+        list[str],
+        typer.Argument(metavar="MODEL... DATASET", help="model.json files, then the data set; or two reports"),
+    ],
     model: ModelName = None,
     validation: Validation = None,
     undriven: Undriven = None,
@@ -85,14 +110,30 @@ def compare(
     run: Runs = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="page.html")] = None,
     trust: Annotated[bool, typer.Option("--trust", help="run the Python file that a model.json names")] = False,
+    max_error: MaxError = None,
+    junit: Junit = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Put stored models side by side on one data set: fit, residuals, frequency responses."""
+    """Put stored models side by side on one data set: fit, residuals, frequency responses; or two reports."""
+    demands = demands_of(None, max_error, None)
+    from harness.comparison.reports import is_report
+
     if len(files) < 2:
         raise InputError(
-            "what to compare", expected="MODEL... DATASET", got=" ".join(files), remedy="give a model and a data set"
+            "what to compare",
+            expected="MODEL... DATASET, or REPORT REPORT",
+            got=" ".join(files),
+            remedy="give a model and a data set",
         )
+    if len(files) == 2 and is_report(files[1]):
+        told = api.compare_reports(*files)
+        if as_json:
+            print_json(told.rows())
+            return
+        say(str(told))
+        print_rows(told.rows())
+        return
     found = api.compare(
         files[:-1],
         files[-1],
@@ -108,8 +149,10 @@ def compare(
         print_json(found.rows())
     else:
         print_rows(found.rows())
-    if out is not None:
-        say(f"wrote {out}")
+        if out is not None:
+            say(f"wrote {out}")
+    checks = [check for one in found.models for check in demands.of_errors(one.name, one.errors())]
+    judged("compare", checks, junit)
 
 
 def spectrum(
@@ -142,20 +185,20 @@ def spectrum(
     else:
         say(f"{found.averages:.0f} averages; deviation is one standard deviation of the magnitude")
         print_rows(found.rows())
-    if out is not None:
-        say(f"wrote {out}")
+        if out is not None:
+            say(f"wrote {out}")
 
 
 def export(
     source: Annotated[str, typer.Argument(metavar="DIR_OR_MODEL", help="folder of close-loop, or a model")],
     out: Annotated[Path, typer.Option("--out", "-o", help="model.fmu; model.ssp for a repaired FMU")],
     fmi: Annotated[str, typer.Option(help="2, 3 or both (then model.fmu is FMI 2.0, model-fmi3.fmu FMI 3.0)")] = "both",
+    as_json: AsJson = False,
     force: Force = False,
     trust: Annotated[bool, typer.Option("--trust", help="run the Python file that model.json names")] = False,
 ) -> None:
     """Write a model as a co-simulation FMU, with its C source."""
-    for path in api.export(source, out=out, fmi=fmi, force=force, trust=trust):
-        say(f"wrote {path}")
+    print_written(api.export(source, out=out, fmi=fmi, force=force, trust=trust), as_json=as_json)
 
 
 def order(
@@ -205,5 +248,5 @@ def order(
     else:
         say(f"judged on {found.judged}")
         print_rows(found.rows())
-    if out is not None:
-        say(f"wrote {out}")
+        if out is not None:
+            say(f"wrote {out}")

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from harness.terminal import completed, text_pairs
+from harness.terminal import completed, fail, text_pairs
 
 if TYPE_CHECKING:
+    from harness.acceptance import Check, Demands
     from harness.data.chosen import Signals
 
 __all__ = [
@@ -17,8 +19,12 @@ __all__ = [
     "Columns",
     "DatasetName",
     "Engine",
+    "FailOn",
     "Force",
     "Inputs",
+    "Junit",
+    "MaxError",
+    "MaxShare",
     "ModelName",
     "OptionPairs",
     "Outputs",
@@ -31,6 +37,8 @@ __all__ = [
     "Units",
     "Validation",
     "Workers",
+    "demands_of",
+    "judged",
     "signals_of",
 ]
 
@@ -69,10 +77,49 @@ Units = Annotated[
     typer.Option("--unit", metavar="NAME=UNIT", help="of a table: unit of a signal or of time, repeatable"),
 ]
 SampleTime = Annotated[float | None, typer.Option("--sample-time", help="of a table without a time column [s]")]
+FailOn = Annotated[
+    str | None,
+    typer.Option(
+        "--fail-on", metavar="VERDICT[,...]", help="verdicts that end with exit status 1, such as unexplained"
+    ),
+]
+MaxError = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--max-error",
+        metavar="OUTPUT=VALUE",
+        help="largest simulation error (rms) on validation data, such as theta=2mrad, repeatable; more is status 1",
+    ),
+]
+MaxShare = Annotated[
+    float | None, typer.Option("--max-share", help="largest unexplained share of the motion, 0 to 1; more is status 1")
+]
+Junit = Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="write what was checked as JUnit XML")]
 Runs = Annotated[
     list[str] | None,
     typer.Option("--run", metavar="[USE=]FILE", help="of a table: a further record, repeatable; USE as estimation"),
 ]
+
+
+def demands_of(fail_on: str | None, max_error: list[str] | None, max_share: float | None) -> Demands:
+    """Return what the options demand of a result."""
+    from harness.acceptance import Demands
+
+    words = [word.strip().replace("-", "_") for word in (fail_on or "").split(",")]
+    return Demands(tuple(word for word in words if word), text_pairs(max_error, "--max-error"), max_share)
+
+
+def judged(suite: str, checks: Sequence[Check], junit: Path | None) -> None:
+    """Write checks where asked, say on standard error what fails, and leave with status 1 if something does."""
+    if junit is not None:
+        from harness.acceptance import write_junit
+
+        write_junit(junit, suite, checks)
+    failed = [check for check in checks if not check.passed]
+    for check in failed:
+        fail(f"{check.subject} fails {check.name}: {check.text}", 1)
+    if failed:
+        raise typer.Exit(1)
 
 
 def signals_of(

@@ -55,6 +55,7 @@ def simulate(
     stop: Annotated[float | None, typer.Option(help="of an FMU without a scenario: last instant [s]")] = None,
     step: Annotated[float | None, typer.Option(help="of an FMU without a scenario: sample time [s]")] = None,
     tolerance: Annotated[float | None, typer.Option(help="of an FMU without a scenario: of its solver")] = None,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Run a scenario on a plant and record it; an FMU runs as it is where no scenario is given."""
@@ -80,6 +81,11 @@ def simulate(
         )
     for text in notes:
         print(f"sysid: note: {text}", file=sys.stderr)
+    if as_json:
+        from harness.specs import spec_to_dict
+
+        print_json({"spec": spec_to_dict(trajectory.spec), "samples": len(trajectory), "written": out and str(out)})
+        return
     say(str(trajectory))
     if out is not None:
         say(f"wrote {out}")
@@ -108,6 +114,10 @@ def bench(
     folder = out if out is not None else Path("results") / Path(suite).stem
     if dry_run:
         planned = api.plan_bench(suite, out=folder, workers=workers, seeds=seed_range(seeds), shard=shard)
+        if as_json:
+            cells = [{"names": list(names), "jobs": count} for names, count in planned.cells.items()]
+            print_json({"cells": cells, "summary": str(planned)})
+            return
         for names, count in planned.cells.items():
             say(f"{count:6d}  {' x '.join(names)}")
         say(str(planned))

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from harness import api
-from harness.cli_options import Engine, Force, Resume, Workers
-from harness.terminal import jobs_bar, say
+from harness.cli_options import AsJson, Engine, Force, Resume, Workers
+from harness.terminal import jobs_bar, print_json, print_written, say
 
 __all__ = ["study_app"]
 
@@ -33,6 +33,7 @@ def run_study(
     budget: Annotated[float | None, typer.Option(metavar="MINUTES", help="then begin no more")] = None,
     engine: Engine = "local",
     resume: Resume = False,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Try the closed loop on simulated truths: confusion, false alarms, coverage, cost."""
@@ -53,6 +54,9 @@ def run_study(
             force=force,
             progress=show,
         )
+    if as_json:
+        print_json({"done": result.done, "planned": result.planned, "text": result.text, "folder": str(out)})
+        return
     say(result.text)
     say(f"{result.done} of {result.planned} records done; tables: {out / 'study.md'}")
 
@@ -80,6 +84,7 @@ def generate_study(
     like: Annotated[Path | None, typer.Option(metavar="ROWS", help="only the records of this rows.csv")] = None,
     workers: Workers = None,
     resume: Resume = False,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Write the records of the study for another tool, the truth apart."""
@@ -99,6 +104,9 @@ def generate_study(
             force=force,
             progress=show,
         )
+    if as_json:
+        print_json({"written": str(out), "truth": str(truth), "text": str(made)})
+        return
     say(str(made))
 
 
@@ -108,9 +116,14 @@ def answer_study(
         Path, typer.Argument(metavar="FLEET|ROWS", help="folder of close-loop over records.csv, or rows.csv")
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="answers.csv")],
+    as_json: AsJson = False,
 ) -> None:
     """Write the answer file of the closed loop's own run."""
-    say(f"wrote {out}: {api.answer_study(source, out=out)} answers")
+    count = api.answer_study(source, out=out)
+    if as_json:
+        print_json({"written": str(out), "answers": count})
+        return
+    say(f"wrote {out}: {count} answers")
 
 
 @study_app.command(name="score")
@@ -118,14 +131,18 @@ def score_study(
     truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="truth.csv")],
     answers: Annotated[list[Path], typer.Argument(metavar="ANSWERS...", help="answer files, one a tool")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="leaderboard.md")] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Judge answer files against the truth and put the tools side by side."""
     text = api.score_study(truth, answers)
+    if as_json and out is None:
+        print_json({"markdown": text})
+        return
     if out is None:
         print(text, end="")
         return
     out.write_text(text, encoding="utf-8")
-    say(f"wrote {out}")
+    print_written([out], as_json=as_json)
 
 
 def _separated(text: str) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from harness.comparison.models import Compared, Comparison, compare
 from harness.comparison.orders import OrderSelection, order_selection
+from harness.comparison.reports import ReportComparison, compare_reports
 from harness.comparison.residuals import Correlation, correlations
 from harness.comparison.responses import Response, response
 from harness.comparison.spectra import Spectrum, spectrum
@@ -13,9 +14,11 @@ __all__ = [
     "Comparison",
     "Correlation",
     "OrderSelection",
+    "ReportComparison",
     "Response",
     "Spectrum",
     "compare",
+    "compare_reports",
     "correlations",
     "order_selection",
     "response",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -21,7 +21,7 @@ from harness.protocols import Model
 from harness.scoring import Score, equation_error, predict, simulation_error
 from harness.signals import Dataset, FloatArray, Use, residual
 
-__all__ = ["Compared", "Comparison", "compare", "read_model"]
+__all__ = ["Compared", "Comparison", "compare", "free_run_errors", "read_model"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +41,24 @@ class Compared:
     one_step: dict[Use, list[Score]]
     free_run: dict[Use, list[Score]]
     residuals: dict[str, Correlation]
+
+    def errors(self) -> dict[str, tuple[float, str]]:
+        """Return the rms of the free run on validation data, with its unit; see :func:`free_run_errors`."""
+        return free_run_errors(self.model, self.free_run)
+
+
+def free_run_errors(model: Model, scores: Mapping[Use, Sequence[Score]]) -> dict[str, tuple[float, str]]:
+    """Return by output the rms of free runs over all validation records, with its unit.
+
+    Where none validates, over the estimation records.
+    """
+    own = scores.get("validation") or scores.get("estimation") or ()
+    samples = np.array([score.samples for score in own], dtype=float)
+    if not len(samples):
+        return {}
+    squares = np.array([score.rms**2 for score in own])
+    rms = np.sqrt(samples @ squares / samples.sum())
+    return {channel.name: (float(value), channel.unit) for channel, value in zip(model.spec.outputs, rms, strict=True)}
 
 
 @dataclass(frozen=True, eq=False)
