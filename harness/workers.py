@@ -15,7 +15,7 @@ from multiprocessing import spawn
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
-__all__ = ["death", "one_thread", "worker_pool"]
+__all__ = ["cores", "death", "one_thread", "worker_pool"]
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -72,6 +72,18 @@ def one_thread() -> Iterator[None]:
 
     with threadpool_limits(limits=1):
         yield
+
+
+def cores() -> int:
+    """Return the processors that this process may use; all of them where the system does not say (macOS, Windows).
+
+    Examples
+    --------
+    >>> cores() >= 1
+    True
+    """
+    allowed = getattr(os, "sched_getaffinity", None)
+    return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
 
 
 def death(error: BaseException) -> str:

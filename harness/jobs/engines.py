@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-import os
 import tempfile
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -15,7 +14,7 @@ from typing import Any, Protocol
 
 from harness.errors import InputError
 from harness.jobs.batch import SHARED, Batch, do_batch, last_place, put_away, shard_file, was_ended, write_shard
-from harness.workers import death, worker_pool
+from harness.workers import cores, death, worker_pool
 
 __all__ = ["AHEAD", "DaskEngine", "Engine", "LocalEngine", "Moved", "make_engine", "run_jobs"]
 
@@ -91,7 +90,7 @@ def make_engine(engine: str, workers: int | None = None) -> Engine:
     if workers is not None and workers < 1:
         raise InputError("workers", expected="at least 1", got=str(workers), remedy="correct the number")
     if engine == "local":
-        return LocalEngine(workers or len(os.sched_getaffinity(0)))
+        return LocalEngine(workers or cores())
     scheme, _, address = engine.partition("://")
     if scheme != "dask" or ":" not in address:
         raise InputError(
