@@ -165,7 +165,9 @@ def spectrum(
     unit: Units = None,
     sample_time: SampleTime = None,
     run: Runs = None,
-    segment: Annotated[int | None, typer.Option(min=16, help="samples of a segment of Welch's method")] = None,
+    segment: Annotated[
+        int | None, typer.Option(min=16, help="use Welch's method with segments of so many samples")
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
     as_json: AsJson = False,
     force: Force = False,
@@ -183,7 +185,8 @@ def spectrum(
     if as_json:
         print_json(found.rows(64))
     else:
-        say(f"{found.averages:.0f} averages; deviation is one standard deviation of the magnitude")
+        unit = "averages" if found.method == "Welch" else "lines each"
+        say(f"{found.method}, {found.averages:.0f} {unit}; deviation is one standard deviation of the magnitude")
         print_rows(found.rows())
         if out is not None:
             say(f"wrote {out}")
