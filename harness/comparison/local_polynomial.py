@@ -2,8 +2,9 @@
 
 Around each frequency the response and the transient, which the ends of a record leave in every line of its spectrum,
 are parabolas over some lines (Pintelon, Schoukens, Vandersteen and Barbe 2010, *Mech. Syst. Signal Process.* 24:573,
-sec. 4). How many lines is chosen at each frequency: as many as do not move the response beyond its own uncertainty. A resonance narrower than half the
-narrowest window (13 lines of one record with one input: 6 over its length in s, in Hz) is still told too low.
+sec. 4). How many lines is chosen at each frequency: as many as do not move the response beyond its own uncertainty.
+A resonance narrower than half the narrowest window (13 lines of one record with one input: in Hz, 6 over its length in
+seconds) is still told too low.
 """
 
 from __future__ import annotations
