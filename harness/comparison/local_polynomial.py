@@ -49,17 +49,18 @@ def local_polynomial(
         None where the records are too short.
     """
     spec = records[0].spec
-    spectra = []
+    spectra: list[tuple[FloatArray, ComplexArray, ComplexArray]] = []
     for record in records:
         u, y = (
             np.fft.rfft(values - values.mean(axis=0), axis=0) / np.sqrt(len(record)) for values in (record.u, record.y)
         )
-        spectra.append((np.fft.rfftfreq(len(record), spec.sample_time)[1:], u[1:], y[1:]))
+        lines = np.asarray(np.fft.rfftfreq(len(record), spec.sample_time)[1:], dtype=np.float64)
+        spectra.append((lines, u[1:], y[1:]))
     unknown = (ORDER + 1) * (spec.nu + len(records))
     narrow = int(np.ceil((unknown + SPARE) / len(records)))
-    if min(len(lines[0]) for lines in spectra) < narrow:
+    if min(len(one[0]) for one in spectra) < narrow:
         return None
-    longest = max((lines[0] for lines in spectra), key=len)
+    longest = max((one[0] for one in spectra), key=len)
     count = len(longest)
     picked = np.unique(np.concatenate([np.geomspace(1, count, POINTS), np.linspace(1, count, POINTS)]).round()) - 1
     frequency = longest[picked.astype(int)]
@@ -70,7 +71,7 @@ def local_polynomial(
         kept: list[tuple[ComplexArray, FloatArray]] = []
         for wider in WIDER:
             width = int(narrow * wider)
-            if width > min(len(lines[0]) for lines in spectra):
+            if width > min(len(one[0]) for one in spectra):
                 break
             found = _fit(spectra, float(at), width)
             if any((np.abs(found[0] - g) > APART * np.sqrt(v)).any() for g, v in kept):

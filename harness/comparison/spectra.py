@@ -152,13 +152,19 @@ def spectrum(records: Sequence[Trajectory], *, segment: int | None = None) -> Sp
     etfe, etfe_frequency = _etfe(longest) if spec.nu == 1 else (None, np.zeros(0))
     local = None if segment is not None else local_polynomial(records)
     if local is not None:
-        frequency, response, variance, coherence, lines = local
+        f, g, variance, explained_share, lines = local
         # as the other method, whose first line is that of the mean, which was taken away
-        first = [np.concatenate([values[:1], values]) for values in (response, np.sqrt(variance / 2.0), coherence)]
         return Spectrum(
-            spec, np.concatenate([[0.0], frequency]), first[0], first[1], first[2], lines, etfe, etfe_frequency,
+            spec,
+            np.concatenate([[0.0], f]),
+            np.concatenate([g[:1], g]),
+            np.sqrt(np.concatenate([variance[:1], variance]) / 2.0),
+            np.concatenate([explained_share[:1], explained_share]),
+            lines,
+            etfe,
+            etfe_frequency,
             "local polynomials",
-        )  # fmt: skip
+        )
     window = np.hanning(n + 1)[:-1]
     suu, syu, syy, count = _averaged(records, n, window)
     averages = OVERLAP * count if count > 1 else float(count)

@@ -196,7 +196,7 @@ def _other_systems(version: int) -> list[tuple[str, tuple[str, ...], str, tuple[
     """Return folder, compiler, ending of libraries and options of the other systems that can be compiled for."""
     if compiler() is None:
         return []
-    found = []
+    found: list[tuple[str, tuple[str, ...], str, tuple[str, ...]]] = []
     for name, (program, folder, suffix, more) in CROSS.items():
         place = name if version == 3 else folder
         if place is not None and place != binary_folder(version) and (path := shutil.which(program)):

@@ -174,7 +174,7 @@ class FilterMachine:
         """Return the function (state, moving, constant) of a sample: next state, and what it tells."""
         read, spread = self._reading(wanted), self._spreading(wanted)
         nd, rows = len(self.delay_columns), self.every + 1
-        symbol = ca.MX.sym if self.functions.system.switches else ca.SX.sym
+        symbol: Any = ca.MX.sym if self.functions.system.switches else ca.SX.sym
         sizes = [self.nu] * rows + [self.nu * nd] * rows + [self.ny, self.ny, 1]
         state, moving = symbol("z", read.size1_in(0)), symbol("m", sum(sizes))
         parts = ca.vertsplit(moving, [0, *np.cumsum(sizes).tolist()])
