@@ -25,11 +25,9 @@ def record(model: str, intersample: str, holes: bool) -> tuple[object, Trajector
     y = system.simulator(DT, intersample=intersample, backend="casadi").rollout(p, x0, u)
     y = y + 1e-3 * rng.normal(size=y.shape)
     spec = PlantSpec(system.inputs, system.outputs, DT)
-    made = Trajectory(DT * np.arange(40, dtype=np.float64), u, y, spec)
-    if holes:  # readings that are not there, as decimated sensors have
-        values = made.y.copy()
-        values[5:20:3] = np.nan
-        object.__setattr__(made, "y", values)
+    missing = np.zeros(y.shape, dtype=bool)
+    missing[5:20:3] = holes  # readings that are not there, as decimated sensors have
+    made = Trajectory(DT * np.arange(40, dtype=np.float64), u, y, spec, missing=missing)
     return system, made, p, x0
 
 
