@@ -51,7 +51,7 @@ _HOMES = {
     "load_dataset": "data",
     "create": "registry",
     "effect": "effects",
-    "load_model": "physics",
+    "load_model": "fitted",
     "trusting": "trust",
     "simulate": "api",
     "identify": "api",

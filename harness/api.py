@@ -9,12 +9,13 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Unpack, cast
 
 import numpy as np
 
 from harness import registry
 from harness.errors import HarnessError, InputError, PlantError, PluginError
+from harness.fitted import FittedModel, Usable, load_model
 from harness.parts import LISTED, describe_part, list_parts
 from harness.plant_files import describe_fmu, is_plant_file, is_system, make_plant, stream_key
 from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
@@ -24,10 +25,11 @@ from harness.signals import Dataset, FloatArray, PlantSpec, Trajectory, Use
 if TYPE_CHECKING:
     from harness.benchmark import Answer, BenchResult
     from harness.benchmark.planning import Plan
-    from harness.comparison import Comparison, OrderSelection, Spectrum
+    from harness.comparison import Comparison, OrderSelection, ReportComparison, Spectrum
     from harness.conformance import CheckResult
     from harness.convergence import Convergence
     from harness.data import Nominal
+    from harness.data.chosen import Signals
     from harness.data.oddities import DataCheck
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
@@ -38,7 +40,9 @@ if TYPE_CHECKING:
     from harness.scoring import Score
 
 __all__ = [
+    "DEFAULT_IDENTIFIER",
     "LISTED",
+    "FittedModel",
     "Identified",
     "bench",
     "check",
@@ -46,6 +50,7 @@ __all__ = [
     "close_fleet",
     "close_loop",
     "compare",
+    "compare_reports",
     "describe_fmu",
     "describe_part",
     "describe_system",
@@ -55,6 +60,8 @@ __all__ = [
     "isolability",
     "learn_residual",
     "list_parts",
+    "load_model",
+    "new",
     "order",
     "plan_bench",
     "query",
@@ -420,9 +427,13 @@ def table(directory: str | Path) -> BenchResult:
     return benchmark.table(directory)
 
 
+DEFAULT_IDENTIFIER = "arx"
+"""Where none is asked for: least squares without start values, its order and delay chosen on data held out."""
+
+
 @dataclass(frozen=True)
-class Identified:
-    """What ``identify`` returns: the model, and its scores by use of the data."""
+class Identified(Usable):
+    """What ``identify`` returns: the model, and its scores by use of the data; to be used as a :class:`FittedModel`."""
 
     model: Model
     equation_error: dict[Use, list[Score]]
@@ -430,6 +441,26 @@ class Identified:
     warnings: tuple[str, ...]
     probability: dict[Use, list[ProbabilityScore]] = field(default_factory=dict)
     """One step ahead, of a model that predicts distributions; empty for others."""
+
+    def errors(self) -> dict[str, tuple[float, str]]:
+        """Return the rms of the free run on validation data (on estimation data where none validates), with its unit.
+
+        By output, over all runs of that use.
+        """
+        from harness.comparison.models import free_run_errors
+
+        return free_run_errors(self.model, self.simulation_error)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return model, scores and warnings, ready for JSON."""
+        scores = {
+            name: {
+                use: [{"rms": s.rms.tolist(), "nrmse": s.nrmse.tolist(), "samples": s.samples} for s in own]
+                for use, own in found.items()
+            }
+            for name, found in (("equation_error", self.equation_error), ("simulation_error", self.simulation_error))
+        }
+        return {"model": self.model.to_dict(), **scores, "warnings": list(self.warnings)}
 
     def _rows(self) -> list[tuple[str, ...]]:
         """Return use, run, output, NRMSE one step ahead and in free run, rms in free run."""
@@ -457,25 +488,31 @@ class Identified:
 
 
 def identify(
-    dataset: str | Path,
+    dataset: Any,
+    y: Any = None,
     *,
-    identifier: str,
+    identifier: str | None = None,
     options: Mapping[str, Any] | None = None,
     model: str | None = None,
-    validation: str | Path | None = None,
+    validation: Any = None,
     undriven: Sequence[str] = (),
     out: str | Path | None = None,
     seed: int = 0,
     force: bool = False,
+    **signals: Unpack[Signals],
 ) -> Identified:
-    """Fit one model to a data set and score it on every use of the data.
+    """Fit one model to a data set, or to an input and an output, and score it on every use of the data.
 
     Parameters
     ----------
-    dataset : path
-        ``dataset.toml``, or a CSV or Parquet file.
-    identifier : str
-        Id of a registered identifier.
+    dataset : path, table, records, or the input
+        ``dataset.toml``, a table (CSV, Parquet, ..., or a DataFrame, an xarray Dataset, a mapping of arrays), a
+        :class:`Trajectory` or several, a :class:`Dataset`; or, beside ``y``, the input alone.
+    y : array (N,) or (N, ny), Series or DataFrame, optional
+        Output, where the first argument is the input u, (N,) or (N, nu): ``u[k]`` is held on ``[t[k], t[k+1])``. Give
+        ``sample_time`` [s] (an index of times that both share is read). Numbers count as they are.
+    identifier : str, optional
+        Id of a registered identifier; without a physical model :data:`DEFAULT_IDENTIFIER`.
     options : mapping, optional
         Its options.
     model : str, optional
@@ -491,11 +528,23 @@ def identify(
         For identifiers that draw random numbers.
     force : bool
         Overwrite ``out`` if it exists.
+    **signals : Signals
+        ``input``, ``output``, ``column``, ``unit``, ``sample_time`` and ``run``, as for :func:`harness.load_dataset`.
 
     Raises
     ------
     InputError
         If the data or the options cannot be used (``FitError`` if no model can be learned from them).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> u = np.random.default_rng(0).standard_normal(400)
+    >>> y = np.zeros(400)
+    >>> for k in range(399):
+    ...     y[k + 1] = 0.8 * y[k] + 0.5 * u[k]
+    >>> identify(u, y, sample_time=0.1, options={"order": 1}).poles.round(3)
+    array([0.8+0.j])
     """
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
@@ -503,7 +552,27 @@ def identify(
     from harness.predictive import probability_score
     from harness.scoring import equation_error, simulation_error
 
-    loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
+    if y is not None:
+        from harness.data.memory import input_and_output
+
+        dataset, names, others = input_and_output(dataset, y)
+        if "input" in signals or "output" in signals:
+            raise InputError(
+                "input and output", expected="arrays u and y, or a table with input= and output=", got="both",
+                remedy="leave out one",
+            )  # fmt: skip
+        signals = {**signals, "input": names, "output": others}
+    if identifier is None and model is not None:
+        raise InputError(
+            "no identifier for a physical model",
+            expected="identifier = ... (sysid: --identifier), such as output-error",
+            got=f"the model {model} alone",
+            remedy="choose one (sysid list identifiers)",
+        )
+    identifier = DEFAULT_IDENTIFIER if identifier is None else identifier
+    loaded = load_dataset(
+        registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven, **signals
+    )
     data = loaded.dataset
     made = registry.create("identifiers", identifier, **_with_model(identifier, dict(options or {}), loaded.nominal))
     if not isinstance(made, Identifier):
@@ -549,15 +618,16 @@ def _said(model: Model) -> tuple[str, ...]:
 
 
 def close_loop(
-    dataset: str | Path,
+    dataset: Any,
     *,
     out: str | Path,
     model: str | None = None,
-    validation: str | Path | None = None,
+    validation: Any = None,
     undriven: Sequence[str] = (),
     resume: bool = False,
     force: bool = False,
     progress: Callable[[float, str], None] | None = None,
+    **signals: Unpack[Signals],
 ) -> Report:
     """Find the effect that a model lacks, add it, report the error before and after.
 
@@ -579,6 +649,8 @@ def close_loop(
         Overwrite a finished report in ``out``.
     progress : callable, optional
         Called as ``progress(fraction_done, what)``.
+    **signals : Signals
+        As for :func:`identify`.
 
     Returns
     -------
@@ -596,7 +668,9 @@ def close_loop(
     from harness import diagnosis
     from harness.data import load_dataset
 
-    loaded: Any = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven)
+    loaded: Any = load_dataset(
+        registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven, **signals
+    )
     how: dict[str, Any] = {"out": out, "resume": resume, "force": force, "progress": progress}
     if loaded.nominal is not None and loaded.nominal.model.endswith(".fmu"):
         from harness.guarded import guarded
@@ -772,6 +846,7 @@ def compare(
     out: str | Path | None = None,
     force: bool = False,
     note: Callable[[str], None] | None = None,
+    **signals: Unpack[Signals],
 ) -> Comparison:
     """Put stored models side by side on one data set: fit, residuals, frequency responses.
 
@@ -789,6 +864,8 @@ def compare(
         Overwrite ``out`` if it exists.
     note : callable, optional
         Called with what is odd about the records (:func:`check_data`).
+    **signals : Signals
+        As for :func:`identify`.
 
     Raises
     ------
@@ -803,13 +880,28 @@ def compare(
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
     found = {str(path): read_model(path) for path in models}
-    data = load_dataset(registry.dataset_path(dataset), model=model, validation=validation, undriven=undriven).dataset
+    spec = next(iter(found.values())).spec
+    data = load_dataset(
+        registry.dataset_path(dataset),
+        model=model,
+        validation=validation,
+        undriven=undriven,
+        ports=(spec.inputs, spec.outputs) if _is_table(dataset) and model is None else None,
+        **signals,
+    ).dataset
     _note_oddities(data, note)
     result = room.compare(found, data)
     if out is not None:
         with whole_file(out) as scratch:
             scratch.write_text(result.html(), encoding="utf-8")
     return result
+
+
+def compare_reports(first: str | Path, second: str | Path) -> ReportComparison:
+    """Say what differs between two reports of the closed loop; see :func:`harness.comparison.compare_reports`."""
+    from harness import comparison as room
+
+    return room.compare_reports(first, second)
 
 
 def spectrum(
@@ -821,6 +913,7 @@ def spectrum(
     out: str | Path | None = None,
     force: bool = False,
     note: Callable[[str], None] | None = None,
+    **signals: Unpack[Signals],
 ) -> Spectrum:
     """Return the frequency response that the estimation records of a data set show.
 
@@ -838,6 +931,8 @@ def spectrum(
         Overwrite ``out`` if it exists.
     note : callable, optional
         Called with what is odd about the records (:func:`check_data`).
+    **signals : Signals
+        As for :func:`identify`.
 
     Raises
     ------
@@ -848,7 +943,7 @@ def spectrum(
     from harness.data import load_dataset
 
     _refuse_picture(out, force=force)
-    data = load_dataset(registry.dataset_path(dataset), model=model, undriven=undriven).dataset
+    data = load_dataset(registry.dataset_path(dataset), model=model, undriven=undriven, **signals).dataset
     _note_oddities(data, note)
     found = room.spectrum([one.measured() for one in data.estimation], segment=segment)
     _draw(found.plot, out)
@@ -868,6 +963,7 @@ def order(
     seed: int = 0,
     force: bool = False,
     note: Callable[[str], None] | None = None,
+    **signals: Unpack[Signals],
 ) -> OrderSelection:
     """Fit models of every order, judge them on data that they did not see, and show where more is no gain.
 
@@ -891,6 +987,8 @@ def order(
         Overwrite ``out`` if it exists.
     note : callable, optional
         Called with what is odd about the records (:func:`check_data`).
+    **signals : Signals
+        As for :func:`identify`.
 
     Raises
     ------
@@ -902,7 +1000,7 @@ def order(
 
     _refuse_picture(out, force=force)
     path = registry.dataset_path(dataset)
-    data = load_dataset(path, model=model, validation=validation, undriven=undriven).dataset
+    data = load_dataset(path, model=model, validation=validation, undriven=undriven, **signals).dataset
     _note_oddities(data, note)
     asked: dict[str, Any] = {"identifiers": identifiers} if identifiers else {}
     if orders:
@@ -920,6 +1018,7 @@ def check_data(
     undriven: Sequence[str] = (),
     out: str | Path | None = None,
     force: bool = False,
+    **signals: Unpack[Signals],
 ) -> DataCheck:
     """Say what is odd about the records of a data set; see :mod:`harness.data.oddities`.
 
@@ -933,6 +1032,8 @@ def check_data(
         HTML page to write, the odd rows marked in pictures.
     force : bool
         Overwrite ``out`` if it exists.
+    **signals : Signals
+        As for :func:`identify`.
 
     Raises
     ------
@@ -948,7 +1049,7 @@ def check_data(
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
     path = registry.dataset_path(dataset)
-    loaded = load_dataset(path, model=model, validation=validation, undriven=undriven)
+    loaded = load_dataset(path, model=model, validation=validation, undriven=undriven, **signals)
     data, nominal = loaded.dataset, loaded.nominal
     if nominal is not None and not nominal.model.endswith(".fmu") and not is_arm(nominal.model):
         system = loaded.system()
@@ -958,6 +1059,20 @@ def check_data(
         with whole_file(out) as scratch:
             scratch.write_text(found.html(), encoding="utf-8")
     return found
+
+
+def _is_table(dataset: Any) -> bool:
+    """Return True for a table whose columns someone has to name, False where a file or a record says it itself."""
+    if isinstance(dataset, str | Path):
+        return Path(registry.dataset_path(dataset)).suffix != ".toml"
+    return isinstance(dataset, Mapping) or hasattr(dataset, "columns") or hasattr(dataset, "data_vars")
+
+
+def new(kind: str, name: str, *, folder: str | Path = ".") -> list[Path]:
+    """Begin a plug-in of one's own and return the files written; see :func:`harness.scaffold.new`."""
+    from harness.scaffold import new as begin
+
+    return begin(kind, name, folder=folder)
 
 
 def check(name: str) -> list[CheckResult]:

@@ -4,12 +4,35 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from harness import api
-from harness.cli_options import AsJson, Force, ModelName, Resume, ScenarioPairs, Seed, Trust, Undriven, Validation
+from harness.cli_options import (
+    AsJson,
+    Columns,
+    FailOn,
+    Force,
+    Inputs,
+    Junit,
+    MaxError,
+    MaxShare,
+    ModelName,
+    Outputs,
+    Resume,
+    Runs,
+    SampleTime,
+    ScenarioPairs,
+    Seed,
+    Trust,
+    Undriven,
+    Units,
+    Validation,
+    demands_of,
+    judged,
+    signals_of,
+)
 from harness.errors import InputError
 from harness.terminal import (
     completed,
@@ -21,6 +44,9 @@ from harness.terminal import (
     say,
     wide_console,
 )
+
+if TYPE_CHECKING:
+    from harness.acceptance import Demands
 
 __all__ = ["close_loop", "isolability", "learn_residual"]
 
@@ -37,18 +63,37 @@ def close_loop(
     model: ModelName = None,
     validation: Validation = None,
     undriven: Undriven = None,
+    input: Inputs = None,
+    output: Outputs = None,
+    column: Columns = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    run: Runs = None,
     as_json: Annotated[bool, typer.Option("--json", help="print report.json")] = False,
     resume: Resume = False,
     force: Force = False,
     workers: Annotated[int | None, typer.Option(min=1, help="of a fleet: processes; default all cores")] = None,
     engine: Annotated[str, typer.Option(help="of a fleet: local, or dask://HOST:PORT")] = "local",
     time_limit: Annotated[float | None, typer.Option(help="of a fleet: seconds for one record")] = None,
+    fail_on: FailOn = None,
+    max_error: MaxError = None,
+    max_share: MaxShare = None,
+    junit: Junit = None,
     trust: Trust = None,
 ) -> None:
     """Find the effect that a model lacks, add it, report the error before and after; of one record or of a fleet."""
     from harness.fleet import is_fleet
 
+    demands = demands_of(fail_on, max_error, max_share)
+    signals = signals_of(input, output, column, unit, sample_time, run)
     if is_fleet(dataset):
+        if any(signals.values()):
+            raise InputError(
+                "columns chosen for a fleet",
+                expected="records whose titles are the model's ports, or a dataset.toml for each",
+                got=" ".join(f"--{name.replace('_', '-')}" for name, value in signals.items() if value),
+                remedy="leave it out",
+            )
         if validation is not None or force:
             raise InputError(
                 "option of one record",
@@ -56,7 +101,7 @@ def close_loop(
                 got="--force" if force else "--validation",
                 remedy="name validation files in the column validation of a table of records",
             )
-        _close_fleet(dataset, out, model, undriven, as_json, resume, workers, engine, time_limit)
+        _close_fleet(dataset, out, model, undriven, as_json, resume, workers, engine, time_limit, demands, junit)
         return
     if engine != "local" or time_limit is not None or workers is not None:
         raise InputError(
@@ -81,14 +126,16 @@ def close_loop(
             resume=resume,
             force=force,
             progress=show,
+            **signals,
         )
     if as_json:
         print_json(report.data)
-        return
-    wide_console().print(str(report), highlight=False, markup=False, soft_wrap=True)
-    for text in report.data["warnings"]:
-        print(f"sysid: note: {text}", file=sys.stderr)
-    say(f"report: {out / 'report.html'}")
+    else:
+        wide_console().print(str(report), highlight=False, markup=False, soft_wrap=True)
+        for text in report.data["warnings"]:
+            print(f"sysid: note: {text}", file=sys.stderr)
+        say(f"report: {out / 'report.html'}")
+    judged("close-loop", demands.of_report(str(report.data["dataset"]), report.data), junit)
 
 
 def _close_fleet(
@@ -101,6 +148,8 @@ def _close_fleet(
     workers: int | None,
     engine: str,
     time_limit: float | None,
+    demands: Demands,
+    junit: Path | None,
 ) -> None:
     """Close the loop on many records and print what they have in common."""
     with jobs_bar("of records", source) as show:
@@ -117,9 +166,17 @@ def _close_fleet(
         )
     if as_json:
         print_json(result.to_records())
-        return
-    say(str(result))
-    say(f"page: {result.page}")
+    else:
+        say(str(result))
+        say(f"page: {result.page}")
+    if result.rows and not any(row.ok for row in result.rows):
+        raise InputError(
+            "no record gave an answer",
+            expected="at least one that can be used",
+            got=f"{len(result.rows)} of {len(result.rows)} without one, the first: {result.rows[0].reason}",
+            remedy=f"see the reasons in {result.page}",
+        )
+    judged("close-loop", result.checks(demands), junit)
 
 
 def learn_residual(

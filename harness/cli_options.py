@@ -2,16 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from harness.terminal import completed
+from harness.terminal import completed, fail, text_pairs
 from harness.trust import trusting
 
-__all__ = ["AsJson", "DatasetName", "Engine", "Force", "ModelName", "OptionPairs", "Resume", "ScenarioPairs", "Seed",
-           "Trust", "Undriven", "Validation", "Workers"]  # fmt: skip
+if TYPE_CHECKING:
+    from harness.acceptance import Check, Demands
+    from harness.data.chosen import Signals
+
+__all__ = [
+    "AsJson",
+    "Columns",
+    "DatasetName",
+    "Engine",
+    "FailOn",
+    "Force",
+    "Inputs",
+    "Junit",
+    "MaxError",
+    "MaxShare",
+    "ModelName",
+    "OptionPairs",
+    "Outputs",
+    "Resume",
+    "Runs",
+    "SampleTime",
+    "ScenarioPairs",
+    "Seed",
+    "Trust",
+    "Undriven",
+    "Units",
+    "Validation",
+    "Workers",
+    "demands_of",
+    "judged",
+    "signals_of",
+]
 
 
 def _trust(context: typer.Context, files: list[str] | None) -> list[str] | None:
@@ -49,3 +80,81 @@ ScenarioPairs = Annotated[
     list[str] | None, typer.Option("--scenario-option", "-S", metavar="k=v", help="scenario option, repeatable")
 ]
 DatasetName = Annotated[str, typer.Argument(metavar="DATASET", help="dataset.toml, CSV, Parquet, or a recording")]
+Inputs = Annotated[
+    list[str] | None,
+    typer.Option("--input", metavar="NAME", help="of a table: an input, repeatable; none if nothing drives it"),
+]
+Outputs = Annotated[
+    list[str] | None, typer.Option("--output", metavar="NAME", help="of a table: an output, repeatable")
+]
+Columns = Annotated[
+    list[str] | None,
+    typer.Option("--column", metavar="NAME=TITLE", help="of a table: column of a signal or of time, repeatable"),
+]
+Units = Annotated[
+    list[str] | None,
+    typer.Option("--unit", metavar="NAME=UNIT", help="of a table: unit of a signal or of time, repeatable"),
+]
+SampleTime = Annotated[float | None, typer.Option("--sample-time", help="of a table without a time column [s]")]
+FailOn = Annotated[
+    str | None,
+    typer.Option(
+        "--fail-on", metavar="VERDICT[,...]", help="verdicts that end with exit status 1, such as unexplained"
+    ),
+]
+MaxError = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--max-error",
+        metavar="OUTPUT=VALUE",
+        help="largest simulation error (rms) on validation data, such as theta=2mrad, repeatable; more is status 1",
+    ),
+]
+MaxShare = Annotated[
+    float | None, typer.Option("--max-share", help="largest unexplained share of the motion, 0 to 1; more is status 1")
+]
+Junit = Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="write what was checked as JUnit XML")]
+Runs = Annotated[
+    list[str] | None,
+    typer.Option("--run", metavar="[USE=]FILE", help="of a table: a further record, repeatable; USE as estimation"),
+]
+
+
+def demands_of(fail_on: str | None, max_error: list[str] | None, max_share: float | None) -> Demands:
+    """Return what the options demand of a result."""
+    from harness.acceptance import Demands
+
+    words = [word.strip().replace("-", "_") for word in (fail_on or "").split(",")]
+    return Demands(tuple(word for word in words if word), text_pairs(max_error, "--max-error"), max_share)
+
+
+def judged(suite: str, checks: Sequence[Check], junit: Path | None) -> None:
+    """Write checks where asked, say on standard error what fails, and leave with status 1 if something does."""
+    if junit is not None:
+        from harness.acceptance import write_junit
+
+        write_junit(junit, suite, checks)
+    failed = [check for check in checks if not check.passed]
+    for check in failed:
+        fail(f"{check.subject} fails {check.name}: {check.text}", 1)
+    if failed:
+        raise typer.Exit(1)
+
+
+def signals_of(
+    input: list[str] | None,
+    output: list[str] | None,
+    column: list[str] | None,
+    unit: list[str] | None,
+    sample_time: float | None,
+    run: list[str] | None,
+) -> Signals:
+    """Return what the options say of the columns of a table."""
+    return {
+        "input": input or None,
+        "output": output or None,
+        "column": text_pairs(column, "--column"),
+        "unit": text_pairs(unit, "--unit"),
+        "sample_time": sample_time,
+        "run": run or None,
+    }

@@ -66,6 +66,7 @@ def simulate(
         int | None,
         typer.Option(metavar="N", help="of a file without a scenario: halve the step N times"),
     ] = None,
+    as_json: AsJson = False,
     force: Force = False,
     trust: Trust = None,
 ) -> None:
@@ -94,6 +95,9 @@ def simulate(
         )
         for text in notes:
             print(f"sysid: note: {text}", file=sys.stderr)
+        if as_json:
+            print_json(found.rows())
+            return
         print_rows(found.rows())
         if out is not None:
             say(f"wrote {out}")
@@ -122,6 +126,11 @@ def simulate(
         )
     for text in notes:
         print(f"sysid: note: {text}", file=sys.stderr)
+    if as_json:
+        from harness.specs import spec_to_dict
+
+        print_json({"spec": spec_to_dict(trajectory.spec), "samples": len(trajectory), "written": out and str(out)})
+        return
     say(str(trajectory))
     if out is not None:
         say(f"wrote {out}")
@@ -153,6 +162,10 @@ def bench(
     folder = out if out is not None else Path("results") / Path(suite).stem
     if dry_run:
         planned = api.plan_bench(suite, out=folder, workers=workers, seeds=seed_range(seeds), shard=shard)
+        if as_json:
+            cells = [{"names": list(names), "jobs": count} for names, count in planned.cells.items()]
+            print_json({"cells": cells, "summary": str(planned)})
+            return
         for names, count in planned.cells.items():
             say(f"{count:6d}  {' x '.join(names)}")
         say(str(planned))

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from collections.abc import Sequence
+from html import escape
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["plot_record"]
+__all__ = ["inlined", "plot_record"]
 
 Table = tuple[npt.NDArray[np.float64], Sequence[str]]
+
+
+def inlined(figure: Any, label: str) -> str:
+    """Return a matplotlib figure as an HTML picture that needs no file; ``label`` says what it shows."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="svg")
+    content = base64.b64encode(buffer.getvalue()).decode()
+    return f'<p><img alt="{escape(label)}" src="data:image/svg+xml;base64,{content}"></p>'
 
 
 def plot_record(t: npt.NDArray[np.float64], inputs: Table, outputs: Table, axes: Any = None) -> Any:

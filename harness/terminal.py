@@ -41,6 +41,7 @@ __all__ = [
     "print_planned",
     "print_rows",
     "print_system",
+    "print_written",
     "progress_bar",
     "say",
     "seed_range",
@@ -82,8 +83,28 @@ def noted(text: str) -> None:
 
 
 def print_json(content: Any) -> None:
-    """Print JSON without NaN."""
-    print(json.dumps(content, indent=1, allow_nan=False))
+    """Print JSON; what it cannot hold (NaN, infinity) is null."""
+    print(json.dumps(_plain(content), indent=1, allow_nan=False))
+
+
+def _plain(content: Any) -> Any:
+    """Return content as JSON can hold it."""
+    if isinstance(content, Mapping):
+        return {str(key): _plain(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_plain(value) for value in content]
+    if hasattr(content, "tolist"):  # arrays and numbers of numpy
+        return _plain(content.tolist())
+    return None if isinstance(content, float) and not math.isfinite(content) else content
+
+
+def print_written(paths: Sequence[Any], *, as_json: bool) -> None:
+    """Print which files were written."""
+    if as_json:
+        print_json({"written": [str(path) for path in paths]})
+        return
+    for path in paths:
+        say(f"wrote {path}")
 
 
 def wide_console() -> Console:

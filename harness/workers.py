@@ -19,7 +19,7 @@ from typing import Any
 
 from harness.processes import adopt_orphans
 
-__all__ = ["death", "fresh_process", "one_thread", "worker_pool"]
+__all__ = ["cores", "death", "fresh_process", "one_thread", "worker_pool"]
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -88,6 +88,18 @@ def one_thread() -> Iterator[None]:
 
     with threadpool_limits(limits=1):
         yield
+
+
+def cores() -> int:
+    """Return the processors that this process may use; all of them where the system does not say (macOS, Windows).
+
+    Examples
+    --------
+    >>> cores() >= 1
+    True
+    """
+    allowed = getattr(os, "sched_getaffinity", None)
+    return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
 
 
 def death(error: BaseException) -> str:

@@ -316,6 +316,13 @@ class _Child:
     """The child process as the caller sees it."""
 
     def __init__(self, show_output: bool) -> None:
+        if os.name != "posix":
+            raise InputError(
+                "a plant in a process of its own",
+                expected="a system whose processes inherit sockets (Linux, macOS)",
+                got=os.name,
+                remedy="isolated = false: the plant then runs in this process, and a crash of it ends both",
+            )
         self.dropped: list[int] = []  # numbers of states that nobody holds any more
         self.folder = temporary_folder("sysid-isolated-")
         self.pipe, theirs = socket.socketpair()
@@ -391,9 +398,12 @@ def _from_here(name: str, value: Any) -> Any:
 def _end(process: subprocess.Popen[bytes], pipe: socket.socket, folder: Path) -> None:
     """Kill the process with all it started, and remove what it left in its temporary folder."""
     pipe.close()
-    try:
-        os.killpg(process.pid, signal.SIGKILL)
-    except (ProcessLookupError, PermissionError):
+    if hasattr(os, "killpg"):
+        try:
+            os.killpg(process.pid, signal.SIGKILL)
+        except (ProcessLookupError, PermissionError):
+            process.kill()
+    else:  # no groups of processes: what it started itself ends when its pipes close
         process.kill()
     process.wait()
     release(folder)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from harness.comparison.models import Compared, Comparison, compare
 from harness.comparison.orders import OrderSelection, order_selection
+from harness.comparison.reports import ReportComparison, compare_reports
 from harness.comparison.residuals import Correlation, correlations
+from harness.comparison.responses import Response, response
 from harness.comparison.spectra import Spectrum, spectrum
 
 __all__ = [
@@ -12,9 +14,13 @@ __all__ = [
     "Comparison",
     "Correlation",
     "OrderSelection",
+    "ReportComparison",
+    "Response",
     "Spectrum",
     "compare",
+    "compare_reports",
     "correlations",
     "order_selection",
+    "response",
     "spectrum",
 ]

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -18,12 +16,13 @@ from harness.comparison.residuals import LAGS, Correlation, correlations
 from harness.comparison.spectra import Spectrum, spectrum
 from harness.display import STYLE, table
 from harness.errors import HarnessError, InputError
+from harness.plots import inlined
 from harness.protocols import Model
 from harness.scoring import Score, equation_error, predict, simulation_error
 from harness.signals import Dataset, FloatArray, Use, residual
 from harness.trust import registered_only
 
-__all__ = ["Compared", "Comparison", "compare", "read_model"]
+__all__ = ["Compared", "Comparison", "compare", "free_run_errors", "read_model"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +42,24 @@ class Compared:
     one_step: dict[Use, list[Score]]
     free_run: dict[Use, list[Score]]
     residuals: dict[str, Correlation]
+
+    def errors(self) -> dict[str, tuple[float, str]]:
+        """Return the rms of the free run on validation data, with its unit; see :func:`free_run_errors`."""
+        return free_run_errors(self.model, self.free_run)
+
+
+def free_run_errors(model: Model, scores: Mapping[Use, Sequence[Score]]) -> dict[str, tuple[float, str]]:
+    """Return by output the rms of free runs over all validation records, with its unit.
+
+    Where none validates, over the estimation records.
+    """
+    own = scores.get("validation") or scores.get("estimation") or ()
+    samples = np.array([score.samples for score in own], dtype=float)
+    if not len(samples):
+        return {}
+    squares = np.array([score.rms**2 for score in own])
+    rms = np.sqrt(samples @ squares / samples.sum())
+    return {channel.name: (float(value), channel.unit) for channel, value in zip(model.spec.outputs, rms, strict=True)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +113,10 @@ class Comparison:
 
     def html(self) -> str:
         """Return the page: table, residual correlations, Bode diagrams with the bands of the data."""
-        figures = [_picture(_residual_figure(self)), *([_picture(_bode_figure(self))] if self.spectrum else [])]
+        figures = [
+            inlined(_residual_figure(self), "correlations of the residuals"),
+            *([inlined(_bode_figure(self), "frequency responses")] if self.spectrum else []),
+        ]
         names = ", ".join(escape(compared.name) for compared in self.models)
         return (
             f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
@@ -241,10 +261,3 @@ def _response(model: Model, frequency: FloatArray, sample_time: float) -> Any:
     a, b, c, d = (np.asarray(part, dtype=float) for part in parts)
     z = np.exp(2j * np.pi * frequency * sample_time)
     return np.array([c @ np.linalg.solve(point * np.eye(len(a)) - a, b) + d for point in z])
-
-
-def _picture(figure: Any) -> str:
-    """Return a figure inlined as SVG."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="svg")
-    return f'<p><img alt="" src="data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"></p>'

@@ -1,4 +1,4 @@
-"""Frequency responses from records: Welch's averages with coherence and bands, and the empirical transfer function."""
+"""Frequency responses from records: local polynomials or Welch's averages, with coherence and bands, and the ETFE."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from harness.comparison.local_polynomial import local_polynomial
 from harness.errors import InputError
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
@@ -38,11 +39,12 @@ class Spectrum:
     coherence : array (F, ny)
         Share of each output that the inputs together explain (multiple coherence), 0 to 1.
     averages : float
-        Independent averages.
+        Independent averages; of local polynomials the lines of a window, in the median.
     etfe : array (F2, ny, nu) or None
         Empirical transfer function of the longest record (Ljung 1999, eq. 6.24), of plants with one input.
     etfe_frequency : array (F2,)
         [Hz].
+    method : {"local polynomials", "Welch"}
     """
 
     spec: PlantSpec
@@ -53,10 +55,11 @@ class Spectrum:
     averages: float
     etfe: ComplexArray | None
     etfe_frequency: FloatArray
+    method: str = "Welch"
 
     def __repr__(self) -> str:
         low, high = self.frequency[1], self.frequency[-1]
-        return f"<Spectrum {self.spec}: {low:.3g} to {high:.3g} Hz, {self.averages:.0f} averages>"
+        return f"<Spectrum {self.spec}: {low:.3g} to {high:.3g} Hz, {self.method}, {self.averages:.0f} averages>"
 
     def rows(self, count: int = 16) -> list[dict[str, float | str]]:
         """Return the response at some frequencies, evenly on a logarithmic scale: magnitude, phase, band, coherence."""
@@ -106,19 +109,22 @@ class Spectrum:
 
 
 def spectrum(records: Sequence[Trajectory], *, segment: int | None = None) -> Spectrum:
-    """Return the frequency response that records show, by Welch's method with a Hann window and half overlap.
+    """Return the frequency response that records show: by local polynomials, which choose their resolution.
+
+    With ``segment`` by Welch's method instead, with a Hann window and half overlap: every line is then a mean over the
+    width of the window, and a resonance narrower than that is too low by far more than the band tells.
 
     Parameters
     ----------
     records : sequence of Trajectory
         No segment crosses from one to the next.
     segment : int, optional
-        Samples of a segment; by default a power of two that leaves about 32 averages.
+        Samples of a segment of Welch's method.
 
     Raises
     ------
     InputError
-        If there is no input, an input never moves, or the records are too short for 8 averages.
+        If there is no input, an input never moves, or the records are too short (for 8 averages of Welch's method).
 
     Examples
     --------
@@ -142,6 +148,23 @@ def spectrum(records: Sequence[Trajectory], *, segment: int | None = None) -> Sp
             raise InputError(
                 f"input {channel.name} never moves", expected="excitation", got="a constant", remedy="excite it"
             )
+    longest = max(records, key=len)
+    etfe, etfe_frequency = _etfe(longest) if spec.nu == 1 else (None, np.zeros(0))
+    local = None if segment is not None else local_polynomial(records)
+    if local is not None:
+        f, g, variance, explained_share, lines = local
+        # as the other method, whose first line is that of the mean, which was taken away
+        return Spectrum(
+            spec,
+            np.concatenate([[0.0], f]),
+            np.concatenate([g[:1], g]),
+            np.sqrt(np.concatenate([variance[:1], variance]) / 2.0),
+            np.concatenate([explained_share[:1], explained_share]),
+            lines,
+            etfe,
+            etfe_frequency,
+            "local polynomials",
+        )
     window = np.hanning(n + 1)[:-1]
     suu, syu, syy, count = _averaged(records, n, window)
     averages = OVERLAP * count if count > 1 else float(count)
@@ -161,8 +184,6 @@ def spectrum(records: Sequence[Trajectory], *, segment: int | None = None) -> Sp
     own = np.real(np.einsum("fii->fi", inverse))
     deviation: FloatArray = np.sqrt(noise[:, :, None] * own[:, None, :] / 2.0)
     frequency: FloatArray = np.asarray(np.fft.rfftfreq(n, spec.sample_time), dtype=np.float64)
-    longest = max(records, key=len)
-    etfe, etfe_frequency = _etfe(longest) if spec.nu == 1 else (None, np.zeros(0))
     return Spectrum(spec, frequency, response, deviation, coherence, averages, etfe, etfe_frequency)
 
 

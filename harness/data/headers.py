@@ -171,7 +171,7 @@ def _only(titles: Sequence[str]) -> str | None:
             f"{len(titles)} columns may be the time",
             expected="one",
             got=", ".join(titles[:6]),
-            remedy='say which: [time] column = "..." in a dataset.toml, or rename the others',
+            remedy='say which ([time] column = "..."; sysid: --column time=TITLE), or rename the others',
             place="time",
         )
     return titles[0] if titles else None

@@ -7,21 +7,23 @@ import os
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import msgspec
 import numpy as np
 
 from harness.data.bags import is_bag_folder
 from harness.data.bare import describe_bare
+from harness.data.chosen import Chosen, Signals
 from harness.data.conditioning import conditioned
 from harness.data.description import read_description
 from harness.data.headers import clock_of
-from harness.data.loaded import LoadedDataset
+from harness.data.loaded import LoadedDataset, Nominal
 from harness.data.memory import in_memory
 from harness.data.merging import merged
 from harness.data.oddities import examined, lines
 from harness.data.plan import Plan
+from harness.data.ports import ANY_PORTS, Ports, located_model, ports_of
 from harness.data.sanity import check_run, check_runs
 from harness.data.sections import Description, RunSection
 from harness.data.tables import BARE, FORMATS, Table, nearest, open_table, suffix_of
@@ -31,7 +33,7 @@ from harness.physics.arm import is_arm
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 from harness.units import convert, fits
 
-__all__ = ["DATA_FOLDER", "load_dataset"]
+__all__ = ["DATA_FOLDER", "load_dataset", "load_record"]
 
 DATA_FOLDER = "SYSID_HARNESS_DATA"
 """Environment variable that names the folder of recordings."""
@@ -44,6 +46,7 @@ def load_dataset(
     validation: Any = None,
     ports: tuple[Sequence[Channel], Sequence[Channel]] | None = None,
     undriven: Sequence[str] = (),
+    **signals: Unpack[Signals],
 ) -> LoadedDataset:
     """Read a data set, check it, and convert it to SI units.
 
@@ -52,7 +55,7 @@ def load_dataset(
     path : path or table
         ``dataset.toml``; one CSV, Parquet, Feather or Excel file whose columns carry the names of the model's ports; or
         such a table in memory: a DataFrame of pandas or polars, an xarray Dataset, a mapping of arrays, a
-        :class:`Trajectory`. Units stand in the titles: ``u [N m]``.
+        :class:`Trajectory` or several, a :class:`Dataset`. Units stand in the titles: ``u [N m]``.
     model : str, optional
         Nominal model, in place of the one that the file names; a bare file needs it.
     validation : path or table, optional
@@ -61,6 +64,11 @@ def load_dataset(
         Channels of the model, for a caller that knows it already.
     undriven : sequence of str, optional
         Inputs of the model that nothing drove (0 in all records), beside those that the file declares.
+    **signals : Signals
+        What is said of the columns of a table without a ``dataset.toml``: ``input`` and ``output`` name its signals
+        where no model does, ``column={"theta": "Winkel"}`` says where one stands, ``unit={"theta": "deg"}`` its unit
+        (a column without any holds plain numbers where no model asks for a unit), ``sample_time`` [s] where there is
+        no time column, ``run`` further records with the same columns: files, or ``("validation", file)``.
 
     Returns
     -------
@@ -72,24 +80,77 @@ def load_dataset(
     InputError
         If a file, column, unit, time axis or value cannot be used. The message names file, place and remedy.
     """
-    if isinstance(path, LoadedDataset):
-        return path
+    chosen = Chosen.of(signals)
+    if isinstance(path, LoadedDataset | Dataset) or _are_records(path):
+        if chosen.anything or validation is not None:
+            raise InputError(
+                "columns of records",
+                expected="records as they are: their channels have names and units",
+                got=f"{type(path).__name__} with {', '.join(signals) or 'validation'}",
+                remedy="leave it out, or give a table",
+            )
+        return _of_records(path, model)
+    if isinstance(path, Trajectory) and model in (None, ANY_PORTS) and ports is None and not chosen.anything:
+        ports = (path.spec.inputs, path.spec.outputs)
+    return _load(path, model, validation, ports, undriven, chosen)
+
+
+def load_record(data: Any, spec: PlantSpec) -> Trajectory:
+    """Return one table, or the one run of a data set, as a record in the language of a model.
+
+    Parameters
+    ----------
+    data : path or table
+        As for :func:`load_dataset`; the columns carry the names of the model's channels.
+    spec : PlantSpec
+        The model's inputs, outputs and sample time.
+
+    Raises
+    ------
+    InputError
+        If the data cannot be used, or are several records.
+    """
+    found = _load(data, None, None, (spec.inputs, spec.outputs), (), Chosen(whole=True)).dataset
+    if len(found.runs) != 1:
+        raise InputError(
+            "several records",
+            expected="one",
+            got=f"{len(found.runs)} runs of {found.name}",
+            remedy="take one: load_dataset(...).dataset.runs[0].trajectory",
+        )
+    return found.runs[0].trajectory
+
+
+def _load(
+    path: Any,
+    model: str | None,
+    validation: Any,
+    ports: tuple[Sequence[Channel], Sequence[Channel]] | None,
+    undriven: Sequence[str],
+    chosen: Chosen,
+) -> LoadedDataset:
+    """Read a file or a table: see :func:`load_dataset`."""
     tables: dict[Path, Table] = {}
     path = _path_or_name(path, "data", tables)
+    chosen = replace(
+        chosen,
+        runs=tuple((use, _path_or_name(one, f"data {k + 2}", tables)) for k, (use, one) in enumerate(chosen.runs)),
+    )
     validation = None if validation is None else _path_or_name(validation, "validation data", tables)
     suffix = suffix_of(path)
+    described = suffix in FORMATS or is_bag_folder(path)
     notes: list[str] = []
-    if suffix in BARE or path in tables:
+    if suffix in BARE or path in tables or (described and chosen.anything):
         description, known = describe_bare(
-            path, model=model, validation=validation, ports=ports, notes=notes, tables=tables
+            path, model=model, validation=validation, ports=ports, notes=notes, tables=tables, chosen=chosen
         )
-        ports = (known.inputs, known.outputs)
-    elif suffix in FORMATS and path.is_file():
+        ports = None if known is None else (known.inputs, known.outputs)
+    elif described and path.exists():
         raise InputError(
             "a file that needs a description",
-            expected="a dataset.toml, or a CSV or Parquet file",
+            expected="a dataset.toml, or --input and --output (or --column) that name its columns",
             got=repr(suffix),
-            remedy="write a dataset.toml that names its columns",
+            remedy=f"name them, or write a dataset.toml (sysid new dataset {path.name} drafts one)",
             file=path,
         )
     else:
@@ -101,12 +162,46 @@ def load_dataset(
                 remedy="add the run to the dataset.toml",
                 file=path,
             )
+        if replace(chosen, whole=False).anything:
+            raise InputError(
+                "columns chosen beside a dataset.toml",
+                expected="the dataset.toml alone, which says it itself",
+                got="input, output, column, unit, sample_time or run",
+                remedy="leave them out, or give the table itself",
+                file=path,
+            )
         description = read_description(path)
     description = msgspec.structs.replace(description, undriven=tuple({*description.undriven, *undriven}))
     try:
-        return _Reader(path, description, model, ports, notes, tables).load()
+        return _Reader(path, description, model, ports, notes, tables).load(fitted=not chosen.whole)
     except InputError as error:
         raise error.located(file=path) from error
+
+
+def _are_records(data: Any) -> bool:
+    """Return True for several records of ours."""
+    return isinstance(data, list | tuple) and bool(data) and all(isinstance(one, Trajectory) for one in data)
+
+
+def _of_records(data: Any, model: str | None) -> LoadedDataset:
+    """Return records that are in memory already as a data set that was read."""
+    if isinstance(data, LoadedDataset):
+        return data
+    if not isinstance(data, Dataset):
+        data = Dataset("data", tuple(Run(one, "estimation", str(k)) for k, one in enumerate(data)))
+    if data.oddities is None:
+        data = examined(data)
+        data = replace(data, warnings=(*data.warnings, *lines(data.oddities or ())))
+    known = None if model is None else ports_of(located_model(model, Path.cwd()), {})
+    names = {channel.name: (channel.name, 0) for channel in data.spec.outputs}
+    ports = [] if known is None else [channel.name for channel in known.outputs]
+    for port in ports:
+        for derivative in (1, 2):
+            name = Ports.channel_name(port, derivative)
+            if name in names and name not in ports:
+                names[name] = (port, derivative)
+    nominal = None if model is None else Nominal(located_model(model, Path.cwd()))
+    return LoadedDataset(data, nominal, tuple(names.values()), tuple({} for _ in data.runs), Path("(data)"))
 
 
 def _path_or_name(data: Any, name: str, tables: dict[Path, Table]) -> Path:
@@ -143,8 +238,8 @@ class _Reader:
             description.duplicates,
         )
 
-    def load(self) -> LoadedDataset:
-        """Read every run."""
+    def load(self, *, fitted: bool) -> LoadedDataset:
+        """Read every run; to learn from it, or only to predict what follows."""
         plan, spec = self.plan, None
         runs: list[Run] = []
         references: list[dict[str, FloatArray]] = []
@@ -163,7 +258,7 @@ class _Reader:
                 for order, piece in enumerate(pieces):
                     spec = spec or self._spec(piece.sample_time)
                     trajectory, extra = self._trajectory(piece, spec)
-                    notes += check_run(trajectory, measured, inverse_dynamics=arm)
+                    notes += check_run(trajectory, measured, inverse_dynamics=arm, fitted=fitted)
                     label = section.label + (f"/{order}" if len(pieces) > 1 else "")
                     runs.append(Run(trajectory, section.use, label.lstrip("/")))
                     references.append(extra)
@@ -402,7 +497,8 @@ class _Reader:
                     "no time",
                     expected="sample_time = ... (s), or a column time",
                     got=f"columns {', '.join(table.titles[:12])}",
-                    remedy="declare sample_time, or [time] with the name of the column",
+                    remedy="declare sample_time, or [time] with the name of the column "
+                    "(sysid: --sample-time, --column time=TITLE)",
                     place="sample_time",
                 )
             return None

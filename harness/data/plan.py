@@ -194,7 +194,7 @@ class Plan:
                 f"signal {name} has no unit",
                 expected='unit = "..." (or a column title such as "theta [rad]")',
                 got="none",
-                remedy='declare it; unit = "1" is a plain number',
+                remedy=f'declare it (sysid: --unit {name}=...); unit = "1" is a plain number',
                 place=place,
             )
         label = Ports.channel_name(self.port(name), signal.derivative) if signal.role == "output" else self.port(name)

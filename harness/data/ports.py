@@ -31,6 +31,8 @@ class Ports:
         For messages.
     units_fixed : bool
         False where the model takes over the units of the data.
+    rates : bool
+        False where the rates of the outputs cannot be measured too: a fitted model has the outputs that it has.
     """
 
     inputs: tuple[Channel, ...]
@@ -39,6 +41,7 @@ class Ports:
     units_fixed: bool = True
     joints: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     """Input and output port of each joint by the name that the robot's file gives it."""
+    rates: bool = True
 
     def named(self, port: str, role: str) -> str:
         """Return the name of a port that goes by its joint's name.

@@ -30,7 +30,11 @@ _FACTORS = (
 
 
 def check_run(
-    trajectory: Trajectory, measured: Sequence[tuple[str, int]], *, inverse_dynamics: bool = False
+    trajectory: Trajectory,
+    measured: Sequence[tuple[str, int]],
+    *,
+    inverse_dynamics: bool = False,
+    fitted: bool = True,
 ) -> list[str]:
     """Return what is to be said about one run, and refuse what cannot be used.
 
@@ -42,6 +46,8 @@ def check_run(
         What each output is; ``theta_rate`` in rad/s beside ``theta`` in rad is its derivative.
     inverse_dynamics : bool
         The model gives the inputs of a motion (an arm): where a controller holds the motion, the torque follows it.
+    fitted : bool
+        False where no model is learned from the run: then it may be short, and rest.
 
     Raises
     ------
@@ -50,7 +56,7 @@ def check_run(
     """
     notes: list[str] = []
     spec = trajectory.spec
-    if len(trajectory) < SHORTEST:
+    if fitted and len(trajectory) < SHORTEST:
         raise InputError(
             f"a record of {len(trajectory)} row{'s' if len(trajectory) > 1 else ''}",
             expected=f"at least {SHORTEST} rows: the smallest model has five unknowns (three parameters, two initial "
@@ -63,7 +69,7 @@ def check_run(
             if channel.kind == "category":
                 _refuse_other_categories(channel, values[:, column])
     still = [not np.ptp(trajectory.y[:, i]) for i in range(spec.ny)]
-    if all(still):
+    if fitted and all(still):
         idle = bool(spec.nu) and not np.ptp(trajectory.u, axis=0).any()
         raise InputError(
             "the input and the outputs never move" if idle else "the outputs never move",

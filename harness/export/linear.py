@@ -77,7 +77,8 @@ def to_control(model: Any) -> control.StateSpace:
             "export to python-control",
             expected="a linear model without constant offsets",
             got="offsets that are not zero",
-            remedy="fit with offset=false, or export to an FMU, which keeps them",
+            remedy="fit with offset=false, take load_model(...).to_control(deviations=True), or export an FMU, which "
+            "keeps them",
         )
     import control
 

@@ -14,6 +14,7 @@ from urllib.parse import quote
 from harness.benchmark.plots import INK, LINES, STYLE, svg_text
 from harness.benchmark.report import filled
 from harness.benchmark.summary import figure
+from harness.fleet.changes import changes, odd_machines
 from harness.fleet.row import Found, Row
 from harness.fleet.trends import Series, new_effects, series_of, trends
 
@@ -41,6 +42,8 @@ def fleet_page(rows: Sequence[Row], *, planned: int, model: str, reports: str) -
         verdicts=Counter(row.verdict.replace("_", " ") if row.ok else row.status for row in rows).most_common(),
         new=new_effects(rows),
         trends=trends(series),
+        changes=changes(rows),
+        odd=odd_machines(rows),
         sizes=size_plot(series),
         machines=_machines(rows),
         folded=len(rows) > LONG,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,7 +11,9 @@ from typing import Any
 
 import msgspec
 
+from harness.acceptance import Check, Demands
 from harness.errors import InputError
+from harness.fleet.changes import Change, Odd, changes, odd_machines
 from harness.fleet.page import fleet_page, written
 from harness.fleet.records import find_records
 from harness.fleet.row import Row, read
@@ -55,9 +58,36 @@ class FleetResult:
         return new_effects(self.rows)
 
     @property
+    def changes(self) -> list[Change]:
+        """Where sizes change between dates, whatever the shape, with their test."""
+        return changes(self.rows)
+
+    @property
+    def odd(self) -> list[Odd]:
+        """Machines that are not as the others."""
+        return odd_machines(self.rows)
+
+    @property
     def trends(self) -> list[Trend]:
         """How sizes change with the date."""
         return trends(series_of(self.rows))
+
+    def checks(self, demands: Demands) -> list[Check]:
+        """Return what is demanded of each record, and whether it holds; a record without an answer holds nothing.
+
+        Parameters
+        ----------
+        demands : harness.acceptance.Demands
+        """
+        found = []
+        reports = FleetStore(self.folder).reports
+        for row in self.rows:
+            if row.ok:
+                content = (reports / row.record / "report.json").read_text(encoding="utf-8")
+                found += demands.of_report(row.record, json.loads(content))
+            elif demands.anything:
+                found.append(Check(row.record, "answer", False, f"{row.status}: {row.reason}", broken=True))
+        return found
 
     def to_records(self) -> list[dict[str, Any]]:
         """Return the rows as plain dictionaries, ready for JSON."""
@@ -74,6 +104,8 @@ class FleetResult:
             where = f"{one.machine}, " if one.machine else ""
             what = f"another law, after {', '.join(one.before)}" if one.before else "new"
             lines.append(f"{what}: {one.effect.name} in {one.row.record} ({where}{one.row.day}), {written(one.effect)}")
+        lines += [f"new: {change}" for change in self.changes]
+        lines += [str(odd) for odd in self.odd]
         for trend in self.trends:
             if trend.word != "no trend":
                 name, unit = f"{trend.series.effect} {trend.series.parameter}", trend.series.unit

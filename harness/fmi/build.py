@@ -6,11 +6,14 @@ descriptions are FMI 2.0; those of FMI 3.0 and the table of variables for the C 
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
+import importlib.util
 import logging
 import os
 import platform
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -28,6 +31,7 @@ __all__ = [
     "compile_library",
     "compiler",
     "library_suffix",
+    "tell_without_compiler",
 ]
 
 log = logging.getLogger("harness.fmi")
@@ -53,17 +57,31 @@ class BuildError(Exception):
     """A compiler that is missing or complains."""
 
 
-def compiler() -> str | None:
-    """Return the C compiler: ``$CC``, else gcc, cc or clang; None if there is none or it is switched off.
+def compiler() -> tuple[str, ...] | None:
+    """Return the command of the C compiler; None if there is none or it is switched off.
 
-    ``SYSID_HARNESS_NO_COMPILER=1`` switches it off.
+    That is ``$CC``, else gcc, cc or clang, else the clang that the package ``ziglang`` brings (the extra ``compiler``;
+    on Windows too). ``SYSID_HARNESS_NO_COMPILER=1`` switches it off.
     """
     if os.environ.get("SYSID_HARNESS_NO_COMPILER", "") not in ("", "0"):
         return None
-    for name in (os.environ.get("CC"), "gcc", "cc", "clang"):
-        if name and (found := shutil.which(name)):
-            return found
+    own = os.environ.get("CC", "")
+    for words in (shlex.split(own, posix=os.name == "posix"), ["gcc"], ["cc"], ["clang"]):
+        if words and (found := shutil.which(words[0])):
+            return (found, *words[1:])
+    if importlib.util.find_spec("ziglang") is not None:
+        # without the sanitizer that zig adds by itself, which needs a library of its own
+        return (sys.executable, "-m", "ziglang", "cc", "-fno-sanitize=undefined")
     return None
+
+
+@functools.cache
+def tell_without_compiler() -> None:
+    """Say, once in a process, what it costs that there is no compiler."""
+    log.warning(
+        "no C compiler was found: everything works, and fits take a few times as long; "
+        "remedy: install gcc or clang, or pip install sysid-harness[compiler]"
+    )
 
 
 def library_suffix() -> str:
@@ -92,22 +110,22 @@ def compile_library(
     target: Path,
     *options: str,
     libraries: tuple[str, ...] = ("-lm",),
-    program: str | None = None,
+    program: tuple[str, ...] | None = None,
 ) -> None:
     """Compile C sources to a shared library; raises :class:`BuildError` with what the compiler said.
 
-    ``program`` is the compiler; by default that of :func:`compiler`.
+    ``program`` is the command of the compiler; by default that of :func:`compiler`.
     """
     program = compiler() if program is None else program
     if program is None:
-        raise BuildError("no C compiler: install gcc, or set CC")
-    command = [program, *FLAGS, *options, "-o", str(target), *map(str, sources), *libraries]
+        raise BuildError("no C compiler: install gcc or clang, pip install sysid-harness[compiler], or set CC")
+    command = [*program, *FLAGS, *options, "-o", str(target), *map(str, sources), *libraries]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise BuildError(f"{program} does not run: {error}") from error
+        raise BuildError(f"{program[0]} does not run: {error}") from error
     if done.returncode != 0:
-        raise BuildError(f"{program} failed: {' '.join(done.stderr.split())[:600]}")
+        raise BuildError(f"{program[0]} failed: {' '.join(done.stderr.split())[:600]}")
 
 
 def build_fmu(
@@ -174,15 +192,15 @@ def build_fmu(
     return tuple(binaries)
 
 
-def _other_systems(version: int) -> list[tuple[str, str, str, tuple[str, ...]]]:
+def _other_systems(version: int) -> list[tuple[str, tuple[str, ...], str, tuple[str, ...]]]:
     """Return folder, compiler, ending of libraries and options of the other systems that can be compiled for."""
     if compiler() is None:
         return []
-    found = []
+    found: list[tuple[str, tuple[str, ...], str, tuple[str, ...]]] = []
     for name, (program, folder, suffix, more) in CROSS.items():
         place = name if version == 3 else folder
         if place is not None and place != binary_folder(version) and (path := shutil.which(program)):
-            found.append((place, path, suffix, more))
+            found.append((place, (path,), suffix, more))
     return found
 
 

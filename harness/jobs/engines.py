@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-import os
 import tempfile
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -27,7 +26,7 @@ from harness.jobs.batch import (
     write_shard,
 )
 from harness.trust import trusted, trusting
-from harness.workers import death, worker_pool
+from harness.workers import cores, death, worker_pool
 
 __all__ = ["AHEAD", "DaskEngine", "Engine", "LocalEngine", "Moved", "make_engine", "run_jobs"]
 
@@ -103,7 +102,7 @@ def make_engine(engine: str, workers: int | None = None) -> Engine:
     if workers is not None and workers < 1:
         raise InputError("workers", expected="at least 1", got=str(workers), remedy="correct the number")
     if engine == "local":
-        return LocalEngine(workers or len(os.sched_getaffinity(0)))
+        return LocalEngine(workers or cores())
     scheme, _, address = engine.partition("://")
     if scheme != "dask" or ":" not in address:
         raise InputError(

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from harness.compiled import cache_folder
-from harness.fmi.build import compiler
+from harness.fmi.build import compiler, tell_without_compiler
 from harness.signals import FloatArray
 
 __all__ = ["Compilation", "c_function", "system_source"]
@@ -34,7 +34,7 @@ LEFT_OUT = ("-fira-region=one", "-fno-tree-loop-optimize", "-fno-tree-ccp", "-fn
 
 def _shortened(level: str) -> tuple[str, ...]:
     """Return the passes to leave out at a level of optimisation; other compilers than gcc may not know them."""
-    return LEFT_OUT if level == "-O1" and "gcc" in Path(str(compiler())).name else ()
+    return LEFT_OUT if level == "-O1" and "gcc" in Path((compiler() or ("",))[0]).name else ()
 
 
 @functools.cache
@@ -289,7 +289,10 @@ class Compilation:
         self._draft: Path | None = None
         self._library: ctypes.CDLL | None = None
         self._owner = os.getpid()
-        self.failed = compiler() is None
+        self._command = compiler()
+        self.failed = self._command is None
+        if self.failed:
+            tell_without_compiler()
 
     def _disown(self) -> None:
         """Leave a compiler that was started before a fork to the process that started it."""
@@ -299,14 +302,20 @@ class Compilation:
     def start(self) -> None:
         """Begin to compile unless it is done, under way or impossible."""
         self._disown()
-        if self.failed or self._process is not None or self._library is not None or self.path.exists():
+        if (
+            self._command is None
+            or self.failed
+            or self._process is not None
+            or self._library is not None
+            or self.path.exists()
+        ):
             return
         handle, draft = tempfile.mkstemp(suffix=".so", prefix=self.path.stem + "-", dir=self.path.parent)
         os.close(handle)
         self._draft = Path(draft)
         try:
             self._process = subprocess.Popen(
-                [str(compiler()), *self._flags, "-x", "c", "-", "-o", draft, "-lm"],
+                [*self._command, *self._flags, "-x", "c", "-", "-o", draft, "-lm"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,

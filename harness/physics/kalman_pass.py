@@ -6,12 +6,12 @@ import ctypes
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from harness.physics.ccode import Compilation
 from harness.physics.filter_kernels import filter_kernels
+from harness.physics.filter_machine import FilterMachine, Wanted
 from harness.physics.filter_source import filter_source
 from harness.signals import FloatArray, Trajectory
 
@@ -154,7 +154,7 @@ class KalmanPass:
     intersample : {"zoh", "foh", "smooth"}
     substeps : int, optional
     compiled : bool
-        False to work in Python (slow; also where there is no compiler).
+        False to work on CasADi's virtual machine, some times slower; also where there is no compiler.
 
     Attributes
     ----------
@@ -256,18 +256,12 @@ class KalmanPass:
         made = Filtered(np.empty((samples, self.ny)), np.empty((samples, self.ny)))
         if columns is not None:
             made.j = np.zeros((samples, self.ny, chosen))
-        if by_noise and self._compilation is not None:
+        if by_noise:
             lanes = (samples, self.ny, 3 * self.nl + self.ny)
             made.e_noise, made.s_noise = np.empty(lanes), np.empty(lanes)
         if keep:
             wide, square, tall = (samples, self.nx), (samples, self.nx, self.nx), (samples, self.ny, self.nx)
             made.path = Path(*(np.empty(shape) for shape in (wide, square, wide, square, square, tall, tall)))
-        library = None if self._compilation is None else self._compilation.library()
-        steps = None if library is None else filter_kernels(self.nx, self.ny, self.nl)
-        if library is None or steps is None:
-            made.e_noise = made.s_noise = None
-            how = start, variance, decay, gained, noise, every
-            return self._in_python(record, p, u, made, columns, how)
         given = {
             "p": p, "x0": start, "p0": variance, "u": u, "d": input_jacobian,
             "measured": np.ascontiguousarray(record.readings),
@@ -276,6 +270,10 @@ class KalmanPass:
             "fade": fade, "q_tau": -2 * noise.s**2 * fade * np.exp(-2 * fade),
             "e": made.e, "s": made.s, "j": made.j, "e_noise": made.e_noise, "s_noise": made.s_noise,
         }  # fmt: skip
+        library = None if self._compilation is None else self._compilation.library()
+        steps = None if library is None else filter_kernels(self.nx, self.ny, self.nl)
+        if library is None or steps is None:
+            return self._in_casadi(record, given, made, columns, every)
         if made.path is not None:
             given |= {name: getattr(made.path, name) for name in _STORES}
         arrays = {name: value for name, value in given.items() if value is not None}
@@ -302,77 +300,29 @@ class KalmanPass:
         self._seen = [*self._seen[-7:], (record, key, u, input_jacobian)]
         return u, input_jacobian, self.substeps if self.intersample == "smooth" else 1
 
-    def _in_python(
-        self, record: Trajectory, p: FloatArray, u: FloatArray, made: Filtered, columns: Any, how: Any
+    def _in_casadi(
+        self, record: Trajectory, given: dict[str, Any], made: Filtered, columns: Any, every: int
     ) -> Filtered | None:
-        """Do the same on CasADi's virtual machine; derivatives by delays are left at 0 (inputs held fixed)."""
-        x, variance, decay, gained, noise, every = how
-        nx, nl, ny = self.nx, self.nl, self.ny
-        step, look = self._machine(every)
-        s = np.zeros((nx, self.parameter_count + self.start_size))
-        s[: self.start_size, self.parameter_count :] = np.eye(self.start_size)
-        row, fade = 0, np.concatenate([np.ones(nx - nl), decay])
-        for k in range(len(u)):
-            if not np.isfinite(x).all():
-                return None
-            time = record.t[0] + k * self.dt / every
-            if k % every == 0:
-                y, c, by_p = (result.full() for result in look(x, u[k], p, time))
-                if made.path is not None:
-                    made.path.x_before[row], made.path.p_before[row] = x, variance
-                prior = x.copy()
-                for o in range(ny):
-                    e = record.readings[row, o] - y[o, 0]
-                    if period := self._period[o]:
-                        e = (e + period / 2) % period - period / 2
-                    e -= c[o] @ (x - prior)
-                    spread = variance @ c[o]
-                    total = noise.r[o] ** 2 + c[o] @ spread
-                    made.e[row, o], made.s[row, o] = e, total
-                    known = bool(np.isfinite(e))
-                    if known and not total > 0.0:
-                        return None
-                    gain = spread / total if known else np.zeros(nx)
-                    x = x + gain * (e if known else 0.0)
-                    variance = variance - np.outer(gain, spread)
-                    change = -(c[o] @ s)
-                    change[: self.parameter_count] -= by_p[o]
-                    s = s + np.outer(gain, change)
-                    if made.j is not None:
-                        made.j[row, o] = change[columns] if known else 0.0
-                    if made.path is not None:
-                        made.path.gain[row, o], made.path.row[row, o] = gain, c[o]
-                if made.path is not None:
-                    made.path.x_after[row], made.path.p_after[row] = x, variance
-                    made.path.transition[row] = np.eye(nx)
-                row += 1
-            if k + 1 == len(u):
-                break
-            x, f, by_p = (result.full() for result in step(x, u[k], u[k + 1], p, time))
-            x = x[:, 0] * fade
-            white = f[:, nx - nl :] * np.concatenate([np.ones(nx - nl), np.zeros(nl)])[:, None]
-            s = fade[:, None] * (f @ s)
-            s[:, : self.parameter_count] += fade[:, None] * by_p
-            f = fade[:, None] * f
-            variance = f @ variance @ f.T + (white * noise.w**2) @ white.T
-            variance[range(nx - nl, nx), range(nx - nl, nx)] += gained
-            if made.path is not None:
-                made.path.transition[row - 1] = f @ made.path.transition[row - 1]
-        return made
-
-    def _machine(self, every: int) -> tuple[Any, Any]:
-        """Return the CasADi functions of one row of the inputs, with derivatives, and of the outputs."""
-        known: dict[Any, Any] = self.simulator.functions.__dict__.setdefault("_filter_machines", {})
-        key = (self.substeps, every, self.intersample)
+        """Do the same on CasADi's virtual machine."""
+        known: dict[Any, FilterMachine] = self.simulator.functions.__dict__.setdefault("_filter_machines", {})
+        key = (self.dt, self.substeps, every, self.intersample, self.nl)
         if key not in known:
-            functions, substeps = self.simulator.functions, 1 if every > 1 else self.substeps
-            foh = self.intersample != "zoh"
-            x, u, p, t = (ca.SX.sym("a", argument.shape) for argument in functions.arguments)
-            later = ca.SX.sym("b", u.shape)
-            advance, _ = functions.sample(self.dt / every, substeps, foh)
-            after = advance(x, ca.vertcat(u, later), p, t)
-            parts = [after, ca.jacobian(after, x), ca.jacobian(after, p)]
-            step = ca.Function("step", [x, u, later, p, t], parts)
-            y = functions.output(x, u, p, t)
-            known[key] = step, ca.Function("look", [x, u, p, t], [y, ca.jacobian(y, x), ca.jacobian(y, p)])
-        return known[key]  # type: ignore[no-any-return]
+            known[key] = FilterMachine(
+                self.simulator.functions, self.dt / every, 1 if every > 1 else self.substeps, every,
+                self.intersample != "zoh", self.sampled.delay_columns, self.nl, self._period,
+            )  # fmt: skip
+        wanted = Wanted(columns is not None, made.e_noise is not None, made.path is not None)
+        found = known[key](wanted, given, record.t[0] + np.arange(len(record)) * self.dt)
+        measured = np.isfinite(record.readings)
+        if not (np.isfinite(found["e"][measured]).all() and np.isfinite(found["s"]).all() and (found["s"] > 0).all()):
+            return None
+        made.e, made.s = found["e"], found["s"]
+        if columns is not None:
+            made.j = np.ascontiguousarray(found["j"].reshape(len(record), self.ny, -1)[:, :, columns])
+        if made.e_noise is not None:
+            made.e_noise, made.s_noise = (found[name].reshape(made.e_noise.shape) for name in ("e_noise", "s_noise"))
+        if made.path is not None:
+            for name in _STORES:
+                getattr(made.path, name)[:] = found[name].reshape(getattr(made.path, name).shape)
+            made.path.transition[-1] = np.eye(self.nx)  # nothing follows the last sample
+        return made

@@ -262,6 +262,19 @@ class Functions:
         """Return the functions (x, (u, next u), p, t) of one sample: next state, and outputs."""
         return self._sample(dt, substeps, foh, False, ())
 
+    def coarse(self, dt: float, substeps: int, foh: bool) -> tuple[Any, Any]:
+        """Return the functions of one sample without finer steps: the next state, and whether finer ones are needed."""
+        key = ("coarse", dt, substeps, foh)
+        if key not in self._machines:
+            nears: list[Any] = []
+            with _literally():
+                step, _ = self._sampled(dt, substeps, foh, False, (), nears)
+                state, moving, p, t = (ca.SX.sym("c", step.size1_in(k)) for k in range(4))
+                new, near = step(state, moving, p, t)
+                arguments = [state, moving, p, t]
+                self._machines[key] = ca.Function("step", arguments, [new]), ca.Function("near", arguments, [near])
+        return self._machines[key]  # type: ignore[no-any-return]
+
     def _sample(
         self, dt: float, substeps: int, foh: bool, sensitivities: bool, delay_columns: tuple[int, ...]
     ) -> tuple[Any, Any]:
@@ -273,7 +286,13 @@ class Functions:
         return self._machines[key]  # type: ignore[no-any-return]
 
     def _sampled(
-        self, dt: float, substeps: int, foh: bool, sensitivities: bool, delay_columns: tuple[int, ...]
+        self,
+        dt: float,
+        substeps: int,
+        foh: bool,
+        sensitivities: bool,
+        delay_columns: tuple[int, ...],
+        nears: list[Any] | None = None,
     ) -> tuple[Any, Any]:
         system = self.system
         nx, nu, nd = system.nx, system.nu, len(delay_columns) if sensitivities else 0
@@ -301,8 +320,11 @@ class Functions:
                 # The end of the sample is the next input itself, to the last bit, as in the C code.
                 return (u_next, d_next) if share == 1.0 else (u + (u_next - u) * share, d + (d_next - d) * share)
 
-            new = self._advance(derivative, new, seen, t + count * h, h)
-        step = ca.Function("sample", [state, moving, p, t], [new], {"cse": False})
+            new = self._advance(derivative, new, seen, t + count * h, h, nears)
+        told = [new]
+        if nears is not None:
+            told.append(ca.logic_not(ca.logic_not(sum(nears, ca.SX(0)))))
+        step = ca.Function("sample", [state, moving, p, t], told, {"cse": False})
         if sensitivities:
             outputs = list(self.measure(delay_columns)(state[:nx], state[nx:], u, d, p, t))
         else:
@@ -310,10 +332,11 @@ class Functions:
         look = ca.Function("look", [state, moving, p, t], outputs)
         return step, look
 
-    def _advance(self, derivative: Any, x: Any, inputs: Any, t: Any, h: float) -> Any:
+    def _advance(self, derivative: Any, x: Any, inputs: Any, t: Any, h: float, nears: list[Any] | None = None) -> Any:
         """Return the state one step later; in finer steps where a force changes its sign.
 
-        ``inputs(part)`` is what the derivative sees at a part (0 to 1) of the step.
+        ``inputs(part)`` is what the derivative sees at a part (0 to 1) of the step. With ``nears`` the step is never
+        finer, and whether it should be is added to them.
         """
         new = _runge_kutta(derivative, x, [inputs(part) for part in (0.0, 0.5, 1.0)], t, h)
         places = list(dict.fromkeys(k for k, _ in self.system.switches))
@@ -322,6 +345,9 @@ class Functions:
         near, fine = ca.SX(0), x
         for k in places:
             near = ca.logic_or(near, ca.fmin(ca.fabs(x[k]), ca.fabs(new[k])) < ca.fabs(new[k] - x[k]))
+        if nears is not None:
+            nears.append(near)
+            return new
         for part in range(FINE):
             seen = [inputs((part + share) / FINE) for share in (0.0, 0.5, 1.0)]
             fine = _runge_kutta(derivative, fine, seen, t + part * (h / FINE), h / FINE)

@@ -17,7 +17,16 @@ from harness.errors import InputError, PluginError
 from harness.protocols import FreeRun, Model
 from harness.signals import FloatArray, PlantSpec, Trajectory, residual
 
-__all__ = ["Score", "equation_error", "errors", "predict", "same_language", "simulation_error", "states_ahead"]
+__all__ = [
+    "Score",
+    "equation_error",
+    "errors",
+    "free_run",
+    "predict",
+    "same_language",
+    "simulation_error",
+    "states_ahead",
+]
 
 
 _FIRST = 50
@@ -147,7 +156,7 @@ def predict(
     x = _initial_state(model, data, initial, initial_samples)
     with _numbers_of(model):
         if horizon is None:
-            return _until_divergence(_free_run(model, x, data.u))
+            return free_run(model, x, data.u)
         predictions = np.full((len(data), model.spec.ny), np.nan)
         if len(data) <= horizon:
             return predictions
@@ -316,10 +325,11 @@ def _initial_state(
     return found
 
 
-def _free_run(model: Model, x: FloatArray, u: FloatArray) -> FloatArray:
-    """Return the outputs (N, ny) of a free run."""
-    outputs: FloatArray = _windows(model, x[None], u[None])[0]
-    return outputs
+def free_run(model: Model, x: FloatArray, u: FloatArray) -> FloatArray:
+    """Return the outputs (N, ny) of a free run from a state (nx,) under inputs (N, nu); NaN from where it diverges."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        outputs: FloatArray = _windows(model, x[None], u[None])[0]
+    return _until_divergence(outputs)
 
 
 def _windows(model: Model, x: FloatArray, u: FloatArray) -> FloatArray:

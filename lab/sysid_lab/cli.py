@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 
 from harness import cli
-from harness.cli_options import Engine, Force, Resume, Workers
+from harness.cli_options import AsJson, Engine, Force, Resume, Workers
 from harness.interrupts import Interrupts
-from harness.terminal import jobs_bar, say
+from harness.terminal import jobs_bar, print_json, print_written, say
 
 __all__ = ["app", "run"]
 
@@ -42,6 +42,7 @@ def run_study(
     budget: Annotated[float | None, typer.Option(metavar="MINUTES", help="then begin no more")] = None,
     engine: Engine = "local",
     resume: Resume = False,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Try the closed loop on simulated truths: confusion, false alarms, coverage, cost."""
@@ -64,6 +65,9 @@ def run_study(
             force=force,
             progress=show,
         )
+    if as_json:
+        print_json({"done": result.done, "planned": result.planned, "text": result.text, "folder": str(out)})
+        return
     say(result.text)
     say(f"{result.done} of {result.planned} records done; tables: {out / 'study.md'}")
 
@@ -91,6 +95,7 @@ def generate_study(
     like: Annotated[Path | None, typer.Option(metavar="ROWS", help="only the records of this rows.csv")] = None,
     workers: Workers = None,
     resume: Resume = False,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Write the records of the study for another tool, the truth apart."""
@@ -112,6 +117,9 @@ def generate_study(
             force=force,
             progress=show,
         )
+    if as_json:
+        print_json({"written": str(out), "truth": str(truth), "text": str(made)})
+        return
     say(str(made))
 
 
@@ -121,12 +129,16 @@ def answer_study(
         Path, typer.Argument(metavar="FLEET|ROWS", help="folder of close-loop over records.csv, or rows.csv")
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="answers.csv")],
+    as_json: AsJson = False,
 ) -> None:
     """Write the answer file of the closed loop's own run."""
     from sysid_lab.leaderboard import answers_of_fleet, answers_of_rows, write_answers
 
     answers = answers_of_fleet(source) if source.is_dir() else answers_of_rows(source)
     write_answers(out, answers)
+    if as_json:
+        print_json({"written": str(out), "answers": len(answers)})
+        return
     say(f"wrote {out}: {len(answers)} answers")
 
 
@@ -135,16 +147,20 @@ def score_study(
     truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="truth.csv")],
     answers: Annotated[list[Path], typer.Argument(metavar="ANSWERS...", help="answer files, one a tool")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="leaderboard.md")] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Judge answer files against the truth and put the tools side by side."""
     from sysid_lab.leaderboard import score
 
     text = score(truth, answers)[1]
+    if as_json and out is None:
+        print_json({"markdown": text})
+        return
     if out is None:
         print(text, end="")
         return
     out.write_text(text, encoding="utf-8")
-    say(f"wrote {out}")
+    print_written([out], as_json=as_json)
 
 
 def _separated(text: str) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -11,7 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from harness.errors import PlantError
+from harness.errors import InputError, PlantError
 from sysid_lab.folder import write_record
 from sysid_lab.plan import Task
 from sysid_lab.records import Records
@@ -63,6 +62,21 @@ def timed_command(task: Task, records: Records) -> dict[str, Any]:
 
 
 def _cpu_of_children() -> float:
-    """Return the CPU seconds of all processes that this one, or one of them, has waited for."""
+    """Return the CPU seconds of all processes that this one, or one of them, has waited for.
+
+    Raises
+    ------
+    InputError
+        Where the system does not count them (Windows).
+    """
+    try:
+        import resource
+    except ImportError as error:
+        raise InputError(
+            "the cost of a diagnosis",
+            expected="a system that counts the CPU time of child processes",
+            got=sys.platform,
+            remedy="run this part of the study on Linux or macOS",
+        ) from error
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import cont2discrete, lfilter
 
 from harness import api
 from harness.command import main
@@ -43,6 +45,29 @@ def test_the_spectrum_is_that_of_the_system_within_its_band() -> None:
     assert found.coherence[inside].min() > 0.7
     assert found.etfe is not None
     assert np.median(np.abs(found.etfe[:, 0, 0] / truth(found.etfe_frequency))) == pytest.approx(1.0, abs=0.05)
+
+
+@given(frequency=st.floats(0.6, 1.5), damping=st.floats(0.08, 0.3), held=st.integers(1, 6), seed=st.integers(0, 10**6))
+@settings(max_examples=6)
+def test_a_resonance_keeps_its_height_whatever_the_excitation(
+    frequency: float, damping: float, held: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    n, pole = 4000, 2 * np.pi * frequency
+    discrete = cont2discrete(([pole**2], [1.0, 2 * damping * pole, pole**2]), DT)
+    b, a = np.atleast_1d(np.squeeze(discrete[0])), discrete[1]
+    u = np.repeat(rng.choice([-1.0, 1.0], n // held + 1), held)[:n]
+    y = lfilter(b, a, u)
+    y = y + 0.02 * y.std() * rng.standard_normal(n)
+    found = spectrum([Trajectory(DT * np.arange(n), u[:, None], y[:, None], SPEC)])
+    f = found.frequency[1:]
+    z = np.exp(2j * np.pi * f * DT)
+    exact = np.polyval(b, z) / np.polyval(a, z)
+    off = np.abs(found.response[1:, 0, 0] - exact) / (np.sqrt(2) * found.deviation[1:, 0, 0])
+    at = int(np.argmax(np.abs(exact)))
+    assert off[at] < 4.5
+    assert np.quantile(off[f < 2 * frequency], 0.9) < 3.0  # of complex errors 1.5 by chance, beside the bias
+    assert abs(abs(found.response[1 + at, 0, 0]) / abs(exact[at]) - 1) < 0.15
 
 
 def test_bands_are_as_wide_as_estimates_scatter() -> None:

@@ -66,8 +66,12 @@ def test_commands_are_found_whatever_stands_around_them() -> None:
 
 
 @pytest.mark.parametrize(("page", "line"), COMMANDS)
-def test_a_command_is_understood(page: str, line: str) -> None:
+def test_a_command_is_understood(page: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     name, *rest = words(line)
+    monkeypatch.chdir(tmp_path)
+    for word, trusted in itertools.pairwise(rest):
+        if word == "--trust":  # which must be there
+            Path(trusted).touch()
     command = group(line).commands[name]
     command.make_context(name, rest)  # raises for an unknown option, a missing or a superfluous argument
 

@@ -273,7 +273,7 @@ def test_the_exported_step_is_the_simulators_step(tmp_path):
     )
     library = tmp_path / "m.so"
     subprocess.run(
-        [compiler(), "-O2", "-ffp-contract=off", "-shared", "-fPIC", "-x", "c", "-", "-o", library, "-lm"],
+        [*(compiler() or ()), "-O2", "-ffp-contract=off", "-shared", "-fPIC", "-x", "c", "-", "-o", library, "-lm"],
         input=source.encode(), check=True,
     )  # fmt: skip
     x, u, p = np.array([0.1, 0.4, 0.0, 0.2]), np.array([0.7]), system.vector()

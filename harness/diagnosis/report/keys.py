@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from harness import __version__
 from harness.data.oddities import described as odd_numbers
 from harness.diagnosis.policy import ARM_POLICY, DATA_POLICY, EFFORT, PLAN_POLICY, RUN_POLICY, Policy, described
 
@@ -16,6 +17,7 @@ def blank() -> dict[str, Any]:
     """Return every key of ``report.json`` with what it holds where it does not apply."""
     return {
         "format": FORMAT,
+        "version": __version__,
         "dataset": "",
         "model": "",
         "verdict": "",

@@ -1,0 +1,348 @@
+"""Fitted models in the hand: read from a file, simulated, predicted with, turned into what control design wants."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.errors import InputError
+from harness.estimate import Estimate, estimate_of
+from harness.protocols import Model
+from harness.signals import FloatArray, PlantSpec, Trajectory
+
+if TYPE_CHECKING:
+    import control
+
+    from harness.comparison.responses import Response
+
+__all__ = ["FittedModel", "Usable", "load_model"]
+
+
+class Usable:
+    """What can be done with a fitted model, whoever fitted it; ``model`` is the model itself.
+
+    A model's own ``step(x, u)`` moves its state by one sample (:class:`harness.protocols.Model`); the answer of its
+    outputs to a unit step is :meth:`step_response`.
+    """
+
+    model: Model
+
+    @property
+    def spec(self) -> PlantSpec:
+        """Inputs, outputs and sample time."""
+        return self.model.spec
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """Parameters with units, covariance and intervals, as far as the identifier gives them; else None.
+
+        ``estimate.deviation(name)`` is the standard deviation of one.
+        """
+        return estimate_of(self.model)
+
+    def simulate(self, u: Any, *, start: Any = None) -> FloatArray:
+        """Return the outputs (N, ny) of a free run: no measured output is used on the way.
+
+        Parameters
+        ----------
+        u : array (N, nu) or (N,), or a record
+            Inputs at the model's sample time and in its units. Of a record (a Trajectory, a table, a file) the inputs
+            are used, and the initial state that fits its outputs best.
+        start : array (nx,) or a record, optional
+            State at the first sample; or what was measured before it, up to one sample before. By default a linear
+            model of inputs that came as an array starts at rest, in the state 0.
+
+        Raises
+        ------
+        InputError
+            If the inputs have another number of channels, or a model that is not linear has no start.
+        """
+        from harness.scoring import predict
+
+        if not _is_array(u):
+            record = self._record(u)
+            state = None if start is None else self._state(start)
+            return predict(self.model, record, None, initial=state)
+        inputs = self._inputs(u)
+        if start is None:
+            return self._run(self._rest(), inputs)
+        return self._run(self._state(start), inputs)
+
+    def predict(self, data: Any, y: Any = None, *, horizon: int | None = 1) -> FloatArray:
+        """Return predictions (N, ny) of the outputs of a record; see :func:`harness.predict`.
+
+        Parameters
+        ----------
+        data : record, or array (N, nu) or (N,)
+            A Trajectory, a table or a file whose columns carry the model's names; or inputs, beside ``y``.
+        y : array (N, ny) or (N,), optional
+        horizon : int or None
+            Steps ahead: ``y[k]`` is predicted from outputs up to ``y[k - horizon]``. None is the free run.
+
+        Returns
+        -------
+        array (N, ny)
+            NaN in the first ``horizon`` rows.
+        """
+        from harness.scoring import predict
+
+        return predict(self.model, self._record(data, y), horizon)
+
+    def forecast(self, past: Any, u: Any = None, *, steps: int | None = None) -> FloatArray:
+        """Return the outputs (M, ny) that follow a record, the first one sample after its end.
+
+        Parameters
+        ----------
+        past : record
+            What was measured: a Trajectory, a table or a file. The state is filtered through it.
+        u : array (M, nu) or (M,), optional
+            Inputs from then on. A model without inputs takes ``steps`` instead.
+        steps : int, optional
+
+        Raises
+        ------
+        InputError
+            If inputs are missing.
+        """
+        if u is None and (self.spec.nu or steps is None):
+            raise InputError(
+                "inputs of a forecast",
+                expected=f"an array (M, {self.spec.nu})" if self.spec.nu else "steps = M",
+                got="none",
+                remedy="give what the inputs will be" if self.spec.nu else "say how many samples",
+            )
+        inputs = np.zeros((int(steps or 0), 0)) if u is None else self._inputs(u)
+        return self._run(self._state(self._record(past)), inputs)
+
+    def to_control(self, *, deviations: bool = False) -> control.StateSpace:
+        """Return a linear model as a discrete-time state-space system of python-control.
+
+        Parameters
+        ----------
+        deviations : bool
+            Leave out the constant offsets: the system then speaks of deviations from the equilibrium.
+
+        Raises
+        ------
+        InputError
+            If the model is not linear, or has offsets and ``deviations`` is False.
+        """
+        from harness.export.linear import to_control
+
+        linear = self._linear("to_control()")
+        return to_control(linear.centred() if deviations else linear)
+
+    @property
+    def poles(self) -> npt.NDArray[np.complex128]:
+        """Poles of a linear model in the z plane, eigenvalues of A (nx,), by falling modulus; stable inside 1.
+
+        Raises
+        ------
+        InputError
+            If the model is not linear.
+        """
+        values = np.linalg.eigvals(np.asarray(self._linear("poles").a_matrix)).astype(np.complex128)
+        return values[np.argsort(-np.abs(values), kind="stable")]
+
+    def step_response(self, duration: float | None = None) -> Response:
+        """Return the answer of a linear model's outputs to a unit step of each input, from rest.
+
+        Parameters
+        ----------
+        duration : float, optional
+            [s]; by default until the slowest pole has died away.
+
+        Raises
+        ------
+        InputError
+            If the model is not linear: simulate a step of the size that you mean, ``simulate(u, start=...)``.
+        """
+        from harness.comparison.responses import response
+
+        return response(self._linear("step_response()"), "step", duration)
+
+    def impulse_response(self, duration: float | None = None) -> Response:
+        """Return the answer of a linear model to a unit pulse of one sample at each input (its Markov parameters).
+
+        Parameters
+        ----------
+        duration : float, optional
+            As for :meth:`step_response`.
+        """
+        from harness.comparison.responses import response
+
+        return response(self._linear("impulse_response()"), "impulse", duration)
+
+    def _linear(self, what: str) -> Any:
+        """Return the model if it is linear."""
+        names = ("a_matrix", "b_matrix", "c_matrix", "d_matrix", "centred")
+        if not all(hasattr(self.model, name) for name in names):
+            raise InputError(
+                f"{what} of a model that is not linear",
+                expected="a linear model (A, B, C, D)",
+                got=type(self.model).__name__,
+                remedy="use simulate(u, start=...), or fit a linear one (arx, n4sid, prediction-error)",
+            )
+        return self.model
+
+    def _record(self, data: Any, y: Any = None) -> Trajectory:
+        """Return data as one record in the model's language."""
+        if y is not None:
+            u, outputs = self._inputs(data), np.asarray(y, dtype=float)
+            outputs = outputs.reshape(len(outputs), -1)
+            return Trajectory(self.spec.sample_time * np.arange(len(u), dtype=np.float64), u, outputs, self.spec)
+        if isinstance(data, Trajectory):
+            return data
+        from harness.data.load import load_record
+
+        return load_record(data, self.spec)
+
+    def _inputs(self, u: Any) -> FloatArray:
+        """Return inputs as (N, nu)."""
+        array = np.asarray(u, dtype=np.float64)
+        if array.ndim == 1 and self.spec.nu == 1:
+            array = array[:, None]
+        if array.ndim != 2 or array.shape[1] != self.spec.nu or not np.isfinite(array).all():
+            names = ", ".join(map(str, self.spec.inputs)) or "none"
+            raise InputError(
+                "inputs",
+                expected=f"finite numbers (N, {self.spec.nu}): {names}, one row each {self.spec.sample_time:g} s",
+                got=f"shape {np.shape(u)}",
+                remedy="put time on the first axis and one channel in each column",
+            )
+        return array
+
+    def _rest(self) -> FloatArray:
+        """Return the state 0 of a linear model."""
+        if not hasattr(self.model, "a_matrix"):
+            raise InputError(
+                f"a start of {type(self.model).__name__}",
+                expected="start = the state (nx,), or a record of what was measured before",
+                got="none",
+                remedy="give start=..., or simulate a record, whose outputs tell its initial state",
+            )
+        return np.zeros(len(self.model.a_matrix))
+
+    def _state(self, start: Any) -> FloatArray:
+        """Return the state that is given, or the one that follows a record."""
+        if _is_array(start):
+            return np.asarray(start, dtype=np.float64)
+        record = self._record(start)
+        x = self.model.initial_state(record.measured())
+        for k in range(len(record)):
+            x = self.model.step(self.model.correct(x, record.u[k], record.y[k]), record.u[k])
+        return x
+
+    def _run(self, x: FloatArray, inputs: FloatArray) -> FloatArray:
+        """Return the outputs of a free run from a state."""
+        from harness.scoring import free_run
+
+        return free_run(self.model, x, inputs)
+
+
+class FittedModel(Usable):
+    """A model that ``identify`` or ``close_loop`` stored: itself a :class:`harness.protocols.Model`, and usable.
+
+    Parameters
+    ----------
+    model : Model
+
+    Examples
+    --------
+    >>> from harness import api
+    >>> u = np.sign(np.sin(np.arange(300.0)))
+    >>> y = np.zeros(300)
+    >>> for k in range(299):
+    ...     y[k + 1] = 0.9 * y[k] + 0.2 * u[k]
+    >>> model = FittedModel(api.identify(u, y, sample_time=0.1, options={"order": 1}).model)
+    >>> model.poles.real.round(3), model.simulate(np.ones(3)).ravel().round(3) + 0.0
+    (array([0.9]), array([0.  , 0.2 , 0.38]))
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+
+    @property
+    def burn_in(self) -> int:
+        """Samples of a record that the memory of the model reaches back."""
+        return self.model.burn_in
+
+    def initial_state(self, data: Trajectory) -> FloatArray:
+        """Return the state (nx,) at the first sample of a record."""
+        return self.model.initial_state(data)
+
+    def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the output (..., ny)."""
+        return self.model.output(x, u)
+
+    def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the next state (..., nx): one sample; the answer to a unit step is :meth:`step_response`."""
+        return self.model.step(x, u)
+
+    def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the state (..., nx) after an output was seen."""
+        return self.model.correct(x, u, y)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+        return self.model.to_dict()
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what the model has beside (``parameters``, ``a_matrix``, ``free_run``, ...)."""
+        if name.startswith("__") or name == "model":
+            raise AttributeError(name)
+        return getattr(self.model, name)
+
+    def __repr__(self) -> str:
+        found = self.estimate
+        return f"<{type(self.model).__name__}: {self.spec}{'' if found is None else f'; {found}'}>"
+
+    def _repr_html_(self) -> str:
+        from harness.display import page, table
+
+        found = self.estimate
+        rows = []
+        for name, unit, value in () if found is None else zip(found.names, found.units, found.values, strict=True):
+            spread = found.deviation(name) if found is not None else None
+            rows.append((name, f"{value:.6g}", "" if spread is None else f"{spread:.2g}", unit))
+        shown = [table(["parameter", "value", "standard deviation", "unit"], rows)] if rows else []
+        return page(f"{type(self.model).__name__}: {self.spec}", *shown)
+
+
+def load_model(name: str | Path, **options: Any) -> Any:
+    """Return a fitted model from its file, or a physical model by its name.
+
+    Parameters
+    ----------
+    name : str or path
+        ``model.json`` that ``identify`` wrote, or the folder of ``close_loop``: a :class:`FittedModel`. Anything else
+        names a definition (``pendulum``, ``FILE.urdf``, ``FILE.py:NAME``): a :class:`harness.physics.System`.
+    **options
+        Of a definition.
+
+    Raises
+    ------
+    InputError
+        If there is no such model, a file is none, or names code that is not trusted (:func:`harness.trusting`).
+
+    Examples
+    --------
+    >>> load_model("pendulum").name
+    'pendulum'
+    """
+    path = Path(name)
+    if path.suffix == ".json" or path.is_dir():
+        from harness.comparison.models import read_model
+
+        return FittedModel(read_model(path))
+    from harness.physics import load_model as definition
+
+    return definition(str(name), **options)
+
+
+def _is_array(data: Any) -> bool:
+    """Return True for plain numbers, False for a record."""
+    return isinstance(data, list | tuple) or (isinstance(data, np.ndarray) and data.dtype.names is None)

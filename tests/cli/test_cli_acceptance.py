@@ -1,0 +1,184 @@
+"""Exit statuses that a script can rely on: demands that hold, demands that fail, input that cannot be used."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import yaml  # type: ignore[import-untyped]
+from hypothesis import given
+from hypothesis import strategies as st
+
+from harness import api, diagnosis
+from harness.acceptance import Check, Demands, write_junit
+from harness.command import main
+from harness.comparison import compare_reports
+from harness.errors import InputError
+from harness.fleet.row import Row
+from harness.fleet.running import FleetResult
+
+FOLDER = Path(__file__).resolve().parents[2]
+
+
+def report(verdict: str = "effects_found", rms: float = 1e-3, share: float = 0.999) -> dict[str, Any]:
+    scores = {"theta": {"rms": rms, "nrmse": 0.01, "unit": "rad"}}
+    errors = {"simulation_error": {"validation": scores}}
+    return {
+        "format": "sysid-harness/close-loop/2", "dataset": "run", "model": "pendulum", "verdict": verdict,
+        "adequacy": "explained", "explained_share": share, "errors": {"before": errors, "after": errors},
+        "effects": [], "warnings": [], "summary": verdict,
+        "parameters": {"after": {"J": {"value": 0.25, "low": 0.24, "high": 0.26, "unit": "kg m^2"}}},
+    }  # fmt: skip
+
+
+def run(arguments: list[Any], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as caught:
+        main([str(argument) for argument in arguments])
+    said = capsys.readouterr()
+    return int(caught.value.code or 0), said.out, said.err
+
+
+@given(
+    rms=st.floats(1e-9, 1e3),
+    limit=st.floats(1e-9, 1e3),
+    unit=st.sampled_from([("rad", 1.0), ("mrad", 1e-3), ("deg", np.pi / 180)]),
+)
+def test_an_error_is_held_against_its_limit_in_any_unit(rms: float, limit: float, unit: tuple[str, float]) -> None:
+    (check,) = Demands(max_error={"theta": f"{limit!r}{unit[0]}"}).of_report("run", report(rms=rms))
+    if abs(rms - limit * unit[1]) > 1e-9 * rms:
+        assert check.passed == (rms < limit * unit[1])
+
+
+@pytest.mark.parametrize(
+    ("asked", "status"),
+    [
+        ([], 0),
+        (["--fail-on", "unexplained,model-does-not-fit"], 0),
+        (["--fail-on", "effects_found"], 1),
+        (["--max-error", "theta=2mrad", "--max-share", "0.01"], 0),
+        (["--max-error", "theta=0.5 mrad"], 1),
+        (["--max-share", "1e-4"], 1),
+        (["--max-error", "theta=2"], 2),
+        (["--max-error", "theta=2N"], 2),
+        (["--max-error", "phi=2rad"], 2),
+        (["--max-error", "theta=-2rad"], 2),
+        (["--fail-on", "everything"], 2),
+        (["--max-share", "7"], 2),
+    ],
+)
+def test_the_exit_status_tells_what_was_asked(
+    asked: list[str], status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(api, "close_loop", lambda *_, **__: diagnosis.Report(report(), None))
+    junit = tmp_path / "junit.xml"
+    code, out, error = run(
+        ["close-loop", "run.csv", "--model", "pendulum", "--out", tmp_path, "--junit", junit, *asked], capsys
+    )
+    assert code == status, error
+    assert bool(error.strip()) == (status > 0)
+    if status < 2:
+        assert "effects_found" in out
+        assert len(ElementTree.parse(junit).findall(".//failure")) == status
+
+
+@pytest.mark.parametrize(
+    ("statuses", "asked", "status"),
+    [
+        (["refused", "refused"], [], 2),
+        (["refused", "ok"], [], 0),
+        (["refused", "ok"], ["--fail-on", "unexplained"], 1),
+        (["ok", "ok"], ["--max-error", "theta=2mrad"], 0),
+        (["ok", "ok"], ["--fail-on", "effects_found"], 1),
+    ],
+)
+def test_a_fleet_holds_only_if_every_record_does(
+    statuses: list[str], asked: list[str], status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    rows = tuple(
+        Row(job=str(k), record=f"r{k}", file="", status=s, reason="" if s == "ok" else "no column")
+        for k, s in enumerate(statuses)
+    )
+    for row in rows:
+        folder = tmp_path / "reports" / row.record
+        folder.mkdir(parents=True)
+        (folder / "report.json").write_text(json.dumps(report()), encoding="utf-8")
+    monkeypatch.setattr(api, "close_fleet", lambda *_, **__: FleetResult(tmp_path, rows, len(rows)))
+    source = tmp_path / "fleet.csv"
+    source.write_text("file\na.csv\n", encoding="utf-8")
+    code, out, error = run(["close-loop", source, "--out", tmp_path, *asked], capsys)
+    assert code == status
+    assert f"of {len(rows)} records" in out
+    assert ("no column" in error) == ("refused" in statuses and status > 0)
+
+
+def test_models_are_held_against_limits_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(0)
+    u = rng.normal(size=300)
+    y = np.convolve(u, [0.0, 0.5, 0.2])[:300] + 0.1 * rng.normal(size=300)
+    log, model = tmp_path / "log.csv", tmp_path / "m.json"
+    log.write_text(
+        "u [V],y [m]\n" + "\n".join(f"{a!r},{b!r}" for a, b in zip(u.tolist(), y.tolist(), strict=True)),
+        encoding="utf-8",
+    )
+    words = ["--sample-time", "0.1"]
+    fit = ["identify", log, "--input", "u", "--output", "y", *words, "-O", "order=2", "-o", model, "--force"]
+    assert run([*fit, "--max-error", "y=20cm"], capsys)[0] == 0
+    code, out, _ = run([*fit, "--max-error", "y=5cm", "--json"], capsys)
+    assert code == 1
+    assert json.loads(out)["model"]["kind"] == "linear"
+    assert run(["compare", model, log, *words, "--max-error", "y=5cm"], capsys)[0] == 1
+    assert run(["compare", model, log, *words, "--max-error", "y=20cm"], capsys)[0] == 0
+
+
+def test_junit_tells_failures_from_what_could_not_be_judged(tmp_path: Path) -> None:
+    path = tmp_path / "junit.xml"
+    write_junit(
+        path,
+        "close-loop",
+        [Check("a", "x", True), Check("b", "x", False, "2 > 1 \x00"), Check("c", "y", False, "no <file>", broken=True)],
+    )
+    (suite,) = ElementTree.parse(path).getroot()
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("3", "1", "1")
+    error = suite.find(".//error")
+    assert error is not None
+    assert error.get("message") == "no <file>"
+
+
+def test_two_reports_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one, two = tmp_path / "a.json", tmp_path / "b.json"
+    one.write_text(json.dumps(report()), encoding="utf-8")
+    other = report(rms=2e-3) | {"model": "cart-pole"}
+    other["parameters"] = {"after": {"J": {"value": 0.30, "low": 0.29, "high": 0.31, "unit": "kg m^2"}}}
+    two.write_text(json.dumps(other), encoding="utf-8")
+    assert str(compare_reports(one, one)) == "the answers are the same"
+    found = {row["what"]: row for row in compare_reports(one, two).rows()}
+    assert set(found) == {"model", "parameter J", "simulation error of theta"}
+    assert found["parameter J"]["meaning"] == "the intervals do not meet"
+    assert "what went in differs: model" in run(["compare", one, two], capsys)[1]
+    with pytest.raises(InputError, match="not a report"):
+        compare_reports(one, tmp_path)
+
+
+def test_the_examples_for_ci_are_commands_of_ours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hook = yaml.safe_load((FOLDER / "examples/ci/pre-commit-config.yaml").read_text(encoding="utf-8"))
+    flow = yaml.safe_load((FOLDER / "examples/ci/github-actions.yml").read_text(encoding="utf-8"))
+    steps = [step["run"] for step in flow["jobs"]["models"]["steps"] if "run" in step]
+    commands = [hook["repos"][0]["hooks"][0]["entry"], *(text for text in steps if text.startswith("sysid"))]
+    assert len(commands) == 2
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "build").mkdir()
+    monkeypatch.setattr(api, "close_loop", lambda *_, **__: diagnosis.Report(report(), None))
+    for command in commands:
+        assert run(shlex.split(command)[1:], capsys)[0] == 0
+    for name in ("pre-commit-config.yaml", "github-actions.yml"):
+        assert (FOLDER / "examples/ci" / name).read_text(encoding="utf-8") in (FOLDER / "docs/ci.md").read_text(
+            encoding="utf-8"
+        )
