@@ -681,7 +681,7 @@ class _FisherScoring:
             place = self._likelihood._place(trial)
             if self.valley and promise >= _ENOUGH:
                 place = self._around_the_bend(model, place, moved, self.at.value - _KEPT * promise)
-            if place.passes and place.value < self.at.value:
+            if place.value < self.at.value:
                 return _Step(place, promise, first)
             if 0 <= promise < _ENOUGH:
                 break
@@ -786,7 +786,7 @@ class _FisherScoring:
                 step = part * abs(gradient[row]) / curvature[row]
                 trial[k] = np.clip(trial[k] + step, self._low[row], self._high[row])
                 place = self._likelihood._place(trial)
-                if place.passes and place.value < self.at.value - _ENOUGH:
+                if place.value < self.at.value - _ENOUGH:
                     return False, place
             rest[row] = False
             if _undamped(model.matrix[np.ix_(rest, rest)], gradient[rest]) < _BROKEN:
