@@ -22,6 +22,14 @@ _WORDS: dict[Any, str] = {
     type(None): "nothing",
 }
 
+_NEVER: tuple[tuple[Any, tuple[Any, ...]], ...] = (
+    (bool, (float, int, str, type(None))),
+    (str, (float, int, bool, type(None))),
+    (int | float, (bool, str, type(None))),
+    (list | tuple | dict, (float, int, bool, str, type(None))),
+)
+"""Plain types that a value certainly is not, by its own; true and false first, which Python calls numbers."""
+
 
 def meant_options(owner: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> dict[str, Any]:
     """Return options as they are meant, and refuse those of a wrong type where the declaration leaves no doubt.
@@ -140,24 +148,32 @@ def _may_be(value: Any, hint: Any) -> bool:
         return value in parts or not isinstance(value, str | int | float | bool)
     if origin is typing.Annotated:
         return _may_be(value, parts[0])
-    if isinstance(value, bool):
-        return hint not in (float, int, str, type(None))
+    if hint in next((never for kinds, never in _NEVER if isinstance(value, kinds)), ()):
+        return False
     container = isinstance(origin, type) and issubclass(origin, Collection)
+    if isinstance(value, bool):
+        return True
     if isinstance(value, str):  # a text is a sequence of letters, which nobody means
-        return hint not in (float, int, bool, type(None)) and not container
+        return not container
     if isinstance(value, int | float):
         whole = hint is int and isinstance(value, float) and not value.is_integer()
-        return not whole and hint not in (bool, str, type(None)) and not (isinstance(origin, type))
-    if isinstance(value, list | tuple):
-        if hint in (float, int, bool, str, type(None)) or (container and issubclass(origin, dict | Mapping)):
-            return False
-        if _listed(hint):
-            return all(_may_be(one, parts[0]) for one in value)
-        if origin is tuple and parts:
-            return len(value) == len(parts) and all(map(_may_be, value, parts))
-        return True
+        return not whole and not isinstance(origin, type)
     if isinstance(value, dict):
-        return hint not in (float, int, bool, str, type(None)) and not _listed(hint) and origin is not tuple
+        return not _listed(hint) and origin is not tuple
+    if isinstance(value, list | tuple):
+        return _list_may_be(value, hint)
+    return True
+
+
+def _list_may_be(values: Sequence[Any], hint: Any) -> bool:
+    """Return False if a list certainly is not what a type says."""
+    origin, parts = typing.get_origin(hint), typing.get_args(hint)
+    if isinstance(origin, type) and issubclass(origin, dict | Mapping):
+        return False
+    if _listed(hint):
+        return all(_may_be(one, parts[0]) for one in values)
+    if origin is tuple and parts:
+        return len(values) == len(parts) and all(map(_may_be, values, parts))
     return True
 
 

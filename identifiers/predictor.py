@@ -47,6 +47,13 @@ _LAW = 4
 _TIE = 1e-6
 
 
+def _candidates(method: Method | Literal["auto"], feedback: bool) -> tuple[Method, ...]:
+    """Return the methods that are compared."""
+    if method != "auto":
+        return (method,)
+    return _ANY_LOOP if feedback else ("cva", *_ANY_LOOP)
+
+
 @dataclass(frozen=True)
 class Subspace:
     """State-space model in innovation form by a subspace method; no starting values, no local minima.
@@ -123,9 +130,7 @@ class Subspace:
         feedback = feedback_of(records)
         if feedback.found:
             refuse_feedback_of_records(records, _LAW, self.least_excitation, what)
-        methods: tuple[Method, ...] = _ANY_LOOP if feedback.found else ("cva", *_ANY_LOOP)
-        if self.method != "auto":
-            methods = (self.method,)
+        methods = _candidates(self.method, feedback.found)
         orders = [self.order] if self.order else list(range(1, min(_MOST, window - 1) + 1))
         found = self._models(records, window, methods, orders, what)
         ladders = {

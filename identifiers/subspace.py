@@ -120,6 +120,34 @@ def _gap(values: FloatArray, tolerance: float) -> int:
 
 
 @dataclass(frozen=True)
+class _Response:
+    """Markov parameters with the direct term, to the input (M, ny, nu) and to the innovation (M, ny, ny or 0).
+
+    ``level`` and ``rms`` (ny,) are the constant output and the residual; ``decaying`` is there where the response was
+    expected to die away.
+    """
+
+    input: FloatArray
+    innovation: FloatArray
+    level: FloatArray
+    rms: FloatArray
+    decaying: Decaying | None = None
+
+    def scaled(self, scaling: Scaling) -> _Response:
+        """Return the response over the sizes of inputs and outputs."""
+        outputs, decaying = scaling.outputs[:, None], self.decaying
+        if decaying is not None:
+            decaying = replace(decaying, draws=decaying.draws * scaling.inputs / outputs)
+        return replace(
+            self,
+            input=self.input * scaling.inputs / outputs,
+            innovation=self.innovation * scaling.outputs / outputs if self.innovation.shape[2] else self.innovation,
+            level=self.level / scaling.outputs,
+            decaying=decaying,
+        )
+
+
+@dataclass(frozen=True)
 class HoKalman:
     """Ho-Kalman identification: Markov parameters by least squares, then a balanced realization.
 
@@ -194,48 +222,16 @@ class HoKalman:
             )
         moving(records, what)
         refuse_law(records, what, self.least_excitation)
-        decaying: Decaying | None = None
-        if self.observer is None:
-            response, level, rms = markov_parameters(records, self.markov, offset=self.offset)
-            loud = bool(np.all(rms > _QUIET * sizes([record.y for record in records])))
-            if self.regularised and loud and self.markov * spec.nu <= LARGEST:
-                windows, _ = usable(records, samples=self.markov + 1, what=what)
-                decaying = decaying_response(windows, self.markov, response, rms, offset=self.offset)
-                response, level = decaying.response, decaying.level
-            innovation = np.zeros((self.markov, spec.ny, 0))
-        else:
-            response, innovation, level, rms = observer_markov(
-                records, self.observer, self.markov, offset=self.offset, direct=self.direct
-            )
-        # Outputs count by their noise, inputs by their size: no unit decides on order and directions.
-        size = sizes([record.y for record in records])
-        scaling = Scaling(sizes([record.u for record in records]), np.maximum(rms, _QUIET * size))
+        response = self._response(records, what)
         feedback = feedback_of(records)
-        notes: dict[str, Any] = {"residual_rms": rms.tolist(), "feedback_share": feedback.share}
+        notes: dict[str, Any] = {"residual_rms": response.rms.tolist(), "feedback_share": feedback.share}
         if feedback.found and self.observer is None:
             notes["warning"] = "past outputs foretell the input (feedback): the direct fit is biased; use observer"
-        response = response * scaling.inputs / scaling.outputs[:, None]
-        if self.observer is not None:
-            innovation = innovation * scaling.outputs / scaling.outputs[:, None]
-        level = level / scaling.outputs
-        # The response to the innovation is far less certain than that to the input: with both in one Hankel matrix the
-        # noise of the former ends up in A.
-        if decaying is not None:
-            draws = decaying.draws[:, 1:] * scaling.inputs / scaling.outputs[:, None]
-            noise = max(float(realize(draw, order=1, rows=self.rows)[3][0]) for draw in draws)
-            notes |= {"decay": decaying.decay, "hankel_noise": noise}
-            a, b, c, values = realize(response[1:], order=self.order, rows=self.rows, noise=noise)
-        else:
-            a, b, c, values = realize(response[1:], order=self.order, rows=self.rows)
-        asked = self.order is not None or self.observer is not None
-        left_out = []
-        while not asked and len(a) > 1 and spectral_radius(a) >= 1.0:
-            # The response has died away within the window, or the direct estimate is none: a state that grows is noise.
-            left_out.append(len(a))
-            a, b, c, _ = realize(response[1:], order=len(a) - 1, rows=self.rows)
-        notes |= {"hankel_singular_values": values[:20].tolist(), "order": int(a.shape[0])}
-        if left_out:
-            notes["unstable_orders"] = left_out
+        # Outputs count by their noise, inputs by their size: no unit decides on order and directions.
+        size = sizes([record.y for record in records])
+        scaling = Scaling(sizes([record.u for record in records]), np.maximum(response.rms, _QUIET * size))
+        response = response.scaled(scaling)
+        a, b, c = self._realized(response, notes)
         if self.observer is None and not self.stable and spectral_radius(a) >= 1.0:
             notes.setdefault(
                 "warning",
@@ -244,20 +240,57 @@ class HoKalman:
             )
         if self.stable and spectral_radius(a) >= 1.0:
             a = clip_eigenvalues(a)
-            b = _input_matrix(a, c, response[1:])
+            b = _input_matrix(a, c, response.input[1:])
             notes["stabilized"] = True
-        gain = stationary_gain(a, c)
         if self.observer is not None and "stabilized" not in notes:
-            gain = np.asarray(
-                np.linalg.lstsq(a, _input_matrix(a, c, innovation[1:]), rcond=1e-10)[0], dtype=float
-            )  # K = A L
-            if np.abs(np.linalg.eigvals(a - a @ gain @ c)).max() >= 1.0:
-                gain = stationary_gain(a, c)
-        d = response[0] if self.direct else np.zeros((spec.ny, spec.nu))
-        model = LinearModel(spec, a, b, c, d, gain, np.zeros(a.shape[0]), level, notes=notes).in_units(scaling)
+            gain = _observer_gain(a, c, response.innovation)
+        else:
+            gain = stationary_gain(a, c)
+        d = response.input[0] if self.direct else np.zeros((spec.ny, spec.nu))
+        model = LinearModel(spec, a, b, c, d, gain, np.zeros(a.shape[0]), response.level, notes=notes)
+        model = model.in_units(scaling)
         rule = "given" if self.order is not None else "Hankel singular values above the noise"
         estimate = state_space_estimate(model, notes["hankel_singular_values"], rule)
         return model if estimate is None else replace(model, notes={**notes, "estimate": estimate.to_dict()})
+
+    def _response(self, records: Sequence[Trajectory], what: str) -> _Response:
+        """Return the Markov parameters, directly or through an observer."""
+        assert not isinstance(self.observer, str)
+        if self.observer is not None:
+            return _Response(
+                *observer_markov(records, self.observer, self.markov, offset=self.offset, direct=self.direct)
+            )
+        ny, nu = records[0].spec.ny, records[0].spec.nu
+        response, level, rms = markov_parameters(records, self.markov, offset=self.offset)
+        decaying: Decaying | None = None
+        loud = bool(np.all(rms > _QUIET * sizes([record.y for record in records])))
+        if self.regularised and loud and self.markov * nu <= LARGEST:
+            windows, _ = usable(records, samples=self.markov + 1, what=what)
+            decaying = decaying_response(windows, self.markov, response, rms, offset=self.offset)
+            response, level = decaying.response, decaying.level
+        return _Response(response, np.zeros((self.markov, ny, 0)), level, rms, decaying)
+
+    def _realized(self, response: _Response, notes: dict[str, Any]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return A, B, C of a response in the units of its noise; ``notes`` tell how the order came about.
+
+        The response to the innovation is far less certain than that to the input: with both in one Hankel matrix the
+        noise of the former ends up in A.
+        """
+        markov, noise = response.input[1:], None
+        if response.decaying is not None:
+            noise = max(float(realize(draw[1:], order=1, rows=self.rows)[3][0]) for draw in response.decaying.draws)
+            notes |= {"decay": response.decaying.decay, "hankel_noise": noise}
+        a, b, c, values = realize(markov, order=self.order, rows=self.rows, noise=noise)
+        asked = self.order is not None or self.observer is not None
+        left_out = []
+        while not asked and len(a) > 1 and spectral_radius(a) >= 1.0:
+            # The response has died away within the window, or the direct estimate is none: a state that grows is noise.
+            left_out.append(len(a))
+            a, b, c, _ = realize(markov, order=len(a) - 1, rows=self.rows)
+        notes |= {"hankel_singular_values": values[:20].tolist(), "order": int(a.shape[0])}
+        if left_out:
+            notes["unstable_orders"] = left_out
+        return a, b, c
 
     def _chosen(self, records: Sequence[Trajectory], what: str, rng: np.random.Generator) -> LinearModel:
         """Return the model whose memory of the observer simulates held-out data best."""
@@ -354,3 +387,9 @@ def _input_matrix(a: FloatArray, c: FloatArray, markov: FloatArray) -> FloatArra
         power = power @ a
     found = np.linalg.lstsq(np.vstack(rows), markov.reshape(-1, markov.shape[2]), rcond=1e-12)[0]
     return np.asarray(found, dtype=np.float64)
+
+
+def _observer_gain(a: FloatArray, c: FloatArray, innovation: FloatArray) -> FloatArray:
+    """Return the K whose A K explains the response to the innovation; a stationary one if that observer grows."""
+    gain = np.asarray(np.linalg.lstsq(a, _input_matrix(a, c, innovation[1:]), rcond=1e-10)[0], dtype=float)  # K = A L
+    return stationary_gain(a, c) if np.abs(np.linalg.eigvals(a - a @ gain @ c)).max() >= 1.0 else gain

@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -112,6 +112,37 @@ def tried(fault: Fault, folder: Path) -> dict[str, Any]:
     return {"result": "unnoticed", "by": "", "seconds": round(time.monotonic() - began, 1)}
 
 
+def planted(faults: Sequence[Fault], identities: Mapping[Fault, str]) -> Iterator[dict[str, Any]]:
+    """Yield the result of one fault after the other, planted in a copy of the tree; nothing is copied for none."""
+    if not faults:
+        return
+    with tempfile.TemporaryDirectory(prefix="planted-faults-") as scratch:
+        folder = Path(scratch)
+        copied(folder)
+        sound: dict[str, bool] = {}
+        for number, fault in enumerate(faults, start=1):
+            for test in fault.tests:  # what fails anyhow notices nothing
+                if test not in sound:
+                    code, line = run_tests(folder, [test])
+                    sound[test] = code == 0
+                    if code != 0:
+                        print(f"{test} fails without a fault: {line}", flush=True)
+            if all(sound[test] for test in fault.tests):
+                row = tried(fault, folder)
+            else:
+                row = {"result": "broken", "by": "its tests fail without a fault"}
+            print(f"{number} of {len(faults)}: {fault.name}: {row['result']} {row['by']}", flush=True)
+            yield {"identity": identities[fault], "name": fault.name, "file": fault.file, **row}
+
+
+def known_results(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the results of runs before, by identity."""
+    if not path.is_file():
+        return {}
+    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return {row["identity"]: row for row in rows}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Plant the faults and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -123,34 +154,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     faults = [one for one in read_faults() if chosen.only in one.name or chosen.only in one.file]
     if chosen.room:
         faults = [one for one in faults if one.room in chosen.room]
-    known: dict[str, dict[str, Any]] = {}
-    if chosen.out.is_file():
-        for line in chosen.out.read_text(encoding="utf-8").splitlines():
-            row = json.loads(line)
-            known[row["identity"]] = row
     identities = {one: one.identity() for one in faults}  # as the copy will be, whatever is edited meanwhile
+    known = known_results(chosen.out)
     left = [one for one in faults if identities[one] not in known][: chosen.limit]
-    if left:
-        with tempfile.TemporaryDirectory(prefix="planted-faults-") as scratch:
-            folder = Path(scratch)
-            copied(folder)
-            sound: dict[str, bool] = {}
-            for number, fault in enumerate(left, start=1):
-                for test in fault.tests:  # what fails anyhow notices nothing
-                    if test not in sound:
-                        code, line = run_tests(folder, [test])
-                        sound[test] = code == 0
-                        if code != 0:
-                            print(f"{test} fails without a fault: {line}", flush=True)
-                if all(sound[test] for test in fault.tests):
-                    row = tried(fault, folder)
-                else:
-                    row = {"result": "broken", "by": "its tests fail without a fault"}
-                row = {"identity": identities[fault], "name": fault.name, "file": fault.file, **row}
-                known[row["identity"]] = row
-                with chosen.out.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(row) + "\n")
-                print(f"{number} of {len(left)}: {fault.name}: {row['result']} {row['by']}", flush=True)
+    for row in planted(left, identities):
+        known[row["identity"]] = row
+        with chosen.out.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
     rows = [known[identities[one]] for one in faults if identities[one] in known]
     print("\n| fault | file | result | by |\n|---|---|---|---|")
     for row in rows:

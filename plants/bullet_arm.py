@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from math import hypot, isfinite
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from numpy import ndarray
@@ -138,12 +139,8 @@ class ArmPlant:
         keypoints: Keypoints = (),
         camera: Camera | Mapping[str, Any] | None = None,
     ) -> None:
-        for name, chosen, known in (
-            ("control", control, ("torque", "velocity", "position")),
-            ("inertia", inertia, ("file", "shape")),
-        ):
-            if chosen not in known:
-                raise InputError(f"option {name}", expected=" or ".join(known), got=repr(chosen), remedy="correct it")
+        _refuse_choice("control", control, get_args(Control))
+        _refuse_choice("inertia", inertia, ("file", "shape"))
         if int(substeps) != substeps or substeps < 1:
             raise InputError("option substeps", expected="an integer >= 1", got=repr(substeps), remedy="correct it")
         tensors = inertia == "file"
@@ -153,26 +150,18 @@ class ArmPlant:
         tip = end_effector or next(str(child.get("link")) for child in moving[-1].iter("child"))
         damping = per_item("joint_damping", stated[0] if joint_damping is None else joint_damping, n, "joints")
         friction = per_item("joint_friction", stated[1] if joint_friction is None else joint_friction, n, "joints")
-        for name, value in (
-            *(("joint_damping", value) for value in damping),
-            *(("joint_friction", value) for value in friction),
-            ("linear_damping", linear_damping),
-            ("angular_damping", angular_damping),
-            ("payload", payload),
+        for name, values in (
+            ("joint_damping", damping),
+            ("joint_friction", friction),
+            ("linear_damping", [linear_damping]),
+            ("angular_damping", [angular_damping]),
+            ("payload", [payload]),
         ):
-            positive(name, value, zero=True)
-        driven = list(range(n)) if input_joints is None else [int(joint) for joint in input_joints]
-        if not driven or not set(driven) <= set(range(n)) or len(set(driven)) != len(driven):
-            raise InputError(
-                "option input_joints", expected=f"different numbers in 0..{n - 1}", got=str(driven), remedy="correct it"
-            )
-        if control != "torque" and any(friction[joint] for joint in driven):
-            raise InputError(
-                "dry friction on a joint with a velocity or position motor",
-                expected="control = torque",
-                got=control,
-                remedy="use joint_friction = 0: Bullet's friction is that very motor",
-            )
+            for value in values:
+                positive(name, value, zero=True)
+        driven = _driven(input_joints, n)
+        if control != "torque":
+            _refuse_friction_beside_motors(control, [friction[joint] for joint in driven])
         settings = Settings(
             step=positive("sample_time", sample_time) / substeps,
             substeps=int(substeps),
@@ -194,24 +183,12 @@ class ArmPlant:
             table_friction=float(table_friction),
         )
         self._home = np.array(per_item("home", home, n, "joints"))
-        units = ["m" if joint.get("type") == "prismatic" else "rad" for joint in moving]
-        names = list(joint_names or [f"q{i + 1}" for i in range(n)])
-        called = list(input_names or [f"{_PREFIX[control]}{joint + 1}" for joint in driven])
-        if len(names) != n or len(called) != len(driven):
-            raise InputError(
-                "names of joints or inputs",
-                expected=f"{n} joints and {len(driven)} inputs",
-                got=f"{names} and {called}",
-                remedy="give one name for each",
-            )
+        names, called = _names(joint_names, input_names, n, [f"{_PREFIX[control]}{joint + 1}" for joint in driven])
         clip = settings.velocity_clip
-        joints = tuple(Channel(name, unit) for name, unit in zip(names, units, strict=True))
+        joints = tuple(Channel(name, _unit(joint)) for name, joint in zip(names, moving, strict=True))
         rates = tuple(Channel(f"{c.name}_rate", f"{c.unit}/s", -clip, clip) for c in joints)
         limits = None if input_limit is None else per_item("input_limit", input_limit, len(driven), "inputs")
-        inputs = tuple(
-            Channel(name, _input_unit(control, units[joint]), *(() if limits is None else (-limits[i], limits[i])))
-            for i, (name, joint) in enumerate(zip(called, driven, strict=True))
-        )
+        inputs = _input_channels(called, [_input_unit(control, joints[joint].unit) for joint in driven], limits)
         measured = channels(outputs, joints, rates, keypoints, floating=not fixed_base, table=table is not None)
         states = joints + rates + (() if fixed_base else BASE_STATES)
         self._spec = PlantSpec(inputs, measured, float(sample_time), states, feedthrough="contact" in outputs)
@@ -382,6 +359,60 @@ class ArmPlant:
 
 
 _PREFIX = {"torque": "tau", "velocity": "rate", "position": "target"}
+
+
+def _refuse_choice(name: str, chosen: str, known: Sequence[str]) -> None:
+    """Refuse an option that is none of the known ones."""
+    if chosen not in known:
+        raise InputError(f"option {name}", expected=" or ".join(known), got=repr(chosen), remedy="correct it")
+
+
+def _driven(joints: Sequence[int] | None, n: int) -> list[int]:
+    """Return which of n joints are driven; by default all."""
+    driven = list(range(n)) if joints is None else [int(joint) for joint in joints]
+    if not driven or not set(driven) <= set(range(n)) or len(set(driven)) != len(driven):
+        raise InputError(
+            "option input_joints", expected=f"different numbers in 0..{n - 1}", got=str(driven), remedy="correct it"
+        )
+    return driven
+
+
+def _refuse_friction_beside_motors(control: Control, friction: Sequence[float]) -> None:
+    """Refuse dry friction of joints that Bullet's motors drive."""
+    if any(friction):
+        raise InputError(
+            "dry friction on a joint with a velocity or position motor",
+            expected="control = torque",
+            got=control,
+            remedy="use joint_friction = 0: Bullet's friction is that very motor",
+        )
+
+
+def _names(
+    joints: Sequence[str] | None, inputs: Sequence[str] | None, n: int, usual: Sequence[str]
+) -> tuple[list[str], list[str]]:
+    """Return the names of n joints and of the inputs, one for each."""
+    names, called = list(joints or [f"q{i + 1}" for i in range(n)]), list(inputs or usual)
+    if len(names) != n or len(called) != len(usual):
+        raise InputError(
+            "names of joints or inputs",
+            expected=f"{n} joints and {len(usual)} inputs",
+            got=f"{names} and {called}",
+            remedy="give one name for each",
+        )
+    return names, called
+
+
+def _input_channels(names: Sequence[str], units: Sequence[str], limits: Sequence[float] | None) -> tuple[Channel, ...]:
+    """Return the channels of the inputs, with their declared ranges."""
+    if limits is None:
+        return tuple(map(Channel, names, units))
+    return tuple(Channel(name, unit, -limit, limit) for name, unit, limit in zip(names, units, limits, strict=True))
+
+
+def _unit(joint: ET.Element) -> str:
+    """Return the unit of a joint's position."""
+    return "m" if joint.get("type") == "prismatic" else "rad"
 
 
 def _input_unit(control: str, unit: str) -> str:

@@ -72,32 +72,35 @@ def error_plot(lines: Sequence[Summary], rows: Sequence[Row]) -> str:
             if row.status == "ok" and row.simulation_error is not None:
                 dots_of[row.plant, row.scenario, row.identifier].append(row.simulation_error)
         for axis, (plant, scenario, own) in zip(axes, panels, strict=False):
-            for height, line in enumerate(reversed(own)):
-                dots = dots_of[plant, scenario, line.identifier]
-                dots = dots[:: max(1, len(dots) // DOTS)]
-                colour = ACCENT if line.leading else MUTED
-                for marker, shown in (
-                    ("o", [d for d in dots if d <= limits[1]]),
-                    (">", [d for d in dots if d > limits[1]]),
-                ):
-                    places = np.clip(shown, limits[0], 0.93 * limits[1])
-                    axis.plot(places, [height] * len(shown), marker, color=colour, alpha=0.55, markersize=4.5, mew=0)
-                if line.simulation_error is not None and line.simulation_error.median <= limits[1]:
-                    axis.plot(line.simulation_error.median, height, "|", color=INK, markersize=12, mew=1.8)
-            axis.set_yticks(range(len(own)), [line.identifier for line in reversed(own)])
-            axis.set_ylim(-0.6, len(own) - 0.4)
-            axis.set_xscale("log")
-            axis.set_xlim(*limits)  # the same for all panels, so that they compare
-            _decades(axis, limits)
-            floors = [line.best_possible.median for line in own if line.best_possible]
-            if floors:
-                axis.axvspan(limits[0], floors[0], color=GRID, alpha=0.6, linewidth=0)
-            axis.axvline(1.0, color=WARN, linewidth=0.8, linestyle=(0, (3, 3)))
-            axis.grid(axis="x", color=GRID, linewidth=0.7)
-            axis.set_axisbelow(True)
+            _error_panel(axis, own, [dots_of[plant, scenario, line.identifier] for line in own], limits)
             axis.set_title(f"{plant}  ·  {scenario}", loc="left", fontsize=9.5, fontweight="bold")
             axis.set_xlabel("simulation error (NRMSE)", fontsize=8)
         return svg_text(drawing)
+
+
+def _error_panel(
+    axis: Any, own: Sequence[Summary], dots_of: Sequence[Sequence[float]], limits: tuple[float, float]
+) -> None:
+    """Draw one panel of errors, the first line on top; what is beyond the edge is an arrow at it."""
+    for height, (line, dots) in enumerate(zip(reversed(own), reversed(dots_of), strict=True)):
+        few = dots[:: max(1, len(dots) // DOTS)]
+        colour = ACCENT if line.leading else MUTED
+        for marker, shown in (("o", [d for d in few if d <= limits[1]]), (">", [d for d in few if d > limits[1]])):
+            places = np.clip(shown, limits[0], 0.93 * limits[1])
+            axis.plot(places, [height] * len(shown), marker, color=colour, alpha=0.55, markersize=4.5, mew=0)
+        if line.simulation_error is not None and line.simulation_error.median <= limits[1]:
+            axis.plot(line.simulation_error.median, height, "|", color=INK, markersize=12, mew=1.8)
+    axis.set_yticks(range(len(own)), [line.identifier for line in reversed(own)])
+    axis.set_ylim(-0.6, len(own) - 0.4)
+    axis.set_xscale("log")
+    axis.set_xlim(*limits)  # the same for all panels, so that they compare
+    _decades(axis, limits)
+    floors = [line.best_possible.median for line in own if line.best_possible]
+    if floors:
+        axis.axvspan(limits[0], floors[0], color=GRID, alpha=0.6, linewidth=0)
+    axis.axvline(1.0, color=WARN, linewidth=0.8, linestyle=(0, (3, 3)))
+    axis.grid(axis="x", color=GRID, linewidth=0.7)
+    axis.set_axisbelow(True)
 
 
 def regret_plot(rows: Sequence[Row]) -> str:

@@ -121,14 +121,10 @@ def _tunable(described: Mapping[str, Any], given: dict[str, Any], path: Path) ->
     asked = any(not _given(value).get("fixed") for value in given.values())
     found = []
     for name, row in rows.items():
-        low, high = (none if row[key] is None else float(row[key]) for key, none in _BOUNDS)
         said = _given(given[name]) if name in given else {}
         value = float(row["start"]) if said.get("value") is None else float(said["value"])
         fixed = bool(said.get("fixed")) if name in given else asked or value == 0.0
-        own_low, own_high = (none if said.get(key) is None else float(said[key]) for key, none in _BOUNDS)
-        low, high = max(low, own_low), min(high, own_high)
-        if not fixed and value > 0.0 and np.isinf(low):
-            low = 0.0
+        low, high = _bounds(row, said, value)
         if fixed:  # a bound at 0 would have the fit take its logarithm
             low, high = -np.inf, np.inf
         try:
@@ -147,7 +143,12 @@ def _tunable(described: Mapping[str, Any], given: dict[str, Any], path: Path) ->
     return tuple(found)
 
 
-_BOUNDS = (("minimum", -np.inf), ("maximum", np.inf))
+def _bounds(row: Mapping[str, Any], said: Mapping[str, Any], value: float) -> tuple[float, float]:
+    """Return the bounds of a parameter if it is free: the FMU's and those given; one that starts positive stays so."""
+    lows = [float(one["minimum"]) for one in (row, said) if one.get("minimum") is not None]
+    highs = [float(one["maximum"]) for one in (row, said) if one.get("maximum") is not None]
+    low, high = max([-np.inf, *lows]), min([np.inf, *highs])
+    return (0.0 if value > 0.0 and np.isinf(low) else low), high
 
 
 def _given(entry: Any) -> dict[str, Any]:

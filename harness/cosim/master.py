@@ -103,68 +103,23 @@ class Coupled:
         self._tolerance = tolerance
         self._initial = dict(initial or {})
         self._checked_states(self._initial)
-        names = list(parts)
-        if isinstance(inputs, Mapping):
-            lenders: dict[str, str | Channel] = dict(inputs)
-            wanted = list(connections)
-        else:
-            lenders = {name: name for name in inputs}
-            wanted = [*connections, *(Connection(name, name) for name in inputs)]
-        external = [
-            replace(lender if isinstance(lender, Channel) else channel_of(self._parts, lender, "inputs"), name=name)
-            for name, lender in lenders.items()
-        ]
+        external, led_in = self._external_inputs(inputs)
         self._ny = sum(part.plant.spec.ny for part in self._parts)
-        self._wires = check_wires(
-            self._parts, [c if isinstance(c, Connection) else Connection(*c) for c in wanted], external
-        )
+        wanted = [c if isinstance(c, Connection) else Connection(*c) for c in connections]
+        self._wires = check_wires(self._parts, [*wanted, *led_in], external)
         self._late = [wire for wire in self._wires if wire.delay]
-        shown = [
-            one if isinstance(one, Shown) else Shown(one, replace(channel_of(self._parts, one, "outputs"), name=one))
-            for one in outputs
-        ]
-        slots = {name: self._ny + at for at, name in enumerate(lenders)}
-        seen = [
-            slots[one.source] if one.source in slots else locate(self._parts, one.source, "outputs") for one in shown
-        ]
-        by_name = {part.name: part for part in self._parts}
-        chosen = list(sequence) if sequence is not None else names
-        if sorted(chosen) != sorted(names):
-            raise InputError("sequence", expected=f"each of {names} once", got=repr(chosen), remedy="list them all")
-        self._sequence = [by_name[name] for name in chosen]
-        after = {part.name: followers(part, self._parts, self._wires) for part in self._parts}
-        self._self_fed = [part for part in self._parts if part in after[part.name]]
-        self._direct = strong_components([p for p in self._parts if p.feeds_through], lambda part: after[part.name])
-        cycles = [[p.name for p in group] for group in self._direct if len(group) > 1 or group[0] in self._self_fed]
-        if cycles and loops == "refuse":
-            raise InputError(
-                "algebraic loop",
-                expected="no cycle of direct feedthrough",
-                got=" and ".join(" -> ".join([*cycle, cycle[0]]) for cycle in cycles),
-                remedy="give one wire of the cycle delay=1, or loops='solve'",
-            )
-        abilities: set[Ability] = set()
-        if all("snapshots" in part.plant.abilities for part in self._parts):
-            abilities.add("snapshots")
-            tolerances = [getattr(part.plant, "snapshot_tolerance", 0.0) for part in self._parts]
-            if any(tolerances):
-                self.snapshot_tolerance = float(sum(tolerances))
-        elif iterations > 1:
-            lacking = [part.name for part in self._parts if "snapshots" not in part.plant.abilities]
-            raise InputError(
-                "strong coupling needs rollback",
-                expected="the ability 'snapshots' of every part",
-                got=f"{', '.join(lacking)} without it",
-                remedy="use iterations=1",
-            )
-        states: list[Channel] = []
-        for part in self._parts:
-            if "truth" in part.plant.abilities:
-                abilities.add("truth")
-                states += [replace(c, name=f"{part.name}.{c.name}") for c in part.plant.spec.states]
+        shown, seen = self._outputs_seen(outputs, external)
+        self._sequence = self._in_sequence(list(parts) if sequence is None else sequence)
+        self._self_fed, self._direct = self._direct_groups(refuse_loops=loops == "refuse")
+        abilities = self._rollback(iterations)
+        knowing = [part for part in self._parts if "truth" in part.plant.abilities]
+        if knowing:
+            abilities.add("truth")
+        states = [replace(c, name=f"{part.name}.{c.name}") for part in knowing for c in part.plant.spec.states]
         touched = reached_at_once(self._parts, self._wires)
-        through = any(part.outputs.start <= i < part.outputs.stop for part in touched for i in seen)
-        through = through or any(i >= self._ny for i in seen)
+        through = any(
+            i >= self._ny or any(part.outputs.start <= i < part.outputs.stop for part in touched) for i in seen
+        )
         if through:
             abilities.add("feedthrough")
         self._show = shower([(i, one.transform) for i, one in zip(seen, shown, strict=True)])
@@ -179,6 +134,74 @@ class Coupled:
         self._calls = [(part, part.read, part.plant.step, part.outputs, part.plant.spec.ny) for part in self._sequence]
         self._tick = 0
         self._signals = [0.0] * (self._ny + len(external) + len(self._late))
+
+    def _external_inputs(
+        self, inputs: Mapping[str, str | Channel] | Sequence[str]
+    ) -> tuple[list[Channel], list[Connection]]:
+        """Return the channels of the external inputs, and the connections that a plain sequence of them makes."""
+        lenders: Mapping[str, str | Channel] = (
+            inputs if isinstance(inputs, Mapping) else {name: name for name in inputs}
+        )
+        channels = [
+            replace(lender if isinstance(lender, Channel) else channel_of(self._parts, lender, "inputs"), name=name)
+            for name, lender in lenders.items()
+        ]
+        return channels, [] if isinstance(inputs, Mapping) else [Connection(name, name) for name in inputs]
+
+    def _outputs_seen(
+        self, outputs: Sequence[str | Shown], external: Sequence[Channel]
+    ) -> tuple[list[Shown], list[int]]:
+        """Return the outputs with their channels, and where each stands among the signals."""
+        shown = [
+            one if isinstance(one, Shown) else Shown(one, replace(channel_of(self._parts, one, "outputs"), name=one))
+            for one in outputs
+        ]
+        slots = {channel.name: self._ny + at for at, channel in enumerate(external)}
+        seen = [
+            slots[one.source] if one.source in slots else locate(self._parts, one.source, "outputs") for one in shown
+        ]
+        return shown, seen
+
+    def _in_sequence(self, names: Sequence[str]) -> list[Part]:
+        """Return the parts in their order within a step."""
+        by_name = {part.name: part for part in self._parts}
+        if sorted(names) != sorted(by_name):
+            raise InputError(
+                "sequence", expected=f"each of {list(by_name)} once", got=repr(list(names)), remedy="list them all"
+            )
+        return [by_name[name] for name in names]
+
+    def _direct_groups(self, *, refuse_loops: bool) -> tuple[list[Part], list[list[Part]]]:
+        """Return the parts that feed themselves, and those with feedthrough, grouped by the cycles that they form."""
+        after = {part.name: followers(part, self._parts, self._wires) for part in self._parts}
+        self_fed = [part for part in self._parts if part in after[part.name]]
+        groups = strong_components([p for p in self._parts if p.feeds_through], lambda part: after[part.name])
+        cycles = [[p.name for p in group] for group in groups if len(group) > 1 or group[0] in self_fed]
+        if cycles and refuse_loops:
+            raise InputError(
+                "algebraic loop",
+                expected="no cycle of direct feedthrough",
+                got=" and ".join(" -> ".join([*cycle, cycle[0]]) for cycle in cycles),
+                remedy="give one wire of the cycle delay=1, or loops='solve'",
+            )
+        return self_fed, groups
+
+    def _rollback(self, iterations: int) -> set[Ability]:
+        """Return the ability to be rolled back, which all parts must have; strong coupling needs it."""
+        lacking = [part.name for part in self._parts if "snapshots" not in part.plant.abilities]
+        if lacking and iterations > 1:
+            raise InputError(
+                "strong coupling needs rollback",
+                expected="the ability 'snapshots' of every part",
+                got=f"{', '.join(lacking)} without it",
+                remedy="use iterations=1",
+            )
+        if lacking:
+            return set()
+        tolerances = [getattr(part.plant, "snapshot_tolerance", 0.0) for part in self._parts]
+        if any(tolerances):
+            self.snapshot_tolerance = float(sum(tolerances))
+        return {"snapshots"}
 
     @property
     def spec(self) -> PlantSpec:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping
+from functools import reduce
 from typing import Any
 
 import casadi as ca
@@ -31,12 +33,20 @@ _UNARY: dict[Any, Callable[[Any], Any]] = {
     sp.erf: ca.erf,
 }
 
-_RELATIONS: dict[Any, Callable[[Any, Any], Any]] = {
-    sp.StrictLessThan: lambda a, b: a < b,
-    sp.LessThan: lambda a, b: a <= b,
-    sp.StrictGreaterThan: lambda a, b: a > b,
-    sp.GreaterThan: lambda a, b: a >= b,
+_JOINED: dict[Any, Callable[[Any, Any], Any]] = {
+    sp.Add: operator.add,
+    sp.Mul: operator.mul,
+    sp.Max: ca.fmax,
+    sp.Min: ca.fmin,
+    sp.And: ca.logic_and,
+    sp.Or: ca.logic_or,
+    sp.atan2: ca.atan2,
+    sp.StrictLessThan: operator.lt,
+    sp.LessThan: operator.le,
+    sp.StrictGreaterThan: operator.gt,
+    sp.GreaterThan: operator.ge,
 }
+"""What joins the arguments of a node, from the left."""
 
 
 def to_casadi(expression: Any, symbols: Mapping[Any, Any]) -> Any:
@@ -104,39 +114,11 @@ def _convert(node: Any, symbols: Mapping[Any, Any], seen: dict[Any, Any]) -> Any
     if isinstance(node, sp.Heaviside):
         return ca.if_else(_walk(node.args[0], symbols, seen) >= 0, 1.0, 0.0)
     arguments = [_walk(argument, symbols, seen) for argument in node.args]
-    if isinstance(node, sp.Add):
-        total = arguments[0]
-        for argument in arguments[1:]:
-            total = total + argument
-        return total
-    if isinstance(node, sp.Mul):
-        product = arguments[0]
-        for argument in arguments[1:]:
-            product = product * argument
-        return product
     if isinstance(node, sp.Pow):
         return _power(node, arguments)
-    if isinstance(node, sp.Max | sp.Min):
-        join = ca.fmax if isinstance(node, sp.Max) else ca.fmin
-        total = arguments[0]
-        for argument in arguments[1:]:
-            total = join(total, argument)
-        return total
-    if isinstance(node, sp.atan2):
-        return ca.atan2(*arguments)
-    for kind, relation in _RELATIONS.items():
+    for kind, join in _JOINED.items():
         if isinstance(node, kind):
-            return relation(*arguments)
-    if isinstance(node, sp.And):
-        total = arguments[0]
-        for argument in arguments[1:]:
-            total = ca.logic_and(total, argument)
-        return total
-    if isinstance(node, sp.Or):
-        total = arguments[0]
-        for argument in arguments[1:]:
-            total = ca.logic_or(total, argument)
-        return total
+            return reduce(join, arguments)
     if node.func in _UNARY:
         return _UNARY[node.func](arguments[0])
     raise InputError(

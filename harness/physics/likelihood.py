@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -331,22 +331,16 @@ class Likelihood:
         r = np.clip(rms, 1e-7 * self.noise_model.output_scale, 10.0 * self.noise_model.output_scale)
         return replace(point, noise=replace(point.noise, r=r))
 
-    def _concentrate(
-        self, z: FloatArray, passes: list[Filtered], low: FloatArray, high: FloatArray
-    ) -> tuple[float, FloatArray]:
-        """Put the sensor noise of a free run to its maximum, in the passes too; return the value and the vector."""
-        ny, z = self.filter.ny, z.copy()
-        rms = np.sqrt(np.nanmean(np.concatenate([passed.e for passed in passes]) ** 2, axis=0))
-        z[-ny:] = np.clip(np.log(np.maximum(rms, 1e-300)), low[-ny:], high[-ny:])
-        for passed in passes:
-            passed.s = np.broadcast_to(np.exp(2 * z[-ny:]), passed.s.shape).copy()
-        return float(sum(passed.nll for passed in passes)), z
-
     def _value(self, z: FloatArray) -> tuple[float, list[Filtered] | None]:
         with np.errstate(all="ignore"):
             found = self.filtered(self._unpack(z))
         total = np.inf if found is None else sum(passed.nll for passed in found)
         return (float(total), found) if np.isfinite(total) else (np.inf, None)
+
+    def _place(self, z: FloatArray) -> _Place:
+        """Return a vector with its value and its passes."""
+        value, found = self._value(z)
+        return _Place(z, value, found or [])
 
     def _jacobians(
         self,
@@ -364,82 +358,90 @@ class Likelihood:
         e, s = _joined(found)
         known = np.isfinite(e)
         root = np.where(known, 1.0 / np.sqrt(s), 0.0)
-        n, m = self.filter.parameter_count, self.filter.start_size
-        limit = n + len(self.records) * m
-        by_e, by_s = np.zeros((len(which), len(e))), np.zeros((len(which), len(e)))
-        point = self._unpack(z)
-        scale = np.ones(len(which))
-        columns = [] if exact else [int(k) for k in which if k < n]
-        starts = list(range(n, n + m)) if not exact and any(n <= k < limit for k in which) else []
-        chosen = np.array([*columns, *starts], dtype=np.intp)
-        passes = self.filtered(point, columns=chosen if len(chosen) else None, by_noise=bool((which >= limit).any()))
-        told = np.zeros(len(which), dtype=bool)
-        if passes is not None:
-            if len(chosen):
-                told |= which < limit
-                shared = np.flatnonzero(which < n)
-                scale[shared] = np.where(self._log, point.p, 1.0)[which[shared]]
-            lanes_known = all(passed.e_noise is not None for passed in passes)
-            noisy = np.flatnonzero((which >= limit) & lanes_known)
-            told[noisy] = True
-            lanes = np.array(self._noise_lanes(), dtype=np.intp)[which[noisy] - limit]
-            edges = np.cumsum([0, *(passed.e.size for passed in passes)])
-            for number, (passed, first, last) in enumerate(zip(passes, edges[:-1], edges[1:], strict=True)):
-                here = root[first:last]  # what is not known is 0 in all derivatives
-                if len(chosen):
-                    j = np.asarray(passed.j).reshape(-1, len(chosen))
-                    mine = np.flatnonzero((which >= n + number * m) & (which < n + (number + 1) * m))
-                    places = [*range(len(columns)), *(len(columns) + which[mine] - n - number * m)]
-                    for column, row in zip(places, [*shared, *mine], strict=True):
-                        np.multiply(j[:, column], here, out=by_e[row, first:last])
-                if len(noisy):
-                    e_noise = np.asarray(passed.e_noise).reshape(last - first, -1)
-                    s_noise = np.asarray(passed.s_noise).reshape(last - first, -1)
-                    for row, lane in zip(noisy, lanes, strict=True):
-                        np.multiply(e_noise[:, lane], here, out=by_e[row, first:last])
-                        by_s[row, first:last] = s_noise[:, lane]
-        for row, k in enumerate(which):
-            if told[row]:
+        by_e, by_s, scale, told = self._sensitivities(z, root, which, exact)
+        for row in np.flatnonzero(~told):
+            k = int(which[row])
+            h = self._quotient_step(k, z[k], None if deviations is None else deviations[row])
+            moved = self._moved(z, k, h, found)
+            if moved is None:
+                h = -h
+                moved = self._moved(z, k, h, found)
+            if moved is None:
                 continue
-            h = _NOISE_STEP if k >= limit else _STEP * max(1e-3 if k >= n else 1.0, abs(z[k]))
-            if k < limit and deviations is not None:
-                h = float(np.clip(_PART * deviations[row], _STEP**1.5, 1e-3))
-            if n <= k < limit:  # one record only
-                number = (int(k) - n) // m
-                moved = self._one_record(z, k, h, number)
-                if moved is None:
-                    h = -h
-                    moved = self._one_record(z, k, h, number)
-                if moved is None:
-                    continue
-                other = [*found[:number], moved, *found[number + 1 :]]
-            else:
-                trial = z.copy()
-                trial[k] += h
-                _, shifted = self._value(trial)
-                if shifted is None:
-                    h = -h
-                    trial[k] = z[k] + h
-                    _, shifted = self._value(trial)
-                if shifted is None:
-                    continue
-                other = shifted
-            e2, s2 = _joined(other)
+            e2, s2 = _joined(moved)
             by_e[row, known] = (e2[known] - e[known]) / h * root[known]
             by_s[row, known] = np.log(s2[known] / s[known]) / h
         return scale[:, None] * by_e, by_s
+
+    def _sensitivities(
+        self, z: FloatArray, root: FloatArray, which: npt.NDArray[np.intp], exact: bool
+    ) -> tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+        """Return the Jacobians that the passes tell, the scale of their rows, and which rows these are.
+
+        If exact, parameters and initial states are left out: a pass does not tell what they do to the variances.
+        """
+        n, m = self.filter.parameter_count, self.filter.start_size
+        limit = self._noise_begins
+        by_e, by_s = np.zeros((len(which), len(root))), np.zeros((len(which), len(root)))
+        scale, told = np.ones(len(which)), np.zeros(len(which), dtype=bool)
+        columns = [] if exact else [int(k) for k in which if k < n]
+        starts = list(range(n, n + m)) if not exact and ((which >= n) & (which < limit)).any() else []
+        chosen = np.array([*columns, *starts], dtype=np.intp)
+        point = self._unpack(z)
+        passes = self.filtered(point, columns=chosen if len(chosen) else None, by_noise=bool((which >= limit).any()))
+        if passes is None:
+            return by_e, by_s, scale, told
+        shared = np.flatnonzero(which < n)
+        if len(chosen):
+            told |= which < limit
+            scale[shared] = np.where(self._log, point.p, 1.0)[which[shared]]
+        noisy = np.flatnonzero((which >= limit) & all(passed.e_noise is not None for passed in passes))
+        told[noisy] = True
+        lanes = np.array(self._noise_lanes(), dtype=np.intp)[which[noisy] - limit]
+        edges = np.cumsum([0, *(passed.e.size for passed in passes)])
+        for number, (passed, first, last) in enumerate(zip(passes, edges[:-1], edges[1:], strict=True)):
+            here = root[first:last]  # what is not known is 0 in all derivatives
+            if len(chosen):
+                j = np.asarray(passed.j).reshape(-1, len(chosen))
+                mine = np.flatnonzero((which >= n + number * m) & (which < n + (number + 1) * m))
+                places = [*range(len(columns)), *(len(columns) + which[mine] - n - number * m)]
+                for column, row in zip(places, [*shared, *mine], strict=True):
+                    np.multiply(j[:, column], here, out=by_e[row, first:last])
+            if len(noisy):
+                e_noise = np.asarray(passed.e_noise).reshape(last - first, -1)
+                s_noise = np.asarray(passed.s_noise).reshape(last - first, -1)
+                for row, lane in zip(noisy, lanes, strict=True):
+                    np.multiply(e_noise[:, lane], here, out=by_e[row, first:last])
+                    by_s[row, first:last] = s_noise[:, lane]
+        return by_e, by_s, scale, told
+
+    def _quotient_step(self, k: int, value: float, deviation: float | None) -> float:
+        """Return the step of a difference quotient by one entry of the vector."""
+        if k >= self._noise_begins:
+            return _NOISE_STEP
+        if deviation is not None:
+            return float(np.clip(_PART * deviation, _STEP**1.5, 1e-3))
+        return _STEP * max(1e-3 if k >= self.filter.parameter_count else 1.0, abs(value))
+
+    def _moved(self, z: FloatArray, k: int, h: float, found: list[Filtered]) -> list[Filtered] | None:
+        """Return the passes with one entry of the vector moved: of one record, if that is where the entry counts."""
+        n, trial = self.filter.parameter_count, z.copy()
+        trial[k] += h
+        if not n <= k < self._noise_begins:
+            return self._value(trial)[1]
+        number, point = (k - n) // self.filter.start_size, self._unpack(trial)
+        moved = self.filter(self.records[number], point.p, point.x0[number], point.noise)
+        return None if moved is None else [*found[:number], moved, *found[number + 1 :]]
+
+    @property
+    def _noise_begins(self) -> int:
+        """Where the noise begins in the vector."""
+        return self.filter.parameter_count + len(self.records) * self.filter.start_size
 
     def _noise_lanes(self) -> list[int]:
         """Return where a pass has the derivative by each logarithm of the noise, in the order of the vector."""
         nl, white = self.filter.nl, self.noise_model.white
         return [k for k in range(3 * nl + self.filter.ny) if white or not 2 * nl <= k < 3 * nl]
-
-    def _one_record(self, z: FloatArray, k: int, h: float, number: int) -> Filtered | None:
-        """Return the pass over one record with one entry of the vector moved."""
-        trial = z.copy()
-        trial[k] += h
-        point = self._unpack(trial)
-        return self.filter(self.records[number], point.p, point.x0[number], point.noise)
 
     # ---- the maximum -----------------------------------------------------------------------------------------------
 
@@ -479,203 +481,329 @@ class Likelihood:
         FitError
             If the filter diverges at the start.
         """
-        names, log, low, high = self._layout()
-        chosen = np.zeros(len(names), dtype=bool)
+        names, _, low, high = self._layout()
         if free is None:
-            chosen[:] = True
+            chosen = np.ones(len(names), dtype=bool)
             chosen[: self.filter.parameter_count] = self._free
         else:
             wanted = set(free)
-            chosen[:] = [name in wanted for name in names]
-        longest = np.where(log, -_LONGEST, -np.inf)
-        found: list[Filtered] | None
+            chosen = np.array([name in wanted for name in names], dtype=bool)
         if isinstance(start, LikelihoodFit) and start.filtered:
-            z, damping = self._pack(start.point), start.damping
-            value, found = start.nll, start.filtered
+            begin, damping = _Place(self._pack(start.point), start.nll, start.filtered), start.damping
         else:
             point, damping = start.point if isinstance(start, LikelihoodFit) else start, _DAMPING
-            z = np.clip(self._pack(point), low, high)
-            value, found = self._value(z)
-        if found is None:
+            begin = self._place(np.clip(self._pack(point), low, high))
+        if not begin.passes:
             raise FitError(
                 f"likelihood of {self.system.name}",
                 expected="a start at which the filter stays finite",
                 got="a diverging state",
                 remedy="start elsewhere, or check units and signs of the records",
             )
-        converged, message, count, beyond, valley = False, "", 0, False, False
+        search = _FisherScoring(self, begin, np.flatnonzero(chosen), damping=damping, exact=exact, near=near)
+        search.run(most, reach)
+        return search.fit()
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A vector, minus the log-likelihood there, and the passes: none, and an infinite value, if one diverges."""
+
+    z: FloatArray
+    value: float
+    passes: list[Filtered]
+
+
+@dataclass(frozen=True, eq=False)
+class _Quadratic:
+    """Minus the log-likelihood about a place, to second order in the entries that are estimated.
+
+    Attributes
+    ----------
+    by_e : array (n, K)
+        What the entries do to innovations, over their deviations.
+    gradient : array (n,)
+    matrix : array (n, n)
+        Fisher's.
+    live : array of bool (n,)
+        Entries that the gradient does not hold on a bound.
+    """
+
+    by_e: FloatArray
+    gradient: FloatArray
+    matrix: FloatArray
+    live: npt.NDArray[np.bool_]
+
+    @property
+    def finite(self) -> bool:
+        """Whether all derivatives are."""
+        return bool(np.isfinite(self.gradient).all() and np.isfinite(self.matrix).all())
+
+    @cached_property
+    def size(self) -> FloatArray:
+        """What turns entries into standard deviations, each with the others held."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.matrix), 1e-12)))
+
+    @cached_property
+    def scaled(self) -> FloatArray:
+        """The matrix in these units."""
+        return np.asarray(self.matrix / np.outer(self.size, self.size))
+
+    def promise(self, moved: FloatArray) -> float:
+        """Return the log-likelihood that a step is to bring."""
+        return -float(self.gradient @ moved + 0.5 * moved @ self.matrix @ moved)
+
+    def whole_promise(self) -> float:
+        """Return what an undamped step of the live entries is to bring."""
+        return _undamped(self.scaled[np.ix_(self.live, self.live)], (self.gradient / self.size)[self.live])
+
+    def damped(self, slope: FloatArray, damping: float, low: FloatArray, high: FloatArray) -> FloatArray:
+        """Return Levenberg's step against a slope, within bounds of the step, in standard deviations."""
+        return _damped(self.scaled, slope / self.size, damping, self.live, low * self.size, high * self.size)
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A step with more and more damping: where it is likelier (None: nowhere), and what it promised first and last."""
+
+    place: _Place | None
+    promise: float
+    first: float
+
+
+class _FisherScoring:
+    """A search for the maximum of a likelihood by Fisher scoring with Levenberg's damping.
+
+    First derivatives are those of the innovations; the last steps may count those of gains and variances, too.
+
+    Attributes
+    ----------
+    at : _Place
+        The best so far.
+    damping : float
+        Of the next step, over the diagonal.
+    least_raised : float
+        From where it rises when a step fails, at least.
+    valley : bool
+        Whether the search is in a narrow valley that bends: long steps are corrected for the bend.
+    last : bool
+        Whether these are the last steps: what brings little ends the search.
+    more : pair of array, optional
+        What gains and variances add to the Jacobians; None if it is to be taken.
+    seen : float
+        Value where that was taken.
+    plain : float
+        What a whole step promised there without it.
+    gain : float
+        Log-likelihood that the last step brought.
+    converged, beyond, message, count
+        See :class:`LikelihoodFit`.
+    """
+
+    def __init__(
+        self, likelihood: Likelihood, begin: _Place, entries: npt.NDArray[np.intp], *, damping: float, exact: bool,
+        near: bool,
+    ) -> None:  # fmt: skip
+        names, log, low, high = likelihood._layout()
+        ny, latent = likelihood.filter.ny, likelihood.noise_model.latent
+        self._likelihood, self._latent, self._entries = likelihood, latent, entries
+        self._names, self._log = tuple(names[k] for k in entries), log[entries]
+        self._low, self._high = low[entries], high[entries]
+        self._longest = np.where(self._log, _LONGEST, np.inf)
+        self._noise_bounds = low[-ny:], high[-ny:]
+        self._exact = exact and latent
+        self._noise_follows = not latent and int((entries >= len(names) - ny).sum()) == ny
+        self._matrix = np.eye(len(entries))
+        self._deviations: FloatArray | None = None
+        self.at, self.damping, self.last, self.valley = begin, damping, near, False
         # free runs of parameters that these records hardly tell apart lie in a narrow valley: there damping rises from
         # where it held, and a short step that brings little is no end while a long one promises more
-        jump = 1e-4 if self.noise_model.latent else _LEAST_DAMPING
-        last, counted = near, exact and self.noise_model.latent
-        entries = np.flatnonzero(chosen)
-        scaled_noise = not self.noise_model.latent and bool(chosen[len(names) - self.filter.ny :].all())
-        promise = first = plain = np.inf
-        gain = 0.0
-        matrix = np.eye(len(entries))
-        deviations: FloatArray | None = None
-        more: tuple[FloatArray, FloatArray] | None = None
-        seen = value
-        for _ in range(most):
-            count += 1
-            assert found is not None
-            with np.errstate(all="ignore"):
-                by_e, by_s = self._jacobians(z, found, entries, False, deviations)
-                if last and counted:
-                    if more is None:
-                        gradient, matrix = _scored(found, by_e, by_s)
-                        plain = _undamped(matrix, gradient)
-                        whole = self._jacobians(z, found, entries, True, deviations)
-                        more, seen = (whole[0] - by_e, whole[1] - by_s), value
-                    by_e, by_s = by_e + more[0], by_s + more[1]
-                gradient, matrix = _scored(found, by_e, by_s)
-            deviations = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-            if not (np.isfinite(gradient).all() and np.isfinite(matrix).all()):
-                message = "derivatives are not finite"
-                break
-            stuck = ((z[entries] <= low[entries]) & (gradient > 0)) | ((z[entries] >= high[entries]) & (gradient < 0))
-            live = ~stuck
-            size = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
-            scaled = matrix / np.outer(size, size)
-            improved, first, more_damping, heavy = False, np.inf, 8.0, damping > _DAMPING
-            while damping < _MOST_DAMPING:
-                step = _damped(scaled, gradient / size, damping, live, np.maximum(low - z, longest)[entries] * size,
-                               np.minimum(high - z, -longest)[entries] * size) / size  # fmt: skip
-                trial = z.copy()
-                trial[entries] = np.clip(z[entries] + step, low[entries], high[entries])
-                moved = trial[entries] - z[entries]
-                promise = -float(gradient @ moved + 0.5 * moved @ matrix @ moved)
-                if heavy and 0 <= promise < _ENOUGH:  # only a long step promises little where there is little
-                    damping, heavy = _DAMPING, False
-                    continue
-                heavy = False
-                first = promise if first == np.inf and promise >= 0 else first
-                new, passes = self._value(trial)
-                if valley and promise >= _ENOUGH:
-                    solve = partial(_damped, scaled, damping=damping, live=live)
-                    box = np.maximum(low, z + longest)[entries], np.minimum(high, z - longest)[entries]
-                    trial, new, passes = self._around_the_bend(
-                        found, (trial, new, passes), by_e, moved, solve, size, entries, box, value - _KEPT * promise
-                    )
-                if passes is not None and new < value:
-                    improved = True
-                    break
-                if 0 <= promise < _ENOUGH:
-                    break
-                damping, more_damping = max(damping, jump) * more_damping, 8.0 if valley else 32.0
-            if improved:
-                assert passes is not None
-                if scaled_noise:
-                    new, trial = self._concentrate(trial, passes, low, high)
-                gain, value, z, found = value - new, new, trial, passes
-                damping = max(damping / 8.0, _LEAST_DAMPING)
-                if count >= _SETTLED and value - (most - count) * gain > reach:
-                    message, beyond = "its steps do not bring it within reach", True
-                    break
-                ended = last and gain < _ENOUGH
-                if ended and damping > 8.0 * _LEAST_DAMPING and not (valley and self.noise_model.latent):
-                    ended = _undamped(scaled[np.ix_(live, live)], (gradient / size)[live]) < _ROUGH
-                    if not ended:  # a narrow valley that bends: long steps, corrected for the bend
-                        valley, jump, damping = True, _LEAST_DAMPING, _LEAST_DAMPING
-                if ended:
-                    if more is None or seen - value < _STALE:
-                        converged = True
-                        break
-                    more = None
-                if not last and max(gain, promise) < _ROUGH:
-                    last = True
-            elif last and more is not None and seen - value >= _STALE:
-                more, damping = None, _DAMPING
-            elif last:
-                # where steps of the solver follow the motion, difference quotients may be rounding: without them then;
-                # where they pass over a corner of a law, the likelihood is as rough as that
-                converged = min(first, plain) < _BROKEN
-                if not converged:
-                    converged, better = self._at_corner(z, value, gradient, matrix, entries, live)
-                    if better is not None:
-                        gain, (z, value, found) = value - better[1], better
-                        last, damping = False, _DAMPING
-                        continue
-                message = "" if converged else "no step raises the likelihood"
-                break
-            else:
-                last, damping = True, _DAMPING
-        else:
-            message = f"no maximum after {most} iterations"
-        fit = self._finished(z, value, found, entries, matrix, converged, count, message)
-        return replace(fit, beyond=beyond, pace=0.0 if converged else gain, damping=damping)
+        self.least_raised = 1e-4 if latent else _LEAST_DAMPING
+        self.more: tuple[FloatArray, FloatArray] | None = None
+        self.seen, self.plain, self.gain = begin.value, np.inf, 0.0
+        self.converged, self.beyond, self.message, self.count = False, False, "", 0
 
-    def _around_the_bend(
-        self, found: list[Filtered], first: tuple[FloatArray, float, list[Filtered] | None], by_e: FloatArray,
-        moved: FloatArray, solve: Callable[..., FloatArray], size: FloatArray, entries: Any,
-        box: tuple[FloatArray, FloatArray], wanted: float,
-    ) -> tuple[FloatArray, float, list[Filtered] | None]:  # fmt: skip
+    def run(self, most: int, reach: float) -> None:
+        """Take up to ``most`` steps; give up once steps like the last one would not come to ``reach``."""
+        for count in range(1, most + 1):
+            self.count = count
+            with np.errstate(all="ignore"):
+                model = self._quadratic()
+            if not model.finite:
+                self.message = "derivatives are not finite"
+                return
+            step = self._step(model)
+            if step.place is None:
+                if self._ends_without(step, model):
+                    return
+                continue
+            self._take(step.place)
+            if count >= _SETTLED and self.at.value - (most - count) * self.gain > reach:
+                self.message, self.beyond = "its steps do not bring it within reach", True
+                return
+            if self._ends_with(step, model):
+                return
+        self.message = f"no maximum after {most} iterations"
+
+    def _quadratic(self) -> _Quadratic:
+        """Return the expansion about the place; what is exact is taken in the last steps, and kept."""
+        likelihood, at, entries = self._likelihood, self.at, self._entries
+        by_e, by_s = likelihood._jacobians(at.z, at.passes, entries, False, self._deviations)
+        if self.last and self._exact:
+            if self.more is None:
+                gradient, matrix = _scored(at.passes, by_e, by_s)
+                self.plain = _undamped(matrix, gradient)
+                whole = likelihood._jacobians(at.z, at.passes, entries, True, self._deviations)
+                self.more, self.seen = (whole[0] - by_e, whole[1] - by_s), at.value
+            by_e, by_s = by_e + self.more[0], by_s + self.more[1]
+        gradient, self._matrix = _scored(at.passes, by_e, by_s)
+        self._deviations = 1.0 / np.sqrt(np.maximum(np.diag(self._matrix), 1e-300))
+        z = at.z[entries]
+        stuck = ((z <= self._low) & (gradient > 0)) | ((z >= self._high) & (gradient < 0))
+        return _Quadratic(by_e, gradient, self._matrix, ~stuck)
+
+    def _step(self, model: _Quadratic) -> _Step:
+        """Return a step that is damped until it raises the likelihood, or promises next to nothing."""
+        entries, z = self._entries, self.at.z[self._entries]
+        low, high = np.maximum(self._low - z, -self._longest), np.minimum(self._high - z, self._longest)
+        promise, first, growth, heavy = np.inf, np.inf, 8.0, self.damping > _DAMPING
+        while self.damping < _MOST_DAMPING:
+            step = model.damped(model.gradient, self.damping, low, high) / model.size
+            trial = self.at.z.copy()
+            trial[entries] = np.clip(z + step, self._low, self._high)
+            moved = trial[entries] - z
+            promise = model.promise(moved)
+            if heavy and 0 <= promise < _ENOUGH:  # only a long step promises little where there is little
+                self.damping, heavy = _DAMPING, False
+                continue
+            heavy = False
+            first = promise if first == np.inf and promise >= 0 else first
+            place = self._likelihood._place(trial)
+            if self.valley and promise >= _ENOUGH:
+                place = self._around_the_bend(model, place, moved, self.at.value - _KEPT * promise)
+            if place.value < self.at.value:
+                return _Step(place, promise, first)
+            if 0 <= promise < _ENOUGH:
+                break
+            self.damping, growth = max(self.damping, self.least_raised) * growth, 8.0 if self.valley else 32.0
+        return _Step(None, promise, first)
+
+    def _around_the_bend(self, model: _Quadratic, first: _Place, moved: FloatArray, wanted: float) -> _Place:
         """Return the best place of a step that is corrected until it keeps its promise, or bends too much for that.
 
         Along a narrow valley that bends, a step is as short as its straight part is. What its first order missed is
         taken back, all over the same derivatives: the geodesic acceleration of Transtrum & Sethna 2012
         (arXiv:1201.5885, sec. 2), of a whole step and more than once.
         """
-        best, length = first, float(np.linalg.norm(moved * size))
-        trial, _, passes = first
-        e, s = _joined(found)
-        while passes is not None and best[1] > wanted:
-            missed = (_joined(passes)[0] - e) / np.sqrt(s) - moved @ by_e
-            bent = by_e @ np.where(np.isfinite(missed), missed, 0.0)
-            here = trial[entries]
-            turn = solve(bent / size, low=(box[0] - here) * size, high=(box[1] - here) * size)
+        entries, z = self._entries, self.at.z[self._entries]
+        low, high = np.maximum(self._low, z - self._longest), np.minimum(self._high, z + self._longest)
+        best = place = first
+        length = float(np.linalg.norm(moved * model.size))
+        e, s = _joined(self.at.passes)
+        while place.passes and best.value > wanted:
+            missed = (_joined(place.passes)[0] - e) / np.sqrt(s) - moved @ model.by_e
+            bent = model.by_e @ np.where(np.isfinite(missed), missed, 0.0)
+            here = place.z[entries]
+            turn = model.damped(bent, self.damping, low - here, high - here)
             if np.linalg.norm(turn) > _BENT * length:
                 break
             length = float(np.linalg.norm(turn))
-            trial = trial.copy()
-            trial[entries] = np.clip(here + turn / size, *box)
-            new, passes = self._value(trial)
-            if new < best[1]:
-                best = trial, new, passes
+            trial = place.z.copy()
+            trial[entries] = np.clip(here + turn / model.size, low, high)
+            place = self._likelihood._place(trial)
+            if place.value < best.value:
+                best = place
         return best
 
-    def _at_corner(
-        self, z: FloatArray, value: float, gradient: FloatArray, matrix: FloatArray, entries: Any, live: Any
-    ) -> tuple[bool, tuple[FloatArray, float, list[Filtered]] | None]:
+    def _take(self, place: _Place) -> None:
+        """Go to a likelier place."""
+        if self._noise_follows:
+            place = self._concentrated(place)
+        self.gain, self.at = self.at.value - place.value, place
+        self.damping = max(self.damping / 8.0, _LEAST_DAMPING)
+
+    def _concentrated(self, place: _Place) -> _Place:
+        """Return a place with the sensor noise of its free run at the maximum, in the passes too."""
+        z, (low, high) = place.z.copy(), self._noise_bounds
+        ny = len(low)
+        rms = np.sqrt(np.nanmean(np.concatenate([passed.e for passed in place.passes]) ** 2, axis=0))
+        z[-ny:] = np.clip(np.log(np.maximum(rms, 1e-300)), low, high)
+        for passed in place.passes:
+            passed.s = np.broadcast_to(np.exp(2 * z[-ny:]), passed.s.shape).copy()
+        return _Place(z, float(sum(passed.nll for passed in place.passes)), place.passes)
+
+    def _ends_with(self, step: _Step, model: _Quadratic) -> bool:
+        """Return whether a step that was taken is the last one; if not, decide how to go on."""
+        if not self.last:
+            self.last = max(self.gain, step.promise) < _ROUGH
+            return False
+        if self.gain >= _ENOUGH:
+            return False
+        short = self.damping > 8.0 * _LEAST_DAMPING and not (self.valley and self._latent)
+        if short and not model.whole_promise() < _ROUGH:  # a narrow valley that bends: long steps, corrected for it
+            self.valley, self.least_raised, self.damping = True, _LEAST_DAMPING, _LEAST_DAMPING
+            return False
+        self.converged = self.more is None or self.seen - self.at.value < _STALE
+        self.more = None
+        return self.converged
+
+    def _ends_without(self, step: _Step, model: _Quadratic) -> bool:
+        """Return whether a place that no step leads away from is the end; if not, decide how to go on."""
+        if not self.last:
+            self.last, self.damping = True, _DAMPING
+            return False
+        if self.more is not None and self.seen - self.at.value >= _STALE:
+            self.more, self.damping = None, _DAMPING
+            return False
+        # where steps of the solver follow the motion, difference quotients may be rounding: without them then; where
+        # they pass over a corner of a law, the likelihood is as rough as that
+        self.converged = min(step.first, self.plain) < _BROKEN
+        if not self.converged:
+            self.converged, better = self._at_corner(model)
+            if better is not None:
+                self.gain, self.at = self.at.value - better.value, better
+                self.last, self.damping = False, _DAMPING
+                return False
+        self.message = "" if self.converged else "no step raises the likelihood"
+        return True
+
+    def _at_corner(self, model: _Quadratic) -> tuple[bool, _Place | None]:
         """Return whether a place that no step leads away from is a maximum on a corner, or a likelier place beside it.
 
         Where a sample changes sides (a reading at its limit, say) the likelihood has a corner along one parameter, and
         a gradient there that no step keeps. It is a maximum if it falls to both sides of every such parameter, and the
         others, with these held, promise nothing.
         """
-        _, _, low, high = self._layout()
-        rest = np.array(live, dtype=bool)
-        curvature = np.maximum(np.diag(matrix), 1e-12)
+        gradient, rest = model.gradient, model.live.copy()
+        curvature = np.maximum(np.diag(model.matrix), 1e-12)
         promises = np.where(rest, 0.5 * gradient**2 / curvature, 0.0)
         for row in np.argsort(-promises)[:_CORNERS]:
             if promises[row] < _ENOUGH:
                 break
+            k = self._entries[row]
             for part in _SIDES:
-                trial = z.copy()
+                trial = self.at.z.copy()
                 step = part * abs(gradient[row]) / curvature[row]
-                trial[entries[row]] = np.clip(trial[entries[row]] + step, low[entries[row]], high[entries[row]])
-                new, passes = self._value(trial)
-                if passes is not None and new < value - _ENOUGH:
-                    return False, (trial, new, passes)
+                trial[k] = np.clip(trial[k] + step, self._low[row], self._high[row])
+                place = self._likelihood._place(trial)
+                if place.value < self.at.value - _ENOUGH:
+                    return False, place
             rest[row] = False
-            if _undamped(matrix[np.ix_(rest, rest)], gradient[rest]) < _BROKEN:
+            if _undamped(model.matrix[np.ix_(rest, rest)], gradient[rest]) < _BROKEN:
                 return True, None
         return False, None
 
-    def _finished(
-        self, z: FloatArray, value: float, found: Any, entries: Any, matrix: FloatArray, converged: bool, count: int,
-        message: str,
-    ) -> LikelihoodFit:  # fmt: skip
-        """Return the fit with its covariance; what lies on a bound has none."""
-        names, log, low, high = self._layout()
+    def fit(self) -> LikelihoodFit:
+        """Return what was found, with its covariance; what lies on a bound has none."""
+        matrix, z = self._matrix, self.at.z[self._entries]
         size = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
         near = 1e-6
-        free = entries < self.filter.parameter_count
-        margin = np.where(log[entries], near, near * np.maximum(np.abs(z[entries]), 1e-12))
-        bound = (z[entries] <= low[entries] + margin) | (z[entries] >= high[entries] - margin)
+        free = self._entries < self._likelihood.filter.parameter_count
+        margin = np.where(self._log, near, near * np.maximum(np.abs(z), 1e-12))
+        bound = (z <= self._low + margin) | (z >= self._high - margin)
         inner = ~bound
         covariance = np.zeros_like(matrix)
-        undetermined = np.zeros(len(entries), dtype=bool)
+        undetermined = np.zeros(len(z), dtype=bool)
         if not np.isfinite(matrix).all():
             inner = np.zeros_like(bound)
         if inner.any():
@@ -684,20 +812,27 @@ class Likelihood:
             inverse = (vectors[:, told] / eigenvalues[told]) @ vectors[:, told].T
             covariance[np.ix_(inner, inner)] = inverse / np.outer(size[inner], size[inner])
             undetermined[inner] = (np.abs(vectors[:, ~told]) > _PARTLY).any(axis=1)
+
+        def named(where: npt.NDArray[np.bool_]) -> tuple[str, ...]:
+            return tuple(self._names[k] for k in np.flatnonzero(where))
+
         return LikelihoodFit(
-            self.system,
-            self._unpack(z),
-            value,
-            [passed.terms for passed in found],
-            tuple(names[k] for k in entries),
+            self._likelihood.system,
+            self._likelihood._unpack(self.at.z),
+            self.at.value,
+            [passed.terms for passed in self.at.passes],
+            self._names,
             covariance,
-            log[entries],
-            converged,
-            tuple(names[k] for k in entries[bound & (free | (z[entries] > low[entries] + margin))]),
-            count,
-            message,
-            list(found),
-            undetermined=tuple(names[k] for k in entries[undetermined]),
+            self._log,
+            self.converged,
+            named(bound & (free | (z > self._low + margin))),
+            self.count,
+            self.message,
+            list(self.at.passes),
+            beyond=self.beyond,
+            pace=0.0 if self.converged else self.gain,
+            damping=self.damping,
+            undetermined=named(undetermined),
         )
 
 

@@ -208,31 +208,26 @@ def linear(
     lengths = [n // ny + (1 if row < n % ny else 0) for row in range(ny)]
     heads = [sum(lengths[:row]) for row in range(ny)]
     states = [f"x{row + 1}" for row in range(n)]
-    a = [f"a{row + 1}_{column + 1}" for row in range(ny) for column in range(n)]
-    b = [f"b{row + 1}_{column + 1}" for row in range(n) for column in range(nu)]
-    shift = [f"offset_{row + 1}" for row in range(ny)] if offsets else []
-    known = {name: Parameter(name, value=1.0 if name.split("_")[1] == "1" else 0.0) for name in (*a, *b)}
-    for row in range(ny):
-        for column in range(n):
-            own = heads[row] <= column < heads[row] + lengths[row]
-            power = lengths[row] - (column - heads[row])
-            value = float(sp.binomial(lengths[row], power)) if own else 0.0
-            known[f"a{row + 1}_{column + 1}"] = Parameter(f"a{row + 1}_{column + 1}", value=value)
-    known.update({name: Parameter(name, value=0.0) for name in shift})
+    start = {
+        f"a{row + 1}_{column + 1}": _of_equal_poles(column - heads[row], lengths[row])
+        for row in range(ny)
+        for column in range(n)
+    }
+    start |= {f"b{row + 1}_{column + 1}": 0.0 if column else 1.0 for row in range(n) for column in range(nu)}
+    start |= {f"offset_{row + 1}": 0.0 for row in range(ny) if offsets}
     o = Ode(
         "linear",
         x=" ".join(states),
         u=" ".join(input_names),
-        p=" ".join([*a, *b, *shift]),
-        parameters=known,
+        p=" ".join(start),
+        parameters={name: Parameter(name, value=value) for name, value in start.items()},
     )
     symbols = {str(symbol): symbol for symbol in o.p}
     T = sp.Float(time_scale)
     rhs: list[Any] = []
-    for row in range(ny):
-        for place in range(lengths[row]):
-            index = heads[row] + place
-            if place + 1 < lengths[row]:
+    for row, (head, length) in enumerate(zip(heads, lengths, strict=True)):
+        for index in range(head, head + length):
+            if index + 1 < head + length:
                 free = o.x[index + 1]
             else:
                 free = -sum(symbols[f"a{row + 1}_{column + 1}"] * o.x[column] for column in range(n))
@@ -244,6 +239,11 @@ def linear(
     }
     o.starts = start_of(n, nu, lengths, time_scale, offsets)
     return o
+
+
+def _of_equal_poles(place: int, length: int) -> float:
+    """Return a coefficient of ``(s + 1)^length``, where a chain of states starts; 0 for states of other chains."""
+    return float(sp.binomial(length, length - place)) if 0 <= place < length else 0.0
 
 
 BUILT_IN = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -105,23 +105,7 @@ class System(Equations):
         InputError
             If a name is unknown or used twice.
         """
-        swap_from: list[Any] = []
-        swap_to: list[Any] = []
-        for key, value in (inputs or {}).items():
-            swap_from.append(self.u[index_of(key, [channel.name for channel in self.inputs], "input")])
-            swap_to.append(ca.SX(value))
-        for key, value in (parameters_as or {}).items():
-            swap_from.append(self.p[index_of(key, self.parameter_names, "parameter")])
-            swap_to.append(ca.SX(value))
-        if gravity is not None:
-            swap_from += [self.gravity[0], self.gravity[1]]
-            swap_to += [ca.SX(gravity[0]), ca.SX(gravity[1])]
-
-        def swapped(expression: Any) -> Any:
-            if not swap_from or expression is None:
-                return expression
-            return ca.substitute(expression, ca.vertcat(*swap_from), ca.vertcat(*swap_to))
-
+        swapped = self._substitution(inputs or {}, parameters_as or {}, gravity)
         total = ca.SX(swapped(self.generalized_forces))
         for key, value in (forces or {}).items():
             total[self.coordinate(key).force] += value
@@ -136,16 +120,7 @@ class System(Equations):
         matrix = swapped(self.mass_matrix)
         start = self.initial if self.initial is not None else ca.SX.zeros(self.hidden_count)
         added = [state.initial if state.initial is not None else ca.SX(0.0) for state in states]
-        known = {*self.parameter_names, *(channel.name for channel in self.states)}
-        for fresh in [state.channel.name for state in states] + [parameter.name for parameter, _ in parameters]:
-            if fresh in known:
-                raise InputError(
-                    f"{fresh!r} is there twice in {self.name}",
-                    expected="states and parameters with names of their own",
-                    got=repr(fresh),
-                    remedy="place an effect only once at a port",
-                )
-            known.add(fresh)
+        self._refuse_twice([state.channel.name for state in states] + [parameter.name for parameter, _ in parameters])
         bodies = tuple(
             replace(body, mass_matrix=swapped(body.mass_matrix), forces=swapped(body.forces)) for body in self.bodies
         )
@@ -169,6 +144,35 @@ class System(Equations):
             switches=(*self.switches, *switches),
             remarks=(*self.remarks, *remarks),
         )
+
+    def _substitution(
+        self, inputs: Mapping[str, Any], parameters: Mapping[str, Any], gravity: Any
+    ) -> Callable[[Any], Any]:
+        """Return what puts other expressions in place of inputs, parameters and gravity."""
+        input_names = [channel.name for channel in self.inputs]
+        swaps = [(self.u[index_of(key, input_names, "input")], value) for key, value in inputs.items()]
+        swaps += [
+            (self.p[index_of(key, self.parameter_names, "parameter")], value) for key, value in parameters.items()
+        ]
+        if gravity is not None:
+            swaps += [(self.gravity[0], gravity[0]), (self.gravity[1], gravity[1])]
+        if not swaps:
+            return lambda expression: expression
+        old, new = ca.vertcat(*(symbol for symbol, _ in swaps)), ca.vertcat(*(ca.SX(value) for _, value in swaps))
+        return lambda expression: None if expression is None else ca.substitute(expression, old, new)
+
+    def _refuse_twice(self, added: Sequence[str]) -> None:
+        """Refuse names of new states and parameters that are there already."""
+        known = {*self.parameter_names, *(channel.name for channel in self.states)}
+        for fresh in added:
+            if fresh in known:
+                raise InputError(
+                    f"{fresh!r} is there twice in {self.name}",
+                    expected="states and parameters with names of their own",
+                    got=repr(fresh),
+                    remedy="place an effect only once at a port",
+                )
+            known.add(fresh)
 
     def with_outputs(self, chosen: Sequence[str | tuple[str, int] | tuple[str, int, str]]) -> System:
         """Return the system with these measured outputs.

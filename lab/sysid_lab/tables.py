@@ -68,18 +68,7 @@ def summary(rows: Iterable[Row], *, seeds: str, planned: int, keys: Collection[s
     single = [row for row in good if row["study"] == "confusion"]
     hidden = [row for row in single if row["truth"]]
     if hidden:
-        parts += ["## One effect", figures(hidden)]
-        for title, column in (
-            ("plant", "plant"), ("size", "level"), ("noise", "noise"), ("disturbance", "disturbance"),
-            ("truth by", "engine"), ("kind of disturbance", "shape"), ("nominal structure", "structure"),
-        ):  # fmt: skip
-            parts.append(_table(title, hidden, lambda row, column=column: _value(row, column)))  # type: ignore[misc]
-        for name in NAMED:
-            here = [row for row in hidden if row["truth"].startswith(name + "@")]
-            if here:
-                parts.append(_table(name.replace("_", " "), here, _cell))
-        parts.append(_table("size, noise, disturbance", hidden, _cell))
-        parts.append(_table("effect", hidden, lambda row: f"{row['plant']}: {row['truth']}"))
+        parts += ["## One effect", *_one_effect(hidden)]
     two = [row for row in good if row["study"] == "two"]
     if two:
         parts += [
@@ -107,6 +96,23 @@ def summary(rows: Iterable[Row], *, seeds: str, planned: int, keys: Collection[s
         lines = [f"- `{row['key']}`: {row['status']}: {row['reason']}" for row in failed]
         parts += ["## Records without an answer", "\n".join(lines)]
     return "\n\n".join(parts) + "\n"
+
+
+def _one_effect(hidden: Sequence[Row]) -> list[str]:
+    """Return the figures of records with one hidden effect, and their tables by all that was varied."""
+    parts = [figures(hidden)]
+    for title, column in (
+        ("plant", "plant"), ("size", "level"), ("noise", "noise"), ("disturbance", "disturbance"),
+        ("truth by", "engine"), ("kind of disturbance", "shape"), ("nominal structure", "structure"),
+    ):  # fmt: skip
+        parts.append(_table(title, hidden, lambda row, column=column: _value(row, column)))  # type: ignore[misc]
+    for name in NAMED:
+        here = [row for row in hidden if row["truth"].startswith(name + "@")]
+        if here:
+            parts.append(_table(name.replace("_", " "), here, _cell))
+    parts.append(_table("size, noise, disturbance", hidden, _cell))
+    parts.append(_table("effect", hidden, lambda row: f"{row['plant']}: {row['truth']}"))
+    return parts
 
 
 def counts(rows: Iterable[Row]) -> dict[str, int]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.physics.kalman_pass import Filtered, Pass
-from harness.physics.likelihood import Likelihood
+from harness.physics.likelihood import Likelihood, NoiseModel, _FisherScoring, _Quadratic
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 
 DT, N = 0.02, 600
@@ -68,6 +70,8 @@ class Cornered(Likelihood):
 
     def __init__(self, corner: float, top: float) -> None:
         self.corner, self.top = corner, top
+        self.noise_model = NoiseModel(np.ones(1), np.ones(1))
+        self.filter: Any = SimpleNamespace(ny=0)
 
     def _layout(self) -> tuple[list[str], FloatArray, FloatArray, FloatArray]:
         return ["limit", "b"], np.zeros(2, dtype=bool), np.full(2, -10.0), np.full(2, 10.0)
@@ -78,9 +82,10 @@ class Cornered(Likelihood):
     def ended(self, z: FloatArray) -> tuple[bool, float | None]:
         """Return whether a place is a maximum, and the value of a likelier one beside it."""
         slope = np.array([5.0 if z[0] >= self.corner else -5.0, z[1] - self.top])
-        value, _ = self._value(z)
-        told, better = self._at_corner(z, value, slope, np.diag([4.0, 1.0]), np.arange(2), np.ones(2, dtype=bool))
-        return told, None if better is None else better[1] - value
+        search = _FisherScoring(self, self._place(z), np.arange(2), damping=1.0, exact=False, near=True)
+        live = np.ones(2, dtype=bool)
+        told, better = search._at_corner(_Quadratic(np.zeros((2, 0)), slope, np.diag([4.0, 1.0]), live))
+        return told, None if better is None else better.value - search.at.value
 
 
 @settings(max_examples=50, deadline=None)

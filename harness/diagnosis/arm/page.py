@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.diagnosis.arm.found import ArmDiagnosis
+from harness.diagnosis.arm.found import ArmDiagnosis, JointDiagnosis
 from harness.diagnosis.arm.motion import moving_rows
 from harness.diagnosis.report.figures import AFTER, BEFORE, GREY, INK, Pictures, ResidualView, drawing, legend
 from harness.diagnosis.report.figures import draw as draw_pictures
@@ -15,6 +15,7 @@ from harness.diagnosis.report.html import environment
 from harness.diagnosis.report.words import SAME
 from harness.diagnosis.runs.equation import decimated
 from harness.diagnosis.store import write_atomic
+from harness.signals import FloatArray
 
 __all__ = ["render_arm", "write_arm_html"]
 
@@ -94,20 +95,8 @@ def _figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
         own_effects = joint is not None and bool(joint.outcome.accepted) and not found.misfit
         alone = found.bodies is None and not found.wide.accepted
         if joint is not None and (own_effects or alone):
-            # the joint by itself, the delay of its torque taken out; residuals are needed minus measured
-            regression, final = joint.regression, joint.final
-            longest = int(np.argmax([motion.q.shape[0] for motion in regression.motions["validation"]]))
-            motion = regression.motions["validation"][longest]
-            inside = regression.counts["validation"][longest][:, 0] > 0
-            speed, rate = True, decimated(motion.v, motion)[inside, 0]
-            before = after = -joint.nominal.detail.residual["validation"][longest][inside, 0]
-            fitted = None
-        if joint is not None and own_effects:
-            effects = [accepted.placed for accepted in joint.outcome.accepted]
-            # the torque that overcomes a force has the other sign
-            own = -regression.force(final.values, effects, "validation")[longest][:, 0]
-            after = -joint.residual("validation")[longest][inside, 0]
-            fitted = own[inside]
+            speed = True
+            rate, before, after, fitted = _joint_by_itself(joint, own_effects)
         changed = not found.misfit and (
             found.bodies is not None
             or bool(found.wide.accepted)
@@ -126,6 +115,27 @@ def _figures(found: ArmDiagnosis, data: dict[str, Any]) -> dict[str, str]:
     made = {"levels": _levels(data)}
     made.update(draw_pictures(Pictures(views=views)))
     return made
+
+
+def _joint_by_itself(
+    joint: JointDiagnosis, own_effects: bool
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
+    """Return speed, residual before and after, and what the joint's own effects explain, over its longest record.
+
+    The delay of its torque is taken out; residuals are needed minus measured, and the torque that overcomes a force has
+    the other sign.
+    """
+    regression, final = joint.regression, joint.final
+    longest = int(np.argmax([motion.q.shape[0] for motion in regression.motions["validation"]]))
+    motion = regression.motions["validation"][longest]
+    inside = regression.counts["validation"][longest][:, 0] > 0
+    rate = decimated(motion.v, motion)[inside, 0]
+    before = -joint.nominal.detail.residual["validation"][longest][inside, 0]
+    if not own_effects:
+        return rate, before, before, None
+    effects = [accepted.placed for accepted in joint.outcome.accepted]
+    fitted = -regression.force(final.values, effects, "validation")[longest][:, 0]
+    return rate, before, -joint.residual("validation")[longest][inside, 0], fitted[inside]
 
 
 def _levels(data: dict[str, Any]) -> str:

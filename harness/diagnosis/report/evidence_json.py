@@ -114,16 +114,7 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
     """Return the content of ``report.json``; ``references`` as :func:`harness.diagnosis.close_loop` takes them."""
     answer = answer_of(found)
     accepted = answer.accepted
-    warnings = [*found.warnings, *_taken_back(found)]
-    if not found.dataset.test:
-        warnings.append(SELECTED)
     together = scaled_together(found.system, answer.fit, found.dataset)
-    if together:
-        warnings.append(FREE)
-    if not by_equations(found.system):
-        warnings.append(AROUND)
-    if not answer.fit.converged:
-        warnings.append("the final fit did not converge: its figures are not those of a maximum")
     names, cosines = found.test.cosines([str(effect.placed) for effect in accepted])
     bench = Bench(found.system, answer.fit.model, answer.fit.values, found.dataset)
     bias = closed_loop_bias(
@@ -176,11 +167,25 @@ def evidence_data(found: Diagnosis, references: Sequence[Mapping[str, FloatArray
         "intervals": {"hold": found.structure_fits, "meaning": _meaning_of_intervals(found)},
         "policy": numbers(found.policy),
         "alarms": list(found.alarms),
-        "warnings": list(dict.fromkeys(warnings)),
+        "warnings": _warnings(found, answer.fit, together),
         "seconds": round(found.seconds, 2),
     }  # fmt: skip
     data["summary"] = _summary(data, found.policy.least, _cause(found) if found.verdict == "unexplained" else "")
     return data
+
+
+def _warnings(found: Diagnosis, fit: Fit, together: Sequence[str]) -> list[str]:
+    """Return what was odd on the way, and what the figures do not tell."""
+    said = [*found.warnings, *_taken_back(found)]
+    if not found.dataset.test:
+        said.append(SELECTED)
+    if together:
+        said.append(FREE)
+    if not by_equations(found.system):
+        said.append(AROUND)
+    if not fit.converged:
+        said.append("the final fit did not converge: its figures are not those of a maximum")
+    return list(dict.fromkeys(said))
 
 
 def innovations(found: Diagnosis, fit: Fit, use: str) -> list[FloatArray]:
