@@ -9,8 +9,9 @@ from typing import Any
 import msgspec
 
 from harness.benchmark.parts import Cell, Task
+from harness.jobs.stored import reading
 
-__all__ = ["STATUSES", "Row", "blank", "encoded", "one_line", "read_row"]
+__all__ = ["STATUSES", "Row", "blank", "encoded", "one_line", "read_row", "sound"]
 
 STATUSES = ("ok", "unfit", "refused", "diverged", "timeout", "crashed", "terminated", "failed")
 """``ok``; data that cannot be learned from; parts that do not fit; and the ways in which a cell can break."""
@@ -122,8 +123,38 @@ def encoded(row: Row) -> bytes:
 
 
 def read_row(path: Path) -> Row:
-    """Return the row of a shard."""
-    return msgspec.json.decode(path.read_bytes(), type=Row)
+    """Return the row of a shard.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged.
+    """
+    with reading(path, "delete it and continue with --resume: that cell is done again"):
+        return sound(msgspec.json.decode(path.read_bytes(), type=Row))
+
+
+def sound(row: Row) -> Row:
+    """Return a row whose parts fit together.
+
+    Raises
+    ------
+    ValueError
+        If they do not.
+    """
+    n = len(row.outputs)
+    pairs = [("units", len(row.units), n), ("axis_values", len(row.axis_values), len(row.axes))]
+    pairs += [("curve_regret", len(row.curve_regret), len(row.curve_steps))]
+    for name in ("equation_rms", "simulation_rms", "trace_measured", "trace_residual"):
+        pairs += [(name, len(getattr(row, name)), n)] if getattr(row, name) else []
+    for name in ("trace_measured", "trace_residual"):
+        pairs += [(name, len(one), len(row.trace_t)) for one in getattr(row, name)]
+    for name, found, wanted in pairs:
+        if found != wanted:
+            raise ValueError(f"{found} values in {name} where {wanted} belong")
+    if row.status not in STATUSES:
+        raise ValueError(f"a status {row.status[:40]!r}")
+    return row
 
 
 def _finite(row: Row) -> Row:

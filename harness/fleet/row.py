@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import datetime
 from typing import Any
 
 import msgspec
@@ -134,5 +135,17 @@ def encoded(row: Row) -> bytes:
 
 
 def read(content: bytes) -> Row:
-    """Return a row from JSON."""
-    return msgspec.json.decode(content, type=Row)
+    """Return a row from JSON.
+
+    Raises
+    ------
+    ValueError, msgspec.DecodeError
+        If it is none.
+    """
+    row = msgspec.json.decode(content, type=Row)
+    if row.date is not None:
+        datetime.fromisoformat(row.date)
+    for effect in row.effects:
+        if {len(effect.parameters)} != set(map(len, (effect.values, effect.lows, effect.highs, effect.units))):
+            raise ValueError(f"an effect {effect.name!r} with a value or a unit too few")
+    return row
