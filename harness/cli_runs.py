@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -10,11 +9,12 @@ import typer
 
 from harness import api
 from harness.cli_options import AsJson, Engine, Force, OptionPairs, Resume, ScenarioPairs, Seed, Trust, Workers
-from harness.errors import InputError, PlantError
+from harness.errors import InputError, PlantError, printable
 from harness.terminal import (
     completed,
     hidden_effect,
     jobs_bar,
+    noted,
     option_pairs,
     print_answer,
     print_bench,
@@ -93,7 +93,7 @@ def simulate(
             options=option_pairs(option, "--option"),
         )
         for text in notes:
-            print(f"sysid: note: {text}", file=sys.stderr)
+            noted(text)
         print_rows(found.rows())
         if out is not None:
             say(f"wrote {out}")
@@ -121,7 +121,7 @@ def simulate(
             broke=broken.append,
         )
     for text in notes:
-        print(f"sysid: note: {text}", file=sys.stderr)
+        noted(text)
     say(str(trajectory))
     if out is not None:
         say(f"wrote {out}")
@@ -182,7 +182,7 @@ def table(
     if form is not None:
         from harness.benchmark import render
 
-        print(render(result, form), end="")
+        print(printable(render(result, form)), end="")
         return
     print_bench(result, as_json=as_json)
 

@@ -9,12 +9,16 @@ from typing import Any
 import msgspec
 
 from harness.benchmark.parts import Cell, Task
+from harness.errors import printable
 from harness.jobs.stored import reading
 
 __all__ = ["STATUSES", "Row", "blank", "encoded", "one_line", "read_row", "sound"]
 
 STATUSES = ("ok", "unfit", "refused", "diverged", "timeout", "crashed", "terminated", "failed")
 """``ok``; data that cannot be learned from; parts that do not fit; and the ways in which a cell can break."""
+
+LARGEST = 2**63 - 1
+"""Whole numbers that a column holds."""
 
 
 class Row(msgspec.Struct, kw_only=True, gc=False):
@@ -113,7 +117,7 @@ def one_line(text: object, limit: int = 400) -> str:
     >>> one_line("too   many    blanks ")
     'too many blanks'
     """
-    line = " ".join(str(text).split())
+    line = printable(" ".join(str(text).split()))
     return line if len(line) <= limit else line[: limit - 3] + "..."
 
 
@@ -152,6 +156,9 @@ def sound(row: Row) -> Row:
     for name, found, wanted in pairs:
         if found != wanted:
             raise ValueError(f"{found} values in {name} where {wanted} belong")
+    numbers = [getattr(row, name) for name in row.__struct_fields__] + list(row.curve_steps)
+    if any(isinstance(value, int) and abs(value) > LARGEST for value in numbers):
+        raise ValueError(f"a number above {LARGEST}")
     if row.status not in STATUSES:
         raise ValueError(f"a status {row.status[:40]!r}")
     return row

@@ -18,6 +18,7 @@ from harness.comparison.residuals import LAGS, Correlation, correlations
 from harness.comparison.spectra import Spectrum, spectrum
 from harness.display import STYLE, table
 from harness.errors import HarnessError, InputError
+from harness.plots import plain_texts
 from harness.protocols import Model
 from harness.scoring import Score, equation_error, predict, simulation_error
 from harness.signals import Dataset, FloatArray, Use, residual
@@ -246,5 +247,5 @@ def _response(model: Model, frequency: FloatArray, sample_time: float) -> Any:
 def _picture(figure: Any) -> str:
     """Return a figure inlined as SVG."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="svg")
+    plain_texts(figure).savefig(buffer, format="svg")
     return f'<p><img alt="" src="data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"></p>'

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from harness.errors import printable
 from harness.fleet.records import FleetRecord
 
 __all__ = ["Found", "Row", "blank", "encoded", "fill", "read"]
@@ -88,7 +89,7 @@ def blank(record: FleetRecord, job: str, *, status: str = "ok", reason: str = ""
         machine=record.machine,
         date=None if record.date is None else record.date.isoformat(),
         status=status,
-        reason=" ".join(reason.split())[:400],
+        reason=printable(" ".join(reason.split()))[:400],
     )
 
 
