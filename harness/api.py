@@ -1259,10 +1259,11 @@ def _refuse_picture(out: str | Path | None, *, force: bool) -> None:
 def _draw(plot: Callable[[], Any], out: str | Path | None) -> None:
     """Write a picture if one was asked for."""
     from harness.data.whole_files import whole_file
+    from harness.plots import plain_texts
 
     if out is not None:
         with whole_file(out) as scratch:
-            plot().savefig(scratch, format=Path(out).suffix[1:])
+            plain_texts(plot()).savefig(scratch, format=Path(out).suffix[1:])
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,10 +32,11 @@ from harness.cli_options import (
     judged,
     signals_of,
 )
-from harness.errors import InputError
+from harness.errors import InputError, printable
 from harness.terminal import (
     completed,
     jobs_bar,
+    noted,
     option_pairs,
     print_json,
     print_planned,
@@ -131,9 +131,9 @@ def close_loop(
     if as_json:
         print_json(report.data)
     else:
-        wide_console().print(str(report), highlight=False, markup=False, soft_wrap=True)
+        wide_console().print(printable(str(report)), highlight=False, markup=False, soft_wrap=True)
         for text in report.data["warnings"]:
-            print(f"sysid: note: {text}", file=sys.stderr)
+            noted(text)
         say(f"report: {out / 'report.html'}")
     judged("close-loop", demands.of_report(str(report.data["dataset"]), report.data), junit)
 
@@ -219,9 +219,9 @@ def learn_residual(
     if as_json:
         print_json(found.data)
         return
-    wide_console().print(str(found), highlight=False, markup=False, soft_wrap=True)
+    wide_console().print(printable(str(found)), highlight=False, markup=False, soft_wrap=True)
     for text in found.data["warnings"]:
-        print(f"sysid: note: {text}", file=sys.stderr)
+        noted(text)
     say(f"page: {out / 'learned.html'}")
 
 

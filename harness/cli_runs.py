@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -10,11 +9,12 @@ import typer
 
 from harness import api
 from harness.cli_options import AsJson, Engine, Force, OptionPairs, Resume, ScenarioPairs, Seed, Trust, Workers
-from harness.errors import InputError, PlantError
+from harness.errors import InputError, PlantError, printable
 from harness.terminal import (
     completed,
     hidden_effect,
     jobs_bar,
+    noted,
     option_pairs,
     print_answer,
     print_bench,
@@ -94,7 +94,7 @@ def simulate(
             options=option_pairs(option, "--option"),
         )
         for text in notes:
-            print(f"sysid: note: {text}", file=sys.stderr)
+            noted(text)
         if as_json:
             print_json(found.rows())
             return
@@ -125,7 +125,7 @@ def simulate(
             broke=broken.append,
         )
     for text in notes:
-        print(f"sysid: note: {text}", file=sys.stderr)
+        noted(text)
     if as_json:
         from harness.specs import spec_to_dict
 
@@ -195,7 +195,7 @@ def table(
     if form is not None:
         from harness.benchmark import render
 
-        print(render(result, form), end="")
+        print(printable(render(result, form)), end="")
         return
     print_bench(result, as_json=as_json)
 

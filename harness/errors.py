@@ -7,8 +7,28 @@ benchmark row carries when the error ends its cell.
 from __future__ import annotations
 
 from pathlib import Path
+from unicodedata import category
 
-__all__ = ["FitError", "HarnessError", "InputError", "PlantError", "PluginError"]
+__all__ = ["FitError", "HarnessError", "InputError", "PlantError", "PluginError", "printable"]
+
+
+def printable(text: str) -> str:
+    r"""Return a text of others as it may go to a terminal, a page or an XML file: control characters are spelled out.
+
+    Lines and tabs stay.
+
+    Examples
+    --------
+    >>> print(printable("speed" + chr(27) + "[2J"))
+    speed\x1b[2J
+    """
+    return text if text.isprintable() else "".join(map(_shown, text))
+
+
+def _shown(c: str) -> str:
+    """Return a character, or how it is spelled out where it cannot be seen."""
+    plain = c.isprintable() or c in "\n\t" or category(c) == "Zs"
+    return c if plain else c.encode("unicode_escape").decode()
 
 
 class HarnessError(Exception):

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["inlined", "plot_record"]
+from harness.errors import printable
+
+__all__ = ["inlined", "plain_texts", "plot_record"]
 
 Table = tuple[npt.NDArray[np.float64], Sequence[str]]
 
@@ -19,7 +21,7 @@ Table = tuple[npt.NDArray[np.float64], Sequence[str]]
 def inlined(figure: Any, label: str) -> str:
     """Return a matplotlib figure as an HTML picture that needs no file; ``label`` says what it shows."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="svg")
+    plain_texts(figure).savefig(buffer, format="svg")
     content = base64.b64encode(buffer.getvalue()).decode()
     return f'<p><img alt="{escape(label)}" src="data:image/svg+xml;base64,{content}"></p>'
 
@@ -53,4 +55,27 @@ def plot_record(t: npt.NDArray[np.float64], inputs: Table, outputs: Table, axes:
         axis.plot(t, values, color="#4477aa", linewidth=0.8)
         axis.set_ylabel(label)
     axes[count - 1].set_xlabel("time [s]")
-    return axes[0].figure
+    return plain_texts(axes[0].figure)
+
+
+def plain_texts(figure: Any) -> Any:
+    """Return a figure whose texts are shown as they are: a name of others is no formula and no order to a reader.
+
+    Ticks of numbers keep matplotlib's own formulas (powers of ten).
+    """
+    from matplotlib.text import Text
+    from matplotlib.ticker import FixedFormatter, FuncFormatter
+
+    numbers: set[int] = set()
+    for axis in (one for axes in figure.axes for one in (axes.xaxis, axes.yaxis)):
+        shown = axis.get_major_formatter()
+        if isinstance(shown, FixedFormatter | FuncFormatter):
+            axis.set_major_formatter(FuncFormatter(lambda value, place, own=shown: printable(str(own(value, place)))))
+        else:
+            numbers.update(map(id, axis.get_ticklabels()))
+        numbers.update(map(id, axis.get_ticklabels(minor=True)))
+    for text in figure.findobj(Text):
+        if id(text) not in numbers:
+            text.set_parse_math(False)
+            text.set_text(printable(text.get_text()))
+    return figure

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, cast
 
-from harness.errors import InputError
+from harness.errors import InputError, printable
 from harness.interrupts import stop_if_asked
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ __all__ = [
     "fail",
     "hidden_effect",
     "jobs_bar",
+    "noted",
     "option_pairs",
     "option_value",
     "print_answer",
@@ -53,7 +54,7 @@ __all__ = [
 
 def fail(message: str, status: int) -> int:
     """Print one line on standard error and return the exit status."""
-    print(f"sysid: {message}", file=sys.stderr)
+    print(f"sysid: {printable(message)}", file=sys.stderr)
     return status
 
 
@@ -74,12 +75,12 @@ OWN = "sysid-harness"
 
 def say(text: str) -> None:
     """Print a line."""
-    print(text)
+    print(printable(text))
 
 
 def noted(text: str) -> None:
     """Print a note beside the answer."""
-    print(f"sysid: note: {text}", file=sys.stderr)
+    print(f"sysid: note: {printable(text)}", file=sys.stderr)
 
 
 def print_json(content: Any) -> None:
@@ -315,7 +316,7 @@ def print_table(titles: Sequence[str], rows: Sequence[Sequence[object]]) -> None
     if sum(widths[:-1]) + 2 * len(widths[:-1]) + min(widths[-1], TEXT) <= console.width:
         shown = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
         for place, title in enumerate(titles):
-            shown.add_column(Text(title), overflow="fold", no_wrap=place < len(titles) - 1)
+            shown.add_column(Text(printable(title)), overflow="fold", no_wrap=place < len(titles) - 1)
         for row in cells:
             shown.add_row(*map(Text, row))
         console.print(shown)
@@ -331,7 +332,7 @@ def _cell(value: object) -> str:
     """Return a value as the text of a cell."""
     if value is None or isinstance(value, bool):
         return {None: "", True: "yes", False: "no"}[value]
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f"{value:.4g}" if isinstance(value, float) else printable(str(value))
 
 
 def print_answer(answer: Answer) -> None:

@@ -17,6 +17,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
+from harness.errors import HarnessError
 from harness.processes import adopt_orphans
 
 __all__ = ["cores", "death", "fresh_process", "one_thread", "worker_pool"]
@@ -117,7 +118,7 @@ def death(error: BaseException) -> str:
             return f"the worker died: {signal.Signals(-code).name}"
     if isinstance(code, int):
         return f"the worker ended itself with exit status {code}"
-    return f"the worker was lost: {type(error).__name__}: {error}"
+    return f"the worker was lost: {error if isinstance(error, HarnessError) else f'{type(error).__name__}: {error}'}"
 
 
 def _quiet() -> None:

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from harness.benchmark.row import Row
+from harness.benchmark.row import Row, sound
+from harness.data.whole_files import whole_file
+from harness.jobs.stored import read_columns, reading
 
 __all__ = ["FORMAT", "arrow_table", "columns_of_files", "plain_values", "rows_of", "write_rows"]
 
@@ -43,30 +45,52 @@ def columns_of_files() -> tuple[tuple[str, ...], ...]:
 
 
 def rows_of(paths: Sequence[Path]) -> dict[str, Row]:
-    """Return the rows whose columns lie in these Parquet files, by job; columns of other versions are left out."""
-    from pyarrow import parquet
+    """Return the rows whose columns lie in these Parquet files, by job; columns of other versions are left out.
 
-    known = set(Row.__struct_fields__)
+    Raises
+    ------
+    InputError
+        If a file is damaged.
+    """
     found: dict[str, Row] = {}
     with _no_collection():
         for path in paths:
-            table = parquet.read_table(path)
-            columns = {
-                name: plain_values(table.column(name))
-                for name in table.column_names
-                if name in known and not _all_default(table.column(name))
-            }
-            jobs = columns.get("job", [])
-            if "status" in columns:
-                values = zip(*columns.values(), strict=True)
-                rows = (Row(**dict(zip(columns, row, strict=True))) for row in values)
-                found.update(zip(jobs, rows, strict=True))
-                continue
-            for name in columns.keys() - {"job", *KEYS}:
-                for job, value in zip(jobs, columns[name], strict=True):
-                    if job in found:
-                        setattr(found[job], name, value)
+            table = read_columns(path)
+            with reading(path):
+                columns = _known_columns(table)
+                jobs = columns.get("job", [])
+                if "status" in columns:
+                    values = zip(*columns.values(), strict=True)
+                    rows = (Row(**dict(zip(columns, row, strict=True))) for row in values)
+                    found.update(zip(jobs, rows, strict=True))
+                    continue
+                for name in columns.keys() - {"job", *KEYS}:
+                    for job, value in zip(jobs, columns[name], strict=True):
+                        if job in found:
+                            setattr(found[job], name, value)
+        for row in found.values():
+            with reading(paths[0]):
+                sound(row)
     return found
+
+
+def _known_columns(table: Any) -> dict[str, list[Any]]:
+    """Return the columns of a table that rows have and that hold anything, as the types that rows have.
+
+    Raises
+    ------
+    ValueError
+        If a value is missing that every row has.
+    """
+    columns = {}
+    for name in set(Row.__struct_fields__) & set(table.column_names):
+        column = table.column(name).cast(_arrow_type(name))
+        if _all_default(column):
+            continue
+        if column.null_count and "None" not in str(Row.__annotations__[name]).rpartition("]")[2]:
+            raise ValueError(f"no {name} in {column.null_count} rows")
+        columns[name] = plain_values(column)
+    return columns
 
 
 @contextmanager
@@ -136,9 +160,8 @@ def write_rows(path: Path, names: Sequence[str], rows: Sequence[Row]) -> None:
     """Write some fields of rows to a Parquet file, whole or not at all."""
     from pyarrow import parquet
 
-    scratch = path.with_suffix(".parquet-part")
-    parquet.write_table(arrow_table(names, rows), scratch, compression="zstd")
-    scratch.replace(path)
+    with whole_file(path) as scratch:
+        parquet.write_table(arrow_table(names, rows), scratch, compression="zstd", write_page_checksum=True)
 
 
 def _arrow_type(name: str) -> Any:

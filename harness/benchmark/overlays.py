@@ -11,6 +11,7 @@ import numpy as np
 from harness.benchmark.plots import ACCENT, GRID, INK, MUTED, STYLE, WARN
 from harness.benchmark.row import Row
 from harness.benchmark.summary import figure
+from harness.plots import plain_texts
 
 __all__ = ["draw_overlays"]
 
@@ -49,7 +50,7 @@ def _draw(rows: Sequence[Row], folder: Path) -> None:
                 if min(len(row.trace_measured), OUTPUTS) == count:
                     _fill(drawing, axes, row)
                     scratch = folder / f"{row.job}.part"
-                    drawing.savefig(scratch, format="svg", metadata={"Date": None, "Creator": None})
+                    plain_texts(drawing).savefig(scratch, format="svg", metadata={"Date": None, "Creator": None})
                     scratch.replace(folder / f"{row.job}.svg")
 
 

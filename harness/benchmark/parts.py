@@ -6,6 +6,8 @@ from typing import Any
 
 import msgspec
 
+from harness.errors import printable
+
 __all__ = ["RECORDED", "RECORDING", "Cell", "Group", "Part", "Score", "Suite", "Task"]
 
 RECORDING, RECORDED = "recording:", "recorded"
@@ -38,7 +40,7 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def name(self) -> str:
         """What the table calls it: the label, or else the id."""
-        return self.label or self.id
+        return printable(self.label or self.id)
 
 
 class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -14,6 +14,7 @@ from harness.benchmark.parts import Task
 from harness.benchmark.suite import cells_of
 from harness.errors import InputError
 from harness.jobs.progress import duration
+from harness.jobs.stored import read_columns, reading
 
 Shared = TypeVar("Shared")
 
@@ -136,13 +137,12 @@ def _times(timings: Path) -> dict[tuple[str, str, str], float]:
     """Return the mean seconds of a cell by plant, scenario and identifier; data are shared by a task's cells."""
     if not timings.is_file():
         return {}
-    from pyarrow import parquet
-
-    table = parquet.read_table(timings).to_pydict()
-    keys = list(zip(table["plant"], table["scenario"], table["identifier"], strict=True))
-    sharing = Counter(zip(table["plant"], table["scenario"], table["seed"], strict=True))
-    values: dict[tuple[str, str, str], list[float]] = {}
-    for k, key in enumerate(keys):
-        data = table["data_seconds"][k] / sharing[key[0], key[1], table["seed"][k]]
-        values.setdefault(key, []).append(data + table["fit_seconds"][k] + table["score_seconds"][k])
-    return {key: float(np.mean(found)) for key, found in values.items()}
+    table = read_columns(timings).to_pydict()
+    with reading(timings):
+        keys = list(zip(table["plant"], table["scenario"], table["identifier"], strict=True))
+        sharing = Counter(zip(table["plant"], table["scenario"], table["seed"], strict=True))
+        values: dict[tuple[str, str, str], list[float]] = {}
+        for k, key in enumerate(keys):
+            data = table["data_seconds"][k] / sharing[key[0], key[1], table["seed"][k]]
+            values.setdefault(key, []).append(data + table["fit_seconds"][k] + table["score_seconds"][k])
+        return {key: float(np.mean(found)) for key, found in values.items()}

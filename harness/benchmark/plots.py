@@ -13,6 +13,7 @@ import numpy as np
 from harness.benchmark.row import Row
 from harness.benchmark.statistics import Ranking
 from harness.benchmark.summary import Summary, best_possible, places_of
+from harness.plots import plain_texts
 
 __all__ = [
     "ACCENT",
@@ -266,6 +267,6 @@ class _figure:
 def svg_text(drawing: Any) -> str:
     """Return a drawing as SVG to be put into a page."""
     stream = io.StringIO()
-    drawing.savefig(stream, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
+    plain_texts(drawing).savefig(stream, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
     text = stream.getvalue()
     return text[text.index("<svg") :]

@@ -8,10 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from harness import registry
 from harness.benchmark.parts import Task
 from harness.benchmark.row import one_line
+from harness.data.whole_files import whole_file
 from harness.errors import HarnessError
+from harness.jobs.stored import reading
 from harness.workers import worker_pool
 
 __all__ = ["probe_plants"]
@@ -30,7 +34,10 @@ def probe_plants(tasks: Sequence[Task], file: Path) -> None:
         JSON: plant name to ``options`` and ``result`` (None and a ``reason`` if the probe itself broke). Left alone, or
         not made, where no plant can be probed.
     """
-    known: dict[str, Any] = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    known: dict[str, dict[str, Any]] = {}
+    if file.is_file():
+        with reading(file, "delete it: the FMUs are probed again"):
+            known = msgspec.json.decode(file.read_bytes(), type=dict[str, dict[str, Any]])
     parts = {task.plant.name: task.plant for task in tasks}
     new = {
         name: part
@@ -48,9 +55,8 @@ def probe_plants(tasks: Sequence[Task], file: Path) -> None:
             except Exception as error:  # whatever an FMU does to its process is a finding
                 entry["reason"] = one_line(error) if isinstance(error, HarnessError) else type(error).__name__
             known[name] = entry
-    scratch = file.with_name(file.name + ".part")
-    scratch.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
-    scratch.replace(file)
+    with whole_file(file) as scratch:
+        scratch.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
 
 
 def _probeable(plant: str) -> bool:

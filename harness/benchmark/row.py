@@ -9,11 +9,16 @@ from typing import Any
 import msgspec
 
 from harness.benchmark.parts import Cell, Task
+from harness.errors import printable
+from harness.jobs.stored import reading
 
-__all__ = ["STATUSES", "Row", "blank", "encoded", "one_line", "read_row"]
+__all__ = ["STATUSES", "Row", "blank", "encoded", "one_line", "read_row", "sound"]
 
 STATUSES = ("ok", "unfit", "refused", "diverged", "timeout", "crashed", "terminated", "failed")
 """``ok``; data that cannot be learned from; parts that do not fit; and the ways in which a cell can break."""
+
+LARGEST = 2**63 - 1
+"""Whole numbers that a column holds."""
 
 
 class Row(msgspec.Struct, kw_only=True, gc=False):
@@ -112,7 +117,7 @@ def one_line(text: object, limit: int = 400) -> str:
     >>> one_line("too   many    blanks ")
     'too many blanks'
     """
-    line = " ".join(str(text).split())
+    line = printable(" ".join(str(text).split()))
     return line if len(line) <= limit else line[: limit - 3] + "..."
 
 
@@ -122,8 +127,41 @@ def encoded(row: Row) -> bytes:
 
 
 def read_row(path: Path) -> Row:
-    """Return the row of a shard."""
-    return msgspec.json.decode(path.read_bytes(), type=Row)
+    """Return the row of a shard.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged.
+    """
+    with reading(path, "delete it and continue with --resume: that cell is done again"):
+        return sound(msgspec.json.decode(path.read_bytes(), type=Row))
+
+
+def sound(row: Row) -> Row:
+    """Return a row whose parts fit together.
+
+    Raises
+    ------
+    ValueError
+        If they do not.
+    """
+    n = len(row.outputs)
+    pairs = [("units", len(row.units), n), ("axis_values", len(row.axis_values), len(row.axes))]
+    pairs += [("curve_regret", len(row.curve_regret), len(row.curve_steps))]
+    for name in ("equation_rms", "simulation_rms", "trace_measured", "trace_residual"):
+        pairs += [(name, len(getattr(row, name)), n)] if getattr(row, name) else []
+    for name in ("trace_measured", "trace_residual"):
+        pairs += [(name, len(one), len(row.trace_t)) for one in getattr(row, name)]
+    for name, found, wanted in pairs:
+        if found != wanted:
+            raise ValueError(f"{found} values in {name} where {wanted} belong")
+    numbers = [getattr(row, name) for name in row.__struct_fields__] + list(row.curve_steps)
+    if any(isinstance(value, int) and abs(value) > LARGEST for value in numbers):
+        raise ValueError(f"a number above {LARGEST}")
+    if row.status not in STATUSES:
+        raise ValueError(f"a status {row.status[:40]!r}")
+    return row
 
 
 def _finite(row: Row) -> Row:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,10 @@ from harness.benchmark.row import Row, read_row
 from harness.benchmark.store import Store
 from harness.benchmark.suite import cells_of, load_suite, tasks_of
 from harness.benchmark.work import CellBatch
+from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.jobs import make_engine, run_jobs, shard_file
+from harness.jobs.alone import alone_in
 from harness.jobs.progress import Progress
 
 __all__ = ["TRACES", "bench", "plan", "table"]
@@ -163,29 +166,31 @@ def _run(
     order: Sequence[str] = (),
 ) -> BenchResult:
     """Run what is missing in the store and write its files."""
-    pairs = cells_of([batch.task for batch in batches])
-    found = store.open(suite, pairs, resume=resume, order=order)
-    todo = list(_missing(batches, found))
-    counted = Progress(store.log, len(pairs), len(found), progress)
+    with alone_in(store.folder):
+        pairs = cells_of([batch.task for batch in batches])
+        found = store.open(suite, pairs, resume=resume, order=order)
+        todo = list(_missing(batches, found))
+        counted = Progress(store.log, len(pairs), len(found), progress)
 
-    def moved(title: str, jobs: Sequence[str]) -> None:
-        rows = [read_row(shard_file(store.shards, job)) for job in jobs]
-        counted(title, [(row.status, _logged(row)) for row in rows])
-        store.finished(jobs)
+        def moved(title: str, jobs: Sequence[str]) -> None:
+            rows = [read_row(shard_file(store.shards, job)) for job in jobs]
+            counted(title, [(row.status, _logged(row)) for row in rows])
+            store.finished(jobs)
 
-    if progress is not None:
-        progress(len(found), len(pairs), suite.name)
-    finished = False
-    try:
+        if progress is not None:
+            progress(len(found), len(pairs), suite.name)
+        try:
+            if report:
+                probe_plants([batch.task for batch in todo], store.probes)
+            run_jobs(todo, store.shards, engine=engine, moved=moved)
+        except BaseException:
+            with suppress(OSError, InputError):  # what ended the run is what is said
+                store.consolidate(finished=False)
+            raise
+        rows = store.consolidate(finished=True)
+        result = _result(store, rows)
         if report:
-            probe_plants([batch.task for batch in todo], store.probes)
-        run_jobs(todo, store.shards, engine=engine, moved=moved)
-        finished = True
-    finally:
-        rows = store.consolidate(finished=finished)
-    result = _result(store, rows)
-    if report:
-        _write_report(result, store)
+            _write_report(result, store)
     return result
 
 
@@ -231,7 +236,7 @@ def _result(store: Store, rows: Sequence[Row]) -> BenchResult:
     return BenchResult(
         suite=content["suite"],
         rows=tuple(rows),
-        planned=content.get("planned", len(content["cells"])),
+        planned=content["planned"] or len(content["cells"]),
         folder=store.folder,
         versions=content["versions"],
         cells=cells,
@@ -242,9 +247,8 @@ def _result(store: Store, rows: Sequence[Row]) -> BenchResult:
 def _write_report(result: BenchResult, store: Store) -> None:
     """Draw the overlays that are new, and write the HTML page that links to them."""
     overlays = draw_overlays(result.rows, store.overlays)
-    scratch = store.report.with_name("report.part")
-    scratch.write_text(render_html(result, overlays), encoding="utf-8")
-    scratch.replace(store.report)
+    with whole_file(store.report) as scratch:
+        scratch.write_text(render_html(result, overlays), encoding="utf-8")
 
 
 def _seed_list(seeds: tuple[int, int] | Sequence[int] | None) -> list[int] | None:

@@ -17,17 +17,33 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from harness import __version__
 from harness.benchmark.columns import FORMAT, arrow_table, columns_of_files, rows_of, write_rows
 from harness.benchmark.parts import Cell, Suite, Task
 from harness.benchmark.row import Row, read_row
+from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.jobs.manifest import read_manifest
+from harness.jobs.stored import read_columns
 
 __all__ = ["Store"]
 
 BATCH = 2000
 """Rows in one Parquet file of the shards: few files, and little lost in memory while one is written."""
+
+
+class Manifest(msgspec.Struct):
+    """What ``bench.json`` says: each cell as job, plant, scenario, identifier and seed."""
+
+    format: str
+    suite: str
+    cells: list[tuple[str, str, str, str, int]]
+    versions: dict[str, str]
+    description: str = ""
+    planned: int | None = None
+    order: list[str] = msgspec.field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -100,12 +116,6 @@ class Store:
         InputError
             If the folder has results and ``resume`` was not asked for, or has rows of other cells.
         """
-        try:
-            self.shards.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                "folder for the results", expected="a folder that can be made", got=str(error), remedy="choose another"
-            ) from error
         found = self.rows()
         if (found or self.manifest.exists()) and not resume:
             raise InputError(
@@ -126,6 +136,7 @@ class Store:
                 remedy="choose another folder with --out",
                 file=self.folder,
             )
+        self.shards.mkdir(parents=True, exist_ok=True)
         content = {
             "format": FORMAT,
             "suite": suite.name,
@@ -180,7 +191,7 @@ class Store:
         InputError
             If the folder is no folder of a benchmark, or one of another format, which is then named.
         """
-        return read_manifest(self.manifest, FORMAT, what="benchmark", command="'sysid bench --out'")
+        return read_manifest(self.manifest, FORMAT, Manifest, what="benchmark", command="'sysid bench --out'")
 
     def rows(self) -> dict[str, Row]:
         """Return all rows of the folder by job: of the Parquet files, then of the shards."""
@@ -229,10 +240,8 @@ class Store:
 
         What a version before this one did not write is left out.
         """
-        from pyarrow import parquet
-
         if self.results.exists() and not self.waiting():
-            return {path.stem: parquet.read_table(path) for path in self._tables() if path.exists()}
+            return {path.stem: read_columns(path) for path in self._tables() if path.exists()}
         rows = list(self.rows().values())
         pairs = zip(self._tables(), columns_of_files(), strict=True)
         return {path.stem: arrow_table(names, _with(rows, names)) for path, names in pairs}
@@ -270,6 +279,5 @@ def versions() -> dict[str, str]:
 
 def _write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all."""
-    scratch = path.with_name(path.name + ".part")
-    scratch.write_text(text + "\n", encoding="utf-8")
-    scratch.replace(path)
+    with whole_file(path) as scratch:
+        scratch.write_text(text + "\n", encoding="utf-8")

@@ -20,6 +20,8 @@ from harness.benchmark.records import Records, make_records
 from harness.benchmark.row import Row, blank, encoded, one_line
 from harness.errors import HarnessError, InputError, PlantError, PluginError
 from harness.jobs import Desk
+from harness.jobs.batch import described
+from harness.jobs.room import raise_if_full
 from harness.plant_files import make_plant
 from harness.protocols import OnlinePredictive, Predictive
 from harness.rng import stream
@@ -93,9 +95,11 @@ class CellBatch:
             try:
                 records = make_records(task)
             except HarnessError as error:
+                raise_if_full(error)
                 failure = error
-            except (Exception, SystemExit) as error:
-                failure = PluginError(f"{task.plant.name} under {task.scenario.name}: {_described(error)}")
+            except BaseException as error:  # an interrupt too: of a worker it is the plug-in's own
+                raise_if_full(error)
+                failure = PluginError(f"{task.plant.name} under {task.scenario.name}: {described(error)}")
         seconds = time.perf_counter() - started
         for cell in task.cells:
             if records is None:
@@ -118,7 +122,7 @@ def _preload(task: Task) -> None:
     wanted = [("scenarios", task.scenario.id), ("plants", task.plant.id)]
     wanted += [("identifiers", cell.identifier.id) for cell in task.cells]
     for kind, id in dict.fromkeys(wanted):
-        with suppress(Exception, SystemExit):
+        with suppress(BaseException):
             registry.load(kind, id)
     import harness.rollout
     import harness.scoring  # noqa: F401
@@ -164,11 +168,13 @@ def _do_cell(task: Task, cell: Cell, runs: Sequence[Trajectory], held_out: Seque
                 f"hindsight(), got {type(identifier).__name__}; remedy: see 'sysid check {cell.identifier.id}'"
             )
     except HarnessError as error:
+        raise_if_full(error)
         row.status, row.reason = error.status, one_line(error)
     except MemoryError:
         row.status, row.reason = "crashed", "out of memory"
-    except (Exception, SystemExit) as error:
-        row.status, row.reason = "crashed", one_line(f"{cell.identifier.name} raised {_described(error)}")
+    except BaseException as error:  # an interrupt too: of a worker it is the plug-in's own
+        raise_if_full(error)
+        row.status, row.reason = "crashed", one_line(f"{cell.identifier.name} raised {described(error)}")
     finally:
         for plant in borrowed:
             plant.close()
@@ -305,8 +311,3 @@ def _pooled(scores: Sequence[Score]) -> tuple[float | None, tuple[float | None, 
         each = np.sqrt(weights @ rms**2)
     finite = tuple(float(value) if np.isfinite(value) else None for value in each)
     return (total if np.isfinite(total) and all(score.finite for score in scores) else None), finite
-
-
-def _described(error: BaseException) -> str:
-    """Return the type of an error and its text."""
-    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from harness.data.cells import seconds_of
+from harness.data.packing import NUMBER, refuse_large
 from harness.data.selectors import parse_selector, vector
 from harness.errors import InputError
 from harness.signals import FloatArray
@@ -49,6 +50,8 @@ class ParquetFile:
     def __init__(self, path: Path) -> None:
         try:
             self._table = self._read(path)
+        except InputError:
+            raise
         except Exception as error:
             raise broken(path, self.kind, error) from error
         self.titles = list(self._table.column_names)
@@ -58,6 +61,9 @@ class ParquetFile:
         """Return the table of the file."""
         import pyarrow.parquet as pq
 
+        about = pq.read_metadata(path)
+        stated = sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups))
+        refuse_large(path, max(stated, NUMBER * about.num_rows * about.num_columns))
         return pq.read_table(path)
 
     def values(self, title: str) -> FloatArray:

@@ -7,10 +7,12 @@ from pathlib import Path
 
 from harness.errors import InputError
 
-__all__ = ["most_unpacked", "refuse_bomb"]
+__all__ = ["NUMBER", "most_unpacked", "refuse_bomb", "refuse_large"]
 
 LARGEST = 2 << 30
 """Bytes that any packed table may unpack to: a table of 1e8 numbers."""
+NUMBER = 8
+"""Bytes of a number in memory."""
 RATIO, FREE = 200, 16 << 20
 """Times its packed size that a table may unpack to, beside what is small in any case [bytes]: logs pack 3 to 20 times,
 deflate at most 1030 times."""
@@ -25,6 +27,30 @@ def most_unpacked(packed: int) -> int:
     (302, 2)
     """
     return min(LARGEST, RATIO * packed + FREE)
+
+
+def refuse_large(path: Path, size: int) -> None:
+    """Refuse a table that says itself that it needs more memory than any packed table may.
+
+    Parameters
+    ----------
+    path : Path
+    size : int
+        Bytes; equal values pack without any limit, so there is no ratio to hold it against.
+
+    Raises
+    ------
+    InputError
+        With the size.
+    """
+    if size > LARGEST:
+        raise InputError(
+            "a packed table",
+            expected=f"at most {LARGEST >> 20} MiB unpacked",
+            got=f"{size >> 20} MiB",
+            remedy="cut or thin it",
+            file=path,
+        )
 
 
 def refuse_bomb(path: Path) -> None:

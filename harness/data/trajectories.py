@@ -179,7 +179,17 @@ def stored_spec(path: str | Path) -> PlantSpec | None:
         metadata = pq.read_schema(path).metadata or {}
     except Exception:
         return None  # the reader of the table words the refusal
-    return _spec_from_dict(json.loads(metadata[_KEY])) if _KEY in metadata else None
+    if _KEY not in metadata:
+        return None
+    try:
+        return _spec_from_dict(json.loads(metadata[_KEY]))
+    except InputError:
+        raise
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(
+            "what the record says of its channels", expected="what sysid wrote", got=f"{type(error).__name__}: {error}",
+            remedy="take a copy that is whole", file=path,
+        ) from error  # fmt: skip
 
 
 def _spec_from_titles(table: Table, inputs: list[str], truth: list[str], time: FloatArray) -> PlantSpec:

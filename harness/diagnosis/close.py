@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from harness.diagnosis.steps import Progress
 from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects.effect import Effect
 from harness.errors import InputError
+from harness.jobs.alone import alone_in
 from harness.physics.arm import ArmModel, is_arm, load_arm
 from harness.signals import Dataset, FloatArray
 
@@ -129,46 +131,49 @@ def close_loop(
     from harness.workers import one_thread
 
     folder = _folder(out, resume=resume, force=force)
-    dataset = _looked_at(dataset)
-    if (arm := _arm(model)) is not None:
-        from harness.diagnosis.arm.close import close_arm
+    with alone_in(folder):
+        if folder is not None and force and not resume:
+            shutil.rmtree(folder / "candidates", ignore_errors=True)
+        dataset = _looked_at(dataset)
+        if (arm := _arm(model)) is not None:
+            from harness.diagnosis.arm.close import close_arm
 
-        data = close_arm(dataset, arm, folder=folder, progress=progress, dictionary=dictionary)
-        return Report(data, folder, arm)
-    system = _system(model, parameters, dataset)
-    box = is_fmu(system)
-    if by_equations(system):
+            data = close_arm(dataset, arm, folder=folder, progress=progress, dictionary=dictionary)
+            return Report(data, folder, arm)
+        system = _system(model, parameters, dataset)
+        box = is_fmu(system)
+        if by_equations(system):
+            with one_thread():
+                dataset = inputs_checked(system, dataset)
+        kind = _black_box() if box else Equations()
+        diagnosis = diagnose(dataset, system, kind=kind, progress=progress, folder=folder, dictionary=dictionary)
+        whole = diagnosis.final.model
+        if by_equations(whole) and diagnosis.outcome.accepted:
+            # what the model lacked may have hidden that the input is late: its equations are whole now
+            final = whole.with_parameters(diagnosis.final.values)
+            with one_thread():
+                again = inputs_checked(final, dataset)
+            if again.runs != dataset.runs:
+                dataset = again
+                diagnosis = diagnose(dataset, system, kind=kind, progress=progress, dictionary=dictionary)
+        if progress is not None:
+            progress(0.9, "report")
         with one_thread():
-            dataset = inputs_checked(system, dataset)
-    kind = _black_box() if box else Equations()
-    diagnosis = diagnose(dataset, system, kind=kind, progress=progress, folder=folder, dictionary=dictionary)
-    repaired = diagnosis.final.model
-    if by_equations(repaired) and diagnosis.outcome.accepted:
-        # what the model lacked may have hidden that the input is late: its equations are whole now
-        final = repaired.with_parameters(diagnosis.final.values)
-        with one_thread():
-            again = inputs_checked(final, dataset)
-        if again.runs != dataset.runs:
-            dataset = again
-            diagnosis = diagnose(dataset, system, kind=kind, progress=progress, dictionary=dictionary)
-    if progress is not None:
-        progress(0.9, "report")
-    with one_thread():
-        data = evidence_data(diagnosis, cut_alike(references, dataset, diagnosis.dataset))
-        data["oddities"] = oddities_data(dataset)
+            data = evidence_data(diagnosis, cut_alike(references, dataset, diagnosis.dataset))
+            data["oddities"] = oddities_data(dataset)
+            if folder is not None:
+                write_evidence(diagnosis, data, folder / HTML, odd_pictures(dataset))
         if folder is not None:
-            write_evidence(diagnosis, data, folder / HTML, odd_pictures(dataset))
-    if folder is not None:
-        if box:
-            repaired = _repaired_fmu(diagnosis, folder)
-        else:
-            repaired = _repaired(diagnosis, name or system.name, options or {}, dataset.spec.sample_time)
-        write_atomic(folder / MODEL, json.dumps(repaired, indent=1, allow_nan=False) + "\n")
-        write_atomic(folder / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
-    if progress is not None:
-        progress(1.0, data["summary"])
-    last = diagnosis.nominal if diagnosis.misfit else diagnosis.final
-    return Report(data, folder, last.model.with_parameters(last.values))
+            if box:
+                repaired = _repaired_fmu(diagnosis, folder)
+            else:
+                repaired = _repaired(diagnosis, name or system.name, options or {}, dataset.spec.sample_time)
+            write_atomic(folder / MODEL, json.dumps(repaired, indent=1, allow_nan=False) + "\n")
+            write_atomic(folder / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
+        if progress is not None:
+            progress(1.0, data["summary"])
+        last = diagnosis.nominal if diagnosis.misfit else diagnosis.final
+        return Report(data, folder, last.model.with_parameters(last.values))
 
 
 def close_loop_file(
@@ -188,7 +193,7 @@ def close_loop_file(
     from harness import registry
     from harness.data import load_dataset
 
-    _folder(out, resume=resume, force=force, make=False)
+    _folder(out, resume=resume, force=force)
     loaded = load_dataset(registry.dataset_path(dataset), model=model, validation=validation)
     if loaded.nominal is not None and is_arm(loaded.nominal.model):
         from harness.diagnosis.arm.close import recorded_arm
@@ -331,8 +336,8 @@ def _system(
     return made.with_parameters(parameters) if parameters else made
 
 
-def _folder(out: str | Path | None, *, resume: bool, force: bool, make: bool = True) -> Path | None:
-    """Return the folder for the report, made if needed; refuse to overwrite a report."""
+def _folder(out: str | Path | None, *, resume: bool, force: bool) -> Path | None:
+    """Return the folder for the report; refuse to overwrite a report."""
     if out is None:
         return None
     folder = Path(out)
@@ -355,9 +360,4 @@ def _folder(out: str | Path | None, *, resume: bool, force: bool, make: bool = T
             remedy="--resume to continue it, or --force to start anew",
             file=folder,
         )
-    if make:
-        folder.mkdir(parents=True, exist_ok=True)
-        if force and not resume and held.is_dir():
-            for path in held.iterdir():
-                path.unlink()
     return folder

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,13 @@ __all__ = ["Store", "data_fingerprint", "write_atomic"]
 def write_atomic(path: Path, text: str) -> None:
     """Write a file so that a half-written one is never left under its name."""
     scratch = path.with_name(f"{path.name}.{os.getpid()}.part")
-    scratch.write_text(text, encoding="utf-8")
-    scratch.replace(path)
+    try:
+        scratch.write_text(text, encoding="utf-8")
+        scratch.replace(path)
+    except OSError:
+        with suppress(OSError):
+            scratch.unlink(missing_ok=True)
+        raise
 
 
 def data_fingerprint(dataset: Dataset) -> str:
@@ -44,17 +50,23 @@ class Store:
         self._folder.mkdir(parents=True, exist_ok=True)
 
     def get(self, key: str) -> dict[str, Any] | None:
-        """Return the record of a key, or None; a file that cannot be read counts as absent."""
+        """Return the record of a key, or None; a file that cannot be read or was changed counts as absent."""
         try:
-            record = json.loads(self._path(key).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            kept = json.loads(self._path(key).read_text(encoding="utf-8"))
+            record: dict[str, Any] = kept["record"]
+            return record if kept["key"] == key and kept["sum"] == _sum(record) else None
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return None
-        return record["record"] if isinstance(record, dict) and record.get("key") == key else None
 
     def put(self, key: str, record: Mapping[str, Any]) -> None:
         """Keep the record of a key."""
-        write_atomic(self._path(key), json.dumps({"key": key, "record": dict(record)}))
+        write_atomic(self._path(key), json.dumps({"key": key, "sum": _sum(record), "record": dict(record)}))
 
     def _path(self, key: str) -> Path:
         """Return the file of a key."""
         return self._folder / f"{fingerprint(self._identity, key)}.json"
+
+
+def _sum(record: Mapping[str, Any]) -> str:
+    """Return a checksum of a record, the same for the record as it reads back."""
+    return fingerprint(json.dumps(dict(record), sort_keys=True))

@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
-from xml.etree import ElementTree
 
 import numpy as np
 
 from harness.errors import InputError
-from harness.export.describe import Variable, describe
+from harness.export.describe import Variable, describe, xml_text
 
 if TYPE_CHECKING:
     from harness.physics.simulator import Simulator
@@ -164,8 +163,7 @@ def description(simulator: Simulator, parameters: Mapping[str, float], x0: Mappi
         sample_time=simulator.dt,
         direct=direct,
     )
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
+    return xml_text(root)
 
 
 def _checks(simulator: Simulator, first: int, delays: list[int]) -> list[str]:

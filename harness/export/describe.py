@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Literal
 from xml.etree import ElementTree
 
-from harness.errors import InputError
+from harness.errors import InputError, printable
 
-__all__ = ["RIGHTS", "Variable", "describe", "identifier"]
+__all__ = ["RIGHTS", "Variable", "describe", "identifier", "xml_text"]
 
 RIGHTS = (
     "The equations and values of this model (sources/model.c, modelDescription.xml) belong to whoever made it.\n"
@@ -167,3 +167,18 @@ def _unit(unit: str) -> ElementTree.Element:
             attributes["offset"] = repr(offset)
         ElementTree.SubElement(node, "BaseUnit", attributes)
     return node
+
+
+def xml_text(root: ElementTree.Element) -> str:
+    r"""Return a document as text that every reader of XML takes: control characters, unknown to XML, are spelled out.
+
+    Examples
+    --------
+    >>> print(xml_text(ElementTree.Element("a", name="b" + chr(27))).splitlines()[1])
+    <a name="b\x1b" />
+    """
+    for element in root.iter():
+        element.attrib.update({key: printable(value) for key, value in element.attrib.items()})
+        element.text = printable(element.text) if element.text else element.text
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
-from xml.etree import ElementTree
 
 import numpy as np
 
 from harness.errors import InputError
-from harness.export.describe import Variable, describe
+from harness.export.describe import Variable, describe, xml_text
 from harness.protocols import Model
 from harness.signals import Channel, FloatArray, PlantSpec
 
@@ -220,8 +219,7 @@ def linear_description(model: Linear, x0: Mapping[str, float] | None = None, *, 
     root = describe(
         name, f"linear model of order {len(starts)}", token, variables, sample_time=spec.sample_time, direct=direct
     )
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
+    return xml_text(root)
 
 
 def _array(name: str, matrix: FloatArray) -> str:

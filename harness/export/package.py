@@ -18,7 +18,7 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.export.c_model import DELAY
-from harness.export.describe import RIGHTS, Variable, describe
+from harness.export.describe import RIGHTS, Variable, describe, xml_text
 from harness.units import base_units
 
 if TYPE_CHECKING:
@@ -141,8 +141,7 @@ def effects_description(system: FmuSystem, sample_time: float) -> str:
     token = hashlib.sha256(f"{effects_source(system, sample_time)}{system.values()}".encode()).hexdigest()[:32]
     name = f"{system.name}-effects"
     root = describe(name, str(system), token, variables, sample_time=sample_time, direct=range(count))
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
+    return xml_text(root)
 
 
 def _ports(system: FmuSystem) -> list[Variable]:
@@ -231,8 +230,7 @@ def _structure(system: FmuSystem, sample_time: float) -> str:
             _wire(wires, EFFECTS, f"reading.{name}", "", name)
     _units(root, "ssd:Units")
     _child(root, "ssd:DefaultExperiment", startTime="0", stopTime=repr(1000 * sample_time))
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
+    return xml_text(root)
 
 
 def _component(

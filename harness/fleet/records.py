@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import glob
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -145,7 +146,7 @@ def _common(parts: Sequence[tuple[str, ...]]) -> list[str]:
 
 def _in_table(path: Path) -> tuple[FleetRecord, ...]:
     """Return the records of a table; files are relative to it."""
-    with path.open(encoding="utf-8-sig", newline="") as file:
+    with _csv_text(path), path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.DictReader(file, skipinitialspace=True)
         names = [name.strip() for name in reader.fieldnames or ()]
         unknown = [name for name in names if name not in COLUMNS]
@@ -180,6 +181,22 @@ def _in_table(path: Path) -> tuple[FleetRecord, ...]:
             remedy="write all dates the same way", file=path,
         )  # fmt: skip
     return _different(records, path)
+
+
+@contextmanager
+def _csv_text(path: Path) -> Iterator[None]:
+    """Say of a table that it is no text in UTF-8, or no CSV."""
+    try:
+        yield
+    except UnicodeDecodeError as error:
+        raise InputError(
+            "table of records", expected="text in UTF-8", got=f"the byte 0x{error.object[error.start]:02x}",
+            remedy="save it as CSV UTF-8", file=path,
+        ) from error  # fmt: skip
+    except csv.Error as error:
+        raise InputError(
+            "table of records", expected="a CSV file", got=str(error), remedy="save it as CSV UTF-8", file=path
+        ) from error
 
 
 def _date(text: str, path: Path, number: int) -> datetime:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import datetime
 from typing import Any
 
 import msgspec
 
+from harness.errors import printable
 from harness.fleet.records import FleetRecord
 
 __all__ = ["Found", "Row", "blank", "encoded", "fill", "read"]
@@ -87,7 +89,7 @@ def blank(record: FleetRecord, job: str, *, status: str = "ok", reason: str = ""
         machine=record.machine,
         date=None if record.date is None else record.date.isoformat(),
         status=status,
-        reason=" ".join(reason.split())[:400],
+        reason=printable(" ".join(reason.split()))[:400],
     )
 
 
@@ -134,5 +136,17 @@ def encoded(row: Row) -> bytes:
 
 
 def read(content: bytes) -> Row:
-    """Return a row from JSON."""
-    return msgspec.json.decode(content, type=Row)
+    """Return a row from JSON.
+
+    Raises
+    ------
+    ValueError, msgspec.DecodeError
+        If it is none.
+    """
+    row = msgspec.json.decode(content, type=Row)
+    if row.date is not None:
+        datetime.fromisoformat(row.date)
+    for effect in row.effects:
+        if {len(effect.parameters)} != set(map(len, (effect.values, effect.lows, effect.highs, effect.units))):
+            raise ValueError(f"an effect {effect.name!r} with a value or a unit too few")
+    return row

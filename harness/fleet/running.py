@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,15 +13,17 @@ from typing import Any
 import msgspec
 
 from harness.acceptance import Check, Demands
+from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.fleet.changes import Change, Odd, changes, odd_machines
 from harness.fleet.page import fleet_page, written
 from harness.fleet.records import find_records
-from harness.fleet.row import Row, read
-from harness.fleet.store import FleetStore
+from harness.fleet.row import Row
+from harness.fleet.store import FleetStore, read_shard
 from harness.fleet.trends import New, Trend, new_effects, series_of, trends
 from harness.fleet.work import RecordJob
 from harness.jobs import make_engine, run_jobs, shard_file
+from harness.jobs.alone import alone_in
 from harness.jobs.progress import Progress
 
 __all__ = ["TIME_LIMIT", "FleetResult", "close_fleet", "fleet_table"]
@@ -165,23 +168,24 @@ def close_fleet(
     store = FleetStore(Path(out).absolute())
     batches = [RecordJob(record, store.reports, _absolute(model), tuple(undriven), time_limit) for record in records]
     settings = {"model": model, "undriven": list(undriven)}
-    found = store.open([batch.job for batch in batches], settings, resume=resume)
-    todo = [batch for batch in batches if batch.job not in found]
-    counted = Progress(store.log, len(batches), len(found), progress)
+    with alone_in(store.folder):
+        found = store.open([batch.job for batch in batches], settings, resume=resume)
+        todo = [batch for batch in batches if batch.job not in found]
+        counted = Progress(store.log, len(batches), len(found), progress)
 
-    def moved(title: str, jobs: Sequence[str]) -> None:
-        rows = [read(shard_file(store.shards, job).read_bytes()) for job in jobs]
-        counted(title, [(row.status, _logged(row)) for row in rows])
+        def moved(title: str, jobs: Sequence[str]) -> None:
+            rows = [read_shard(shard_file(store.shards, job)) for job in jobs]
+            counted(title, [(row.status, _logged(row)) for row in rows])
 
-    if progress is not None:
-        progress(len(found), len(batches), "")
-    finished = False
-    try:
-        run_jobs(todo, store.shards, engine=made, moved=moved)
-        finished = True
-    finally:
-        rows = store.consolidate(finished=finished)
-    return _shown(store, rows)
+        if progress is not None:
+            progress(len(found), len(batches), "")
+        try:
+            run_jobs(todo, store.shards, engine=made, moved=moved)
+        except BaseException:
+            with suppress(OSError, InputError):  # what ended the run is what is said
+                store.consolidate(finished=False)
+            raise
+        return _shown(store, store.consolidate(finished=True))
 
 
 def fleet_table(directory: str | Path) -> FleetResult:
@@ -204,9 +208,8 @@ def _shown(store: FleetStore, rows: Sequence[Row]) -> FleetResult:
         rows, planned=len(content["jobs"]), model=content["settings"]["model"] or "models of the records",
         reports=store.reports.name,
     )  # fmt: skip
-    scratch = store.page.with_name(store.page.name + ".part")
-    scratch.write_text(page, encoding="utf-8")
-    scratch.replace(store.page)
+    with whole_file(store.page) as scratch:
+        scratch.write_text(page, encoding="utf-8")
     return FleetResult(store.folder, tuple(rows), len(content["jobs"]))
 
 

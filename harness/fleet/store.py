@@ -10,16 +10,36 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from harness import __version__
+from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.fleet.row import Row, encoded, read
 from harness.jobs.manifest import read_manifest
 from harness.jobs.query import Answer, ask
+from harness.jobs.stored import reading
 
 __all__ = ["FleetStore", "is_fleet_folder", "query"]
 
 FORMAT = "sysid-harness/fleet/1"
 MANIFEST, ROWS = "fleet.json", "rows.jsonl"
+
+
+class Settings(msgspec.Struct):
+    """What decides the answers of a fleet beside its records."""
+
+    model: str | None
+    undriven: list[str]
+
+
+class Manifest(msgspec.Struct):
+    """What ``fleet.json`` says."""
+
+    format: str
+    settings: Settings
+    jobs: list[str]
+    version: str = ""
 
 
 @dataclass(frozen=True)
@@ -90,16 +110,17 @@ class FleetStore:
             If the folder holds no fleet, or one of another format, which is then named.
         """
         command = "'sysid close-loop' over many records"
-        return read_manifest(self.folder / MANIFEST, FORMAT, what="fleet", command=command)
+        return read_manifest(self.folder / MANIFEST, FORMAT, Manifest, what="fleet", command=command)
 
     def rows(self) -> dict[str, Row]:
         """Return the rows by job, finished ones and those of a run that was interrupted."""
         found: dict[str, Row] = {}
         kept = self.folder / ROWS
-        lines = kept.read_bytes().splitlines() if kept.exists() else []
-        shards = sorted(self.shards.glob("*.json")) if self.shards.is_dir() else []
-        for content in (*lines, *(path.read_bytes() for path in shards)):
-            row = read(content)
+        if kept.exists():
+            with reading(kept):
+                found = {row.job: row for row in map(read, kept.read_bytes().splitlines())}
+        for path in sorted(self.shards.glob("*.json")) if self.shards.is_dir() else []:
+            row = read_shard(path)
             found[row.job] = row
         return found
 
@@ -115,12 +136,23 @@ class FleetStore:
         rows = self.in_order()
         _replace(self.folder / ROWS, "".join(encoded(row).decode() + "\n" for row in rows))
         for name, table in tables(rows).items():
-            scratch = self.folder / f"{name}.parquet-part"
-            parquet.write_table(table, scratch, compression="zstd")
-            scratch.replace(self.folder / f"{name}.parquet")
+            with whole_file(self.folder / f"{name}.parquet") as scratch:
+                parquet.write_table(table, scratch, compression="zstd")
         if finished:
             shutil.rmtree(self.shards, ignore_errors=True)
         return rows
+
+
+def read_shard(path: Path) -> Row:
+    """Return the row of a shard.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged.
+    """
+    with reading(path, "delete it and continue with --resume: that record is done again"):
+        return read(path.read_bytes())
 
 
 def is_fleet_folder(directory: str | Path) -> bool:
@@ -180,6 +212,5 @@ def tables(rows: Sequence[Row]) -> dict[str, Any]:
 
 def _replace(path: Path, text: str) -> None:
     """Write a text file whole or not at all."""
-    scratch = path.with_name(path.name + ".part")
-    scratch.write_text(text, encoding="utf-8")
-    scratch.replace(path)
+    with whole_file(path) as scratch:
+        scratch.write_text(text, encoding="utf-8")

@@ -17,6 +17,8 @@ from harness.fingerprint import fingerprint
 from harness.fleet.records import FleetRecord
 from harness.fleet.row import blank, encoded, fill
 from harness.jobs import Desk
+from harness.jobs.batch import described
+from harness.jobs.room import raise_if_full
 
 __all__ = ["RecordJob"]
 
@@ -103,8 +105,10 @@ class RecordJob:
                 report = diagnosis.close_loop_file(cast(Any, loaded), out=self.reports / self.record.name, resume=True)
                 fill(row, report.data)
             except HarnessError as error:
+                raise_if_full(error)
                 row.status, row.reason = error.status, " ".join(str(error).split())[:400]
-            except Exception as error:  # a fault on one record is a row, and the others go on
-                row.status, row.reason = "crashed", f"{type(error).__name__}: {' '.join(str(error).split())}"[:400]
+            except BaseException as error:  # a fault on one record is a row, and the others go on
+                raise_if_full(error)
+                row.status, row.reason = "crashed", " ".join(described(error).split())[:400]
         row.seconds = time.perf_counter() - started
         desk.put(job, encoded(row))

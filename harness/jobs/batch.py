@@ -15,6 +15,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Protocol
 
+from harness.errors import PluginError
+from harness.jobs.room import raise_if_full, require_room
 from harness.processes import Surroundings, end_children, ended
 from harness.trust import trusting
 
@@ -22,6 +24,7 @@ __all__ = [
     "SHARED",
     "Batch",
     "Desk",
+    "described",
     "do_batch",
     "end_worker",
     "last_place",
@@ -81,10 +84,37 @@ def shard_file(folder: Path, job: str) -> Path:
 
 
 def write_shard(folder: Path, job: str, content: bytes) -> None:
-    """Write the row of a job, whole or not at all."""
+    """Write the row of a job, whole or not at all; on a full disk none, as what failed there is no fault of the job.
+
+    Raises
+    ------
+    OSError
+        If there is no room.
+    """
+    require_room(folder)
     scratch = folder / f"{job}.part"
-    scratch.write_bytes(content)
-    scratch.replace(shard_file(folder, job))
+    try:
+        scratch.write_bytes(content)
+        scratch.replace(shard_file(folder, job))
+    except OSError:
+        scratch.unlink(missing_ok=True)
+        raise
+
+
+def described(error: BaseException) -> str:
+    """Return the type of an error and its text, which foreign code may have made a fault of its own.
+
+    Examples
+    --------
+    >>> described(ValueError("x")), described(KeyboardInterrupt())
+    ('ValueError: x', 'KeyboardInterrupt')
+    """
+    name = type(error).__name__
+    try:
+        text = str(error)
+    except BaseException:
+        return name
+    return f"{name}: {text}" if text else name
 
 
 def _at(folder: Path, batch: Batch) -> Path:
@@ -183,5 +213,9 @@ def do_batch(batch: Batch, folder: str | Path, trust: Sequence[str] = ()) -> Non
         desk = Desk(batch, place, at.fileno(), watch)
         desk.stand(SHARED)
         with trusting(*trust):
-            batch.work(desk)
+            try:
+                batch.work(desk)
+            except BaseException as error:  # an interrupt that foreign code raised, or what does not travel by pickle
+                raise_if_full(error)
+                raise PluginError(described(error)) from None
     put_away(place, batch)

@@ -8,11 +8,12 @@ import tempfile
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from harness.errors import InputError
+from harness.errors import InputError, PluginError
 from harness.jobs.batch import (
     SHARED,
     Batch,
@@ -25,6 +26,7 @@ from harness.jobs.batch import (
     worker_gone,
     write_shard,
 )
+from harness.jobs.room import full_disk, raise_if_full, stop_if_full
 from harness.trust import trusted, trusting
 from harness.workers import cores, death, worker_pool
 
@@ -32,6 +34,7 @@ __all__ = ["AHEAD", "DaskEngine", "Engine", "LocalEngine", "Moved", "make_engine
 
 POLL = 0.5  # s between signs of life while nothing finishes
 AHEAD = 4  # batches for each worker that the pool holds: enough that no worker waits, few enough that looking is cheap
+BREAKS = 3  # times that a pool may break in a row with nothing done: whatever breaks it then is no job
 BUNDLE = 20  # batches that travel to a cluster together, at most: one pool of processes serves them all
 SHARES = 8  # bundles for each cluster worker, at least, so that all end at about the same time
 
@@ -73,10 +76,15 @@ def run_jobs(
     Raises
     ------
     InputError
-        If the text names no engine, or the cluster cannot be reached.
+        If the text names no engine, the cluster cannot be reached, or the disk is full: the jobs at which that was seen
+        have no shard.
     """
     made = make_engine(engine, workers) if isinstance(engine, str) else engine
-    made.run(batches, shards, moved or (lambda title, jobs: None))
+    try:
+        made.run(batches, shards, moved or (lambda title, jobs: None))
+    except OSError as error:
+        stop_if_full(error)
+        raise
 
 
 def make_engine(engine: str, workers: int | None = None) -> Engine:
@@ -125,11 +133,19 @@ class LocalEngine:
         """Run all batches; see :class:`Engine`."""
         if not batches:
             return
-        with worker_pool(min(self.workers, len(batches))) as pool:
-            self._drain(pool, deque(batches), shards, moved)
+        left, breaks = deque(batches), 0
+        while left:
+            before = sum(len(batch.jobs) for batch in left)
+            with worker_pool(min(self.workers, len(left))) as pool:
+                self._drain(pool, left, shards, moved)
+            breaks = breaks + 1 if sum(len(batch.jobs) for batch in left) == before else 0
+            if breaks > BREAKS:
+                raise PluginError(f"the pool of workers broke {breaks} times and nothing was done")
 
     def _drain(self, pool: Any, batches: deque[Batch], shards: Path, moved: Moved) -> None:
-        """Keep a few batches for each worker in the pool, and put back what is left of one whose worker was lost.
+        """Do the batches, or as many as a pool does before it breaks: what is left stays among them.
+
+        Keep a few batches for each worker in the pool, and put back what is left of one whose worker was lost.
 
         Waiting and the pool's own bookkeeping look at every task that is scheduled, so scheduling all of them at once
         costs the square of their number.
@@ -151,15 +167,39 @@ class LocalEngine:
                 quiet = {future for future, batch in waiting.items() if worker_gone(shards, batch)}
                 done = {future for future in quiet & gone if not future.done()}  # twice: the pool may tell how
                 gone = quiet
+            if broken := any(isinstance(_error(future), BrokenProcessPool) for future in done):
+                done = set(waiting)
             for future in done:
                 batch = waiting.pop(future)
-                error = future.exception() if future.done() else _Left()
+                error = _error(future) or (None if future.done() else _Left())
+                if error is not None and full_disk(error) is not None:
+                    raise error
                 future.cancel()
-                rest = _after_loss(batch, shards, error) if error is not None else None
+                if broken and (
+                    error is None or isinstance(error, _Left | BrokenProcessPool)
+                ):  # its end was not its own
+                    rest = _undone(batch, shards)
+                else:
+                    rest = _after_loss(batch, shards, error) if error is not None else None
                 left = set(rest.jobs) if rest is not None else set()
                 moved(batch.title, [job for job in batch.jobs if job not in left])
                 if rest is not None:
                     batches.appendleft(rest)
+            if broken:
+                return
+
+
+def _error(future: Any) -> BaseException | None:
+    """Return what a finished future ended with; None of one that went well or is still waiting."""
+    return future.exception() if future.done() and not future.cancelled() else None
+
+
+def _undone(batch: Batch, shards: Path) -> Batch | None:
+    """Return the jobs of a batch that have no shard; None if all have one."""
+    end_worker(shards, batch)
+    put_away(shards, batch)
+    left = [job for job in batch.jobs if not shard_file(shards, job).exists()]
+    return batch.only(left) if left else None
 
 
 class _Left(Exception):
@@ -175,6 +215,8 @@ def _after_loss(batch: Batch, shards: Path, error: BaseException) -> Batch | Non
     status = "timeout" if late else "crashed"
     reason = f"is over its time limit of {batch.time_limit:g} s" if late else death(error)
     end_worker(shards, batch)
+    if not late:
+        raise_if_full(error)
     left = [job for job in batch.jobs if not shard_file(shards, job).exists()]
     told = place != SHARED and shard_file(shards, place).exists()  # its row says what it did to the worker
     lost = [job for job in left if place in (SHARED, job)] or ([] if told else left[:1])
@@ -227,6 +269,8 @@ class DaskEngine:
                 for future in completed(list(futures), loop=client.loop):
                     bundle = futures.pop(future)
                     lost = future.exception()
+                    if lost is not None and full_disk(lost) is not None:
+                        raise lost
                     if lost is None:
                         for job, content in future.result().items():
                             write_shard(shards, job, content)

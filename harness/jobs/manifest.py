@@ -8,11 +8,12 @@ from typing import Any
 import msgspec
 
 from harness.errors import InputError
+from harness.jobs.stored import reading
 
 __all__ = ["read_manifest"]
 
 
-def read_manifest(path: Path, form: str, *, what: str, command: str) -> dict[str, Any]:
+def read_manifest(path: Path, form: str, kind: type[msgspec.Struct], *, what: str, command: str) -> dict[str, Any]:
     """Return the content of a manifest of one format; fields that an earlier version did not write are not there.
 
     Parameters
@@ -21,6 +22,8 @@ def read_manifest(path: Path, form: str, *, what: str, command: str) -> dict[str
         A JSON file with the key ``format``.
     form : str
         The format that this version reads.
+    kind : type
+        What the content is, key by key; keys with a default may be missing.
     what : str
         What the folder holds, for a message (``"benchmark"``).
     command : str
@@ -29,7 +32,8 @@ def read_manifest(path: Path, form: str, *, what: str, command: str) -> dict[str
     Raises
     ------
     InputError
-        If there is none, or it is of another format: then its name, and the version that wrote it, are said.
+        If there is none, it is damaged, or it is of another format: then its name, and the version that wrote it, are
+        said.
     """
     wanted = f"a folder with a {path.name} of format {form}"
     try:
@@ -42,7 +46,7 @@ def read_manifest(path: Path, form: str, *, what: str, command: str) -> dict[str
             remedy=f"give the folder that {command} wrote",
             file=path.parent,
         ) from None
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(
             f"no {what} here",
             expected=wanted,
@@ -52,7 +56,7 @@ def read_manifest(path: Path, form: str, *, what: str, command: str) -> dict[str
         ) from error
     found = content.get("format") if isinstance(content, dict) else None
     if found != form:
-        writer = content.get("version", content.get("versions", {}).get("sysid-harness")) if found else None
+        writer = _writer(content) if found else None
         named = f"format {found}, written by sysid-harness {writer or 'of an unknown version'}"
         raise InputError(
             f"a {what} of another format",
@@ -61,4 +65,12 @@ def read_manifest(path: Path, form: str, *, what: str, command: str) -> dict[str
             remedy="read it with the version that wrote it, or run it anew into a new folder",
             file=path.parent,
         )
-    return dict(content)
+    with reading(path):
+        whole: dict[str, Any] = msgspec.to_builtins(msgspec.convert(content, kind))
+    return whole
+
+
+def _writer(content: dict[str, Any]) -> Any:
+    """Return the version that wrote a manifest, as far as it says so."""
+    others = content.get("versions")
+    return content.get("version") or (others.get("sysid-harness") if isinstance(others, dict) else None)

@@ -14,6 +14,7 @@ from harness.display import STYLE, table
 from harness.physics.output_error import simulate_error
 from harness.physics.residual_force import LABEL
 from harness.physics.windows import data_states
+from harness.plots import plain_texts
 from harness.signals import Dataset, FloatArray, Trajectory
 
 if TYPE_CHECKING:
@@ -149,5 +150,5 @@ def _error_figure(
 def _picture(figure: Any) -> str:
     """Return a figure inlined as PNG: a map has too many tiles for SVG."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130)
+    plain_texts(figure).savefig(buffer, format="png", dpi=130)
     return f'<p><img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"></p>'

@@ -6,11 +6,13 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import msgspec
 import numpy as np
 
 from harness.errors import InputError
+from harness.jobs.alone import alone_in
 from harness.physics.output_error import simulate_error
 from harness.physics.residual_force import LABEL
 from harness.physics.residual_learning import LearnedForce, learn_residual_force
@@ -107,61 +109,76 @@ def learn_residual(
             remedy="start from the folder of the closed loop",
             file=folder,
         )
-    system = model.system()
-    known = () if loaded.nominal is None else [name for name, one in loaded.nominal.parameters.items() if one.fixed]
-    system = system.with_parameters(
-        {name: replace(system.parameter(name), fixed=True) for name in known if name in system.parameter_names}
-    )
-    dataset = loaded.for_system(system)
-    how = {"horizon": report["horizon"]["seconds"], "intersample": model.intersample}
-    learned = learn_residual_force(
-        system,
-        model.parameters,
-        list(dataset.estimation),
-        list(dataset.validation),
-        coordinate=coordinate,
-        arguments=arguments,
-        refit=refit,
-        rng=rng,
-        progress=progress,
-        **how,
-    )
-    before = system.values(model.parameters)
-    data: dict[str, Any] = {
-        "format": FORMAT,
-        "label": LABEL,
-        "dataset": dataset.name,
-        "model": report["model"],
-        "loop": {"verdict": verdict, "adequacy": report.get("adequacy"), "summary": report.get("summary")},
-        "helps": learned.helps,
-        "gain": _number(learned.gain),
-        "gain_standard_error": _number(learned.gain_error),
-        "outside_the_hull": learned.outside,
-        "refit": refit,
-        "horizon_s": how["horizon"],
-        "intersample": how["intersample"],
-        "errors": _errors(system, before, learned, dataset, how),
-        "force": learned.force.to_dict(),
-        "parameters": {"before": before, "after": learned.system.values()},
-        "warnings": _warnings(report, dataset, learned),
-        "summary": "",
-    }
-    data["summary"] = _summary(data, learned)
-    target.mkdir(parents=True, exist_ok=True)
-    _write(target / HTML, page(data, learned, system, before, dataset))
-    if learned.helps:
-        repaired = replace(
-            model,
-            recipe=model.recipe.with_unnamed([learned.force]),
-            parameters=learned.system.values(),
-            filter_gain=None,
-            notes={**model.notes, "learned": str(learned.force)},
+    with alone_in(target):
+        system = model.system()
+        known = () if loaded.nominal is None else [name for name, one in loaded.nominal.parameters.items() if one.fixed]
+        system = system.with_parameters(
+            {name: replace(system.parameter(name), fixed=True) for name in known if name in system.parameter_names}
         )
-        _write(target / MODEL, json.dumps(repaired.to_dict(), indent=1, allow_nan=False) + "\n")
-    else:
-        (target / MODEL).unlink(missing_ok=True)  # of an earlier call
-    _write(target / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
-    return LearnedResidual(data, learned, target)
+        dataset = loaded.for_system(system)
+        how = {"horizon": report["horizon"]["seconds"], "intersample": model.intersample}
+        learned = learn_residual_force(
+            system,
+            model.parameters,
+            list(dataset.estimation),
+            list(dataset.validation),
+            coordinate=coordinate,
+            arguments=arguments,
+            refit=refit,
+            rng=rng,
+            progress=progress,
+            **how,
+        )
+        before = system.values(model.parameters)
+        data: dict[str, Any] = {
+            "format": FORMAT,
+            "label": LABEL,
+            "dataset": dataset.name,
+            "model": report["model"],
+            "loop": {"verdict": verdict, "adequacy": report.get("adequacy"), "summary": report.get("summary")},
+            "helps": learned.helps,
+            "gain": _number(learned.gain),
+            "gain_standard_error": _number(learned.gain_error),
+            "outside_the_hull": learned.outside,
+            "refit": refit,
+            "horizon_s": how["horizon"],
+            "intersample": how["intersample"],
+            "errors": _errors(system, before, learned, dataset, how),
+            "force": learned.force.to_dict(),
+            "parameters": {"before": before, "after": learned.system.values()},
+            "warnings": _warnings(report, dataset, learned),
+            "summary": "",
+        }
+        data["summary"] = _summary(data, learned)
+        _write(target / HTML, page(data, learned, system, before, dataset))
+        if learned.helps:
+            repaired = replace(
+                model,
+                recipe=model.recipe.with_unnamed([learned.force]),
+                parameters=learned.system.values(),
+                filter_gain=None,
+                notes={**model.notes, "learned": str(learned.force)},
+            )
+            _write(target / MODEL, json.dumps(repaired.to_dict(), indent=1, allow_nan=False) + "\n")
+        else:
+            (target / MODEL).unlink(missing_ok=True)  # of an earlier call
+        _write(target / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
+        return LearnedResidual(data, learned, target)
+
+
+class _Horizon(msgspec.Struct):
+    seconds: Annotated[float, msgspec.Meta(gt=0.0)] | None
+
+
+class _Read(msgspec.Struct):
+    """What is taken from ``report.json``."""
+
+    verdict: str
+    model: str
+    horizon: _Horizon
+    adequacy: str | None = None
+    dataset: str | None = None
+    summary: str | None = None
 
 
 def _report(folder: Path) -> dict[str, Any]:
@@ -171,8 +188,8 @@ def _report(folder: Path) -> dict[str, Any]:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
         if not str(content["format"]).startswith("sysid-harness/close-loop/"):
             raise KeyError("format")
-        (content["verdict"], content["model"], content["horizon"]["seconds"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        msgspec.convert(content, _Read)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, msgspec.ValidationError) as error:
         raise InputError(
             "not a finished closed loop",
             expected=f"a folder of sysid close-loop with {REPORT}",

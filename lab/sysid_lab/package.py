@@ -20,6 +20,7 @@ from harness import __version__
 from harness.data.whole_files import whole_file
 from harness.errors import InputError, PlantError
 from harness.jobs import Desk, run_jobs, shard_file
+from harness.jobs.alone import alone_in
 from harness.jobs.progress import Progress
 from sysid_lab.folder import write_record
 from sysid_lab.plan import BASES, PLANTS, Task, plan
@@ -243,28 +244,29 @@ def generate(
         raise InputError("records of a study", expected="at least one", got="none", remedy="ask for more")
     batches = [RecordFiles(task, folder / "records", samples) for task in tasks]
     settings = {"format": FORMAT, "version": __version__, "base": base, "samples": samples}
-    found = _opened(apart, settings, batches, resume=resume, force=force)
-    (folder / "records").mkdir(parents=True, exist_ok=True)
-    shards = apart / SHARDS
-    counted = Progress(apart / LOG, len(batches), len(found), progress)
-    keys = {batch.jobs[0]: batch.task.key for batch in batches}
+    with alone_in(apart), alone_in(folder):
+        found = _opened(apart, settings, batches, resume=resume, force=force)
+        (folder / "records").mkdir(parents=True, exist_ok=True)
+        shards = apart / SHARDS
+        counted = Progress(apart / LOG, len(batches), len(found), progress)
+        keys = {batch.jobs[0]: batch.task.key for batch in batches}
 
-    def moved(title: str, jobs: Sequence[str]) -> None:
-        rows = {job: _row(shards, job) for job in jobs}
-        counted(title, [(_status(row), f"{keys[job]}{_why(row)}") for job, row in rows.items()])
+        def moved(title: str, jobs: Sequence[str]) -> None:
+            rows = {job: _row(shards, job) for job in jobs}
+            counted(title, [(_status(row), f"{keys[job]}{_why(row)}") for job, row in rows.items()])
 
-    if progress is not None:
-        progress(len(found), len(batches), "")
-    run_jobs([batch for batch in batches if batch.name not in found], shards, workers=workers, moved=moved)
-    rows = {batch.name: found.get(batch.name) or _row(shards, batch.jobs[0]) for batch in batches}
-    failed = tuple((b.task.key, rows[b.name]["failed"]) for b in batches if "failed" in rows[b.name])
-    written = [row for row in rows.values() if "failed" not in row]
-    _write_csv(apart / TRUTH, TRUTH_COLUMNS, [[row[column] for column in TRUTH_COLUMNS] for row in written])
-    places = sorted((f"records/{row['record']}/dataset.toml", row["plant"]) for row in written)
-    _write_csv(folder / TABLE, ("file", "machine"), places)
-    (folder / "README.md").write_text(README, encoding="utf-8")
-    shutil.rmtree(shards, ignore_errors=True)
-    return Package(folder, apart / TRUTH, len(written), failed)
+        if progress is not None:
+            progress(len(found), len(batches), "")
+        run_jobs([batch for batch in batches if batch.name not in found], shards, workers=workers, moved=moved)
+        rows = {batch.name: found.get(batch.name) or _row(shards, batch.jobs[0]) for batch in batches}
+        failed = tuple((b.task.key, rows[b.name]["failed"]) for b in batches if "failed" in rows[b.name])
+        written = [row for row in rows.values() if "failed" not in row]
+        _write_csv(apart / TRUTH, TRUTH_COLUMNS, [[row[column] for column in TRUTH_COLUMNS] for row in written])
+        places = sorted((f"records/{row['record']}/dataset.toml", row["plant"]) for row in written)
+        _write_csv(folder / TABLE, ("file", "machine"), places)
+        (folder / "README.md").write_text(README, encoding="utf-8")
+        shutil.rmtree(shards, ignore_errors=True)
+        return Package(folder, apart / TRUTH, len(written), failed)
 
 
 def _opened(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from harness.errors import InputError
 from harness.jobs import Desk, make_engine, run_jobs
+from harness.jobs.alone import alone_in
 from sysid_lab.plan import BASES, PLANTS, Task, plan
 from sysid_lab.records import SAMPLES
 from sysid_lab.row import do_row
@@ -123,41 +124,42 @@ def study(
     base = BASES[seeds]
     tasks = plan(which, base=base, plants=plants, records=records, cells=cells, alarms=alarms)
     folder = Path(out)
-    store = RowStore(folder, resume=resume, force=force)
-    end = None if budget is None else time.time() + 60 * budget
+    with alone_in(folder):
+        store = RowStore(folder, resume=resume, force=force)
+        end = None if budget is None else time.time() + 60 * budget
 
-    def told(task: Task | None) -> None:
-        if progress is not None:
-            done = sum(planned.key in store.rows for planned in tasks)
-            progress(done, len(tasks), "" if task is None else task.key)
+        def told(task: Task | None) -> None:
+            if progress is not None:
+                done = sum(planned.key in store.rows for planned in tasks)
+                progress(done, len(tasks), "" if task is None else task.key)
 
-    def save() -> str:
-        text = summary(store.rows.values(), seeds=seeds, planned=len(tasks), keys={task.key for task in tasks})
-        scratch = folder / (SUMMARY + ".part")
-        scratch.write_text(text, encoding="utf-8")
-        scratch.replace(folder / SUMMARY)
-        return text
+        def save() -> str:
+            text = summary(store.rows.values(), seeds=seeds, planned=len(tasks), keys={task.key for task in tasks})
+            scratch = folder / (SUMMARY + ".part")
+            scratch.write_text(text, encoding="utf-8")
+            scratch.replace(folder / SUMMARY)
+            return text
 
-    def moved(title: str, jobs: Sequence[str]) -> None:
-        for job in jobs:
-            if store.take(job):
-                told(by_job[job])
+        def moved(title: str, jobs: Sequence[str]) -> None:
+            for job in jobs:
+                if store.take(job):
+                    told(by_job[job])
 
-    left = [StudyJob(task, samples, end) for task in tasks if task.key not in store.rows]
-    by_job = {own.jobs[0]: own.task for own in left}
-    told(None)
-    try:
-        run_jobs([own for own in left if own.task.study != "cost"], store.shards, engine=made, moved=moved)
-        # what is timed runs alone
-        run_jobs([own for own in left if own.task.study == "cost"], store.shards, workers=1, moved=moved)
-    finally:
-        store.close()
-        text = save()
-    from sysid_lab.picture import confusion_picture
+        left = [StudyJob(task, samples, end) for task in tasks if task.key not in store.rows]
+        by_job = {own.jobs[0]: own.task for own in left}
+        told(None)
+        try:
+            run_jobs([own for own in left if own.task.study != "cost"], store.shards, engine=made, moved=moved)
+            # what is timed runs alone
+            run_jobs([own for own in left if own.task.study == "cost"], store.shards, workers=1, moved=moved)
+        finally:
+            store.close()
+            text = save()
+        from sysid_lab.picture import confusion_picture
 
-    rows = list(store.rows.values())
-    confusion_picture(rows, folder / PICTURE)
-    return StudyResult(folder, rows, text, len(tasks), sum(task.key in store.rows for task in tasks))
+        rows = list(store.rows.values())
+        confusion_picture(rows, folder / PICTURE)
+        return StudyResult(folder, rows, text, len(tasks), sum(task.key in store.rows for task in tasks))
 
 
 @dataclass(frozen=True)

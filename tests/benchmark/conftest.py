@@ -15,11 +15,13 @@ MODULE = '''
 """Plug-ins for the tests of the benchmark: ordinary ones, and one for each way to break."""
 
 import ctypes
+import errno
 import os
 import signal
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -97,6 +99,20 @@ def misbehave(how):
         if os.fork() == 0:
             time.sleep(600)
         os._exit(0)
+    if how == "interrupt":
+        raise KeyboardInterrupt
+    if how == "untold":
+        class Untold(BaseException):
+            def __str__(self):
+                raise ValueError("no text")
+            def __reduce__(self):
+                raise TypeError("no pickle")
+        raise Untold
+    if how.startswith("full-disk ") and Path(how.partition(" ")[2]).exists():
+        try:
+            raise OSError(errno.ENOSPC, "No space left on device", "/scratch/x")
+        except OSError as error:
+            raise RuntimeError("the compiler failed") from error
     if how == "sys-exit":
         sys.exit("leaving")
     if how == "unfit":

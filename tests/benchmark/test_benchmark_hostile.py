@@ -18,6 +18,8 @@ ENDS = {
     "fork-back": ("ok", ""),
     "daemon": ("ok", ""),
     "exit-well": ("crashed", "exit status 0"),
+    "interrupt": ("crashed", "raised KeyboardInterrupt"),
+    "untold": ("crashed", "raised Untold"),
 }
 
 

@@ -66,3 +66,34 @@ def test_a_closed_reader_is_no_fault(tmp_path: Path) -> None:
     for line in (f"{sysid} >&-", f"{sysid} <&-", f"set -o pipefail; {sysid} | head -c 1 >/dev/null"):
         done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False, cwd=tmp_path)
         assert (done.returncode, done.stderr) == (0, ""), line
+
+
+def test_a_parquet_file_that_states_more_than_memory_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Equal values pack without any limit: what counts is how many the file says that it holds."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    from harness.data import packing
+
+    path = tmp_path / "run.parquet"
+    n = 200_000
+    parquet.write_table(pa.table({"time [s]": [0.0] * n, "u [N m]": [0.0] * n, "theta [rad]": [0.0] * n}), path)
+    assert path.stat().st_size < 20_000
+    monkeypatch.setattr(packing, "LARGEST", 4 << 20)
+    with pytest.raises(InputError, match="at most 4 MiB unpacked, got 4 MiB"):
+        load_dataset(path, model="pendulum")
+
+
+@pytest.mark.parametrize("text", ["{", "[]", "null", "{}", '{"inputs": 3}', "[" * 100_000])
+def test_a_record_whose_description_is_damaged(tmp_path: Path, text: str) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    from harness.data import trajectories
+
+    table = pa.table({"time [s]": [0.0, 1.0], "u [1]": [0.0, 1.0]}).replace_schema_metadata({trajectories._KEY: text})
+    parquet.write_table(table, tmp_path / "run.parquet")
+    with pytest.raises(InputError, match="what the record says of its channels"):
+        trajectories.stored_spec(tmp_path / "run.parquet")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from harness.diagnosis.runs.residual_tests import autocorrelation, correlation_band, cross_correlation, cusum_of_squares
+from harness.plots import plain_texts
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -134,6 +135,7 @@ def drawing(
         figure = MakeFigure(figsize=(width, height), layout="constrained" if measured else None)
         canvas: Any = FigureCanvasSVG(figure)
         yield figure, svg
+        plain_texts(figure)
         if (layout := figure.get_layout_engine()) is not None:
             layout.execute(figure)
             figure.set_layout_engine("none")
