@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.errors import FitError
 from harness.judgement import refuse_law
@@ -17,7 +18,7 @@ from identifiers.linear_model import LinearModel
 from identifiers.one_step_estimate import least_squares_estimate
 from identifiers.records import lagged, lagged_blocks, moving, real_signals, snapshot_sums, usable
 from identifiers.regression import Solution, solve
-from identifiers.scaling import sizes
+from identifiers.scaling import lively, sizes
 from identifiers.stability import nearest_stable, stable_lags
 
 __all__ = ["Arx", "design", "lag_model", "one_step", "solution_notes"]
@@ -25,6 +26,8 @@ __all__ = ["Arx", "design", "lag_model", "one_step", "solution_notes"]
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 # An order is kept only if it lowers the validated error by this much: below it the gain is chance.
 _GAIN = 0.98
+# Errors below this share of an output are rounding, and decide nothing.
+_EXACT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -104,30 +107,35 @@ class Arx:
         # All orders are judged on the same rows, those that the longest leaves.
         orders = [n for n in ORDERS if n <= max(1, longest // 3)]
         skip = orders[-1]
-        errors: dict[int, float] = {}
-        best = (np.inf, 1, 1 if self.delay is None else self.delay)
+        delay = 1 if self.delay is None else self.delay
+        found: dict[int, FloatArray] = {}
         for order in orders:
-            if best[2] > order:
+            if delay > order:
                 continue
-            error = self._held_out_error(cuts, order, best[2], skip, what)
-            if error is None:
+            held = self._held_out_errors(cuts, order, delay, skip, what)
+            if held is None:
                 break
-            errors[order] = error
-            if error < _GAIN * best[0]:
-                best = (error, order, best[2])
-        error, order, delay = best
+            found[order] = held
+        if not found:
+            return 1, delay, {"order_error": {}}
+        moves = lively(np.array(list(found.values())))
+        errors = {order: _together(held, moves) for order, held in found.items()}
+        best, chosen = np.inf, 1
+        for order, error in errors.items():
+            if error < _GAIN * best:
+                best, chosen = error, order
         if self.delay is None:
-            for longer in range(2, order + 1):
-                held = self._held_out_error(cuts, order, longer, skip, what)
-                if held is None or held > error * (1 + 1e-3):
+            for longer in range(2, chosen + 1):
+                held = self._held_out_errors(cuts, chosen, longer, skip, what)
+                if held is None or _together(held, moves) > best * (1 + 1e-3):
                     break
-                error, delay = min(error, held), longer
-        return order, delay, {"order_error": {str(n): float(np.sqrt(e)) for n, e in errors.items()}}
+                best, delay = min(best, _together(held, moves)), longer
+        return chosen, delay, {"order_error": {str(n): float(np.sqrt(e)) for n, e in errors.items()}}
 
-    def _held_out_error(
+    def _held_out_errors(
         self, cuts: Sequence[tuple[Trajectory, Trajectory]], order: int, delay: int, skip: int, what: str
-    ) -> float | None:
-        """Return the mean squared one-step error on the held-out parts, relative to each output; None if no fit."""
+    ) -> FloatArray | None:
+        """Return one-step mean squares (ny,) on the parts held out, relative to each output; None if no fit."""
         fit = [head for head, _ in cuts if len(head) > order + 1]
         held = [tail for _, tail in cuts if len(tail) > skip + 1]
         if not fit or not held:
@@ -139,7 +147,12 @@ class Arx:
         wrong = [
             (record.y[order:] - design(record, order, self.offset, delay) @ theta)[skip - order :] for record in held
         ]
-        return float(np.mean((np.concatenate(wrong) / sizes([record.y for record in held])) ** 2))
+        return np.asarray(np.mean((np.concatenate(wrong) / sizes([record.y for record in held])) ** 2, axis=0))
+
+
+def _together(errors: FloatArray, moves: npt.NDArray[np.bool_]) -> float:
+    """Return the geometric mean of the errors of outputs that move: each counts by its noise, not by its size."""
+    return float(np.exp(np.mean(np.log(np.maximum(errors[moves], _EXACT**2)))))
 
 
 def lag_model(

@@ -19,7 +19,7 @@ from identifiers.linear_model import LinearModel
 from identifiers.one_step_estimate import least_squares_estimate
 from identifiers.records import moving, real_signals, usable
 from identifiers.regression import Solution, solve
-from identifiers.scaling import Scaling, scaled, sizes
+from identifiers.scaling import Scaling, lively, noise_levels, sizes
 from identifiers.stability import clip_eigenvalues, nearest_stable, stable_lags
 
 __all__ = ["Dmdc"]
@@ -41,13 +41,13 @@ class Dmdc:
     ``y[k+1] = A y[k] + B u[k]`` on the leading principal directions of the outputs (Proctor, Brunton & Kutz 2016, SIAM
     J. Appl. Dyn. Syst. 15:142, sec. 3.3). Several records are used without a pair that crosses a seam; many snapshots
     are reduced to a triangle block by block, so that memory stays bounded. The directions are those of outputs scaled
-    to their own size, so that no unit decides.
+    to their noise, so that neither a unit decides nor an output that holds noise alone.
 
     Parameters
     ----------
     rank : int or "auto", optional
         Number of principal directions; all outputs without it. ``"auto"`` takes the smallest whose one-step error on
-        the last third of the records is within 2 % of the least.
+        the last third of the records, over outputs that anything foretells, is within 2 % of the least.
     delays : int
         Number of snapshots stacked (1: none); positions alone need 2 or more.
     total : bool or "auto"
@@ -102,10 +102,10 @@ class Dmdc:
         refuse_law(records, what, self.least_excitation)
         if self.rank is None:
             return self._full(records, spec, what)
+        scaling = Scaling(np.ones(spec.nu), np.ones(spec.ny))
         if self.scale:
-            records, scaling = scaled(records)
-        else:
-            scaling = Scaling(np.ones(spec.nu), np.ones(spec.ny))
+            scaling = Scaling(sizes([record.u for record in records]), noise_levels(records))
+            records = [replace(record, u=record.u / scaling.inputs, y=record.y / scaling.outputs) for record in records]
         rank, notes = self.rank, {}
         if rank == "auto":
             rank, notes["rank_error"] = _best_rank(records, self.offset, what)
@@ -294,15 +294,20 @@ def _best_rank(records: Sequence[Trajectory], offset: bool, what: str) -> tuple[
     learn, judge = _Snapshots.of(fit, offset), _Snapshots.of(held, offset)
     right = np.linalg.svd(learn.before, full_matrices=False)[2]
     most = min(_MOST, right.shape[0], max(1, learn.rows // 2 - learn.exact.shape[1]))
-    power = float(np.sum(judge.after**2))
-    errors: dict[int, float] = {}
+    power = np.sum(judge.after**2, axis=0)
+    found: dict[int, FloatArray] = {}
     for rank in range(1, most + 1):
         directions = right[:rank].T
         rows = np.hstack([learn.before @ directions, learn.exact])
         length = np.where((size := np.linalg.norm(rows, axis=0)) > 0, size, 1.0)
         theta = np.linalg.lstsq(rows / length, learn.after @ directions, rcond=1e-12)[0] / length[:, None]
         guess = np.hstack([judge.before @ directions, judge.exact]) @ theta @ directions.T
-        errors[rank] = max(float(np.sqrt(np.sum((judge.after - guess) ** 2) / power)), _EXACT)
+        found[rank] = np.sum((judge.after - guess) ** 2, axis=0)
+    moves = lively(np.array(list(found.values())) / np.where(power > 0, power, 1.0))
+    errors = {
+        rank: max(float(np.sqrt(wrong[moves].sum() / max(float(power[moves].sum()), 1e-300))), _EXACT)
+        for rank, wrong in found.items()
+    }
     least = min(errors.values())
     chosen = min(rank for rank, error in errors.items() if error <= _NEAR * least)
     return chosen, {str(rank): error for rank, error in errors.items()}

@@ -13,7 +13,7 @@ from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.records import lagged_blocks
 from identifiers.regression import Solution, solve
 
-__all__ = ["Columns", "refuse_collinear", "refuse_feedback", "refuse_feedback_of_records"]
+__all__ = ["Columns", "excited_lags", "refuse_collinear", "refuse_feedback", "refuse_feedback_of_records"]
 
 # Columns have rms 1: a combination ten times smaller is a near-dependence, one of size 1 is a signal by itself.
 _WEAK = 0.1
@@ -21,6 +21,11 @@ _WEAK = 0.1
 _PENALTY = _WEAK**2
 # A departure below this fraction of the inputs is rounding of the normal equations (the root of 1e-16, and room).
 _EXACT = 1e-7
+# Where one more lag of an input moves so much less than the lags before, it follows from them (the inputs of many
+# records that step once move by the root of their length; a sweep sampled a thousand times too fast by 0.005).
+_CLIFF = 1e-3
+# Samples that are looked at for that, and how much of them is rounding.
+_ROWS, _ROUNDING = 20_000, 1e-13
 # A ridge that is none: it only asks for exact laws too, where the solver answers dependent columns.
 _TINY = 1e-30
 
@@ -136,6 +141,52 @@ def refuse_collinear(
         null = right[int(np.flatnonzero(weak)[-1])]
         rank = values.size - int(weak.sum())
         raise _undetermined(null / solution.scale, solution.scale, columns, rank, float(values[-1]), what, remedy)
+
+
+def excited_lags(records: Sequence[Trajectory], most: int) -> int:
+    """Return how many lags of the inputs move independently, at most so many: the order of persistent excitation.
+
+    A constant is taken away first. m lines excite 2 m lags, a ramp one: the next lag follows from those. A smooth input
+    excites each further lag less, in steps; that is no end, nor is rounding when it is reached that way (Ljung 1999,
+    *System Identification*, definition 13.2; a model of order n asks for 2 n, theorem 13.1).
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    most : int
+
+    Examples
+    --------
+    >>> from harness.signals import Channel
+    >>> k, spec = np.arange(300.0), PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    >>> lines = [Trajectory(k, (np.sin(0.3 * k) + np.sin(k))[:, None], k[:, None], spec)]
+    >>> ramp = [Trajectory(k, k[:, None], k[:, None], spec)]
+    >>> excited_lags(lines, 12), excited_lags(ramp, 12)
+    (4, 1)
+    """
+    nu = records[0].spec.nu
+    parts, left = [], _ROWS
+    for record in records:
+        u = record.u[: max(left, 0)]
+        if len(u) >= most:
+            view = np.lib.stride_tricks.sliding_window_view(u, most, axis=0)
+            parts.append(view.transpose(0, 2, 1).reshape(len(view), -1))
+            left -= len(u)
+    if not parts or nu == 0:
+        return most
+    rows = np.concatenate(parts)
+    spread = rows[:, :nu].std(axis=0)
+    rows = (rows - rows.mean(axis=0)) / np.tile(np.where(spread > 0, spread, 1.0), most)
+    triangle, before = np.linalg.qr(rows, mode="r"), 1.0
+    for lags in range(1, most + 1):
+        values = np.linalg.svd(triangle[:, : lags * nu], compute_uv=False)
+        least = float(values[-1] / values[0]) if values[0] > 0 else 0.0
+        if least < _CLIFF * before:
+            return lags - 1
+        if least < _ROUNDING:
+            break
+        before = least
+    return most
 
 
 def refuse_feedback_of_records(records: Sequence[Trajectory], lags: int, least: float, what: str) -> None:

@@ -14,7 +14,7 @@ from harness.lqr import spectral_radius
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.directions import lively_directions
-from identifiers.excitation import refuse_feedback_of_records
+from identifiers.excitation import excited_lags, refuse_feedback_of_records
 from identifiers.filters import stationary_gain
 from identifiers.linear_model import LinearModel
 from identifiers.observers import innovation_form
@@ -34,6 +34,8 @@ _BLOCK = 8192
 # Without an order the candidates are those up to here; a larger one is taken only for this gain in validated error.
 _MOST = 12
 _GAIN = 0.99
+# The last order that few lines can tell is not needed if a smaller one comes so near.
+_NEAR = 1.1
 # Stretches left out of a record, at most, and windows in one of them, at least, where there are several.
 _TURNS = 4
 _STRETCH = 4
@@ -130,8 +132,18 @@ class Subspace:
         feedback = feedback_of(records)
         if feedback.found:
             refuse_feedback_of_records(records, _LAW, self.least_excitation, what)
+<<<<<<< HEAD
         methods = _candidates(self.method, feedback.found)
         orders = [self.order] if self.order else list(range(1, min(_MOST, window - 1) + 1))
+=======
+        methods: tuple[Method, ...] = _ANY_LOOP if feedback.found else ("cva", *_ANY_LOOP)
+        if self.method != "auto":
+            methods = (self.method,)
+        wanted, lags = window, excited_lags(records, 2 * window)
+        if lags < 2 * wanted:
+            methods, window = self._narrowed(methods, lags, window, what)
+        orders = [self.order] if self.order else list(range(1, min(_MOST, window - 1, lags // 2) + 1))
+>>>>>>> judge2
         found = self._models(records, window, methods, orders, what)
         ladders = {
             name: {model.a_matrix.shape[0]: _error(model, records, window, feedback.found) for model, _ in models}
@@ -142,6 +154,8 @@ class Subspace:
         chosen = {name: _order(ladder) for name, ladder in ladders.items()}
         method = _best({name: ladder[chosen[name]] for name, ladder in ladders.items()})
         order = chosen[method]
+        if self.order is None and lags < 2 * wanted and order == orders[-1]:
+            order = _enough(ladders[method], order, lags, what)
         model, values = next(candidate for candidate in found[method] if candidate[0].a_matrix.shape[0] == order)
         notes: dict[str, Any] = {"method": method, "feedback_share": feedback.share, "order": order}
         if self.order is None:
@@ -158,6 +172,23 @@ class Subspace:
         rule = "given" if self.order is not None else "held-out prediction errors"
         estimate = state_space_estimate(model, notes["singular_values"], rule)
         return model if estimate is None else replace(model, notes={**notes, "estimate": estimate.to_dict()})
+
+    def _narrowed(
+        self, methods: tuple[Method, ...], lags: int, window: int, what: str
+    ) -> tuple[tuple[Method, ...], int]:
+        """Return methods and window for inputs that excite so many lags and no more.
+
+        PBSID regresses on the past alone, the others on the inputs of past and future.
+        """
+        least = self.order or 2  # of an order not given one more is tried, and lost
+        if methods == ("pbsid",) or ("pbsid" in methods and lags // 2 <= least + 1):
+            methods, window = ("pbsid",), min(window, lags)
+        else:
+            window = lags // 2
+        needed = 2 * least
+        if lags < needed or window < least + 1:
+            raise _unexcited(what, f"{max(needed, window + 1)}", lags)
+        return methods, window
 
     def _left_out(
         self,
@@ -230,6 +261,16 @@ class Subspace:
         return found
 
 
+def _unexcited(what: str, needed: str, lags: int) -> FitError:
+    """Return the refusal of inputs whose lags follow from one another."""
+    return FitError(
+        f"{what}: the inputs do not excite what the model needs",
+        expected=f"persistent excitation of order {needed}",
+        got=f"order {lags}: each further lag of the inputs follows from those before",
+        remedy="use a richer input (PRBS, more lines), or give a lower order",
+    )
+
+
 def _parted(records: Sequence[Trajectory], window: int) -> tuple[list[Trajectory], list[Trajectory]]:
     """Return what orders are fitted on and every third stretch, left out: spread, for a sweep changes as it goes."""
     fit, held = [], []
@@ -262,6 +303,14 @@ def _order(errors: Mapping[int, float]) -> int:
         if error < _GAIN * best[0] and best[0] > _ROUNDING:
             best = (error, order)
     return best[1]
+
+
+def _enough(errors: Mapping[int, float], last: int, lags: int, what: str) -> int:
+    """Return the order below the last that inputs of so many lags can tell; refuse if the last is clearly better."""
+    smaller = {order: error for order, error in errors.items() if order < last}
+    if not smaller or smaller[_order(smaller)] > _NEAR * errors[last]:
+        raise _unexcited(what, f"{lags + 1} or more, which tells whether {last} states are enough", lags)
+    return _order(smaller)
 
 
 def _best(errors: Mapping[Method, float]) -> Method:
@@ -349,24 +398,8 @@ def _solve(columns: FloatArray, targets: FloatArray) -> FloatArray:
 def _oblique(data: _Stacked, what: str) -> FloatArray:
     """Return the part of the future outputs that the past explains, given the future inputs (Van Overschee 1996)."""
     past, inputs, outputs = data.past(), data.u(data.window, 2 * data.window), data.y(data.window, 2 * data.window)
-    _exciting(data, inputs.shape[1], what)
     theta = _solve(np.hstack([past, inputs]), outputs)
     return theta[: past.shape[1]]
-
-
-def _exciting(data: _Stacked, needed: int, what: str) -> None:
-    """Refuse inputs of which a window excites fewer directions than needed."""
-    if not data.nu:
-        return
-    values = np.linalg.svd(data.u(data.window, 2 * data.window), compute_uv=False)
-    rank = int(np.sum(values > 1e-8 * values[0]))
-    if rank < needed:
-        raise FitError(
-            f"{what}: the input does not excite all lags",
-            expected=f"persistent excitation of order {needed}",
-            got=f"rank {rank}",
-            remedy="use a richer input (PRBS, more lines), or a smaller past",
-        )
 
 
 def _pbsid(data: _Stacked, direct: bool, what: str) -> FloatArray:
@@ -374,10 +407,8 @@ def _pbsid(data: _Stacked, direct: bool, what: str) -> FloatArray:
 
     A high-order ARX model, solved with a ridge, gives the Markov parameters of the predictor; what it says of output i
     ahead from the past is the same weights, moved by i samples (Chiuso 2007, Automatica 43, sec. 3). Nothing of the
-    future is regressed on, so a smooth input does no harm; but the past of the input must move in all its directions
-    (persistent excitation, Ljung 1999, *System Identification*, theorem 13.1), else the ridge alone decides.
+    future is regressed on, so a smooth input does no harm.
     """
-    _exciting(data, data.window * data.nu, what)
     past, window, both = data.past(), data.window, data.nu + data.ny
     columns = np.hstack([past, data.u(window, window + 1)]) if direct else past
     weights = ridge_by_cross_validation(columns, data.y(window, window + 1), data.rows)[: past.shape[1]]
@@ -392,7 +423,6 @@ def _pbsid(data: _Stacked, direct: bool, what: str) -> FloatArray:
 def _parsim(data: _Stacked, direct: bool, what: str) -> FloatArray:
     """Return the same row by row, with only inputs and innovations of the past: PARSIM-E (Qin & Ljung 2003)."""
     past, window = data.past(), data.window
-    _exciting(data, window * data.nu, what)
     found, innovations = [], np.zeros((data.triangle.shape[0], 0))
     for i in range(window):
         last = window + i + (1 if direct else 0)

@@ -6,13 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from harness.signals import FloatArray, Trajectory
 
-__all__ = ["Scaling", "centred", "scaled", "sizes"]
+__all__ = ["Scaling", "centred", "lively", "noise_levels", "scaled", "sizes"]
 
 # A column that moves by less than this fraction of its value counts as constant: what moves may be rounding.
 _STILL = 1e-12
+# An output is lively if a model foretells more than this share of its mean square on samples that it has not seen.
+_FORETOLD = 0.02
+# Noise is estimated from so many samples at most, from so many equations for each regressor at least.
+_ROWS, _EQUATIONS = 20_000, 3
+# Outputs are not told apart by noise below this share of their size.
+_QUIET = 1e-3
 
 
 def sizes(parts: Sequence[FloatArray]) -> FloatArray:
@@ -68,3 +75,63 @@ def centred(parts: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
     every = np.concatenate(parts)
     std = every.std(axis=0)
     return np.asarray(every.mean(axis=0)), np.where(std > 0, std, 1.0)
+
+
+def noise_levels(records: Sequence[Trajectory]) -> FloatArray:
+    """Return the noise of each output (ny,): what all outputs and inputs of the sample before do not foretell.
+
+    Channels weighed by it count for what they tell: one that holds nothing but noise has all of its size as noise.
+    Records too short for that regression leave its roughness, the fourth difference over ``sqrt(70)``, what white
+    noise makes of it. Never below 1e-3 of the size.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec
+    >>> rng, k = np.random.default_rng(0), np.arange(2000.0)
+    >>> y = np.column_stack([100.0 * np.sin(0.1 * k), 50.0 * np.cos(0.1 * k)]) + rng.normal(size=(2000, 2))
+    >>> spec = PlantSpec((Channel("u"),), (Channel("s"), Channel("c")), 1.0)
+    >>> (noise_levels([Trajectory(k, k[:, None], y, spec)]) < 2.5).all()
+    np.True_
+    """
+    ny, nu = records[0].spec.ny, records[0].spec.nu
+    size = sizes([record.y for record in records])
+    before, after, left = [], [], _ROWS
+    for record in records:
+        part = record[: max(left, 0)]
+        left -= len(part)
+        if len(part) > 1:
+            before.append(np.hstack([part.y[:-1] / size, part.u[:-1], np.ones((len(part) - 1, 1))]))
+            after.append(part.y[1:] / size)
+    if sum(map(len, after)) >= _EQUATIONS * (ny + nu + 1):
+        known, target = np.concatenate(before), np.concatenate(after)
+        length = np.linalg.norm(known, axis=0)
+        known = known / np.where(length > 0, length, 1.0)
+        residual = target - known @ np.linalg.lstsq(known, target, rcond=1e-10)[0]
+        rms = np.sqrt(np.sum(residual**2, axis=0) / (len(target) - known.shape[1]))
+    else:
+        rough = [np.diff(record.y / size, 4, axis=0) for record in records if len(record) > 4]
+        rms = np.sqrt(np.mean(np.concatenate(rough) ** 2, axis=0) / 70.0) if rough else np.ones(ny)
+    return np.asarray(size * np.clip(rms, _QUIET, 1.0), dtype=np.float64)
+
+
+def lively(errors: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return which outputs (ny,) some candidate foretells better than chance; all where none is.
+
+    The others hold noise alone: whatever they say of an order or a rank is chance.
+
+    Parameters
+    ----------
+    errors : array (candidates, ny)
+        Mean square on samples held out, relative to that about the output's mean.
+
+    Examples
+    --------
+    >>> lively(np.array([[0.5, 1.01], [0.1, 1.02]])).tolist()
+    [True, False]
+    """
+    found = errors.min(axis=0) < 1.0 - _FORETOLD
+    return found if found.any() else np.ones(errors.shape[1], dtype=bool)

@@ -14,6 +14,7 @@ from harness.lqr import spectral_radius
 from harness.scoring import simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.decaying import LARGEST, Decaying, decaying_response
+from identifiers.excitation import excited_lags
 from identifiers.filters import stationary_gain
 from identifiers.hankel import Hankel, leading_triplets
 from identifiers.linear_model import LinearModel
@@ -349,6 +350,13 @@ def observer_markov(
     what = "ho-kalman"
     records, spec = usable(trajectories, samples=lags + 2, what=what)
     ny, nu = spec.ny, spec.nu
+    if (excited := excited_lags(records, lags)) < lags:
+        raise FitError(
+            f"{what}: the inputs do not excite the observer's memory",
+            expected=f"persistent excitation of order {lags}",
+            got=f"order {excited}: each further lag of the inputs follows from those before",
+            remedy="use a richer input (PRBS, more lines), or an observer of shorter memory",
+        )
 
     solution = solve(lambda: lagged_blocks(records, lags, offset=offset, direct=direct), what, least_norm=True)
     theta = solution.coefficients.T

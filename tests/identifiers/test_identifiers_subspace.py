@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from harness import api
 from harness.errors import FitError
@@ -395,3 +396,51 @@ def test_the_order_under_a_sweep_is_chosen_on_all_its_frequencies():
         )
         model = Subspace().fit([shown], rng=RNG)
         assert simulation_error(model, held).nrmse[0] < 0.1
+
+
+def lines(count, noise, samples=800, seed=0):
+    """Return a record of an order 2 plant (static gain 1 / 1.8) under a multisine of so many lines."""
+    rng = np.random.default_rng(seed)
+    k = np.arange(float(samples))
+    u = np.sin(k[:, None] * np.linspace(0.1, 2.9, count) + rng.uniform(0.0, 6.28, count)).sum(1) * np.sqrt(2 / count)
+    y = lfilter([0.0, 1.0], [1.0, 0.5, 0.3], u) + noise * rng.normal(size=samples)
+    return Trajectory(k, u[:, None], y[:, None], PlantSpec((Channel("u"),), (Channel("y"),), 1.0))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize(
+    "identifier", [Subspace(), Subspace(method="cva"), Subspace(method="parsim"), Subspace(method="pbsid")]
+)
+@pytest.mark.parametrize("count", [1, 3, 5, 8])
+def test_few_lines_give_the_plant_or_a_refusal_that_says_what_they_excite(identifier, count, noise):
+    try:
+        model = identifier.fit([lines(count, noise)], rng=RNG)
+    except FitError as refused:
+        text: str | None = str(refused)
+    else:
+        text = None
+        assert model.frequency_response(np.zeros(1))[0, 0, 0].real == pytest.approx(1 / 1.8, rel=0.1)
+    assert text is None or (f"got order {2 * count}" in text and count < 6)
+    assert count > 1 or text is not None
+
+
+def test_an_observer_longer_than_what_lines_excite_is_refused_and_a_shorter_one_chosen():
+    with pytest.raises(FitError, match="got order 6"):
+        HoKalman(observer=12).fit([lines(3, 0.01)], rng=RNG)
+    model = HoKalman(observer="auto").fit([lines(3, 0.01)], rng=RNG)
+    assert int(model.notes["observer"]) <= 6
+    assert model.frequency_response(np.zeros(1))[0, 0, 0].real == pytest.approx(1 / 1.8, rel=0.1)
+
+
+def test_one_step_of_the_input_is_excitation_and_a_ramp_is_not():
+    k = np.arange(600.0)
+    spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    for u, enough in ((np.where(k < 50, 0.0, 5.0), True), (k / 100.0, False)):
+        y = lfilter([0.0, 1.0], [1.0, 0.5, 0.3], u)
+        record = Trajectory(k, u[:, None], y[:, None], spec)
+        if enough:
+            model = Subspace().fit([record], rng=RNG)
+            assert model.frequency_response(np.zeros(1))[0, 0, 0].real == pytest.approx(1 / 1.8, rel=1e-6)
+        else:
+            with pytest.raises(FitError, match="got order 1"):
+                Subspace().fit([record], rng=RNG)
