@@ -132,18 +132,11 @@ class Subspace:
         feedback = feedback_of(records)
         if feedback.found:
             refuse_feedback_of_records(records, _LAW, self.least_excitation, what)
-<<<<<<< HEAD
         methods = _candidates(self.method, feedback.found)
-        orders = [self.order] if self.order else list(range(1, min(_MOST, window - 1) + 1))
-=======
-        methods: tuple[Method, ...] = _ANY_LOOP if feedback.found else ("cva", *_ANY_LOOP)
-        if self.method != "auto":
-            methods = (self.method,)
         wanted, lags = window, excited_lags(records, 2 * window)
         if lags < 2 * wanted:
             methods, window = self._narrowed(methods, lags, window, what)
         orders = [self.order] if self.order else list(range(1, min(_MOST, window - 1, lags // 2) + 1))
->>>>>>> judge2
         found = self._models(records, window, methods, orders, what)
         ladders = {
             name: {model.a_matrix.shape[0]: _error(model, records, window, feedback.found) for model, _ in models}
