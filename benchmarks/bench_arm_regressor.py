@@ -12,9 +12,9 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 
-from harness.physics.arm import load_arm
-from harness.physics.arm_regressor import ArmRegressor
-from harness.physics.inertial_fit import Bodies, Problem, by_log_cholesky, by_semidefinite_program
+from harness.physics.arms.arm import load_arm
+from harness.physics.arms.inertial_fit import Bodies, Problem, by_log_cholesky, by_semidefinite_program
+from harness.physics.arms.regressor import ArmRegressor
 
 SAMPLES, BLOCK, ROUNDS = 100_000, 2000, 3
 

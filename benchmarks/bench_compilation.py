@@ -18,8 +18,9 @@ import numpy as np
 from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
-from harness.physics import ccode, load_model
-from harness.physics.simulator import Simulator
+from harness.physics import load_model
+from harness.physics.compiled import ccode
+from harness.physics.compiled.simulator import Simulator
 
 SAMPLES, DT, TURNS, BUILDS = 5000, 0.004, 40, 5
 PLACED = {"nothing": None, "coulomb_friction": "x", "stribeck_friction": "x", "saturation": "u"}

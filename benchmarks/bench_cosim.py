@@ -13,8 +13,8 @@ import numpy as np
 
 from harness.cosim import Connection, Coupled
 from harness.protocols import Plant
-from plants.fmu import FmuPlant
-from plants.fmu_mockups import cart_pole_fmu, pendulum_fmu
+from plants.fmu.mockups import cart_pole_fmu, pendulum_fmu
+from plants.fmu.plant import FmuPlant
 from plants.mockups import mockup
 
 N = 1000

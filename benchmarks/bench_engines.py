@@ -14,10 +14,10 @@ from collections.abc import Callable
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from plants.bullet import ArmPlant, iiwa, one_joint_arm
-from plants.bullet_engine import bullet, data_file, explicit_urdf
-from plants.bullet_world import World
-from plants.cart_pole import PymunkCartPole
+from plants.bullet.engine import bullet, data_file, explicit_urdf
+from plants.bullet.robots import ArmPlant, iiwa, one_joint_arm
+from plants.bullet.world import World
+from plants.pymunk.cart_pole import PymunkCartPole
 
 pybullet = bullet()
 STEPS = 2000

@@ -14,9 +14,9 @@ from collections.abc import Callable
 import numpy as np
 
 from harness.protocols import Plant
-from plants.fmu import FmuPlant
-from plants.fmu_mockups import pendulum_fmu
-from plants.isolated import IsolatedPlant
+from plants.fmu.mockups import pendulum_fmu
+from plants.fmu.plant import FmuPlant
+from plants.isolation.isolated import IsolatedPlant
 from plants.mockups import mockup
 
 N = 10_000

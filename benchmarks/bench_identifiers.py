@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
-from identifiers.arx import Arx
-from identifiers.dmd import Dmdc
-from identifiers.library import Library
-from identifiers.mdp import count_transitions
-from identifiers.online import RecursiveLeastSquares
-from identifiers.predictor import Subspace
-from identifiers.sparse import NormalEquations, stlsq
-from identifiers.subspace import markov_parameters, realize
+from identifiers.common.library import Library
+from identifiers.finite.mdp import count_transitions
+from identifiers.linear.arx import Arx
+from identifiers.linear.dmd import Dmdc
+from identifiers.linear.ho_kalman import markov_parameters, realize
+from identifiers.linear.n4sid import Subspace
+from identifiers.online.rls import RecursiveLeastSquares
+from identifiers.sparse.stlsq import NormalEquations, stlsq
 
 RNG = np.random.default_rng(0)
 BLOCK = 8192

@@ -42,7 +42,7 @@ import ctypes, os, signal, time
 from pathlib import Path
 from dataclasses import dataclass
 import numpy as np
-from identifiers.baselines import HoldLast
+from identifiers.online.baselines import HoldLast
 
 def account():
     scheduled = Path("/proc/self/schedstat")
@@ -134,7 +134,7 @@ def schedule(rounds: int = 3) -> None:
     from concurrent.futures import FIRST_COMPLETED
 
     from harness.jobs.engines import AHEAD
-    from harness.workers import worker_pool
+    from harness.supervision.workers import worker_pool
 
     sizes, ways = (1000, 4000), ("all at once", "a few ahead")
     per_task = {(how, n): math.inf for how in ways for n in sizes}

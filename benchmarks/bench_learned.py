@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.bisimulation import bisimulation
-from identifiers.gaussian_process import GaussianProcess
-from identifiers.hmm_pass import expected_counts
-from identifiers.mdp import count_transitions
+from identifiers.finite.bisimulation import bisimulation
+from identifiers.finite.hmm_pass import expected_counts
+from identifiers.finite.mdp import count_transitions
+from identifiers.learned.gaussian_process import GaussianProcess
 
 RNG = np.random.default_rng(0)
 ROUNDS = 3

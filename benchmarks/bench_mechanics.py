@@ -15,13 +15,13 @@ from scipy.optimize import least_squares
 
 from harness import registry
 from harness.physics import fit_output_error
-from harness.physics.arm import load_arm
+from harness.physics.arms.arm import load_arm
 from harness.physics.models import cart_pole
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.inertial import Inertial
-from identifiers.lumped_recursive import RecursiveLumped
-from identifiers.online import RecursiveLeastSquares
-from identifiers.rls_pass import rotated
+from identifiers.mechanics.inertial import Inertial
+from identifiers.online.lumped_recursive import RecursiveLumped
+from identifiers.online.rls import RecursiveLeastSquares
+from identifiers.online.rls_pass import rotated
 from scenarios.design import FourierReference
 
 RNG = np.random.default_rng(0)

@@ -14,7 +14,7 @@ import time
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from plants.ode import cart_pole_ode
+from plants.equations.ode import cart_pole_ode
 
 RUNS, SAMPLES, PART, DT = 100, 10_000, 500, 0.01
 CLAIM = 100.0

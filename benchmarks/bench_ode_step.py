@@ -14,7 +14,7 @@ from functools import partial
 import gymnasium
 import numpy as np
 
-from plants.ode import cart_pole_ode
+from plants.equations.ode import cart_pole_ode
 
 ROUNDS, CALLS = 40, 2000
 CLAIM = 1.0

@@ -17,8 +17,9 @@ import numpy as np
 from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
-from harness.physics import ccode, load_model
-from harness.physics.simulator import Simulator
+from harness.physics import load_model
+from harness.physics.compiled import ccode
+from harness.physics.compiled.simulator import Simulator
 
 SAMPLES, DT, TURNS = 5000, 0.004, 40
 PLACED = {

@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 
 from harness.errors import HarnessError
-from harness.estimate import estimate_of
+from harness.models.estimate import estimate_of
 from harness.physics import load_model
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers import lumped
-from identifiers.grey_box import OutputError
-from identifiers.lumped import Lumped
+from identifiers.mechanics import lumped
+from identifiers.mechanics.grey_box import OutputError
+from identifiers.mechanics.lumped import Lumped
 
 NOISE_POSITION, NOISE_RATE = 1e-3, 1e-2
 SAMPLES, DT = 600, 0.01

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from harness.estimate import estimate_of
+from harness.models.estimate import estimate_of
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
-from identifiers.arx import Arx
-from identifiers.linear import StateLeastSquares
+from identifiers.linear.arx import Arx
+from identifiers.linear.least_squares import StateLeastSquares
 
 A = np.array([[0.9, 0.3], [-0.2, 0.85]])
 B = np.array([[0.0], [1.0]])

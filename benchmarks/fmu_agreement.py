@@ -41,10 +41,10 @@ def peer(path: str, names: list[str], kind: str, start: float, stop: float, step
 def judged(path: Path, pipe: Any) -> None:
     """Send one line about one FMU and kind."""
     from harness.errors import HarnessError
-    from plants.fmu_archive import read_fmu
-    from plants.fmu_as_is import run_as_is
-    from plants.fmu_options import default
-    from plants.fmu_variables import port
+    from plants.fmu.archive import read_fmu
+    from plants.fmu.as_is import run_as_is
+    from plants.fmu.options import default
+    from plants.fmu.variables import port
 
     try:
         file = read_fmu(path)

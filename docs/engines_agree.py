@@ -13,10 +13,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from harness.protocols import Plant
-from plants.bullet import one_joint_arm
-from plants.cart_pole import PymunkCartPole
-from plants.fmu_mockups import cart_pole_fmu, pendulum_fmu
-from plants.ode import cart_pole_ode, pendulum_ode
+from plants.bullet.robots import one_joint_arm
+from plants.equations.ode import cart_pole_ode, pendulum_ode
+from plants.fmu.mockups import cart_pole_fmu, pendulum_fmu
+from plants.pymunk.cart_pole import PymunkCartPole
 
 SAMPLE_TIME = 0.02
 SECONDS = 2.0

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from harness.signals import FloatArray
-from identifiers.normal import NormalEquations
-from identifiers.selection import best_subset
+from identifiers.common.normal import NormalEquations
+from identifiers.sparse.selection import best_subset
 
 TAIL = 0.27 + 0.022
 """From the centre of mass to the elevator [m]."""

@@ -15,17 +15,17 @@ from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring import predict
 from harness.signals import Trajectory
-from identifiers.bisimulation import bisimulation, quotient
-from identifiers.decision import optimal_values
-from identifiers.gaussian_process import GaussianProcess
-from identifiers.hmm import HiddenMarkov
-from identifiers.hybrid import PiecewiseAffine
-from identifiers.lag_state import regression_data
-from identifiers.linear import Arx
-from identifiers.mdp import MdpCounting, weissman_bound
-from identifiers.recurrent import NeuralOutputError
-from plants.finite import FiniteMdp
-from plants.pomdp import FinitePomdp
+from identifiers.common.lag_state import regression_data
+from identifiers.finite.bisimulation import bisimulation, quotient
+from identifiers.finite.decision import optimal_values
+from identifiers.finite.hmm import HiddenMarkov
+from identifiers.finite.mdp import MdpCounting, weissman_bound
+from identifiers.learned.gaussian_process import GaussianProcess
+from identifiers.learned.recurrent import NeuralOutputError
+from identifiers.linear.hybrid import PiecewiseAffine
+from identifiers.linear.least_squares import Arx
+from plants.finite.mdp import FiniteMdp
+from plants.finite.pomdp import FinitePomdp
 
 RNG = np.random.default_rng(0)
 

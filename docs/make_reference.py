@@ -14,7 +14,7 @@ import msgspec
 import harness
 from harness import api
 from harness.benchmark import suite
-from harness.data import sections
+from harness.data.recipe import sections
 from harness.schemas import report_schema
 
 TARGET = Path(__file__).with_name("reference")
@@ -143,7 +143,7 @@ def commands() -> list[str]:
     from typer.core import TyperGroup
     from typer.main import get_command
 
-    from harness.cli import app
+    from harness.cli.app import app
 
     parts = [(name, get_command(one)) for name, one in (("sysid", app), ("sysid-lab", lab))]
     text = ["# Commands", "", "`sysid COMMAND --help` shows the same; ids complete in the shell after",

@@ -16,8 +16,8 @@ import numpy as np
 from harness import registry
 from harness.errors import HarnessError, InputError, PlantError, PluginError
 from harness.fitted import FittedModel, Usable, load_model
-from harness.parts import LISTED, describe_part, list_parts
-from harness.plant_files import describe_fmu, is_plant_file, is_system, make_plant, stream_key
+from harness.parts.files import describe_fmu, is_plant_file, is_system, make_plant, stream_key
+from harness.parts.listing import LISTED, describe_part, list_parts
 from harness.protocols import Experiment, Identifier, Model, Plant, Predictive, Scenario
 from harness.rng import Streams, stream
 from harness.signals import Dataset, FloatArray, PlantSpec, Trajectory, Use
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
     from harness.benchmark.planning import Plan
     from harness.comparison import Comparison, OrderSelection, ReportComparison, Spectrum
     from harness.conformance import CheckResult
-    from harness.convergence import Convergence
+    from harness.cosim.convergence import Convergence
+    from harness.cosim.free_run import FreeRun
     from harness.data import Nominal
-    from harness.data.chosen import Signals
     from harness.data.oddities import DataCheck
+    from harness.data.recipe.chosen import Signals
     from harness.diagnosis import Report
     from harness.diagnosis.planned import Planned
     from harness.fleet import FleetResult
-    from harness.free_run import FreeRun
     from harness.learned import LearnedResidual
-    from harness.predictive import ProbabilityScore
+    from harness.models.predictive import ProbabilityScore
     from harness.scoring import Score
 
 __all__ = [
@@ -102,12 +102,12 @@ def describe_file(path: str | Path) -> dict[str, Any]:
     InputError
         If the file is missing or cannot be read.
     """
-    from harness.data.contents import contents_of
+    from harness.data.recipe.contents import contents_of
 
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix in (".urdf", ".xml", ".mjcf"):
-        from harness.physics.robot_files import robot_contents
+        from harness.physics.arms.robot_files import robot_contents
 
         robot = robot_contents(path)
         facts = [f"{path.name}: {robot['format']} {robot['name']!r}, {robot['bodies']} bodies, "
@@ -197,7 +197,7 @@ def new_dataset(
     InputError
         If a file cannot be read, or ``out`` exists.
     """
-    from harness.data.draft import draft_dataset
+    from harness.data.recipe.draft import draft_dataset
 
     out = Path(out)
     _refuse_overwrite(out, force=force)
@@ -350,7 +350,7 @@ def halve(
     InputError
         If the file, an option or ``times`` cannot be used, or a run ends early.
     """
-    from harness.convergence import halved
+    from harness.cosim.convergence import halved
 
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
@@ -549,11 +549,11 @@ def identify(
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
     from harness.data import load_dataset
-    from harness.predictive import probability_score
+    from harness.models.predictive import probability_score
     from harness.scoring import equation_error, simulation_error
 
     if y is not None:
-        from harness.data.memory import input_and_output
+        from harness.data.tables.memory import input_and_output
 
         dataset, names, others = input_and_output(dataset, y)
         if "input" in signals or "output" in signals:
@@ -606,8 +606,8 @@ def identify(
 
 def _said(model: Model) -> tuple[str, ...]:
     """Return what the fit of a model warns of."""
-    from harness.estimate import estimate_of
-    from harness.physics.parameters import said_far
+    from harness.models.estimate import estimate_of
+    from harness.physics.definition.parameters import said_far
 
     notes = getattr(model, "notes", None)
     warning = notes.get("warning") if isinstance(notes, Mapping) else None
@@ -662,7 +662,8 @@ def close_loop(
     InputError
         If the data, the model or the folder cannot be used.
     PlantError
-        If an FMU ends its process, or gives no sign of life (:data:`harness.guarded.SILENCE`): it runs in one of its
+        If an FMU ends its process, or gives no sign of life (:data:`harness.supervision.guarded.SILENCE`): it runs in
+        one of its
         own, which cannot end this one.
     """
     from harness import diagnosis
@@ -673,7 +674,7 @@ def close_loop(
     )
     how: dict[str, Any] = {"out": out, "resume": resume, "force": force, "progress": progress}
     if loaded.nominal is not None and loaded.nominal.model.endswith(".fmu"):
-        from harness.guarded import guarded
+        from harness.supervision.guarded import guarded
 
         what = f"the FMU {Path(loaded.nominal.model).name}"
         return cast("Report", guarded(diagnosis.close_loop_file, loaded, what=what, **how))
@@ -705,7 +706,7 @@ def learn_residual(
     out : path
         Folder for ``learned.html``, ``learned.json`` and, if the force helps, ``model.json``.
     coordinate, arguments, refit, progress
-        See :func:`harness.physics.residual_learning.learn_residual_force`.
+        See :func:`harness.physics.fitting.residual_learning.learn_residual_force`.
     seed : int
         Places the bumps.
     force : bool
@@ -1044,7 +1045,7 @@ def check_data(
     from harness.data.oddities import DataCheck
     from harness.data.whole_files import whole_file
     from harness.diagnosis.records.inputs_check import inputs_checked
-    from harness.physics.arm import is_arm
+    from harness.physics.arms.arm import is_arm
 
     if out is not None:
         _refuse_overwrite(Path(out), force=force)
@@ -1083,9 +1084,9 @@ def check(name: str) -> list[CheckResult]:
     InputError
         If there is no such part, or it needs options to be made.
     HarnessError
-        If the part ends its process (``crashed``) or hangs (:data:`harness.guarded.SILENCE`).
+        If the part ends its process (``crashed``) or hangs (:data:`harness.supervision.guarded.SILENCE`).
     """
-    from harness.guarded import guarded
+    from harness.supervision.guarded import guarded
 
     return cast("list[CheckResult]", guarded(_checked, name, what=name))
 
@@ -1170,7 +1171,7 @@ def _system_as_is(
     progress: Callable[[int, int], None] | None,
 ) -> FreeRun:
     """Return the run of a coupling or a system of another tool with its own experiment."""
-    from harness.free_run import free_run, window
+    from harness.cosim.free_run import free_run, window
 
     suggested: Mapping[str, float | None] = {}
     if is_system(plant):

@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from harness.interrupts import INTERRUPTED, Interrupts
+from harness.supervision.interrupts import INTERRUPTED, Interrupts
 
 __all__ = ["main"]
 
@@ -17,7 +17,7 @@ COLLECTED = 50_000
 """New objects between two runs of the garbage collector; 700, as usual, costs 4 % of a short diagnosis."""
 
 
-def main(arguments: Sequence[str] | None = None, *, cli: str = "harness.cli") -> None:
+def main(arguments: Sequence[str] | None = None, *, cli: str = "harness.cli.app") -> None:
     """Run the command line of a module; every failure is one line on standard error and an exit status."""
     if arguments is None:  # a process of its own
         atexit.register(_leave)
@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None, *, cli: str = "harness.cli") ->
     try:
         with Interrupts() as interrupts:
             try:
-                from harness.workers import THREAD_VARIABLES
+                from harness.supervision.workers import THREAD_VARIABLES
 
                 for name in THREAD_VARIABLES if arguments is None else ():
                     os.environ.setdefault(name, "1")  # matrices are small: more threads wait for each other

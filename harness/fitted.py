@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import InputError
-from harness.estimate import Estimate, estimate_of
+from harness.models.estimate import Estimate, estimate_of
 from harness.protocols import Model
 from harness.signals import FloatArray, PlantSpec, Trajectory
 
@@ -196,7 +196,7 @@ class Usable:
             return Trajectory(self.spec.sample_time * np.arange(len(u), dtype=np.float64), u, outputs, self.spec)
         if isinstance(data, Trajectory):
             return data
-        from harness.data.load import load_record
+        from harness.data.recipe.load import load_record
 
         return load_record(data, self.spec)
 

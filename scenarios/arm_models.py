@@ -10,7 +10,7 @@ from harness.errors import InputError
 from harness.signals import FloatArray, PlantSpec
 
 if TYPE_CHECKING:
-    from harness.physics.rigid_tree import Arm
+    from harness.physics.arms.rigid_tree import Arm
 
 __all__ = ["arm_of", "damping_of"]
 
@@ -23,7 +23,7 @@ def arm_of(urdf: str | Path | None, spec: PlantSpec) -> Arm:
     InputError
         If there is none, or it has another number of joints than the plant has inputs.
     """
-    from harness.physics.urdf import load_urdf
+    from harness.physics.arms.urdf import load_urdf
 
     path = _path(urdf, spec)
     arm = load_urdf(path)
@@ -41,7 +41,7 @@ def arm_of(urdf: str | Path | None, spec: PlantSpec) -> Arm:
 
 def damping_of(urdf: str | Path | None, spec: PlantSpec) -> FloatArray:
     """Return the damping (n,) that the URDF of :func:`arm_of` states."""
-    from harness.physics.arm import load_arm
+    from harness.physics.arms.arm import load_arm
 
     return load_arm(_path(urdf, spec)).damping
 

@@ -23,7 +23,7 @@ from scenarios.design import (
 )
 
 if TYPE_CHECKING:
-    from harness.physics.rigid_tree import Arm
+    from harness.physics.arms.rigid_tree import Arm
 
 __all__ = ["ArmDesigned"]
 
@@ -69,7 +69,7 @@ class ArmDesigned(ArmComputedTorque):
 
     def design(self, spec: PlantSpec, *, rng: np.random.Generator) -> Design:
         """Return the designed reference and its condition number."""
-        from harness.physics.arm_kinematics import joint_places
+        from harness.physics.arms.kinematics import joint_places
 
         arm = arm_of(self.urdf, spec)
         low, high = (np.array([getattr(joint, end) for joint in arm.moving]) for end in ("lower", "upper"))
@@ -112,7 +112,7 @@ class ArmDesigned(ArmComputedTorque):
         InputError
             If a parameter is unknown, or no motion tells it from the others.
         """
-        from harness.physics.inertia import TEN
+        from harness.physics.arms.inertia import TEN
 
         joints = range(1, arm.n + 1)
         names = [f"{name}{k}" for k in joints for name in TEN]

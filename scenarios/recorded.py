@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from harness.data.tables import Table
+from harness.data.tables.table import Table
 from harness.errors import InputError
 from harness.protocols import Experiment
 from harness.rng import Streams

@@ -6,14 +6,14 @@ these.
 
 from __future__ import annotations
 
-from harness.benchmark.exports import render
+from harness.benchmark.page.exports import render
+from harness.benchmark.page.tables import rich_table
 from harness.benchmark.parts import Suite
 from harness.benchmark.query import query
 from harness.benchmark.result import BenchResult
 from harness.benchmark.row import Row
 from harness.benchmark.running import bench, plan, table
 from harness.benchmark.suite import load_suite
-from harness.benchmark.tables import rich_table
 from harness.jobs.query import Answer
 
 __all__ = [

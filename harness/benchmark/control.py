@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from harness.errors import FitError, InputError
-from harness.plant_files import make_plant
+from harness.parts.files import make_plant
 from harness.signals import FloatArray, Trajectory
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def _regret(
     identifier: Any, model: Any, plant: LinearPlantModel, spread: FloatArray, rng: np.random.Generator
 ) -> float | None:
     """Return the cost of learning to control, in samples of the optimal cost; None where states are not measured."""
-    from harness.lqr import lqr_gain, spectral_radius
+    from harness.models.lqr import lqr_gain, spectral_radius
     from harness.scoring.control import control_regret, in_states
 
     try:

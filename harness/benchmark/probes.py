@@ -16,7 +16,7 @@ from harness.benchmark.row import one_line
 from harness.data.whole_files import whole_file
 from harness.errors import HarnessError
 from harness.jobs.stored import reading
-from harness.workers import worker_pool
+from harness.supervision.workers import worker_pool
 
 __all__ = ["probe_plants"]
 

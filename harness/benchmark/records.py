@@ -10,7 +10,7 @@ import numpy as np
 from harness import registry
 from harness.benchmark.parts import RECORDING, Task
 from harness.errors import InputError
-from harness.plant_files import make_plant
+from harness.parts.files import make_plant
 from harness.rng import Streams
 from harness.signals import FloatArray, Trajectory, residual
 

@@ -11,11 +11,11 @@ from typing import Any
 
 import msgspec
 
-from harness.benchmark.overlays import draw_overlays
+from harness.benchmark.page.overlays import draw_overlays
+from harness.benchmark.page.report import render_html
 from harness.benchmark.parts import Cell, Task
 from harness.benchmark.planning import Plan, plan_of, read_shard, share
 from harness.benchmark.probes import probe_plants
-from harness.benchmark.report import render_html
 from harness.benchmark.result import BenchResult
 from harness.benchmark.row import Row, read_row
 from harness.benchmark.store import Store

@@ -16,8 +16,8 @@ from harness.benchmark.axes import expanded, problem
 from harness.benchmark.parts import RECORDED, RECORDING, Cell, Group, Part, Score, Suite, Task
 from harness.errors import InputError
 from harness.fingerprint import files_named, fingerprint
-from harness.plant_files import fingerprint as plant_fingerprint
-from harness.plant_files import is_plant_file, stream_key
+from harness.parts.files import fingerprint as plant_fingerprint
+from harness.parts.files import is_plant_file, stream_key
 from harness.trust import registered_only
 
 __all__ = ["cells_of", "find_suite", "load_suite", "tasks_of"]

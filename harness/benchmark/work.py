@@ -22,7 +22,7 @@ from harness.errors import HarnessError, InputError, PlantError, PluginError
 from harness.jobs import Desk
 from harness.jobs.batch import described
 from harness.jobs.room import raise_if_full
-from harness.plant_files import make_plant
+from harness.parts.files import make_plant
 from harness.protocols import OnlinePredictive, Predictive
 from harness.rng import stream
 from harness.signals import Trajectory
@@ -230,7 +230,7 @@ def _fit_and_score(
 
 def _score_distributions(model: Any, held_out: Sequence[Trajectory], row: Row) -> None:
     """Fill in log score and coverage, one step ahead; an outcome that was called impossible leaves no log score."""
-    from harness.predictive import probability_score
+    from harness.models.predictive import probability_score
 
     scores = [probability_score(model, record, levels=(_SETS,)) for record in held_out]
     gain = float(np.mean([np.mean(score.skill) for score in scores]))
@@ -255,7 +255,7 @@ def _trace(model: Model, record: Trajectory, horizon: float | None, row: Row) ->
 
 def _doubts(model: Any) -> str:
     """Return why the estimate of a model that is scored all the same is in doubt; empty where it is not."""
-    from harness.estimate import estimate_of
+    from harness.models.estimate import estimate_of
 
     found = estimate_of(model)
     if found is None:
@@ -282,7 +282,7 @@ def _score_regret(
     row.curve_steps = tuple(int(n) for n in result.steps[known])
     row.curve_regret = tuple(result.curve[known].tolist())
     if isinstance(identifier, OnlinePredictive):
-        from harness.predictive import log_regret
+        from harness.models.predictive import log_regret
 
         in_nats = log_regret(cast(Any, identifier), shown, rng=rng)
         row.log_regret, row.average_log_regret = in_nats.total, in_nats.average

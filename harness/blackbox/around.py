@@ -57,7 +57,7 @@ class Around:
     @cached_property
     def functions(self) -> dict[str, Any]:
         """CasADi functions ``command``, ``derivatives`` (u, q, v, t, z, p), ``reading`` (y, q, v, t, p), ``starts``."""
-        from harness.physics.ccode import dense
+        from harness.physics.compiled.ccode import dense
 
         inside = [self.u, self.q, self.v, self.t, self.z, self.p]
         return {
@@ -70,7 +70,7 @@ class Around:
     @cached_property
     def source(self) -> str:
         """C source of the functions, and of the prediction over a sample."""
-        from harness.physics.ccode import c_function
+        from harness.physics.compiled.ccode import c_function
 
         sizes = {
             "NU": self.u.shape[0],

@@ -11,12 +11,12 @@ from harness.blackbox.system import FmuSystem
 from harness.effects.effect import Effect, Placed, port_units, unit_of
 from harness.effects.places import port_of
 from harness.errors import InputError
-from harness.physics.parameters import Parameter
-from harness.physics.ports import SampledBlock
+from harness.physics.definition.parameters import Parameter
+from harness.physics.definition.ports import SampledBlock
 from harness.signals import Channel
 
 if TYPE_CHECKING:
-    from harness.physics.ports import Port
+    from harness.physics.definition.ports import Port
 
 __all__ = ["fits_fmu", "surround"]
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from harness.blackbox.system import FmuCoordinate, FmuSystem
 from harness.errors import HarnessError, InputError
-from harness.physics.parameters import Parameter
+from harness.physics.definition.parameters import Parameter
 from harness.signals import Channel, FloatArray, PlantSpec
 
 __all__ = ["fmu_system"]

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from harness.blackbox.system import FmuSystem
-from harness.guarded import alive
 from harness.signals import FloatArray
+from harness.supervision.guarded import alive
 
 __all__ = ["Runner"]
 

@@ -1,6 +1,7 @@
 """Simulating an FMU with effects around it over windows of records, with derivatives by finite differences.
 
-It offers what :class:`harness.physics.windows.Windows` asks of a simulator, so that fits of an FMU and of equations
+It offers what :class:`harness.physics.compiled.windows.Windows` asks of a simulator, so that fits of an FMU and of
+equations
 share one minimiser.
 """
 
@@ -17,7 +18,7 @@ import numpy as np
 from harness.blackbox.runner import Runner
 from harness.blackbox.system import FmuSystem
 from harness.errors import HarnessError
-from harness.physics.sampled import SampledBlocks
+from harness.physics.compiled.sampled import SampledBlocks
 from harness.signals import FloatArray, PlantSpec
 
 __all__ = ["STEP", "FmuSimulator"]
@@ -369,7 +370,7 @@ class FmuSimulator:
         """Return the compiled coupling, None where there is no compiler."""
         if self._library is None:
             if self._compilation is None:
-                from harness.physics.ccode import Compilation
+                from harness.physics.compiled.ccode import Compilation
 
                 assert self.system.around is not None
                 self._compilation = Compilation(self.system.around.source + _LOOP)

@@ -16,9 +16,9 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.fingerprint import fingerprint
-from harness.physics.dimensions import Dimensions
-from harness.physics.parameters import Parameter
-from harness.physics.ports import Port, SampledBlock
+from harness.physics.definition.dimensions import Dimensions
+from harness.physics.definition.parameters import Parameter
+from harness.physics.definition.ports import Port, SampledBlock
 from harness.signals import Channel, FloatArray
 
 if TYPE_CHECKING:

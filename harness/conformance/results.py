@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from harness.errors import HarnessError
-from harness.guarded import alive
+from harness.supervision.guarded import alive
 
 __all__ = ["Broken", "Check", "CheckResult", "NotApplicable", "demand", "run_checks"]
 

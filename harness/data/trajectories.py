@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.headers import split_header
-from harness.data.tables import REFERENCE, TRUTH, Table
+from harness.data.tables.headers import split_header
+from harness.data.tables.table import REFERENCE, TRUTH, Table
 from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory

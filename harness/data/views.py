@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from harness.data.binary_files import optional
+from harness.data.tables.binary_files import optional
 from harness.data.trajectories import columns_of
 from harness.errors import InputError
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory

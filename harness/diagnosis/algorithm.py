@@ -31,7 +31,7 @@ from harness.diagnosis.steps import (
 from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import Effect
 from harness.signals import Dataset
-from harness.workers import one_thread
+from harness.supervision.workers import one_thread
 
 __all__ = ["diagnose"]
 

@@ -20,7 +20,7 @@ from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects.effect import Effect
 from harness.errors import InputError
 from harness.jobs.alone import alone_in
-from harness.physics.arm import ArmModel, is_arm, load_arm
+from harness.physics.arms.arm import ArmModel, is_arm, load_arm
 from harness.signals import Dataset, FloatArray
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def close_loop(
     from harness.diagnosis.report.evidence_json import evidence_data
     from harness.diagnosis.report.evidence_page import write_evidence
     from harness.diagnosis.store import write_atomic
-    from harness.workers import one_thread
+    from harness.supervision.workers import one_thread
 
     folder = _folder(out, resume=resume, force=force)
     with alone_in(folder):
@@ -227,7 +227,7 @@ def _looked_at(dataset: Dataset) -> Dataset:
 
 def _options(loaded: LoadedDataset) -> dict[str, Any]:
     """Return the options that a data set loads its model with."""
-    from harness.data.ports import model_options
+    from harness.data.recipe.ports import model_options
 
     if loaded.nominal is None:
         return {}

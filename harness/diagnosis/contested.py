@@ -19,7 +19,7 @@ from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.rounds import search
 from harness.diagnosis.search.ties import Accepted, tie_set, total
 from harness.effects.effect import Placed
-from harness.physics.likelihood_fit import sensor_noise
+from harness.physics.fitting.likelihood_fit import sensor_noise
 
 __all__ = ["at_optimum", "carried", "follows_whole", "simple_fits_of", "uncontested"]
 

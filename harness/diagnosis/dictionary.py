@@ -14,7 +14,7 @@ from harness.effects.effect import Effect, Placed
 from harness.errors import HarnessError
 
 if TYPE_CHECKING:
-    from harness.physics.system import System
+    from harness.physics.compiled.system import System
 
 __all__ = ["Laws", "laws_of", "placed"]
 

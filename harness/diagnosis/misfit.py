@@ -11,7 +11,7 @@ from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import Policy
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.search.fit import Fit
-from harness.physics.likelihood_fit import sensor_noise
+from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
 __all__ = ["likely_mistakes", "misfit_reasons", "mistakes", "mostly_noise"]

@@ -15,7 +15,7 @@ from harness.diagnosis.search.score_test import projected, score_test
 from harness.effects.compose import compose
 from harness.effects.effect import Effect, Placed
 from harness.errors import FitError, InputError
-from harness.physics.system import System
+from harness.physics.compiled.system import System
 from harness.protocols import Scenario
 from harness.rng import Streams, stream
 from harness.signals import Dataset, FloatArray, Run, Trajectory
@@ -129,7 +129,7 @@ def isolability_of(
     from harness.diagnosis.records.prepare import sizes_of
     from harness.effects import place_all
     from harness.rollout import run
-    from harness.workers import one_thread
+    from harness.supervision.workers import one_thread
 
     plant = registry.create("plants", "ode", model=model, parameters=dict(parameters or {}), sample_time=sample_time)
     system, values = plant.nominal, {name: plant.true_parameters[name] for name in plant.nominal.parameter_names}

@@ -24,7 +24,7 @@ from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import FitError
-from harness.physics.parameters import FAR, said_far
+from harness.physics.definition.parameters import FAR, said_far
 from harness.signals import Dataset
 
 __all__ = [

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeGuard, TypeVar
 
 from harness.effects.effect import Placed
-from harness.physics.parameters import Parameter
-from harness.physics.ports import Port, SampledBlock
+from harness.physics.definition.parameters import Parameter
+from harness.physics.definition.ports import Port, SampledBlock
 from harness.signals import Channel, FloatArray
 
 if TYPE_CHECKING:
-    from harness.physics.system import System
+    from harness.physics.compiled.system import System
 
 __all__ = ["AnySystem", "Measured", "Parametrised", "SystemT", "by_equations"]
 
@@ -81,9 +81,9 @@ class _Coordinate(Protocol):
 
 
 class AnySystem(Measured, Parametrised, Protocol):
-    """A nominal model, or one with effects: :class:`harness.physics.system.System`, or an FMU with what is around it.
+    """A nominal model, or one with effects: a system of equations, or an FMU with what is around it.
 
-    See :class:`harness.physics.model_equations.Equations` for the attributes.
+    See :class:`harness.physics.compiled.system.System`, and :class:`harness.physics.definition.model_equations.Equations` for the attributes.
     """
 
     @property

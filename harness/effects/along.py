@@ -13,8 +13,8 @@ from harness.errors import InputError
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
-    from harness.physics.system import System
-    from harness.physics.vectorised import OnRecords
+    from harness.physics.arms.vectorised import OnRecords
+    from harness.physics.compiled.system import System
 
 __all__ = ["Signals", "along", "arguments", "block_response", "down", "hidden_states", "residual_function", "rms"]
 
@@ -96,7 +96,7 @@ def residual_function(system: System) -> OnRecords:
     """Return the function ``r(x, u, p, t, a) = M a - Q`` on whole records, made once for a system."""
     import casadi as ca
 
-    from harness.physics.vectorised import OnRecords
+    from harness.physics.arms.vectorised import OnRecords
 
     known: OnRecords | None = system.__dict__.get("_residual_function")
     if known is None:
@@ -120,7 +120,7 @@ def along(
 
     The function has one output, a column; it is CasADi's, or made for whole records already.
     """
-    from harness.physics.vectorised import OnRecords
+    from harness.physics.arms.vectorised import OnRecords
 
     whole = function if isinstance(function, OnRecords) else OnRecords(function)
     x = _states(system, signals, hidden)

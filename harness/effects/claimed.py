@@ -22,7 +22,7 @@ from harness.effects.sampled import delay
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
-    from harness.physics.system import System
+    from harness.physics.compiled.system import System
 
 SHORTEST = 0.05
 """Time constants of hidden states below this share of a sample are taken as this: no motion shows them."""
@@ -113,7 +113,7 @@ class ClaimedForce:
 
     Examples
     --------
-    >>> from harness.effects.actuator import input_delay
+    >>> from harness.effects.laws.actuator import input_delay
     >>> from harness.physics.models import pendulum
     >>> t = np.arange(4) * 0.1
     >>> still = Signals(t, t[:, None], np.zeros((4, 1)), np.zeros((4, 1)), np.zeros((4, 1)))

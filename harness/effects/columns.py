@@ -21,7 +21,7 @@ from harness.effects.places import carried_load
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
-    from harness.physics.system import System
+    from harness.physics.compiled.system import System
 
 __all__ = ["ColumnBlock", "column_blocks", "motion_sizes", "regression_columns"]
 
@@ -188,7 +188,7 @@ def regression_columns(
 
     Examples
     --------
-    >>> from harness.effects.friction import coulomb_friction
+    >>> from harness.effects.laws.friction import coulomb_friction
     >>> from harness.physics.models import pendulum
     >>> t = np.arange(4) * 0.1
     >>> still = Signals(t, np.ones((4, 1)), np.zeros((4, 1)), np.ones((4, 1)), np.zeros((4, 1)))

@@ -13,7 +13,7 @@ from harness.effects.places import carried_load, port_of
 from harness.errors import InputError
 
 if TYPE_CHECKING:
-    from harness.physics.system import Port, System
+    from harness.physics.compiled.system import Port, System
     from harness.signals import FloatArray
 
 __all__ = ["compose", "recommended_substeps"]
@@ -103,7 +103,7 @@ def recommended_substeps(
     """
     import casadi as ca
 
-    from harness.physics.ccode import FINE, without_signs
+    from harness.physics.compiled.ccode import FINE, without_signs
 
     jacobian = system.__dict__.get("_jacobian_function")
     if jacobian is None:
@@ -183,7 +183,7 @@ def _symbols(system: System, placed: Placed, port: Port, sizes: Mapping[str, flo
     """Return fresh symbols for an effect's parameters and hidden states."""
     import casadi as ca
 
-    from harness.physics.parameters import Parameter
+    from harness.physics.definition.parameters import Parameter
 
     units = _units(system, port)
     values = placed.effect.complete(placed.values, sizes)
@@ -204,7 +204,7 @@ def _hidden(
     system: System, placed: Placed, port: Port, made: _Symbols, derivatives: Sequence[Any], context: Mapping[str, Any]
 ) -> list[Any]:
     """Return the hidden states of an effect as the system wants them."""
-    from harness.physics.system import Hidden
+    from harness.physics.compiled.system import Hidden
     from harness.signals import Channel
 
     units, effect, found = _units(system, port), placed.effect, []
@@ -298,7 +298,7 @@ def _place_process(system: System, placed: Placed, port: Port, made: _Symbols) -
 
 def _place_sampled(system: System, placed: Placed, port: Port, made: _Symbols) -> System:
     """Leave a block to the simulator, which works on samples."""
-    from harness.physics.system import SampledBlock
+    from harness.physics.compiled.system import SampledBlock
 
     channels = system.inputs if port.kind == "input" else system.outputs
     index = [channel.name for channel in channels].index(port.name)

@@ -6,8 +6,18 @@ import functools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from harness.effects import actuator, bristles, drifting, external, friction, process, sensor, stiffness, transmission
 from harness.effects.effect import Effect, Placed
+from harness.effects.laws import (
+    actuator,
+    bristles,
+    drifting,
+    external,
+    friction,
+    process,
+    sensor,
+    stiffness,
+    transmission,
+)
 from harness.errors import InputError
 
 __all__ = ["Confusions", "Dictionary", "builtin", "find"]

@@ -255,7 +255,7 @@ class Placed:
 
     Examples
     --------
-    >>> from harness.effects.friction import coulomb_friction
+    >>> from harness.effects.laws.friction import coulomb_friction
     >>> Placed(coulomb_friction, "theta").name("Fc")
     'coulomb_friction@theta.Fc'
     """

@@ -11,7 +11,7 @@ from harness.effects.effect import Effect, Placed
 from harness.errors import InputError
 
 if TYPE_CHECKING:
-    from harness.physics.system import Port, System
+    from harness.physics.compiled.system import Port, System
 
 __all__ = ["carried_load", "fits", "obstacle", "place_all", "port_of"]
 

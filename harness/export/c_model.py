@@ -12,7 +12,7 @@ from harness.errors import InputError
 from harness.export.describe import Variable, describe, xml_text
 
 if TYPE_CHECKING:
-    from harness.physics.simulator import Simulator
+    from harness.physics.compiled.simulator import Simulator
 
 __all__ = ["DELAY", "description", "model_source"]
 
@@ -27,7 +27,7 @@ def model_source(simulator: Simulator, given: Collection[str] = ()) -> str:
     A hidden state of an effect starts where the effect says, from the input of the first step, unless its start value
     was set by the client or is in ``given`` (names of states).
     """
-    from harness.physics.ccode import system_source
+    from harness.physics.compiled.ccode import system_source
 
     system = simulator.system
     inputs = 1

@@ -16,7 +16,7 @@ from harness.export.linear import Linear, linear_description, linear_source
 from harness.trust import registered_only
 
 if TYPE_CHECKING:
-    from harness.physics.simulator import Simulator
+    from harness.physics.compiled.simulator import Simulator
 
 __all__ = ["export", "write_fmu", "write_linear_fmu"]
 

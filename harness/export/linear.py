@@ -55,7 +55,7 @@ def to_control(model: Any) -> control.StateSpace:
 
     Examples
     --------
-    >>> from identifiers.linear import LinearModel
+    >>> from identifiers.linear.least_squares import LinearModel
     >>> from harness.signals import Channel
     >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 0.1)
     >>> one, zero = np.ones((1, 1)), np.zeros(1)

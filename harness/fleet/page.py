@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from harness.benchmark.plots import INK, LINES, STYLE, svg_text
-from harness.benchmark.report import filled
-from harness.benchmark.summary import figure
+from harness.benchmark.page.plots import INK, LINES, STYLE, svg_text
+from harness.benchmark.page.report import filled
+from harness.benchmark.page.summary import figure
 from harness.fleet.changes import changes, odd_machines
 from harness.fleet.row import Found, Row
 from harness.fleet.trends import Series, new_effects, series_of, trends

@@ -12,7 +12,6 @@ from typing import Any
 
 import msgspec
 
-from harness.acceptance import Check, Demands
 from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.fleet.changes import Change, Odd, changes, odd_machines
@@ -25,6 +24,7 @@ from harness.fleet.work import RecordJob
 from harness.jobs import make_engine, run_jobs, shard_file
 from harness.jobs.alone import alone_in
 from harness.jobs.progress import Progress
+from harness.scoring.acceptance import Check, Demands
 
 __all__ = ["TIME_LIMIT", "FleetResult", "close_fleet", "fleet_table"]
 
@@ -80,7 +80,7 @@ class FleetResult:
 
         Parameters
         ----------
-        demands : harness.acceptance.Demands
+        demands : harness.scoring.acceptance.Demands
         """
         found = []
         reports = FleetStore(self.folder).reports

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from harness import __version__, registry
-from harness.data.description import read_description
-from harness.data.ports import located_model
+from harness.data.recipe.description import read_description
+from harness.data.recipe.ports import located_model
 from harness.errors import HarnessError
 from harness.fingerprint import fingerprint
 from harness.fleet.records import FleetRecord

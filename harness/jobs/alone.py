@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from harness.errors import InputError
 
@@ -38,9 +40,9 @@ def alone_in(folder: Path | None) -> Iterator[None]:
     another run writes into the folder
     """
     try:
-        import fcntl
+        fcntl: Any = importlib.import_module("fcntl")
     except ImportError:  # a system without it
-        fcntl = None  # type: ignore[assignment]
+        fcntl = None
     if folder is None:
         yield
         return

@@ -17,7 +17,7 @@ from typing import IO, Protocol
 
 from harness.errors import PluginError
 from harness.jobs.room import raise_if_full, require_room
-from harness.processes import Surroundings, end_children, ended
+from harness.supervision.processes import Surroundings, end_children, ended
 from harness.trust import trusting
 
 __all__ = [

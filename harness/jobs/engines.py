@@ -27,8 +27,8 @@ from harness.jobs.batch import (
     write_shard,
 )
 from harness.jobs.room import full_disk, raise_if_full, stop_if_full
+from harness.supervision.workers import cores, death, worker_pool
 from harness.trust import trusted, trusting
-from harness.workers import cores, death, worker_pool
 
 __all__ = ["AHEAD", "DaskEngine", "Engine", "LocalEngine", "Moved", "make_engine", "run_jobs"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from harness.data.binary_files import optional
+from harness.data.tables.binary_files import optional
 from harness.errors import InputError
 
 __all__ = ["Answer", "ask", "filtered"]

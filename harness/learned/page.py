@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from harness.display import STYLE, table
-from harness.physics.output_error import simulate_error
-from harness.physics.residual_force import LABEL
-from harness.physics.windows import data_states
+from harness.physics.compiled.windows import data_states
+from harness.physics.fitting.output_error import simulate_error
+from harness.physics.fitting.residual_force import LABEL
 from harness.plots import plain_texts
 from harness.signals import Dataset, FloatArray, Trajectory
 
 if TYPE_CHECKING:
-    from harness.physics.residual_learning import LearnedForce
-    from harness.physics.system import System
+    from harness.physics.compiled.system import System
+    from harness.physics.fitting.residual_learning import LearnedForce
 
 __all__ = ["page"]
 

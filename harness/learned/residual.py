@@ -13,9 +13,9 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.jobs.alone import alone_in
-from harness.physics.output_error import simulate_error
-from harness.physics.residual_force import LABEL
-from harness.physics.residual_learning import LearnedForce, learn_residual_force
+from harness.physics.fitting.output_error import simulate_error
+from harness.physics.fitting.residual_force import LABEL
+from harness.physics.fitting.residual_learning import LearnedForce, learn_residual_force
 from harness.signals import Dataset
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def learn_residual(
     out : path
         Folder for ``learned.html``, ``learned.json`` and, if the force helps, ``model.json``; made if needed.
     coordinate, arguments, refit, progress
-        See :func:`harness.physics.residual_learning.learn_residual_force`.
+        See :func:`harness.physics.fitting.residual_learning.learn_residual_force`.
     rng : numpy.random.Generator
 
     Raises

@@ -8,18 +8,18 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from harness.physics.parameters import Parameter
+from harness.physics.definition.parameters import Parameter
 
 if TYPE_CHECKING:
     from harness.physics import models
-    from harness.physics.equation_text import equations
-    from harness.physics.lumped_model import LumpedFit, LumpedModel, lumped
-    from harness.physics.mechanism import Mechanism
+    from harness.physics.compiled.simulator import Simulator
+    from harness.physics.compiled.system import BodyTerm, Coordinate, Hidden, Port, SampledBlock, System
+    from harness.physics.definition.equation_text import equations
+    from harness.physics.definition.mechanism import Mechanism
+    from harness.physics.definition.ode import Ode
+    from harness.physics.fitting.output_error import OutputErrorFit, fit_output_error, simulate_error
+    from harness.physics.lumped.lumped_model import LumpedFit, LumpedModel, lumped
     from harness.physics.models import load_model
-    from harness.physics.ode import Ode
-    from harness.physics.output_error import OutputErrorFit, fit_output_error, simulate_error
-    from harness.physics.simulator import Simulator
-    from harness.physics.system import BodyTerm, Coordinate, Hidden, Port, SampledBlock, System
 
 __all__ = [
     "BodyTerm",

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import FitError, InputError
-from harness.lqr import kalman_gain, lqr_gain, reachable, spectral_radius, stabilisable, state_observable
+from harness.models.lqr import kalman_gain, lqr_gain, reachable, spectral_radius, stabilisable, state_observable
 from harness.protocols import Identifier
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 

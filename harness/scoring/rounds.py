@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from harness.errors import FitError
-from harness.lqr import CostRatio, lqr_cost_ratio, lqr_gain
+from harness.models.lqr import CostRatio, lqr_cost_ratio, lqr_gain
 from harness.protocols import Identifier
 from harness.scoring.control import in_states
 from harness.signals import FloatArray, Trajectory

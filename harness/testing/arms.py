@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from harness.signals import Channel, FloatArray
 
 if TYPE_CHECKING:
-    from harness.physics.arm import ArmModel
+    from harness.physics.arms.arm import ArmModel
 
 __all__ = ["arms", "random_motion", "random_rotation"]
 
@@ -36,10 +36,10 @@ def arms(draw: Any, joints: tuple[int, int] = (1, 4), *, square: bool | None = N
     ...     assert (arm.arm.parameters.reshape(-1, 10)[:, 0] > 0).all()
     >>> heavy()
     """
-    from harness.physics.arm import ArmModel
-    from harness.physics.inertia import from_log_cholesky
-    from harness.physics.joints import Joint
-    from harness.physics.rigid_tree import Arm
+    from harness.physics.arms.arm import ArmModel
+    from harness.physics.arms.inertia import from_log_cholesky
+    from harness.physics.arms.joints import Joint
+    from harness.physics.arms.rigid_tree import Arm
 
     count = draw(st.integers(*joints))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))

@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
-from harness import cli
-from harness.cli_options import AsJson, Engine, Force, Resume, Workers
-from harness.interrupts import Interrupts
-from harness.terminal import jobs_bar, print_json, print_written, say
+from harness.cli import app as cli
+from harness.cli.options import AsJson, Engine, Force, Resume, Workers
+from harness.cli.terminal import jobs_bar, print_json, print_written, say
+from harness.supervision.interrupts import Interrupts
 
 __all__ = ["app", "run"]
 

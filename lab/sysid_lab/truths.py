@@ -204,8 +204,8 @@ def _pointer(array: FloatArray) -> ctypes.c_void_p:
 @functools.cache
 def _library() -> ctypes.CDLL:
     """Return the compiled truth."""
-    from harness.compiled import build_once
     from harness.fmi.build import FLAGS, BuildError, compile_library
+    from harness.fmi.compiled import build_once
 
     source = Path(__file__).with_name("truth.c").read_text(encoding="utf-8")
     text = f"enum {{ {', '.join(f'P_{name}' for name in _VALUES)} }};\n{source}"

@@ -6,9 +6,9 @@ import hashlib
 import platform
 from pathlib import Path
 
-from harness.compiled import build_once
 from harness.errors import InputError
 from harness.fmi import build
+from harness.fmi.compiled import build_once
 
 __all__ = ["FOLDER", "mockup", "models"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from harness.benchmark import bench
-from harness.benchmark.exports import render
+from harness.benchmark.page.exports import render
 
 SUITE = """
 name = "control"

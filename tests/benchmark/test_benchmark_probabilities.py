@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from harness.benchmark import bench, render
-from harness.benchmark.report import render_html
+from harness.benchmark.page.report import render_html
 
 SUITE = """
 name = "probable"

@@ -15,12 +15,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness import api, diagnosis
-from harness.acceptance import Check, Demands, write_junit
 from harness.command import main
 from harness.comparison import compare_reports
 from harness.errors import InputError
 from harness.fleet.row import Row
 from harness.fleet.running import FleetResult
+from harness.scoring.acceptance import Check, Demands, write_junit
 
 FOLDER = Path(__file__).resolve().parents[2]
 

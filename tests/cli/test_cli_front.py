@@ -215,7 +215,7 @@ def test_linear_fits_print_coefficients_intervals_rank_and_order(
 def test_a_narrow_terminal_still_shows_every_word(monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     from rich.console import Console
 
-    import harness.terminal as terminal
+    import harness.cli.terminal as terminal
 
     monkeypatch.setattr(terminal, "wide_console", lambda: Console(width=40, markup=False, highlight=False))
     terminal.print_parts(api.list_parts("effects"))
@@ -231,7 +231,7 @@ def test_a_narrow_terminal_still_shows_every_word(monkeypatch: pytest.MonkeyPatc
 def test_no_number_of_a_table_is_cut(width: int, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     from rich.console import Console
 
-    import harness.terminal as terminal
+    import harness.cli.terminal as terminal
 
     monkeypatch.setattr(terminal, "wide_console", lambda: Console(width=width, markup=False, highlight=False))
     row = {"identifier": "ho-kalman", "order": 12, "nrmse": 1.2345e-05, "free_run": None, "sound": True}

@@ -9,9 +9,9 @@ import time
 
 import pytest
 
-from harness import cli
-from harness.interrupts import INTERRUPTED, Interrupts
-from harness.terminal import progress_bar
+from harness.cli import app as cli
+from harness.cli.terminal import progress_bar
+from harness.supervision.interrupts import INTERRUPTED, Interrupts
 
 
 def swallowed() -> None:

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from harness.workers import THREAD_VARIABLES
+from harness.supervision.workers import THREAD_VARIABLES
 
 SCRIPT = """
 import os, sys

@@ -11,7 +11,7 @@ from harness.errors import InputError
 
 BROKEN = """
 from dataclasses import dataclass
-from identifiers.baselines import HoldLast
+from identifiers.online.baselines import HoldLast
 
 class Peeks(HoldLast):
     def fit(self, trajectories, *, rng):
@@ -70,7 +70,7 @@ def test_what_cannot_be_checked_is_refused(
 
 def test_effects_pass_and_a_wrong_one_fails() -> None:
     from harness.effects import effect
-    from harness.effects.friction import coulomb_friction
+    from harness.effects.laws.friction import coulomb_friction
 
     assert all(r.passed for r in check_effect(lambda: coulomb_friction))
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.errors import InputError
-from harness.estimate import Estimate, RankDecision, estimate_of, null_words
+from harness.models.estimate import Estimate, RankDecision, estimate_of, null_words
 
 
 def test_what_json_cannot_hold_comes_back_as_what_it_meant():

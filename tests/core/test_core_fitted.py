@@ -111,7 +111,7 @@ def test_a_forecast_needs_its_inputs(stored: fitted.FittedModel) -> None:
 def test_every_command_is_a_python_call() -> None:
     from typer.main import get_command
 
-    from harness.cli import app
+    from harness.cli.app import app
 
     for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
         if command.hidden:  # says where a command went

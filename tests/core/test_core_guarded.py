@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from harness.errors import InputError, PlantError, PluginError
-from harness.guarded import alive, guarded
+from harness.supervision.guarded import alive, guarded
 
 
 def work(how: str, note: str = "", *, progress: Callable[..., None]) -> Any:

@@ -9,11 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 from harness import registry
-from harness.cli import app
+from harness.cli.app import app
+from harness.cli.terminal import option_pairs, seed_range
 from harness.errors import InputError
 from harness.options import meant_options
-from harness.physics.parameters import Parameter, said_far
-from harness.terminal import option_pairs, seed_range
+from harness.physics.definition.parameters import Parameter, said_far
 
 
 def made(

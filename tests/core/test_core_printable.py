@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
+from harness.cli.terminal import fail, print_table, say
 from harness.errors import printable
 from harness.export.describe import xml_text
 from harness.plots import plain_texts, plot_record
-from harness.terminal import fail, print_table, say
 
 HOSTILE = ["$\\frac{", "a$b$c$", "\x1b[2J", "x\x00y", "right\u202eleft", "_{^", "\\u", "100 $"]
 

@@ -39,7 +39,7 @@ from harness.jobs import make_engine
 assert make_engine("local", None).workers >= 1
 record = api.simulate("linear-ode", scenario="prbs", scenario_options={"duration": 5.0})
 print(api.identify(record).equation_error["validation"][0].nrmse)
-from plants.isolated import isolated
+from plants.isolation.isolated import isolated
 isolated("linear-ode").close()
 """
 

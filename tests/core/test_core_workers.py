@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from harness.workers import worker_pool
+from harness.supervision.workers import worker_pool
 
 SCRIPT = """
 import os, sys
 print("ran", flush=True)
-from harness.workers import worker_pool
+from harness.supervision.workers import worker_pool
 
 before = dict(os.environ)
 with worker_pool(2) as pool:
@@ -42,7 +42,7 @@ def test_a_script_without_a_guard_runs_once_and_keeps_its_name(tmp_path: Path) -
 
 OWN_POOL = """
 import multiprocessing
-from harness.workers import worker_pool
+from harness.supervision.workers import worker_pool
 
 def double(x):
     return 2 * x

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from harness import api
 from harness.command import main
-from harness.convergence import halved
+from harness.cosim.convergence import halved
 from harness.errors import InputError
 from harness.signals import Channel, PlantSpec, Trajectory
 

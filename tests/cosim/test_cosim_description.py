@@ -12,11 +12,11 @@ import pytest
 from harness import api, registry
 from harness.cosim import Connection, Coupled, couple
 from harness.errors import InputError
-from harness.plant_files import make_part
+from harness.parts.files import make_part
 from harness.protocols import Plant
 from harness.trust import trusting
-from plants.fmu import FmuPlant
-from plants.fmu_mockups import pendulum_fmu
+from plants.fmu.mockups import pendulum_fmu
+from plants.fmu.plant import FmuPlant
 from plants.mockups import mockup
 
 RNG = np.random.default_rng(0)

@@ -12,8 +12,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from harness.cosim import Connection, Coupled
-from plants.fmu import FmuPlant
-from plants.fmu_mockups import pendulum_fmu
+from plants.fmu.mockups import pendulum_fmu
+from plants.fmu.plant import FmuPlant
 from plants.mockups import mockup
 
 ROOT = Path(__file__).parents[2]
@@ -98,7 +98,7 @@ def test_strong_coupling_of_fmus_rolls_back_to_the_implicit_step() -> None:
 
 
 def test_a_pymunk_part_passes_its_tolerance_on() -> None:
-    from plants.cart_pole import PymunkCartPole
+    from plants.pymunk.cart_pole import PymunkCartPole
 
     plant = Coupled({"cart": PymunkCartPole()}, [("f", "cart.u")], inputs={"f": "cart.u"}, outputs=["cart.x"])
     assert plant.snapshot_tolerance == 1e-9

@@ -16,9 +16,9 @@ from harness.cosim import Connection, Coupled, couple_ssp
 from harness.cosim.structure import opened
 from harness.cosim.structure.flatten import FlatSystem, flatten
 from harness.errors import InputError
-from harness.plant_files import describe_fmu
+from harness.parts.files import describe_fmu
 from harness.protocols import Plant
-from plants.fmu import FmuPlant
+from plants.fmu.plant import FmuPlant
 from plants.mockups import mockup
 
 RNG = np.random.default_rng(0)

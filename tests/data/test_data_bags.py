@@ -10,7 +10,7 @@ import pytest
 
 from harness import api
 from harness.data import load_dataset
-from harness.data.contents import contents_of
+from harness.data.recipe.contents import contents_of
 from harness.errors import InputError
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'sysid-harness[data]'")

@@ -9,9 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from harness import api
-from harness.cli import app
+from harness.cli.app import app
 from harness.data import load_dataset
-from harness.data.contents import contents_of
+from harness.data.recipe.contents import contents_of
 from harness.errors import InputError
 
 N, DT = 60, 0.01

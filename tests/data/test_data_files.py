@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from harness.data.selectors import parse_selector, vector
-from harness.data.tables import Table
+from harness.data.tables.selectors import parse_selector, vector
+from harness.data.tables.table import Table
 from harness.errors import InputError
 
 VALUES = np.array([0.1, 1 / 3, -2e-300, 7.0, 1e22])

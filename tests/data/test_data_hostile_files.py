@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from harness.data import load_dataset
-from harness.data.tables import open_table
+from harness.data.tables.table import open_table
 from harness.errors import InputError
 from harness.fleet.records import FleetRecord
 from harness.fleet.work import RecordJob
@@ -75,7 +75,7 @@ def test_a_parquet_file_that_states_more_than_memory_is_refused(
     import pyarrow as pa
     from pyarrow import parquet
 
-    from harness.data import packing
+    from harness.data.tables import packing
 
     path = tmp_path / "run.parquet"
     n = 200_000

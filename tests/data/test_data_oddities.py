@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from harness import api
 from harness.data.oddities import examined
-from harness.physics.kalman_pass import KalmanPass, Noise
-from harness.physics.latent import with_latent_forces
-from harness.physics.likelihood_fit import fit_likelihood
+from harness.physics.compiled.kalman_pass import KalmanPass, Noise
+from harness.physics.compiled.latent import with_latent_forces
+from harness.physics.fitting.likelihood_fit import fit_likelihood
 from harness.physics.models import pendulum
 from harness.signals import Channel, Dataset, FloatArray, Oddity, PlantSpec, Run, Trajectory
 

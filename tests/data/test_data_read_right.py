@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.data import load_dataset
-from harness.data.headers import clock_of, clock_unit
+from harness.data.tables.headers import clock_of, clock_unit
 from harness.errors import InputError
 from harness.signals import Trajectory
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.data.sections import ResampleSection
-from harness.data.timebase import TimeRules, pieces_of, sample_time_of
+from harness.data.conditioning.timebase import TimeRules, pieces_of, sample_time_of
+from harness.data.recipe.sections import ResampleSection
 from harness.errors import InputError
 
 DT = 0.01

@@ -15,7 +15,7 @@ from harness.diagnosis.arm.motion import arm_runs
 from harness.diagnosis.arm.wide import wide_search
 from harness.diagnosis.close import close_loop, close_loop_file
 from harness.errors import InputError
-from harness.physics.arm import ArmModel, load_arm
+from harness.physics.arms.arm import ArmModel, load_arm
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
 pytest.importorskip("pybullet", reason="pybullet has wheels for CPython 3.10 and 3.11 only")
@@ -34,7 +34,7 @@ def record(seed: int, gains: tuple[float, ...] = (1.0,) * 7, **options: Any) -> 
     """Return a log of a Bullet iiwa that tracks a multisine: noisy torques and positions, nothing else."""
     from harness.rng import Streams
     from harness.rollout import run
-    from plants.bullet import iiwa
+    from plants.bullet.robots import iiwa
     from scenarios.closed_loop import ArmComputedTorque
 
     runs: list[Run] = []

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from harness.diagnosis.close import close_loop
-from harness.physics.arm import ArmModel, load_arm
-from harness.physics.inertia import is_consistent
+from harness.physics.arms.arm import ArmModel, load_arm
+from harness.physics.arms.inertia import is_consistent
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
 pytest.importorskip("pybullet_data", reason="the URDF of the iiwa comes with PyBullet")

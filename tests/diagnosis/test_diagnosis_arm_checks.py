@@ -9,7 +9,7 @@ import pytest
 
 from harness.diagnosis.arm.checks import check_torques
 from harness.diagnosis.close import close_loop
-from harness.physics.arm import load_arm
+from harness.physics.arms.arm import load_arm
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 
 DT, N = 0.005, 2000

@@ -13,7 +13,7 @@ from harness.diagnosis.arm.motion import arm_runs
 from harness.diagnosis.close import close_loop
 from harness.diagnosis.report.keys import blank
 from harness.effects import builtin
-from harness.physics.arm import ArmModel, load_arm
+from harness.physics.arms.arm import ArmModel, load_arm
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
 pytest.importorskip(

@@ -11,7 +11,7 @@ import pytest
 from harness.diagnosis.arm.motion import arm_runs
 from harness.diagnosis.arm.rotor import in_the_bodies
 from harness.diagnosis.close import close_loop
-from harness.physics.arm import ArmModel, load_arm
+from harness.physics.arms.arm import ArmModel, load_arm
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
 pytest.importorskip("pybullet", reason="pybullet has wheels for CPython 3.10 and 3.11 only")

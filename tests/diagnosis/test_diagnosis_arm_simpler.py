@@ -12,8 +12,8 @@ from harness.diagnosis.arm.simpler import becomes
 from harness.diagnosis.close import close_loop
 from harness.effects import builtin
 from harness.errors import InputError
-from harness.physics.arm import ArmModel, load_arm
-from harness.physics.urdf import load_urdf
+from harness.physics.arms.arm import ArmModel, load_arm
+from harness.physics.arms.urdf import load_urdf
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
 DT, ROWS = 0.005, 800

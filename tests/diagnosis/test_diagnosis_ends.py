@@ -18,8 +18,8 @@ from harness.diagnosis.search.fit import Fit
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.physics import load_model
-from harness.physics.kalman_pass import Filtered, Pass
-from harness.physics.likelihood import Likelihood, NoiseModel, _FisherScoring, _Quadratic
+from harness.physics.compiled.kalman_pass import Filtered, Pass
+from harness.physics.fitting.likelihood import Likelihood, NoiseModel, _FisherScoring, _Quadratic
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 
 DT, N = 0.02, 600

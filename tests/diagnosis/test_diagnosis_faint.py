@@ -17,8 +17,8 @@ from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.physics import load_model
-from harness.physics.kalman_pass import KalmanPass
-from harness.physics.latent import without_latent_forces
+from harness.physics.compiled.kalman_pass import KalmanPass
+from harness.physics.compiled.latent import without_latent_forces
 from harness.signals import Channel, PlantSpec, Trajectory
 
 DT = 0.002

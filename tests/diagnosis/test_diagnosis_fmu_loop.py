@@ -25,8 +25,8 @@ from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.errors import InputError
 from harness.export.package import SSP, write_package
-from harness.physics.kalman_pass import Noise
-from harness.plant_files import make_plant
+from harness.parts.files import make_plant
+from harness.physics.compiled.kalman_pass import Noise
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 from harness.specs import spec_to_dict
 from harness.trust import trusting

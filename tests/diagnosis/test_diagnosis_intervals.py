@@ -14,7 +14,7 @@ from harness.diagnosis.forms.robust import robust_covariance
 from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.intervals import _blocks, block_interval, correlation_samples
 from harness.physics import load_model
-from harness.physics.windows import Windows
+from harness.physics.compiled.windows import Windows
 from harness.signals import PlantSpec, Trajectory
 
 N, DT = 2000, 0.015

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from harness import api
 from harness.diagnosis.forms.predictive import predictive, spread_of
 from harness.physics import load_model
-from harness.physics.kalman_pass import KalmanPass, Noise
-from harness.physics.latent import without_latent_forces
-from harness.physics.likelihood import Likelihood, NoiseModel, Point
+from harness.physics.compiled.kalman_pass import KalmanPass, Noise
+from harness.physics.compiled.latent import without_latent_forces
+from harness.physics.fitting.likelihood import Likelihood, NoiseModel, Point
 from harness.signals import Channel, PlantSpec, Trajectory
 
 R = 1e-3

@@ -17,7 +17,7 @@ from harness.diagnosis.runs.compare import seen
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.effects import builtin
 from harness.physics import fit_output_error, load_model
-from harness.physics.likelihood import Likelihood
+from harness.physics.fitting.likelihood import Likelihood
 from harness.rng import Streams
 from harness.rollout import perform
 from harness.signals import Dataset, Run

@@ -18,7 +18,7 @@ from harness.diagnosis.search.fit import Begun
 from harness.effects.effect import Placed
 from harness.fingerprint import files_named, fingerprint
 from harness.physics import Mechanism
-from harness.physics.system import System
+from harness.physics.compiled.system import System
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 

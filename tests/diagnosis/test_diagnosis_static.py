@@ -9,13 +9,13 @@ import pytest
 
 from harness.command import main
 from harness.diagnosis.records.horizon import choose_horizon
-from harness.physics.ode import Ode
-from harness.physics.output_error import fit_output_error
+from harness.physics.definition.ode import Ode
+from harness.physics.fitting.output_error import fit_output_error
 from harness.signals import Dataset, PlantSpec, Run, Trajectory
 
 MODEL = '''"""A load cell."""
 
-from harness.physics.ode import Ode
+from harness.physics.definition.ode import Ode
 
 
 def cell():

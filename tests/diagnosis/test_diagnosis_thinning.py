@@ -13,8 +13,8 @@ from harness.diagnosis import close_loop
 from harness.diagnosis.records.thinning import thinned_dataset, white_keeping_filter
 from harness.diagnosis.runs.residual_tests import max_autocorrelation
 from harness.effects import builtin
+from harness.parts.files import make_plant
 from harness.physics import Parameter
-from harness.plant_files import make_plant
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), 0.001)

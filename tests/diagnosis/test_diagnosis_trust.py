@@ -27,7 +27,7 @@ from harness.effects import builtin
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.physics import load_model
-from harness.physics.likelihood import _damped
+from harness.physics.fitting.likelihood import _damped
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 DT = 0.01

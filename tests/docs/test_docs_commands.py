@@ -28,7 +28,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 PAGES += sorted((ROOT / "examples").glob("*/README.md"))
 FENCE = re.compile(r"^```(?P<info>[^\n`]*)\n(?P<code>.*?)^```\s*$", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`(sysid(?:-lab)? [^`]+)`")
-PROGRAMS = {"sysid": "harness.cli", "sysid-lab": "sysid_lab.cli"}
+PROGRAMS = {"sysid": "harness.cli.app", "sysid-lab": "sysid_lab.cli"}
 
 
 def commands(text: str) -> list[str]:

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from harness.effects import delay, delay_slope
 from harness.physics import models
-from harness.physics.parameters import Parameter
-from harness.physics.ports import SampledBlock
+from harness.physics.definition.parameters import Parameter
+from harness.physics.definition.ports import SampledBlock
 
 
 @given(tau=st.floats(0.0, 0.5), seed=st.integers(0, 1000))

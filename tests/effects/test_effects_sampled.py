@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from harness.effects import DelayLine, delay, delay_slope, quantisation_test, quantise
-from harness.physics.sampled import delayed
+from harness.physics.compiled.sampled import delayed
 
 records = hnp.arrays(float, st.integers(1, 40), elements=st.floats(-10, 10, width=32))
 delays = st.floats(0.0, 12.0).map(lambda samples: samples * 0.1)

@@ -14,8 +14,8 @@ from harness.errors import InputError
 from harness.export import export, to_control, write_linear_fmu
 from harness.physics.models import pendulum
 from harness.signals import Channel, PlantSpec
-from identifiers.grey_box import GreyBoxModel
-from identifiers.linear import LinearModel
+from identifiers.linear.least_squares import LinearModel
+from identifiers.mechanics.grey_box import GreyBoxModel
 
 RNG = np.random.default_rng(1)
 SPEC = PlantSpec((Channel("u", "V"), Channel("w")), (Channel("y", "rad"),), 0.05)
@@ -74,7 +74,7 @@ def test_what_is_not_linear_or_has_offsets_is_refused():
 
 
 def grey(tmp_path, **changes):
-    from identifiers.physical import recipe_for
+    from identifiers.mechanics.physical import recipe_for
 
     system = pendulum().system()
     spec = PlantSpec(system.inputs, system.outputs, 0.02)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
-from harness.predictive import probability_score
+from harness.models.predictive import probability_score
 from harness.scoring import equation_error
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.attention import AttentionEnsemble, AttentionNetwork
-from identifiers.linear import Arx
+from identifiers.learned.attention import AttentionEnsemble, AttentionNetwork
+from identifiers.linear.least_squares import Arx
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("torch") is None, reason="torch is not installed: pip install 'sysid-harness[learned]'"
@@ -46,7 +46,7 @@ def test_it_finds_what_came_late_and_its_bands_hold(fitted):
 
 
 def test_attention_is_a_distribution_and_rests_on_the_lag_that_matters(fitted):
-    from identifiers.lag_state import regression_data
+    from identifiers.common.lag_state import regression_data
 
     rows, _ = regression_data([late(400, 2)], 14)
     shares = [member.attention(rows) for member in fitted.members]

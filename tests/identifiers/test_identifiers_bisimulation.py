@@ -11,10 +11,16 @@ from scipy.optimize import linprog
 from harness.errors import InputError
 from harness.registry import create
 from harness.testing import FiniteProcess, simulate_finite
-from identifiers.bisimulation import bisimulation, bisimulation_metric, information_gap, quotient
-from identifiers.decision import action_sufficient, optimal_values, policy_values, value_error_bound, value_sufficient
-from identifiers.mdp import MdpCounting
-from plants.finite import FiniteMdp
+from identifiers.finite.bisimulation import bisimulation, bisimulation_metric, information_gap, quotient
+from identifiers.finite.decision import (
+    action_sufficient,
+    optimal_values,
+    policy_values,
+    value_error_bound,
+    value_sufficient,
+)
+from identifiers.finite.mdp import MdpCounting
+from plants.finite.mdp import FiniteMdp
 
 
 def drawn(states: int, actions: int, seed: int):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from harness.errors import FitError, InputError
-from harness.estimate import estimate_of
+from harness.models.estimate import estimate_of
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.calibration import JointCalibration, MarkerModel
-from plants.marked_arm import MarkedArmPlant
+from identifiers.mechanics.calibration import JointCalibration, MarkerModel
+from plants.bullet.marked_arm import MarkedArmPlant
 
 pytest.importorskip("pybullet_data")
 

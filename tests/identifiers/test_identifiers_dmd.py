@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from harness.errors import FitError, InputError
-from harness.estimate import estimate_of
+from harness.models.estimate import estimate_of
 from harness.registry import create
 from harness.scoring import equation_error, simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.dmd import Dmdc
-from identifiers.koopman import Dictionary, Edmdc, KoopmanModel, register_functions
+from identifiers.koopman.koopman import Dictionary, Edmdc, KoopmanModel, register_functions
+from identifiers.linear.dmd import Dmdc
 
 RNG = np.random.default_rng(0)
 MODES = np.array([0.99 * np.exp(0.1j), 0.98 * np.exp(0.3j), 0.97 * np.exp(0.7j)])
@@ -83,7 +83,7 @@ def test_rank_and_total_are_found_from_the_data():
 
 
 def test_many_snapshots_give_the_same_by_blocks(monkeypatch):
-    import identifiers.dmd as room
+    import identifiers.linear.dmd as room
 
     data = [field(900, 0.05, 4, n=12)]
     whole = Dmdc(rank=6, total=True, offset=True).fit(data, rng=RNG)

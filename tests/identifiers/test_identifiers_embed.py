@@ -14,7 +14,7 @@ from harness.errors import FitError
 from harness.scoring import control_score, simulation_error
 from harness.scoring.control import LinearPlantModel
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.embed import EmbedToControl, LatentModel
+from identifiers.learned.embed import EmbedToControl, LatentModel
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("torch") is None, reason="torch is not installed: pip install 'sysid-harness[learned]'"

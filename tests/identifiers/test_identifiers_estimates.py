@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.errors import FitError
-from harness.estimate import estimate_of
+from harness.models.estimate import estimate_of
 from harness.physics import load_model
-from harness.physics.identifiability import determined
+from harness.physics.lumped.identifiability import determined
 from harness.physics.models import pendulum
 from harness.signals import PlantSpec, Trajectory
-from identifiers.grey_box import OutputError
-from identifiers.lumped import lumped_energy, lumped_momentum, lumped_torque
-from identifiers.motion import noise_level
+from identifiers.mechanics.grey_box import OutputError
+from identifiers.mechanics.lumped import lumped_energy, lumped_momentum, lumped_torque
+from identifiers.mechanics.motion import noise_level
 
 TRUTH = {"J": 0.2, "b": 0.05, "mgl": 1.0}
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from harness.errors import FitError
-from harness.predictive import probability_score
+from harness.models.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring import predict
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.factored import FactoredCounting
-from identifiers.mdp import MdpCounting
+from identifiers.finite.factored import FactoredCounting
+from identifiers.finite.mdp import MdpCounting
 
 RNG = np.random.default_rng(0)
 

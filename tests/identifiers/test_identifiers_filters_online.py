@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from harness.effects import Placed, builtin, compose
 from harness.errors import InputError
-from harness.estimate import estimate_of
+from harness.models.estimate import estimate_of
 from harness.physics.models import cart_pole, double_pendulum, pendulum
 from harness.scoring import regret
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.filters_online import ekf, ukf
-from identifiers.surprise import Surprise
+from identifiers.mechanics.surprise import Surprise
+from identifiers.online.filters_online import ekf, ukf
 
 TRUTH = {"J": 0.2, "b": 0.05, "mgl": 1.3}
 

@@ -9,13 +9,13 @@ import pytest
 from scipy.optimize import approx_fprime
 
 from harness.errors import FitError
-from harness.predictive import probability_score
+from harness.models.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring import equation_error, simulation_error
-from identifiers.gaussian_process import GaussianProcess, Kernel, _evidence, _exact, _inducing, _sparse
-from identifiers.linear import Arx
+from identifiers.learned.gaussian_process import GaussianProcess, Kernel, _evidence, _exact, _inducing, _sparse
+from identifiers.linear.least_squares import Arx
 
 
 @functools.cache

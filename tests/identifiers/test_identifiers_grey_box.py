@@ -13,10 +13,10 @@ from harness.physics import Mechanism, lumped
 from harness.physics.models import cart_pole, pendulum
 from harness.scoring import equation_error, predict, simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.grey_box import GreyBoxModel, OutputError
-from identifiers.lumped import lumped_energy, lumped_momentum, lumped_torque
-from identifiers.motion import motion
-from identifiers.physical import Recipe, recipe_for
+from identifiers.mechanics.grey_box import GreyBoxModel, OutputError
+from identifiers.mechanics.lumped import lumped_energy, lumped_momentum, lumped_torque
+from identifiers.mechanics.motion import motion
+from identifiers.mechanics.physical import Recipe, recipe_for
 
 RNG = np.random.default_rng(0)
 CART = {"mc": 10.0, "mp": 1.0, "l": 0.5, "bx": 0.2, "btheta": 0.1}

@@ -10,16 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.errors import FitError, InputError
-from harness.predictive import probability_score
+from harness.models.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers import hmm_pass
-from identifiers.beliefs import compress_beliefs
-from identifiers.hmm import HiddenMarkov, HmmModel, _from_moments
-from identifiers.mdp import MdpCounting
-from plants.pomdp import FinitePomdp
+from identifiers.finite import hmm_pass
+from identifiers.finite.beliefs import compress_beliefs
+from identifiers.finite.hmm import HiddenMarkov, HmmModel, _from_moments
+from identifiers.finite.mdp import MdpCounting
+from plants.finite.pomdp import FinitePomdp
 
 RNG = np.random.default_rng(0)
 T = np.array(

@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from harness.errors import FitError, InputError
-from harness.predictive import probability_score
+from harness.models.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring import equation_error, predict, simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.hybrid import PiecewiseAffine
-from identifiers.lag_state import regression_data
-from identifiers.linear import Arx
-from identifiers.trees import RandomForest, grow_tree
-from identifiers.volterra import Volterra
+from identifiers.common.lag_state import regression_data
+from identifiers.learned.trees import RandomForest, grow_tree
+from identifiers.learned.volterra import Volterra
+from identifiers.linear.hybrid import PiecewiseAffine
+from identifiers.linear.least_squares import Arx
 
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), 0.1)
 

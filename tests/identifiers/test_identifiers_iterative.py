@@ -10,8 +10,8 @@ import pytest
 from harness.errors import InputError
 from harness.scoring.rounds import interleaved
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.iterative import learn_input, linearised_along
-from identifiers.linear import StateLeastSquares
+from identifiers.linear.iterative import learn_input, linearised_along
+from identifiers.linear.least_squares import StateLeastSquares
 
 DT, N = 0.05, 80
 SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)

@@ -14,8 +14,8 @@ from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring import simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.lagrangian import Form, LagrangianModel, LagrangianNetwork
-from identifiers.linear import Arx
+from identifiers.learned.lagrangian import Form, LagrangianModel, LagrangianNetwork
+from identifiers.linear.least_squares import Arx
 
 torch_needed = pytest.mark.skipif(
     importlib.util.find_spec("torch") is None, reason="torch is not installed: pip install 'sysid-harness[learned]'"

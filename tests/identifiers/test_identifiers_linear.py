@@ -8,8 +8,8 @@ import pytest
 from harness.errors import FitError, InputError
 from harness.scoring import equation_error, predict, simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
-from identifiers.linear import Arx, LinearModel, StateLeastSquares
-from identifiers.regression import solve
+from identifiers.common.regression import solve
+from identifiers.linear.least_squares import Arx, LinearModel, StateLeastSquares
 
 A = np.array([[0.9, 0.2], [-0.1, 0.8]])
 B = np.array([[0.0], [1.0]])

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 
 from harness.command import main
 from harness.errors import FitError, InputError
-from harness.estimate import estimate_of
+from harness.models.estimate import estimate_of
 from harness.physics import load_model
 from harness.scoring import regret
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
-from identifiers.lumped_recursive import RecursiveLumped, RecursiveState
-from identifiers.online import RecursiveLeastSquares
-from identifiers.rls_pass import rotated
+from identifiers.online.lumped_recursive import RecursiveLumped, RecursiveState
+from identifiers.online.rls import RecursiveLeastSquares
+from identifiers.online.rls_pass import rotated
 
 DT = 0.01
 

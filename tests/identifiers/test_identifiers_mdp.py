@@ -11,7 +11,7 @@ from harness.errors import FitError
 from harness.scoring import predict, regret
 from harness.signals import Channel, PlantSpec, Trajectory
 from harness.testing import FiniteProcess, simulate_finite
-from identifiers.mdp import MdpCounting, MdpModel, OnlineCounting, count_transitions, weissman_bound
+from identifiers.finite.mdp import MdpCounting, MdpModel, OnlineCounting, count_transitions, weissman_bound
 
 RNG = np.random.default_rng(0)
 

@@ -12,15 +12,15 @@ import pytest
 
 from harness.conformance import check_identifier
 from harness.errors import InputError
-from harness.predictive import probability_score
+from harness.models.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring import equation_error, simulation_error
-from identifiers.linear import Arx
-from identifiers.neural import EnsembleModel, NeuralNetwork
-from identifiers.neural_state import NeuralStateModel, NeuralStateSpace
-from identifiers.training import need_torch
+from identifiers.learned.neural import EnsembleModel, NeuralNetwork
+from identifiers.learned.neural_state import NeuralStateModel, NeuralStateSpace
+from identifiers.learned.training import need_torch
+from identifiers.linear.least_squares import Arx
 
 torch_needed = pytest.mark.skipif(
     importlib.util.find_spec("torch") is None, reason="torch is not installed: pip install 'sysid-harness[learned]'"

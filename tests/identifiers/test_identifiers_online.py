@@ -8,10 +8,10 @@ import pytest
 from harness.errors import FitError, InputError
 from harness.scoring import regret
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.leader import FollowTheLeader
-from identifiers.linear import Arx
-from identifiers.online import RecursiveLeastSquares
-from identifiers.rls_pass import run
+from identifiers.linear.least_squares import Arx
+from identifiers.online.leader import FollowTheLeader
+from identifiers.online.rls import RecursiveLeastSquares
+from identifiers.online.rls_pass import run
 
 RNG = np.random.default_rng(0)
 SPEC = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)

@@ -8,13 +8,13 @@ import pytest
 from harness.errors import FitError, InputError
 from harness.scoring import equation_error, predict, simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.arx import Arx
-from identifiers.balance import balanced
-from identifiers.linear_model import LinearModel
-from identifiers.polynomial import Orders, Part, Polynomials, block_form, errors_and_gradients
-from identifiers.prediction_error import PredictionError
-from identifiers.predictor import Subspace
-from identifiers.spectral import etfe, welch
+from identifiers.common.linear_model import LinearModel
+from identifiers.linear.arx import Arx
+from identifiers.linear.balance import balanced
+from identifiers.linear.n4sid import Subspace
+from identifiers.linear.polynomial import Orders, Part, Polynomials, block_form, errors_and_gradients
+from identifiers.linear.prediction_error import PredictionError
+from identifiers.linear.spectral import etfe, welch
 
 RNG = np.random.default_rng(0)
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), 0.1)

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from harness.predictive import probability_score
+from harness.models.predictive import probability_score
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
-from identifiers.reach import Reach
-from identifiers.recurrent import NeuralOutputError
+from identifiers.common.reach import Reach
+from identifiers.learned.recurrent import NeuralOutputError
 
 
 @settings(max_examples=25, deadline=None)

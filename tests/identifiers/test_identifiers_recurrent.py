@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from harness.conformance import check_identifier
 from harness.errors import FitError, InputError
-from harness.predictive import probability_score
+from harness.models.predictive import probability_score
 from harness.registry import create
 from harness.scoring import simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers import recurrent
-from identifiers.linear import Arx
-from identifiers.recurrent import NeuralOutputError, RecurrentEnsemble
-from identifiers.recurrent_pass import Layout, library
+from identifiers.learned import recurrent
+from identifiers.learned.recurrent import NeuralOutputError, RecurrentEnsemble
+from identifiers.learned.recurrent_pass import Layout, library
+from identifiers.linear.least_squares import Arx
 
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "V"),), 1.0)
 

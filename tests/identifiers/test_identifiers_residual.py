@@ -11,9 +11,9 @@ from harness.errors import FitError, InputError
 from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring import simulation_error
-from identifiers.lumped import lumped_momentum
-from identifiers.residual import ResidualModel, ResidualPhysics
-from identifiers.residual_basis import basis_of, spread_centres
+from identifiers.mechanics.lumped import lumped_momentum
+from identifiers.mechanics.residual import ResidualModel, ResidualPhysics
+from identifiers.mechanics.residual_basis import basis_of, spread_centres
 
 HIDDEN = [("coulomb_friction", "theta", {"Fc": 0.15}), ("quadratic_drag", "theta", {"c": 0.05})]
 

@@ -8,10 +8,10 @@ import pytest
 from harness.errors import FitError, InputError
 from harness.scoring import simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
-from identifiers.library import Library
-from identifiers.normal import NormalEquations
-from identifiers.selection import best_subset, ensemble, lasso, lasso_path
-from identifiers.sparse import Stlsq, eliminate, stlsq
+from identifiers.common.library import Library
+from identifiers.common.normal import NormalEquations
+from identifiers.sparse.selection import best_subset, ensemble, lasso, lasso_path
+from identifiers.sparse.stlsq import Stlsq, eliminate, stlsq
 
 RNG = np.random.default_rng(0)
 LORENZ = PlantSpec((), tuple(Channel(name) for name in "xyz"), 0.005)
@@ -210,7 +210,7 @@ def test_best_subset_is_the_best_of_all(monkeypatch):
     from itertools import combinations
     from math import comb
 
-    import identifiers.selection as room
+    import identifiers.sparse.selection as room
 
     phi, y, _ = planted(3, n=60, noise=2.0)
     phi = phi[:9]

@@ -6,7 +6,7 @@ import numpy as np
 
 from harness import registry
 from harness.conformance import check_identifier
-from harness.estimate import estimate_of
+from harness.models.estimate import estimate_of
 from harness.rng import Streams
 from harness.rollout import run
 from harness.scoring import simulation_error

@@ -12,14 +12,14 @@ from scipy.signal import lfilter
 
 from harness import api
 from harness.errors import FitError
-from harness.estimate import estimate_of
+from harness.models.estimate import estimate_of
 from harness.scoring import equation_error, simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
-from identifiers.directions import lively_directions
-from identifiers.hankel import Hankel, leading_triplets
-from identifiers.linear import LinearModel
-from identifiers.predictor import Subspace
-from identifiers.subspace import HoKalman, markov_parameters, realize
+from identifiers.linear.directions import lively_directions
+from identifiers.linear.hankel import Hankel, leading_triplets
+from identifiers.linear.ho_kalman import HoKalman, markov_parameters, realize
+from identifiers.linear.least_squares import LinearModel
+from identifiers.linear.n4sid import Subspace
 
 RNG = np.random.default_rng(0)
 SPEC = PlantSpec((Channel("u", "N"),), (Channel("y", "m"),), 0.1)

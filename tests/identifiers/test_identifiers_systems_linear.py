@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from harness.errors import FitError
-from harness.lqr import lqr_cost_ratio, reachable, state_observable
+from harness.models.lqr import lqr_cost_ratio, reachable, state_observable
 from harness.scoring import simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.linear import Arx, StateLeastSquares
-from identifiers.markov import markov_parameters
-from identifiers.subspace import HoKalman
+from identifiers.linear.ho_kalman import HoKalman
+from identifiers.linear.least_squares import Arx, StateLeastSquares
+from identifiers.linear.markov import markov_parameters
 
 RNG = np.random.default_rng(0)
 OSCILLATOR = np.array([[0.9, 0.3], [-0.2, 0.85]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
@@ -60,7 +60,7 @@ def relative(found, wanted):
 
 def test_simulation_error_beats_equation_error_twentyfold_under_output_noise():
     """Item 1: a second-order system, 10 % output noise, N = 600; error of the impulse response."""
-    from identifiers.grey_box import OutputError
+    from identifiers.mechanics.grey_box import OutputError
 
     a, b, c = OSCILLATOR
     wanted = truth(a, b, c, 60)
@@ -191,7 +191,7 @@ def test_a_design_that_does_not_stabilise_costs_infinity():
 
 
 def test_many_markov_parameters_by_conjugate_gradients_equal_the_dense_solution(monkeypatch):
-    import identifiers.markov as room
+    import identifiers.linear.markov as room
 
     rng = np.random.default_rng(0)
     a, b = np.array([[0.8, 0.2], [-0.3, 0.7]]), rng.normal(size=(2, 2))

@@ -11,10 +11,10 @@ from harness.errors import FitError
 from harness.scoring import predict, regret, simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
 from harness.testing import FiniteProcess, simulate_finite
-from identifiers.dmd import Dmdc
-from identifiers.koopman import Dictionary, Edmdc, KoopmanModel
-from identifiers.mdp import MdpCounting, MdpModel, OnlineCounting, count_transitions, weissman_bound
-from identifiers.online import RecursiveLeastSquares
+from identifiers.finite.mdp import MdpCounting, MdpModel, OnlineCounting, count_transitions, weissman_bound
+from identifiers.koopman.koopman import Dictionary, Edmdc, KoopmanModel
+from identifiers.linear.dmd import Dmdc
+from identifiers.online.rls import RecursiveLeastSquares
 
 RNG = np.random.default_rng(0)
 

@@ -12,7 +12,7 @@ from harness.errors import FitError
 from harness.scoring import equation_error, predict, simulation_error
 from harness.signals import Channel, PlantSpec, Trajectory
 from harness.testing import simulate_linear, tempered_systems
-from identifiers.time_varying import AlongTrajectory, AlongTrajectoryModel
+from identifiers.linear.time_varying import AlongTrajectory, AlongTrajectoryModel
 
 RNG = np.random.default_rng(0)
 N = 50

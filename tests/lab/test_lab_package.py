@@ -133,7 +133,7 @@ def test_from_records_to_leaderboard_on_the_command_line(tmp_path: Path) -> None
         assert not left.value.code
 
     call(LAB, "generate", "--out", records, "--truth", truth, "--secret", 7_340_021, *options)
-    call("harness.cli", "close-loop", records / "records.csv", "--out", run, "--workers", 1)
+    call("harness.cli.app", "close-loop", records / "records.csv", "--out", run, "--workers", 1)
     call(LAB, "answer", run, "-o", tmp_path / "ours.csv")
     call(LAB, "score", truth / "truth.csv", tmp_path / "ours.csv", "-o", tmp_path / "board.md")
     known, answers = read_truth(truth / "truth.csv"), read_answers(tmp_path / "ours.csv")

@@ -28,7 +28,7 @@ def command() -> np.ndarray:
 )
 def test_without_effect_the_truth_is_our_model(model, truth, values, scale, command):
     from harness.physics import load_model
-    from harness.physics.simulator import Simulator
+    from harness.physics.compiled.simulator import Simulator
 
     system = load_model(model)
     start = np.zeros(2 * len(system.coordinates))

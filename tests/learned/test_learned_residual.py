@@ -14,15 +14,15 @@ import pytest
 from harness import api
 from harness.command import main
 from harness.errors import InputError
+from harness.physics.fitting.output_error import fit_output_error
+from harness.physics.fitting.residual_force import LABEL
 from harness.physics.models import pendulum
-from harness.physics.output_error import fit_output_error
-from harness.physics.residual_force import LABEL
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
 from harness.signals import Trajectory
-from identifiers.grey_box import GreyBoxModel
-from identifiers.physical import recipe_for
+from identifiers.mechanics.grey_box import GreyBoxModel
+from identifiers.mechanics.physical import recipe_for
 
 
 @functools.cache

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
-from harness.estimate import estimate_of
+from harness.models.estimate import estimate_of
 from harness.physics import Mechanism, load_model, lumped
-from harness.physics.arm_mechanism import arm_mechanism
-from harness.physics.lumping import split
+from harness.physics.arms.mechanism import arm_mechanism
+from harness.physics.definition.lumping import split
 from harness.signals import PlantSpec, Trajectory
-from identifiers.lumped import lumped_momentum
+from identifiers.mechanics.lumped import lumped_momentum
 
 CART_POLE = """<robot name="cart-pole">
   <link name="rail"/>

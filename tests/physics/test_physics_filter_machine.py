@@ -7,8 +7,8 @@ import pytest
 
 from harness.fmi.build import compiler
 from harness.physics import load_model
-from harness.physics.kalman_pass import KalmanPass, Noise
-from harness.physics.latent import with_latent_forces
+from harness.physics.compiled.kalman_pass import KalmanPass, Noise
+from harness.physics.compiled.latent import with_latent_forces
 from harness.signals import PlantSpec, Trajectory
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler: install gcc")

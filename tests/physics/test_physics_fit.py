@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from harness.errors import FitError, InputError
 from harness.physics import Mechanism, fit_output_error, models, simulate_error
-from harness.physics.smoothing import smooth
+from harness.physics.fitting.smoothing import smooth
 from harness.signals import PlantSpec, Trajectory
 
 

@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.errors import FitError, InputError
-from harness.estimate import estimate_of
-from harness.physics.arm import ArmModel, load_arm
-from harness.physics.inertia import divergence, from_log_cholesky, is_consistent, pseudo_inertia, to_log_cholesky
-from harness.physics.inertial_fit import Bodies, Problem, by_log_cholesky, by_semidefinite_program, extent_of
-from harness.physics.urdf_shapes import bounding_boxes
-from harness.physics.urdf_write import urdf_with
+from harness.models.estimate import estimate_of
+from harness.physics.arms.arm import ArmModel, load_arm
+from harness.physics.arms.inertia import divergence, from_log_cholesky, is_consistent, pseudo_inertia, to_log_cholesky
+from harness.physics.arms.inertial_fit import Bodies, Problem, by_log_cholesky, by_semidefinite_program, extent_of
+from harness.physics.arms.urdf_shapes import bounding_boxes
+from harness.physics.arms.urdf_write import urdf_with
 from harness.signals import PlantSpec, Trajectory
-from identifiers.inertial import Inertial
+from identifiers.mechanics.inertial import Inertial
 from scenarios.design import FourierReference
 
 pytest.importorskip("pybullet_data", reason="comes with pybullet (CPython 3.10 and 3.11 only)")
@@ -62,7 +62,7 @@ def test_any_coordinates_are_a_body_and_any_frame_leaves_the_divergence(seed):
     assert to_log_cholesky(one) == pytest.approx(to_log_cholesky(from_log_cholesky(to_log_cholesky(one))))
     frame = np.eye(4)
     frame[:3] = rng.normal(size=(3, 4))
-    from harness.physics.inertia import from_pseudo_inertia
+    from harness.physics.arms.inertia import from_pseudo_inertia
 
     there = [from_pseudo_inertia(frame @ pseudo_inertia(p) @ frame.T) for p in (one, two)]
     assert divergence(*there) == pytest.approx(float(divergence(one, two)), rel=1e-6, abs=1e-9)
@@ -120,8 +120,8 @@ def test_priors_and_weights_help_where_data_are_few(iiwa):
 
 def exact_motion_fit(arm: ArmModel, short: Trajectory, seed: int, **options):
     """Fit with the exact motion at the instants of a thinned record: only torques are noisy."""
-    import identifiers.inertial as room
-    from identifiers.motion import Motion
+    import identifiers.mechanics.inertial as room
+    from identifiers.mechanics.motion import Motion
 
     _, q, v, a = (one[::20] for one in swing(arm, 2000, seed))
     exact = Motion(short.t, q, v, a, short.u, short.u, 1, (0,) * arm.n)

@@ -13,12 +13,12 @@ from scipy.optimize import least_squares
 from harness.effects import builtin, compose
 from harness.effects.effect import Placed
 from harness.physics import fit_output_error
-from harness.physics.kalman_pass import KalmanPass, Noise
-from harness.physics.latent import with_latent_forces
-from harness.physics.likelihood import Likelihood, NoiseModel, Point, _scored
-from harness.physics.likelihood_fit import fit_likelihood
+from harness.physics.compiled.kalman_pass import KalmanPass, Noise
+from harness.physics.compiled.latent import with_latent_forces
+from harness.physics.compiled.smoother import innovation_response, smoothed
+from harness.physics.fitting.likelihood import Likelihood, NoiseModel, Point, _scored
+from harness.physics.fitting.likelihood_fit import fit_likelihood
 from harness.physics.models import cart_pole, linear, oscillator, pendulum
-from harness.physics.smoother import innovation_response, smoothed
 from harness.signals import PlantSpec, Trajectory
 
 DT = 0.01
@@ -452,7 +452,7 @@ def test_the_compiled_smoother_and_response_are_those_in_python(monkeypatch) -> 
     forces, readings = rng.normal(size=(80, 2, 5)), rng.normal(size=(80, 2, 5))
     asked = ((forces, readings, None), (None, readings, None), (forces, None, DT))
     fast = smoothed(passed), [innovation_response(passed, f, r, rates_over=over) for f, r, over in asked]
-    monkeypatch.setattr("harness.physics.smoother.smoother_kernels", lambda *sizes: None)
+    monkeypatch.setattr("harness.physics.compiled.smoother.smoother_kernels", lambda *sizes: None)
     slow = smoothed(passed), [innovation_response(passed, f, r, rates_over=over) for f, r, over in asked]
     np.testing.assert_allclose(fast[0].x, slow[0].x, rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(fast[0].deviation, slow[0].deviation, rtol=1e-6, atol=1e-10)
@@ -462,7 +462,7 @@ def test_the_compiled_smoother_and_response_are_those_in_python(monkeypatch) -> 
 
 def test_a_free_swing_has_no_interval_of_what_only_ratios_tell() -> None:
     """Scaled together, inertia, damping and gravity move alike: a pseudo-inverse gave each a width of 0."""
-    from harness.physics.latent import without_latent_forces
+    from harness.physics.compiled.latent import without_latent_forces
 
     system = pendulum().system()
     swing = record(system, system.vector(), np.array([0.6, 0.0]), n=400)

@@ -11,8 +11,8 @@ import pytest
 from harness.effects import compose, place_all
 from harness.effects.along import arguments, down
 from harness.physics import load_model
-from harness.physics.smoothing import smooth
-from harness.physics.vectorised import OnRecords
+from harness.physics.arms.vectorised import OnRecords
+from harness.physics.fitting.smoothing import smooth
 
 
 def test_array_operations_give_what_casadi_gives() -> None:

@@ -12,10 +12,10 @@ from scipy.integrate import solve_ivp
 
 from harness.errors import InputError
 from harness.export.fmu import export, write_fmu
+from harness.physics.fitting.output_error import fit_output_error
+from harness.physics.fitting.residual_force import LABEL, Hull, ResidualForce
+from harness.physics.fitting.residual_learning import learn_residual_force
 from harness.physics.models import pendulum
-from harness.physics.output_error import fit_output_error
-from harness.physics.residual_force import LABEL, Hull, ResidualForce
-from harness.physics.residual_learning import learn_residual_force
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
@@ -95,7 +95,7 @@ def test_it_comes_back_from_its_file_and_is_the_same_force_in_the_equations(lear
 
 
 def test_it_exports_into_the_same_fmu(learned, tmp_path):
-    from plants.fmu import FmuPlant
+    from plants.fmu.plant import FmuPlant
 
     system = learned.system
     simulator = system.simulator(DT)
@@ -109,8 +109,8 @@ def test_it_exports_into_the_same_fmu(learned, tmp_path):
 
 
 def test_the_stored_model_of_the_loop_keeps_the_force_and_exports(learned, tmp_path):
-    from identifiers.grey_box import GreyBoxModel
-    from identifiers.physical import recipe_for
+    from identifiers.mechanics.grey_box import GreyBoxModel
+    from identifiers.mechanics.physical import recipe_for
 
     spec = record(1).spec
     recipe = recipe_for(spec, "test", model="pendulum").with_unnamed([learned.force])

@@ -16,9 +16,10 @@ from scipy.integrate import solve_ivp
 
 from harness.errors import InputError
 from harness.fmi.build import compiler
-from harness.physics import Parameter, SampledBlock, ccode, models
-from harness.physics.sampled import delayed
-from harness.physics.simulator import default_substeps
+from harness.physics import Parameter, SampledBlock, models
+from harness.physics.compiled import ccode
+from harness.physics.compiled.sampled import delayed
+from harness.physics.compiled.simulator import default_substeps
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler: install gcc")
 NAMES = ["pendulum", "cart-pole", "acrobot", "two-tanks", "linear"]

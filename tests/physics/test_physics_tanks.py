@@ -7,7 +7,7 @@ import pytest
 
 from harness.errors import InputError
 from harness.physics import load_model
-from harness.physics.output_error import fit_output_error
+from harness.physics.fitting.output_error import fit_output_error
 from harness.signals import Trajectory
 
 X, U = np.array([4.0, 2.25]), np.array([3.0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
-from harness.physics.arm import load_arm
+from harness.physics.arms.arm import load_arm
 
 pytest.importorskip("pybullet_data", reason="pybullet has wheels for CPython 3.10 and 3.11 only")
 

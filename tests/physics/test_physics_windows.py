@@ -8,9 +8,10 @@ import pytest
 
 from harness.effects import compose, place_all
 from harness.fmi.build import compiler
-from harness.physics import Parameter, SampledBlock, ccode, models
-from harness.physics.levenberg import minimise, minimise_states
-from harness.physics.windows import Windows
+from harness.physics import Parameter, SampledBlock, models
+from harness.physics.compiled import ccode
+from harness.physics.compiled.windows import Windows
+from harness.physics.fitting.levenberg import minimise, minimise_states
 from harness.signals import PlantSpec, Trajectory
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler: install gcc")

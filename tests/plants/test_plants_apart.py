@@ -12,7 +12,7 @@ import pytest
 from harness import api, trusting
 from harness.errors import PlantError
 from harness.fmi.build import build_fmu
-from harness.plant_files import make_plant
+from harness.parts.files import make_plant
 from plants.mockups import mockup
 
 RNG = np.random.default_rng(0)
@@ -73,7 +73,7 @@ def test_a_coupling_apart_gives_the_numbers_of_one_that_is_not(tmp_path: Path) -
 def test_a_nominal_fmu_ends_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int, status: str, words: str
 ) -> None:
-    monkeypatch.setattr("harness.guarded.SILENCE", 6.0)
+    monkeypatch.setattr("harness.supervision.guarded.SILENCE", 6.0)
     shutil.copytree(Path(__file__).parent / "fmus" / "hostile", tmp_path / "source")
     described = tmp_path / "source" / "modelDescription.xml"
     described.write_text(described.read_text().replace('<Integer start="0"/>', f'<Integer start="{mode}"/>'))

@@ -19,7 +19,7 @@ from harness.signals import FloatArray, Trajectory
 
 pybullet = pytest.importorskip("pybullet", reason="PyBullet is not installed: its wheels exist for CPython 3.11 only")
 
-from plants.bullet import ArmPlant, acrobot, double_pendulum, iiwa, one_joint_arm, panda  # noqa: E402
+from plants.bullet.robots import ArmPlant, acrobot, double_pendulum, iiwa, one_joint_arm, panda  # noqa: E402
 
 RNG = np.random.default_rng
 
@@ -250,7 +250,7 @@ def test_double_pendulum_and_acrobot_converge_to_their_equations() -> None:
 def test_one_engine_step_obeys_the_urdfs_equations_of_motion(
     make: Callable[..., ArmPlant], payload: float, tmp_path: Path
 ) -> None:
-    from harness.physics.urdf import load_urdf
+    from harness.physics.arms.urdf import load_urdf
 
     step, rng = 1e-4, RNG(0)
     with make(joint_damping=0.0, substeps=1, sample_time=step, payload=payload, payload_offset=(0.1, 0.0, 0.2)) as arm:
@@ -368,7 +368,7 @@ def test_unknown_initial_states_are_refused() -> None:
 
 
 def test_stdout_stays_clean() -> None:
-    code = "from plants.bullet import iiwa; arm = iiwa(); arm.close(); print('only this')"
+    code = "from plants.bullet.robots import iiwa; arm = iiwa(); arm.close(); print('only this')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "only this\n"
     assert done.stderr == ""

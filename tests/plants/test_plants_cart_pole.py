@@ -13,7 +13,7 @@ from harness.errors import InputError, PlantError
 from harness.protocols import Experiment
 from harness.rollout import perform
 from harness.signals import FloatArray, Trajectory
-from plants.cart_pole import PymunkCartPole
+from plants.pymunk.cart_pole import PymunkCartPole
 
 RNG = np.random.default_rng
 

@@ -15,7 +15,7 @@ from harness.protocols import Experiment
 from harness.rng import stream
 from harness.rollout import perform
 from harness.signals import Trajectory
-from plants.finite import FiniteMdp, grid_mdp
+from plants.finite.mdp import FiniteMdp, grid_mdp
 
 RNG = np.random.default_rng
 

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from harness.errors import InputError, PlantError
 from harness.fmi import build
 from harness.signals import FloatArray
-from plants import fmu_engine
-from plants.fmu import FmuPlant, describe
-from plants.fmu_mockups import pendulum_fmu
+from plants.fmu import engine as fmu_engine
+from plants.fmu.mockups import pendulum_fmu
+from plants.fmu.plant import FmuPlant, describe
 from plants.mockups import FOLDER, mockup, models
 
 GOLDEN = Path(fmu_engine.__file__).parent / "golden" / "pendulum-fmu.csv"

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
-from plants import fmu_archive
-from plants.fmu import FmuPlant, describe
-from plants.fmu_archive import read_fmu
-from plants.fmu_units import si_conversion
+from plants.fmu import archive as fmu_archive
+from plants.fmu.archive import read_fmu
+from plants.fmu.plant import FmuPlant, describe
+from plants.fmu.units import si_conversion
 from plants.mockups import mockup
 
 XML = "modelDescription.xml"
@@ -114,7 +114,7 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
 
 def _other_library(entries: dict[str, bytes]) -> None:
     """Put a library without FMI functions in the place of the model's."""
-    from plants.fmu_engine import native_library
+    from plants.fmu.engine import native_library
 
     library = native_library()
     if library is None:

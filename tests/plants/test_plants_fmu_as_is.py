@@ -15,8 +15,8 @@ from harness import api
 from harness.command import main
 from harness.data import read_trajectory
 from harness.errors import InputError
-from plants.fmu import FmuPlant, describe
-from plants.fmu_as_is import run_as_is
+from plants.fmu.as_is import run_as_is
+from plants.fmu.plant import FmuPlant, describe
 from plants.mockups import mockup
 
 RNG = np.random.default_rng(0)

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
-from plants.fmu import FmuPlant
-from plants.fmu_mockups import cart_pole_fmu, pendulum_fmu
-from plants.isolated import isolated
+from plants.fmu.mockups import cart_pole_fmu, pendulum_fmu
+from plants.fmu.plant import FmuPlant
+from plants.isolation.isolated import isolated
 
 RNG = np.random.default_rng(0)
 BOTH = pytest.mark.parametrize("version", [2, 3])
@@ -133,8 +133,8 @@ def test_a_serialised_state_of_model_exchange(odd_fmu: Callable[..., Path], vers
 
 SCRIPT = """
 import numpy as np, sys, time
-from plants.fmu_mockups import pendulum_fmu
-from plants.isolated import isolated
+from plants.fmu.mockups import pendulum_fmu
+from plants.isolation.isolated import isolated
 plant, apart = pendulum_fmu(), isolated("pendulum-fmu")
 plant.reset(rng=np.random.default_rng(0))
 print("ready", flush=True)
@@ -164,7 +164,7 @@ def test_sigterm_leaves_no_folder_behind(tmp_path: Path) -> None:
 def test_a_handler_of_the_user_is_left_alone() -> None:
     code = (
         "import signal\nhandler = lambda *_: None\nsignal.signal(signal.SIGTERM, handler)\n"
-        "from plants.temporary import temporary_folder, release\nrelease(temporary_folder('sysid-t-'))\n"
+        "from plants.fmu.temporary import temporary_folder, release\nrelease(temporary_folder('sysid-t-'))\n"
         "print(signal.getsignal(signal.SIGTERM) is handler)"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "True\n"

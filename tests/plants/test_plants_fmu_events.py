@@ -11,7 +11,7 @@ import pytest
 
 from harness.errors import InputError, PlantError
 from harness.signals import FloatArray
-from plants.fmu import FmuPlant, describe
+from plants.fmu.plant import FmuPlant, describe
 from plants.mockups import mockup
 
 RNG = np.random.default_rng(0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError, PlantError
-from plants.fmu import FmuPlant
+from plants.fmu.plant import FmuPlant
 
 RNG = np.random.default_rng(0)
 Make = Callable[..., FmuPlant]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError, PlantError
-from plants import fmu_engine
-from plants.fmu import FmuPlant
+from plants.fmu import engine as fmu_engine
+from plants.fmu.plant import FmuPlant
 
 RNG = np.random.default_rng(0)
 MODES = {
@@ -114,7 +114,7 @@ def test_endless_discards_end(make: Make) -> None:
 def test_warnings_are_logged_and_the_run_goes_on(make: Make, version: int, caplog: pytest.LogCaptureFixture) -> None:
     plant = make("warns", version)
     plant.reset(rng=RNG)
-    with caplog.at_level(logging.WARNING, logger="plants.fmu"):
+    with caplog.at_level(logging.WARNING, logger="plants.fmu.plant"):
         assert plant.rollout(np.ones((5, 1)))[-1] == pytest.approx([0.05])
     assert "calls ended with a warning" in caplog.text
 
@@ -124,7 +124,7 @@ def test_messages_of_the_fmu_go_to_the_log_not_to_stdout(
 ) -> None:
     plant = make("fails")
     plant.reset(rng=RNG)
-    with caplog.at_level(logging.WARNING, logger="plants.fmu"), pytest.raises(PlantError):
+    with caplog.at_level(logging.WARNING, logger="plants.fmu.plant"), pytest.raises(PlantError):
         plant.rollout(np.ones((5, 1)))
     assert "told to fail" in caplog.text
     assert capfd.readouterr().out == ""

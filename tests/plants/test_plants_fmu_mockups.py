@@ -12,8 +12,8 @@ import pytest
 import plants
 from harness import registry
 from harness.signals import FloatArray
-from plants.fmu import FmuPlant
-from plants.fmu_mockups import cart_pole_fmu, drive_fmu, mass_spring_fmu, two_tanks_fmu
+from plants.fmu.mockups import cart_pole_fmu, drive_fmu, mass_spring_fmu, two_tanks_fmu
+from plants.fmu.plant import FmuPlant
 from plants.mockups import mockup
 
 RNG = np.random.default_rng(0)

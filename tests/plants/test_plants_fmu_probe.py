@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from harness.errors import HarnessError, InputError
-from plants.fmu import FmuPlant, describe
-from plants.fmu_archive import read_fmu
-from plants.fmu_probe import ProbeResult, probe
-from plants.isolated import IsolatedPlant
+from plants.fmu.archive import read_fmu
+from plants.fmu.plant import FmuPlant, describe
+from plants.fmu.probe import ProbeResult, probe
+from plants.isolation.isolated import IsolatedPlant
 from plants.mockups import mockup, models
 
 MODES = {"segfault": 1, "hangs": 4, "nan": 5, "terminates": 8}
@@ -117,7 +117,7 @@ def test_foreign_fmus_run_and_repeat(path: Path) -> None:
             options = {"path": str(path), "sample_time": 0.01, "kind": kind}
             with FmuPlant(path, sample_time=0.01, kind=kind) as described:
                 u = np.tile(described.input_starts, (50, 1))
-            with IsolatedPlant("plants.fmu:FmuPlant", options) as plant:
+            with IsolatedPlant("plants.fmu.plant:FmuPlant", options) as plant:
                 rng = np.random.default_rng(0)
                 plant.reset(rng=rng)
                 stepped = np.array([plant.step(row) for row in u])

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError, PlantError
-from plants.fmu import FmuPlant
-from plants.fmu_probe import probe
-from plants.isolated import IsolatedPlant
+from plants.fmu.plant import FmuPlant
+from plants.fmu.probe import probe
+from plants.isolation.isolated import IsolatedPlant
 from plants.mockups import mockup
 
 RNG = np.random.default_rng(0)
@@ -38,7 +38,10 @@ def rolled(plant: FmuPlant | IsolatedPlant, how: str, x0: dict[str, float] | Non
 def test_a_second_run_is_the_first_one(
     how: str, mode: int, found: str, odd_fmu: Callable[..., Path], caplog: pytest.LogCaptureFixture
 ) -> None:
-    with caplog.at_level(logging.WARNING, "plants.fmu"), FmuPlant(**forgetful(odd_fmu("forgetful"), mode)) as plant:
+    with (
+        caplog.at_level(logging.WARNING, "plants.fmu.plant"),
+        FmuPlant(**forgetful(odd_fmu("forgetful"), mode)) as plant,
+    ):
         runs = [rolled(plant, how) for _ in range(4)]
         assert plant.way_back == found
         assert sum("reset does not bring the FMU back" in text for text in plant.warnings) == (found != "reset")

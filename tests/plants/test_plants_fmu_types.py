@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
-from plants import fmu_engine
-from plants.fmu import FmuPlant, describe
+from plants.fmu import engine as fmu_engine
+from plants.fmu.plant import FmuPlant, describe
 
 RNG = np.random.default_rng(0)
 

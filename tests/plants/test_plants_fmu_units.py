@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import plants.fmu_engine
-from plants.fmu import FmuPlant
+import plants.fmu.engine
+from plants.fmu.plant import FmuPlant
 
 RNG = np.random.default_rng(0)
 
@@ -20,7 +20,7 @@ def test_temperatures_are_kelvin_outside_and_what_they_are_inside(
     native: bool, version: int, odd_fmu: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not native:
-        monkeypatch.setattr(plants.fmu_engine, "native_library", lambda: None)
+        monkeypatch.setattr(plants.fmu.engine, "native_library", lambda: None)
     with FmuPlant(odd_fmu("oven", version), sample_time=0.1) as plant:
         assert [str(channel) for channel in plant.spec.inputs] == ["wanted [K]", "drive [V]"]
         assert [channel.unit for channel in plant.spec.outputs] == ["K", "1"]

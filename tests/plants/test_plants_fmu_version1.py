@@ -11,8 +11,8 @@ import pytest
 
 from harness.errors import PlantError
 from harness.fmi import build
-from plants import fmu_engine
-from plants.fmu import FmuPlant
+from plants.fmu import engine as fmu_engine
+from plants.fmu.plant import FmuPlant
 
 RNG = np.random.default_rng(0)
 FOLDER = Path(__file__).resolve().parent / "fmus" / "old"

@@ -11,9 +11,9 @@ from harness.errors import InputError, PlantError
 from harness.protocols import Experiment, Plant
 from harness.rng import stream
 from harness.rollout import perform
-from plants.cart_pole import PymunkCartPole
-from plants.finite import grid_mdp
+from plants.finite.mdp import grid_mdp
 from plants.gym import GymPlant, environment
+from plants.pymunk.cart_pole import PymunkCartPole
 
 pytest.importorskip("gymnasium", reason="gymnasium is not installed: pip install 'sysid-harness[gym]'")
 

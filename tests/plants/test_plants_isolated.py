@@ -17,8 +17,8 @@ from harness.protocols import Experiment
 from harness.rng import Streams
 from harness.rollout import run
 from harness.signals import PlantSpec
-from plants.fmu_mockups import pendulum_fmu
-from plants.isolated import IsolatedPlant, isolated
+from plants.fmu.mockups import pendulum_fmu
+from plants.isolation.isolated import IsolatedPlant, isolated
 
 RNG = np.random.default_rng(0)
 MODES = (
@@ -177,7 +177,7 @@ def test_recycles_its_child() -> None:
 TREACHEROUS = """
 import os, pickle, socket, struct, sys
 import numpy as np
-from plants.linear import LinearPlant
+from plants.equations.linear import LinearPlant
 
 class Bomb:
     def __reduce__(self):
@@ -220,7 +220,7 @@ def test_what_a_child_sends_is_never_executed(
 
 
 def test_a_child_works_in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = "import os\nfrom plants.linear import LinearPlant\n\ndef littering(where, path):\n"
+    source = "import os\nfrom plants.equations.linear import LinearPlant\n\ndef littering(where, path):\n"
     source += "    assert open(path).read() == 'here'\n    open('litter', 'w').close()\n"
     source += "    open(where, 'w').write(os.getcwd())\n"
     source += "    return LinearPlant(A=[[0.5]], B=[[1.0]], C=[[1.0]], D=[[0.0]], sample_time=0.1)\n"
@@ -237,7 +237,7 @@ def test_a_child_works_in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytes
 def test_a_hanging_child_does_not_outlive_its_caller(odd_fmu: Callable[..., Path], tmp_path: Path) -> None:
     code = (
         "import numpy as np, os, sys, threading\n"
-        "from plants.isolated import IsolatedPlant\n"
+        "from plants.isolation.isolated import IsolatedPlant\n"
         f"o = dict(path={str(odd_fmu('hostile'))!r}, sample_time=0.01, parameters=dict(mode=4, when=0.0))\n"
         "p = IsolatedPlant('fmu', o)\n"
         "p.reset(rng=np.random.default_rng(0))\n"

@@ -8,7 +8,7 @@ import pytest
 from harness.conformance.plants import check_plant
 from harness.errors import InputError, PlantError
 from harness.signals import Trajectory
-from plants.linear import LinearPlant
+from plants.equations.linear import LinearPlant
 
 RNG = np.random.default_rng
 A = [[0.9, 0.2], [-0.1, 0.7]]

@@ -9,7 +9,7 @@ import pytest
 
 import plants
 from harness.errors import InputError, PlantError
-from plants.ode import OdePlant, cart_pole_ode, linear_ode, pendulum_ode
+from plants.equations.ode import OdePlant, cart_pole_ode, linear_ode, pendulum_ode
 
 GOLDEN = Path(plants.__file__).parent / "golden"
 RNG = np.random.default_rng

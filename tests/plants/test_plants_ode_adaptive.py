@@ -9,7 +9,7 @@ import pytest
 
 from harness.errors import InputError, PlantError
 from harness.physics import Ode
-from plants.ode import OdePlant, cart_pole_ode, linear_ode, pendulum_ode
+from plants.equations.ode import OdePlant, cart_pole_ode, linear_ode, pendulum_ode
 
 RNG = np.random.default_rng
 

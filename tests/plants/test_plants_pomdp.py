@@ -12,8 +12,8 @@ from harness.protocols import Experiment
 from harness.rng import stream
 from harness.rollout import perform
 from harness.signals import Trajectory
-from plants.finite import grid_mdp
-from plants.pomdp import FinitePomdp, grid_pomdp
+from plants.finite.mdp import grid_mdp
+from plants.finite.pomdp import FinitePomdp, grid_pomdp
 
 
 def test_observations_follow_their_distribution_and_the_truth_is_the_chain() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plants.pushed_block import PymunkPushedBlock
+from plants.pymunk.pushed_block import PymunkPushedBlock
 
 _SPEC = importlib.util.spec_from_file_location(
     "contact_figures", Path(__file__).resolve().parents[2] / "docs" / "contact_figures.py"

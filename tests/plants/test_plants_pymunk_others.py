@@ -12,9 +12,9 @@ from harness.errors import InputError
 from harness.protocols import Experiment
 from harness.rollout import perform
 from harness.signals import FloatArray, Trajectory
-from plants.ball_beam import PymunkBallBeam
-from plants.cart_pole import PymunkCartPole
-from plants.double_cart_pole import PymunkDoubleCartPole
+from plants.pymunk.ball_beam import PymunkBallBeam
+from plants.pymunk.cart_pole import PymunkCartPole
+from plants.pymunk.double_cart_pole import PymunkDoubleCartPole
 
 RNG = np.random.default_rng
 

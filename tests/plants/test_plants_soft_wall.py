@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from harness.conformance.plants import check_plant
 from harness.errors import InputError
-from plants.soft_wall import PymunkCartWall
+from plants.pymunk.soft_wall import PymunkCartWall
 
 
 def hit(**options) -> tuple[np.ndarray, np.ndarray]:

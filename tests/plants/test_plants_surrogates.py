@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from harness.signals import Trajectory
-from plants.surrogates import glider_ode, hydro_cart_pole_ode
+from plants.equations.surrogates import glider_ode, hydro_cart_pole_ode
 
 RNG = np.random.default_rng
 

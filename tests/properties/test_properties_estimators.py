@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from harness.scoring import equation_error, predict, regret, simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from harness.testing import finite_processes, linear_systems, simulate_finite, simulate_linear
-from identifiers.dmd import Dmdc
-from identifiers.koopman import Edmdc
-from identifiers.linear import Arx, LinearModel, StateLeastSquares
-from identifiers.mdp import MdpCounting, OnlineCounting
-from identifiers.online import RecursiveLeastSquares
-from identifiers.sparse import Stlsq
-from identifiers.subspace import realize
+from identifiers.finite.mdp import MdpCounting, OnlineCounting
+from identifiers.koopman.koopman import Edmdc
+from identifiers.linear.dmd import Dmdc
+from identifiers.linear.ho_kalman import realize
+from identifiers.linear.least_squares import Arx, LinearModel, StateLeastSquares
+from identifiers.online.rls import RecursiveLeastSquares
+from identifiers.sparse.stlsq import Stlsq
 
 RNG = np.random.default_rng(0)
 SEEDS = st.integers(0, 2**32 - 1)

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.arx import Arx
-from identifiers.dmd import Dmdc
-from identifiers.linear import StateLeastSquares
-from identifiers.predictor import Subspace
-from identifiers.subspace import HoKalman
+from identifiers.linear.arx import Arx
+from identifiers.linear.dmd import Dmdc
+from identifiers.linear.ho_kalman import HoKalman
+from identifiers.linear.least_squares import StateLeastSquares
+from identifiers.linear.n4sid import Subspace
 
 A = np.array([[0.8, 0.3], [-0.3, 0.8]])
 B = np.array([0.5, 1.0])

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from harness.estimate import Estimate, estimate_of
+from harness.models.estimate import Estimate, estimate_of
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from harness.testing import LinearSystem, linear_systems
-from identifiers.arx import Arx
-from identifiers.linear import StateLeastSquares
-from identifiers.prediction_error import PredictionError
+from identifiers.linear.arx import Arx
+from identifiers.linear.least_squares import StateLeastSquares
+from identifiers.linear.prediction_error import PredictionError
 
 A = np.array([[0.9, 0.3], [-0.2, 0.85]])
 B = np.array([[0.0], [1.0]])

@@ -9,17 +9,17 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from harness.physics import lumped
-from harness.physics.arm_lumps import ArmLumps
-from harness.physics.arm_mechanism import ArmMechanism
-from harness.physics.identifiability import determined
-from harness.physics.inertia import is_consistent
-from harness.physics.inertial_fit import Bodies, Problem, by_semidefinite_program
+from harness.physics.arms.inertia import is_consistent
+from harness.physics.arms.inertial_fit import Bodies, Problem, by_semidefinite_program
+from harness.physics.arms.mechanism import ArmMechanism
+from harness.physics.arms.rigid_tree import Arm
+from harness.physics.lumped.arm_lumps import ArmLumps
+from harness.physics.lumped.identifiability import determined
 from harness.physics.models import BUILT_IN
-from harness.physics.rigid_tree import Arm
 from harness.signals import PlantSpec, Trajectory
 from harness.testing import arms, random_motion, random_rotation
-from identifiers.lumped import lumped_momentum
-from identifiers.motion import motion
+from identifiers.mechanics.lumped import lumped_momentum
+from identifiers.mechanics.motion import motion
 
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=15, deadline=None)

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.estimate import estimate_of
+from harness.models.estimate import estimate_of
 from harness.registry import create
 from harness.signals import Channel, PlantSpec, Trajectory
-from identifiers.prediction_error import PredictionError
-from identifiers.stability import RADIUS
+from identifiers.common.stability import RADIUS
+from identifiers.linear.prediction_error import PredictionError
 
 SPEC = PlantSpec((Channel("u"),), (Channel("a"), Channel("b")), 1.0)
 

@@ -23,9 +23,9 @@ from harness import api
 from harness.cosim import couple, couple_ssp
 from harness.data import load_dataset
 from harness.errors import HarnessError
+from harness.parts.files import describe_fmu, make_part
 from harness.physics import load_model
-from harness.plant_files import describe_fmu, make_part
-from plants.fmu_archive import read_fmu
+from plants.fmu.archive import read_fmu
 from plants.mockups import mockup
 
 N = 60

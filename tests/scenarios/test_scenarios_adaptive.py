@@ -7,7 +7,7 @@ from harness.errors import InputError
 from harness.physics import load_model, lumped
 from harness.rng import Streams
 from harness.rollout import perform
-from plants.ode_plant import OdePlant
+from plants.equations.ode_plant import OdePlant
 from scenarios.adaptive import AdaptiveControl, _Adaptive
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from harness import registry
 from harness.errors import InputError
-from harness.physics.urdf import load_urdf
+from harness.physics.arms.urdf import load_urdf
 from scenarios.design import (
     JointLimits,
     condition_number,
@@ -82,7 +82,7 @@ def test_bad_limits_are_refused() -> None:
 def test_the_iiwa_tracks_its_designed_reference_within_all_limits() -> None:
     """Row 17: condition number <= 25 under limits of position, rate, torque and height; then an ordinary scenario."""
     from harness import registry
-    from harness.physics.arm_kinematics import joint_places
+    from harness.physics.arms.kinematics import joint_places
     from harness.rng import Streams
     from harness.rollout import run
     from scenarios.arm_models import arm_of

@@ -11,8 +11,8 @@ from harness.errors import InputError
 from harness.registry import create
 from harness.rng import Streams
 from harness.rollout import run
-from identifiers.gaussian_process import GaussianProcess
-from identifiers.linear import Arx
+from identifiers.learned.gaussian_process import GaussianProcess
+from identifiers.linear.least_squares import Arx
 from scenarios.planning import PredictiveControl
 
 OPTIONS = dict(horizon=12, plans=80, hold=2, spread=0.5, duration=5.0)

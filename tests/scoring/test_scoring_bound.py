@@ -14,13 +14,13 @@ from harness.rollout import perform
 from harness.scoring import LeastErrors, LinearTruth, equation_error, least_errors, linear_truth, simulation_error
 from harness.signals import Trajectory
 from harness.testing import LinearSystem, linear_systems, simulate_linear
-from identifiers.arx import Arx
-from identifiers.baselines import HoldLast
-from identifiers.dmd import Dmdc
-from identifiers.prediction_error import PredictionError
-from identifiers.predictor import Subspace
-from plants.linear import LinearPlant
-from plants.ode import pendulum_ode
+from identifiers.linear.arx import Arx
+from identifiers.linear.dmd import Dmdc
+from identifiers.linear.n4sid import Subspace
+from identifiers.linear.prediction_error import PredictionError
+from identifiers.online.baselines import HoldLast
+from plants.equations.linear import LinearPlant
+from plants.equations.ode import pendulum_ode
 from scenarios.open_loop import Prbs
 
 SYSTEM = {"A": [[0.7, 0.4], [-0.4, 0.7]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "sample_time": 0.1}

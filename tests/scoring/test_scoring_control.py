@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
-from harness.lqr import lqr_cost_ratio, stabilisable
+from harness.models.lqr import lqr_cost_ratio, stabilisable
 from harness.registry import create
 from harness.scoring.control import LinearPlantModel, control_regret, control_score, linearise
-from identifiers.linear import StateLeastSquares
+from identifiers.linear.least_squares import StateLeastSquares
 
 A = np.array([[1.02, 0.1, 0.0], [0.0, 0.95, 0.2], [0.1, 0.0, 0.8]])
 B = np.array([[0.0], [0.3], [1.0]])
@@ -38,7 +38,7 @@ def test_every_error_costs_and_the_cost_is_that_of_a_simulation():
     q, r, sensor = np.eye(2), np.eye(1), 0.01 * np.eye(2)
     own, worse = (control_score(m, PLANT, q=q, r=r, sensor=sensor) for m in (PLANT, wrong))
     assert worse.ratio > own.ratio
-    from harness.lqr import kalman_gain, lqr_gain
+    from harness.models.lqr import kalman_gain, lqr_gain
 
     costs = []
     for model in (PLANT, wrong):

@@ -12,8 +12,8 @@ import pytest
 from harness.errors import InputError
 from harness.scoring import equation_error, errors, predict, simulation_error
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
-from identifiers.linear import LinearModel
-from identifiers.mdp import MdpModel
+from identifiers.finite.mdp import MdpModel
+from identifiers.linear.least_squares import LinearModel
 
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "m"),), 0.5)
 

@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from harness.distributions import Categories, NormalMixture, normal
 from harness.errors import InputError
-from harness.predictive import log_regret, probability_score, reliability
+from harness.models.distributions import Categories, NormalMixture, normal
+from harness.models.predictive import log_regret, probability_score, reliability
 from harness.signals import Channel, PlantSpec, Trajectory
 from harness.testing import FiniteProcess, simulate_finite
-from identifiers.baselines import HoldModel
-from identifiers.mdp import MdpCounting, MdpModel, OnlineCounting
-from identifiers.online import RecursiveLeastSquares
+from identifiers.finite.mdp import MdpCounting, MdpModel, OnlineCounting
+from identifiers.online.baselines import HoldModel
+from identifiers.online.rls import RecursiveLeastSquares
 
 Y = (Channel("y", "m"),)
 

@@ -1,7 +1,7 @@
 """The bodies of an arm whose inertial parameters are free: the ones its log asks for that mass can make.
 
 The searches leave directions of the inertial parameters free, as nuisance. What they come to is no answer: bodies are
-estimated as everywhere in this project (:mod:`harness.physics.inertial_fit`), by log-Cholesky coordinates of the
+estimated as everywhere in this project (:mod:`harness.physics.arms.inertial_fit`), by log-Cholesky coordinates of the
 pseudo-inertia beside the entropic prior of the URDF, from the same rows with the same coloured errors.
 """
 
@@ -19,11 +19,11 @@ from harness.diagnosis.arm.rotor import ROTOR
 from harness.diagnosis.arm.wide import WideRegression, WideResult
 from harness.diagnosis.search.fit import Fit
 from harness.errors import FitError
-from harness.estimate import Estimate
-from harness.physics.arm import ArmModel
-from harness.physics.identifiability import determined
-from harness.physics.inertia import TEN, UNITS, is_consistent
-from harness.physics.inertial_fit import Bodies, Problem, by_log_cholesky, by_semidefinite_program
+from harness.models.estimate import Estimate
+from harness.physics.arms.arm import ArmModel
+from harness.physics.arms.inertia import TEN, UNITS, is_consistent
+from harness.physics.arms.inertial_fit import Bodies, Problem, by_log_cholesky, by_semidefinite_program
+from harness.physics.lumped.identifiability import determined
 from harness.signals import FloatArray
 
 __all__ = ["SEEN", "ArmBodies", "bodies_of_arm", "bodies_of_joints", "unit_torques"]

@@ -13,8 +13,8 @@ from harness.diagnosis.arm.diagnose import Progress, diagnose_arm
 from harness.diagnosis.arm.found import ArmDiagnosis
 from harness.effects.effect import Effect
 from harness.errors import InputError
-from harness.physics.arm import ArmModel, load_arm
-from harness.physics.urdf_write import urdf_with
+from harness.physics.arms.arm import ArmModel, load_arm
+from harness.physics.arms.urdf_write import urdf_with
 from harness.signals import Dataset
 
 if TYPE_CHECKING:

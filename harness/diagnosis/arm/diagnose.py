@@ -26,9 +26,9 @@ from harness.diagnosis.search.leftover import left_over
 from harness.diagnosis.search.rounds import search
 from harness.effects.effect import Effect
 from harness.errors import FitError, InputError
-from harness.physics.arm import ArmModel
+from harness.physics.arms.arm import ArmModel
 from harness.signals import Dataset, FloatArray
-from harness.workers import one_thread
+from harness.supervision.workers import one_thread
 
 __all__ = ["diagnose_arm"]
 

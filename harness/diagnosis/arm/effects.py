@@ -14,8 +14,8 @@ import numpy as np
 from harness.diagnosis.arm.motion import ArmRun
 from harness.diagnosis.policy import ARM_POLICY, ArmPolicy
 from harness.effects.effect import Effect, EffectParameter, Placed
-from harness.physics.arm import ArmModel
-from harness.physics.joints import Joint
+from harness.physics.arms.arm import ArmModel
+from harness.physics.arms.joints import Joint
 from harness.signals import FloatArray
 
 __all__ = ["GAIN", "Wide", "wide_effects"]

@@ -16,7 +16,7 @@ from harness.diagnosis.policy import ARM_POLICY, POLICY, ArmPolicy, Policy
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Axis, Leftover
 from harness.diagnosis.search.outcome import Outcome
-from harness.physics.arm import ArmModel
+from harness.physics.arms.arm import ArmModel
 from harness.signals import Dataset, FloatArray
 
 __all__ = ["ArmDiagnosis", "JointDiagnosis"]

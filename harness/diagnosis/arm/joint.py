@@ -17,8 +17,8 @@ from harness.diagnosis.runs.equation import Equations, decimated, expressible
 from harness.diagnosis.search.fit import WAVE
 from harness.effects.compose import compose
 from harness.effects.effect import Effect, Placed
-from harness.physics.arm import ArmModel
-from harness.physics.system import System
+from harness.physics.arms.arm import ArmModel
+from harness.physics.compiled.system import System
 from harness.signals import Channel, FloatArray
 
 __all__ = ["JOINT_EFFECTS", "JointRegression", "joint_dictionary", "joint_system", "white_noise"]
@@ -275,8 +275,8 @@ def joint_system(arm: ArmModel, joint: int, free: int = 0) -> System:
     """Return one joint as a system: its torque, its clock, and factors of ``free`` known columns."""
     import casadi as ca
 
-    from harness.physics.parameters import Parameter
-    from harness.physics.system import Coordinate, System
+    from harness.physics.compiled.system import Coordinate, System
+    from harness.physics.definition.parameters import Parameter
 
     drive, position = arm.inputs[joint], arm.positions[joint]
     x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 1 + free)

@@ -12,7 +12,7 @@ from harness.diagnosis.arm.found import JointDiagnosis
 from harness.diagnosis.arm.motion import ArmRun, arm_runs, moving_rows
 from harness.diagnosis.arm.wide import OWN, own_columns
 from harness.diagnosis.policy import ARM_POLICY, Policy
-from harness.physics.arm import ArmModel
+from harness.physics.arms.arm import ArmModel
 from harness.signals import Dataset, FloatArray
 
 __all__ = ["likely_mistake", "misfit_reasons"]

@@ -10,7 +10,7 @@ import numpy as np
 from harness.diagnosis.policy import ARM_POLICY
 from harness.diagnosis.records.motion import ORDER, Motion, motion_band, smooth_motion
 from harness.diagnosis.runs.equation import decimated
-from harness.physics.arm import ArmModel
+from harness.physics.arms.arm import ArmModel
 from harness.signals import Dataset, FloatArray, Trajectory
 
 __all__ = ["ArmRun", "arm_runs", "moving_rows", "standstill"]

@@ -18,7 +18,7 @@ from harness.diagnosis.arm.motion import ArmRun
 from harness.diagnosis.arm.regression import RegressionForm
 from harness.diagnosis.arm.wide import WideRegression, WideResult
 from harness.diagnosis.policy import ArmPolicy, Policy
-from harness.physics.arm import ArmModel
+from harness.physics.arms.arm import ArmModel
 from harness.signals import FloatArray
 
 __all__ = ["FreeBodies", "free_bodies", "look_like_another_arm", "other_arm_reasons"]

@@ -16,7 +16,7 @@ from harness.diagnosis.systems import Parametrised
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
-from harness.physics.kalman_pass import Filtered
+from harness.physics.compiled.kalman_pass import Filtered
 from harness.signals import FloatArray
 
 __all__ = ["USES", "Change", "Detail", "Equation", "RegressionForm", "TorqueRegression"]

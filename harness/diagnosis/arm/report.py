@@ -18,7 +18,8 @@ What does not apply is empty: an arm is not simulated, so there are no simulatio
     ``fixed`` (the URDF is believed) or ``calibrated``.
 ``inertial_parameters``
     Of calibrated bodies, else null: the record of the estimate (``names``, ``units``, ``values`` and what else
-    :meth:`harness.estimate.Estimate.to_dict`), every body one that mass can make; ``impossible``: whether directions
+    :meth:`harness.models.estimate.Estimate.to_dict`), every body one that mass can make; ``impossible``: whether
+    directions
     free of that limit fit the log better than chance, so that something else is missing; ``lost``: by how much
     log-likelihood.
 """

@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.diagnosis.arm.motion import ArmRun
 from harness.effects.effect import effect, par
-from harness.physics.arm import ArmModel
+from harness.physics.arms.arm import ArmModel
 
 __all__ = ["ROTOR", "in_the_bodies", "rotor_inertia"]
 

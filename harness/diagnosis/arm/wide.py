@@ -23,8 +23,8 @@ from harness.diagnosis.search.rounds import search
 from harness.diagnosis.search.ties import Accepted
 from harness.effects.effect import Placed
 from harness.errors import FitError
-from harness.physics.arm import ArmModel
-from harness.physics.parameters import Parameter
+from harness.physics.arms.arm import ArmModel
+from harness.physics.definition.parameters import Parameter
 from harness.signals import FloatArray
 
 __all__ = ["WideRegression", "WideResult", "own_columns", "wide_search"]

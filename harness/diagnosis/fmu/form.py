@@ -20,8 +20,8 @@ from harness.diagnosis.forms.predictive import whitened
 from harness.diagnosis.search.fit import Column, Fit
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
-from harness.physics.kalman_pass import Filtered, Pass
-from harness.physics.smoother import Smoothed
+from harness.physics.compiled.kalman_pass import Filtered, Pass
+from harness.physics.compiled.smoother import Smoothed
 from harness.signals import Dataset, FloatArray, Trajectory
 
 __all__ = ["FmuForm"]

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from numpy.typing import ArrayLike
 
 from harness.blackbox.simulator import FmuSimulator
-from harness.physics.kalman_pass import Filtered, Noise
-from harness.physics.latent import LatentForce
+from harness.physics.compiled.kalman_pass import Filtered, Noise
+from harness.physics.compiled.latent import LatentForce
 from harness.signals import FloatArray, Trajectory
 
 __all__ = ["FreePass", "Run"]
@@ -33,7 +33,7 @@ class Run(Filtered):
 
 
 class FreePass:
-    """Simulates records with an FMU and effects around it; a :class:`harness.physics.kalman_pass.Pass`.
+    """Simulates records with an FMU and effects around it; a :class:`harness.physics.compiled.kalman_pass.Pass`.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class FreePass:
         keep: bool = False,
         by_noise: bool = False,
     ) -> Filtered | None:
-        """Simulate a record; see :meth:`harness.physics.kalman_pass.KalmanPass.__call__`.
+        """Simulate a record; see :meth:`harness.physics.compiled.kalman_pass.KalmanPass.__call__`.
 
         Derivatives are difference quotients of whole runs.
         """

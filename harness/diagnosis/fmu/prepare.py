@@ -17,9 +17,9 @@ from harness.blackbox.system import FmuSystem
 from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.records.horizon import Horizon, short_window
 from harness.errors import InputError
-from harness.physics.levenberg import minimise, minimise_states
-from harness.physics.smoothing import smooth
-from harness.physics.windows import Evaluation, Windows
+from harness.physics.compiled.windows import Evaluation, Windows
+from harness.physics.fitting.levenberg import minimise, minimise_states
+from harness.physics.fitting.smoothing import smooth
 from harness.signals import Dataset, FloatArray, Trajectory
 
 if TYPE_CHECKING:

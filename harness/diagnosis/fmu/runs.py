@@ -13,9 +13,9 @@ from harness.diagnosis.fmu.prepare import DECREASE, FmuWindows, measured_states
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import Placed
-from harness.physics.levenberg import minimise_states
-from harness.physics.simulator import Simulator
-from harness.physics.windows import Windows
+from harness.physics.compiled.simulator import Simulator
+from harness.physics.compiled.windows import Windows
+from harness.physics.fitting.levenberg import minimise_states
 from harness.signals import Dataset, FloatArray, Trajectory
 
 __all__ = ["FmuRuns"]

@@ -10,7 +10,7 @@ import numpy as np
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
-    from harness.physics.system import System
+    from harness.physics.compiled.system import System
 
 __all__ = ["braking"]
 

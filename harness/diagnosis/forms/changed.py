@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from harness.diagnosis.forms.trace import Trace
-from harness.physics.rollout_code import Functions
-from harness.physics.sampled import SampledBlocks
-from harness.physics.system import System
+from harness.physics.compiled.rollout_code import Functions
+from harness.physics.compiled.sampled import SampledBlocks
+from harness.physics.compiled.system import System
 from harness.signals import FloatArray
 
 __all__ = ["changed_share"]

@@ -21,7 +21,7 @@ from harness.effects.effect import EffectParameter, Placed
 from harness.effects.places import port_of
 from harness.effects.sampled import delay
 from harness.errors import HarnessError
-from harness.physics.system import System
+from harness.physics.compiled.system import System
 from harness.signals import FloatArray
 
 __all__ = [

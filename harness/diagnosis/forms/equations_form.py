@@ -24,14 +24,14 @@ from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed
 from harness.effects.parameter import Role
 from harness.effects.places import port_of
-from harness.physics.kalman_pass import Filtered, KalmanPass, Pass
-from harness.physics.latent import with_latent_forces, without_latent_forces
-from harness.physics.likelihood import Point
-from harness.physics.likelihood_fit import first_state, force_scale
-from harness.physics.simulator import default_substeps
-from harness.physics.smoother import Smoothed, smoothed
-from harness.physics.start import first_values
-from harness.physics.system import System
+from harness.physics.compiled.kalman_pass import Filtered, KalmanPass, Pass
+from harness.physics.compiled.latent import with_latent_forces, without_latent_forces
+from harness.physics.compiled.simulator import default_substeps
+from harness.physics.compiled.smoother import Smoothed, smoothed
+from harness.physics.compiled.system import System
+from harness.physics.fitting.likelihood import Point
+from harness.physics.fitting.likelihood_fit import first_state, force_scale
+from harness.physics.fitting.start import first_values
 from harness.signals import FloatArray, Trajectory
 
 __all__ = ["EquationsForm"]

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from harness.physics.kalman_pass import Filtered, Noise
-from harness.physics.likelihood import Likelihood, LikelihoodFit, Point
+from harness.physics.compiled.kalman_pass import Filtered, Noise
+from harness.physics.fitting.likelihood import Likelihood, LikelihoodFit, Point
 
 __all__ = ["fit_from_record", "fit_record", "point_from_record", "point_record"]
 

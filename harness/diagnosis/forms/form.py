@@ -9,9 +9,9 @@ from harness.diagnosis.forms.apart import Apart
 from harness.diagnosis.search.fit import Fit, Form
 from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import Placed
-from harness.physics.kalman_pass import Filtered
-from harness.physics.likelihood import NoiseModel
-from harness.physics.smoother import Smoothed
+from harness.physics.compiled.kalman_pass import Filtered
+from harness.physics.compiled.smoother import Smoothed
+from harness.physics.fitting.likelihood import NoiseModel
 from harness.signals import Dataset, Trajectory
 
 __all__ = ["WholeForm"]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from harness.physics.kalman_pass import Filtered, Pass
-from harness.physics.likelihood import Likelihood, Point
+from harness.physics.compiled.kalman_pass import Filtered, Pass
+from harness.physics.fitting.likelihood import Likelihood, Point
 from harness.signals import FloatArray, Trajectory
 
 __all__ = ["judged_by_halves", "told_by_halves"]

@@ -10,8 +10,8 @@ from harness.diagnosis.forms.directions import Direction
 from harness.diagnosis.forms.predictive import whitened
 from harness.diagnosis.search.fit import Column, Fit, Linearised
 from harness.effects.effect import Placed
-from harness.physics.kalman_pass import Filtered
-from harness.physics.smoother import innovation_response
+from harness.physics.compiled.kalman_pass import Filtered
+from harness.physics.compiled.smoother import innovation_response
 from harness.signals import FloatArray
 
 __all__ = ["answered", "linearised"]

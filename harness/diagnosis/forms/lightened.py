@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.diagnosis.forms.directions import signals_of
 from harness.diagnosis.forms.trace import Trace
-from harness.physics.system import System
+from harness.physics.compiled.system import System
 
 __all__ = ["lightened"]
 

@@ -23,14 +23,14 @@ from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.effects.parameter import Role
 from harness.errors import FitError, HarnessError
-from harness.physics.kalman_pass import Filtered, Noise, Pass
-from harness.physics.likelihood import Likelihood, LikelihoodFit, NoiseModel, Point
-from harness.physics.likelihood_fit import LONGEST, first_noises, sensor_noise
-from harness.physics.smoother import Smoothed
+from harness.physics.compiled.kalman_pass import Filtered, Noise, Pass
+from harness.physics.compiled.smoother import Smoothed
+from harness.physics.fitting.likelihood import Likelihood, LikelihoodFit, NoiseModel, Point
+from harness.physics.fitting.likelihood_fit import LONGEST, first_noises, sensor_noise
 from harness.signals import Dataset, FloatArray, Trajectory
 
 if TYPE_CHECKING:
-    from harness.physics.system import System
+    from harness.physics.compiled.system import System
 
 __all__ = ["USES", "Detail", "LikelihoodForm"]
 

@@ -14,7 +14,7 @@ from harness.effects.effect import EffectParameter
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
-    from harness.physics.system import System
+    from harness.physics.compiled.system import System
 
 __all__ = ["frequencies", "short_waves", "waves"]
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from harness.errors import FitError
-from harness.physics.kalman_pass import Filtered
-from harness.physics.likelihood import Likelihood, LikelihoodFit, Point
+from harness.physics.compiled.kalman_pass import Filtered
+from harness.physics.fitting.likelihood import Likelihood, LikelihoodFit, Point
 from harness.signals import FloatArray
 
 __all__ = ["Predictive", "predictive", "spread_of", "whitened"]

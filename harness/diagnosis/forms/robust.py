@@ -9,7 +9,7 @@ import numpy as np
 
 from harness.diagnosis.search.coloured import LONGEST, Before, fitted_error
 from harness.diagnosis.search.fit import Fit
-from harness.physics.kalman_pass import Filtered
+from harness.physics.compiled.kalman_pass import Filtered
 from harness.signals import FloatArray
 
 __all__ = ["coloured_deviations", "robust_covariance"]

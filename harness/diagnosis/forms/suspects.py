@@ -16,8 +16,8 @@ from harness.diagnosis.records.unfold import HIDING, unfoldings
 from harness.diagnosis.search.fit import Fit, Suspect
 from harness.effects.effect import Placed
 from harness.effects.places import port_of
-from harness.physics.likelihood_fit import sensor_noise
-from harness.physics.system import System
+from harness.physics.compiled.system import System
+from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.signals import Dataset, FloatArray, Run
 
 __all__ = ["HoldingForm", "hidden", "lost_signs", "piled_up"]

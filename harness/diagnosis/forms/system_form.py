@@ -11,8 +11,8 @@ import numpy as np
 from harness.diagnosis.search.fit import Column, Fit
 from harness.diagnosis.systems import SystemT
 from harness.effects.effect import Placed
-from harness.physics.kalman_pass import Filtered, Pass
-from harness.physics.smoother import Smoothed
+from harness.physics.compiled.kalman_pass import Filtered, Pass
+from harness.physics.compiled.smoother import Smoothed
 from harness.signals import FloatArray, Trajectory
 
 __all__ = ["SystemForm"]

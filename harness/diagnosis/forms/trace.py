@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from harness.physics.kalman_pass import Pass
+from harness.physics.compiled.kalman_pass import Pass
 from harness.signals import FloatArray, Trajectory
 
 __all__ = ["Along", "Trace"]

@@ -19,9 +19,9 @@ import numpy as np
 from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.records.stretches import about_lines
 from harness.errors import HarnessError
-from harness.physics.parameters import Parameter
-from harness.physics.simulator import Intersample
-from harness.physics.system import System
+from harness.physics.compiled.simulator import Intersample
+from harness.physics.compiled.system import System
+from harness.physics.definition.parameters import Parameter
 from harness.signals import Dataset, Trajectory
 
 __all__ = ["Doubt", "Repair", "check_columns", "doubts", "repairs"]
@@ -224,7 +224,7 @@ def _clear(after: float, before: float, grain: float) -> bool:
 
 def _grain(cut: Trajectory) -> float:
     """Return the noise of the readings over the motion within windows, as the errors of the fits are."""
-    from harness.physics.likelihood_fit import sensor_noise
+    from harness.physics.fitting.likelihood_fit import sensor_noise
 
     moved = np.sqrt(about_lines([cut.y], _window(cut)))
     return float(np.sqrt(np.mean((sensor_noise([cut]) / np.maximum(moved, 1e-300)) ** 2)))
@@ -284,7 +284,7 @@ def _fit(
 
     The error is infinite and the parameters are those declared if the fit fails; ``declared``: start from these.
     """
-    from harness.physics.output_error import fit_output_error
+    from harness.physics.fitting.output_error import fit_output_error
 
     dt, samples = record.spec.sample_time, _window(record)
     plain = replace(system, outputs=tuple(replace(channel, period=None) for channel in system.outputs))

@@ -10,7 +10,7 @@ import numpy as np
 from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.records.motion import motion_band
 from harness.diagnosis.systems import AnySystem
-from harness.physics.system import System
+from harness.physics.compiled.system import System
 from harness.signals import Dataset, FloatArray
 
 __all__ = ["Horizon", "choose_horizon", "short_window", "vanished"]
@@ -76,7 +76,7 @@ def short_window(dataset: Dataset) -> float:
 
 def _operating_points(system: System, dataset: Dataset) -> FloatArray:
     """Return states (N, nx) along the estimation data, as far as they are measured."""
-    from harness.physics.windows import data_states
+    from harness.physics.compiled.windows import data_states
 
     simulator = system.simulator(dataset.spec.sample_time, intersample=dataset.intersample, backend="casadi")
     states = [data_states(simulator, run, system.vector())[0] for run in dataset.estimation]

@@ -10,10 +10,10 @@ import numpy as np
 from harness.data.oddities import ODD, examined
 from harness.data.oddities.spikes import spikes_of
 from harness.errors import HarnessError
-from harness.physics.likelihood import Likelihood
-from harness.physics.likelihood_fit import fit_likelihood, likelihood_of
-from harness.physics.simulator import Intersample
-from harness.physics.system import System
+from harness.physics.compiled.simulator import Intersample
+from harness.physics.compiled.system import System
+from harness.physics.fitting.likelihood import Likelihood
+from harness.physics.fitting.likelihood_fit import fit_likelihood, likelihood_of
 from harness.signals import Dataset, FloatArray, Oddity, Run, Trajectory
 
 __all__ = ["inputs_checked"]

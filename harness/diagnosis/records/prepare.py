@@ -11,7 +11,7 @@ from harness.diagnosis.records.motion import measured_coordinates, smooth_motion
 from harness.diagnosis.systems import Measured
 from harness.effects.columns import motion_sizes
 from harness.errors import InputError
-from harness.physics.system import System
+from harness.physics.compiled.system import System
 from harness.signals import Dataset
 
 __all__ = ["checked", "sizes_of"]

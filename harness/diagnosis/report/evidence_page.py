@@ -14,7 +14,7 @@ from harness.diagnosis.report.html import environment, error_rows
 from harness.diagnosis.report.words import SAME
 from harness.diagnosis.store import write_atomic
 from harness.diagnosis.systems import by_equations
-from harness.physics.ports import Coordinate
+from harness.physics.definition.ports import Coordinate
 from harness.signals import FloatArray, Trajectory
 
 if TYPE_CHECKING:

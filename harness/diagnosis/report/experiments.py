@@ -47,7 +47,7 @@ class Bench:
         """
         import casadi as ca
 
-        from harness.physics.windows import data_states
+        from harness.physics.compiled.windows import data_states
 
         system = self.nominal
         assert by_equations(system)

@@ -17,7 +17,7 @@ import numpy as np
 
 from harness.diagnosis.records.motion import Motion
 from harness.effects.effect import Placed
-from harness.physics.system import System
+from harness.physics.compiled.system import System
 from harness.signals import FloatArray
 
 __all__ = ["Equations", "decimated", "equations_of", "expressible", "weak_rows"]
@@ -46,7 +46,7 @@ class Equations:
 
     def _values(self, name: str, *arguments: FloatArray) -> list[FloatArray]:
         """Return the outputs of a function along a record (N, size), matrices column by column."""
-        from harness.physics.vectorised import OnRecords
+        from harness.physics.arms.vectorised import OnRecords
 
         known: dict[str, OnRecords] = self.__dict__.setdefault("_on_records", {})
         if name not in known:

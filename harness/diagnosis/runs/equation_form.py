@@ -20,7 +20,7 @@ from harness.diagnosis.runs.fitted import Fitted
 from harness.effects.compose import compose
 from harness.effects.effect import Placed
 from harness.errors import FitError
-from harness.physics.system import System
+from harness.physics.compiled.system import System
 from harness.signals import Dataset, FloatArray, Trajectory
 
 __all__ = ["EquationForm"]

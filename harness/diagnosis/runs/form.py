@@ -14,9 +14,9 @@ from harness.diagnosis.runs.states import carried_states, led_states, settled_st
 from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects.compose import compose, moving, recommended_substeps
 from harness.effects.effect import Placed
-from harness.physics.levenberg import minimise_states
-from harness.physics.simulator import Simulator, default_substeps
-from harness.physics.windows import Windows, data_states
+from harness.physics.compiled.simulator import Simulator, default_substeps
+from harness.physics.compiled.windows import Windows, data_states
+from harness.physics.fitting.levenberg import minimise_states
 from harness.signals import Dataset, FloatArray, Trajectory
 
 __all__ = ["FreeRunForm"]

@@ -10,8 +10,8 @@ import numpy as np
 from harness.diagnosis.records.tracked_signs import LONGEST
 from harness.diagnosis.records.unfold import HIDING, followed
 from harness.diagnosis.runs.windowed import WindowedForm
-from harness.physics.simulator import Simulator
-from harness.physics.windows import Windows, data_states
+from harness.physics.compiled.simulator import Simulator
+from harness.physics.compiled.windows import Windows, data_states
 from harness.signals import FloatArray, Trajectory
 
 __all__ = ["signs_by_model"]

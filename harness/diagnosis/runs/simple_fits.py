@@ -22,10 +22,10 @@ from harness.diagnosis.systems import by_equations
 from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import HarnessError
-from harness.physics.levenberg import log_scaled, minimise, minimise_states
-from harness.physics.output_error import fit_output_error
-from harness.physics.system import System
-from harness.physics.windows import Windows
+from harness.physics.compiled.system import System
+from harness.physics.compiled.windows import Windows
+from harness.physics.fitting.levenberg import log_scaled, minimise, minimise_states
+from harness.physics.fitting.output_error import fit_output_error
 from harness.rng import stream
 from harness.signals import FloatArray
 

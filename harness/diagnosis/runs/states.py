@@ -14,10 +14,10 @@ from harness.diagnosis.runs.fitted import Fitted
 from harness.diagnosis.runs.windowed import WindowedForm
 from harness.diagnosis.systems import AnySystem
 from harness.effects.along import Signals, hidden_states
-from harness.physics.levenberg import minimise
-from harness.physics.simulator import Simulator
-from harness.physics.system import System
-from harness.physics.windows import Windows
+from harness.physics.compiled.simulator import Simulator
+from harness.physics.compiled.system import System
+from harness.physics.compiled.windows import Windows
+from harness.physics.fitting.levenberg import minimise
 from harness.signals import FloatArray, Trajectory
 
 __all__ = ["carried_states", "led_states", "on_validation", "settled_states", "state_bases"]

@@ -7,8 +7,8 @@ from typing import Protocol
 
 from harness.diagnosis.systems import AnySystem
 from harness.effects.effect import Placed
-from harness.physics.simulator import Simulator
-from harness.physics.windows import Windows
+from harness.physics.compiled.simulator import Simulator
+from harness.physics.compiled.windows import Windows
 from harness.signals import FloatArray, Trajectory
 
 __all__ = ["WindowedForm"]

@@ -11,7 +11,7 @@ from harness.diagnosis.search.fit import Form
 from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.ties import Accepted
 from harness.effects.effect import Placed
-from harness.effects.sensor import quantisation_test
+from harness.effects.laws.sensor import quantisation_test
 from harness.signals import Dataset
 
 __all__ = ["add_rounding"]

@@ -10,7 +10,7 @@ import numpy as np
 
 from harness.errors import FitError
 from harness.signals import FloatArray, PlantSpec, Trajectory
-from identifiers.linear import LinearModel
+from identifiers.linear.least_squares import LinearModel
 from sysid_peers.records import called, longest, package, real_records
 
 __all__ = ["NFourSid", "PyDmd", "Sippy"]

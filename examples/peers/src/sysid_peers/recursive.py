@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from harness.signals import FloatArray, Trajectory
-from identifiers.linear import LinearModel
+from identifiers.linear.least_squares import LinearModel
 from sysid_peers.records import called, package, real_records
 
 __all__ = ["FilterPy"]

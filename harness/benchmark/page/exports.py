@@ -1,0 +1,145 @@
+"""The table of a benchmark for papers and spreadsheets: Markdown, LaTeX, CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Mapping, Sequence
+
+from harness.benchmark.page.summary import CONTROL, OPTIONAL, Quartiles, Summary, figure, optional_scores
+from harness.benchmark.result import BenchResult
+from harness.errors import InputError
+
+__all__ = ["FORMATS", "render"]
+
+HEAD = (
+    "plant",
+    "scenario",
+    "identifier",
+    "ok/run",
+    "equation error",
+    "simulation error",
+    "best possible",
+    "bound",
+    "over best",
+    "regret",
+    "fit",
+)
+
+
+def render(result: BenchResult, form: str) -> str:
+    """Return the table as text.
+
+    Parameters
+    ----------
+    result : BenchResult
+    form : {"markdown", "latex", "csv"}
+        CSV has one column for every figure; the others have ``median [quartiles]``, bold where the paired bootstrap
+        over seeds cannot tell a line from the best of its plant and scenario.
+
+    Raises
+    ------
+    InputError
+        If there is no such form.
+    """
+    if form not in FORMATS:
+        raise InputError(
+            "format of a table", expected=", ".join(FORMATS), got=repr(form), remedy="choose one", place="--format"
+        )
+    return FORMATS[form](result.summary())
+
+
+def _markdown(lines: Sequence[Summary]) -> str:
+    control, more = _asked(lines), optional_scores(lines)
+    head = (*HEAD[:-1], *more.values(), HEAD[-1], *CONTROL * control)
+    rows = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    rows += ["| " + " | ".join(_cells(line, more, "**{}**", _plain, control)) + " |" for line in lines]
+    return "\n".join(rows) + "\n"
+
+
+def _latex(lines: Sequence[Summary]) -> str:
+    control, more = _asked(lines), optional_scores(lines)
+    head = " & ".join(map(_escaped, (*HEAD[:-1], *more.values(), HEAD[-1], *CONTROL * control)))
+    columns = f"lllrlllllll{'l' * len(more)}{'lll' * control}"
+    rows = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head + r" \\", r"\midrule"]
+    place = None
+    for line in lines:
+        if place not in (None, (line.plant, line.scenario)):
+            rows.append(r"\addlinespace")
+        place = (line.plant, line.scenario)
+        rows.append(" & ".join(_cells(line, more, r"\textbf{{{}}}", _escaped, control)) + r" \\")
+    return "\n".join([*rows, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def _csv(lines: Sequence[Summary]) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    scores = ["equation_error", "simulation_error", "noise_floor", "best_possible", "over_best", "least_equation_error"]
+    scores += ["regret", "fit_seconds", "memory_mib"]
+    control = _asked(lines)
+    scores += [*OPTIONAL, *["control_score", "control_regret"] * control]
+    writer.writerow(
+        ["plant", "scenario", "identifier", "ok", "run", "best_or_tied"]
+        + [f"{name}_{part}" for name in scores for part in ("median", "low", "high")]
+        + ["bound", "problems", *["control"] * control]
+    )
+    for line in lines:
+        found: list[Quartiles | None] = [getattr(line, name) for name in scores]
+        figures = [("", "", "") if q is None else (repr(q.median), repr(q.low), repr(q.high)) for q in found]
+        problems = "; ".join(f"{count} {status}: {reason}" for status, reason, count in line.problems)
+        writer.writerow(
+            [line.plant, line.scenario, line.identifier, line.ok, line.run, int(line.leading)]
+            + [text for texts in figures for text in texts]
+            + [line.bound, problems, *[line.control] * control]
+        )
+    return stream.getvalue()
+
+
+FORMATS: dict[str, Callable[[Sequence[Summary]], str]] = {"markdown": _markdown, "latex": _latex, "csv": _csv}
+"""Name to what makes the text."""
+
+
+def _asked(lines: Sequence[Summary]) -> bool:
+    """Return True if the columns of control were asked for."""
+    return any(line.control for line in lines)
+
+
+def _cells(line: Summary, more: Mapping[str, str], bold: str, quote: Callable[[str], str], control: bool) -> list[str]:
+    """Return the cells of a line; a line without scores says why instead."""
+    simulation = _score(line.simulation_error) or (line.problems[0][0] if not line.ok and line.problems else "")
+    texts = [
+        line.plant,
+        line.scenario,
+        line.identifier,
+        f"{line.ok}/{line.run}",
+        _score(line.equation_error),
+        simulation,
+        figure(line.best_possible.median) if line.best_possible else "",
+        line.bound,
+        figure(line.over_best.median) if line.over_best else "",
+        _score(line.regret),
+        *(_score(getattr(line, name)) for name in more),
+        f"{figure(line.fit_seconds.median, 2)} s" if line.fit_seconds and line.ok else "",
+    ]
+    if control:
+        texts += [_score(line.control_score), _score(line.control_regret), line.control]
+    cells = [quote(text) for text in texts]
+    if line.leading:
+        cells[5] = bold.format(cells[5])
+    return cells
+
+
+def _score(score: Quartiles | None) -> str:
+    """Return median [quartiles]."""
+    return "" if score is None else str(score)
+
+
+def _plain(text: str) -> str:
+    """Return a text that ends no cell of Markdown."""
+    return text.replace("|", "\\|")
+
+
+def _escaped(text: str) -> str:
+    """Return a text that LaTeX sets as it is."""
+    special = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    return "".join(special.get(sign, "\\" + sign if sign in "&%_#${}" else sign) for sign in text)

@@ -1,0 +1,218 @@
+"""The ``sysid`` command: words and printing only; what it does is in :mod:`harness.api`.
+
+Exit status: 0 done (whatever the verdict), 1 done and it fails what was asked (``--fail-on``, ``--max-error``,
+``sysid check``), 2 input that cannot be used, 70 a fault of ours, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from harness import __version__, api
+from harness.cli.loop import close_loop, isolability, learn_residual
+from harness.cli.models import check_data, compare, export, identify, order, spectrum
+from harness.cli.options import AsJson, Force, Junit, ModelName, judged
+from harness.cli.runs import bench, query, simulate, table
+from harness.cli.terminal import fail, print_fmu, print_json, print_parts, print_rows, print_system, print_written, say
+from harness.errors import HarnessError, InputError
+from harness.parts.files import is_system
+from harness.supervision.interrupts import INTERRUPTED, Interrupts
+
+__all__ = ["app", "run"]
+
+OWN_FAULT = 70
+"""Exit status of a fault in this program: EX_SOFTWARE of sysexits.h (4.0BSD)."""
+
+app = typer.Typer(
+    name="sysid",
+    help="Co-simulation test harness for system identification that closes the loop with measured data.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+for _command in (simulate, bench, table, query, identify, compare, spectrum, order, isolability, export):
+    app.command()(_command)
+app.command(name="check-data")(check_data)
+app.command(name="close-loop")(close_loop)
+app.command(name="learn-residual")(learn_residual)
+
+
+@app.command(name="list")
+def list_command(
+    what: Annotated[str | None, typer.Argument(help=f"{' | '.join(api.LISTED)} | ID | FILE")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show what is registered, or what is inside a file: data, a robot, an FMU or a system of them, a model.json."""
+    if what is not None and what.endswith(".fmu"):
+        description = api.describe_fmu(what)
+        if as_json:
+            print_json(description)
+        else:
+            print_fmu(description)
+        return
+    if what is not None and is_system(what):
+        system = api.describe_system(what)
+        if as_json:
+            print_json(system)
+        else:
+            print_system(system)
+        return
+    if what is not None and what not in api.LISTED and Path(what).suffix and Path(what).is_file():
+        found = api.describe_file(what)
+        if as_json:
+            print_json(found["content"])
+            return
+        for fact in found["facts"]:
+            say(fact)
+        for rows in found["tables"].values():
+            if rows:
+                print_rows(rows)
+        return
+    if what is not None and what not in api.LISTED and (part := api.describe_part(what)) is not None:
+        if as_json:
+            print_json(part)
+            return
+        say(f"{part['id']} ({part['kind'][:-1]} of {part['distribution']}): {part['text']}")
+        for title, fact in part["facts"].items():
+            say(f"{title}: {fact}")
+        print_rows(part["options"])
+        return
+    parts = api.list_parts(what)
+    if as_json:
+        print_json(parts)
+        return
+    print_parts(parts)
+
+
+@app.command()
+def check(
+    name: Annotated[str, typer.Argument(metavar="NAME_OR_FILE", help="id of a plug-in, or FILE.py:NAME")],
+    junit: Junit = None,
+    as_json: AsJson = False,
+) -> None:
+    """Hold a plug-in to its contract; exit status 1 if it breaks it."""
+    results = api.check(name)
+    if as_json:
+        print_json([{"name": r.name, "passed": r.passed, "reason": r.reason} for r in results])
+    else:
+        for result in results:
+            say(f"{'pass' if result.passed else 'FAIL'}  {result.name}{': ' + result.reason if result.reason else ''}")
+    from harness.scoring.acceptance import Check
+
+    judged("check", [Check(name, result.name, result.passed, result.reason or "") for result in results], junit)
+
+
+@app.command(name="study", hidden=True, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def study(context: typer.Context) -> None:
+    """Say where this command went."""
+    words = " ".join(context.args)
+    raise InputError(
+        "sysid study",
+        expected="the command sysid-lab, which is a distribution of its own",
+        got=f"sysid study {words}".rstrip(),
+        remedy=f"pip install sysid-harness-lab (from a checkout: pip install -e lab), then sysid-lab {words}".rstrip(),
+    )
+
+
+@app.command()
+def new(
+    kind: Annotated[
+        str, typer.Argument(metavar="KIND", help="identifier | plant | scenario | effect | model | dataset")
+    ],
+    name: Annotated[
+        list[str],
+        typer.Argument(metavar="NAME", help="its id, such as soft-friction; for dataset the files, one a run"),
+    ],
+    folder: Annotated[Path, typer.Option(help="where sysid-NAME/ is made, or dataset.toml is written")] = Path("."),
+    model: ModelName = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Begin a plug-in that works and passes its checks; or draft a dataset.toml from files of data."""
+    from harness.scaffold import entry_name
+
+    if kind == "dataset":
+        out = api.new_dataset(name, model=model, out=folder / "dataset.toml", force=force)
+        print_written([out], as_json=as_json)
+        if not as_json:
+            say(f"now: answer what stands as a question in it, then sysid close-loop {out}")
+        return
+    if len(name) > 1:
+        raise InputError("name of a plug-in", expected="one", got=" ".join(name), remedy="begin them one by one")
+    print_written(api.new(kind, name[0], folder=folder), as_json=as_json)
+    if not as_json:
+        say(f"now: cd {folder / f'sysid-{name[0]}'} && pip install -e . && sysid check {entry_name(kind, name[0])}")
+
+
+@app.callback(invoke_without_command=True)
+def _root(version: Annotated[bool, typer.Option("--version", help="print the version")] = False) -> None:
+    """Co-simulation test harness for system identification that closes the loop with measured data."""
+    if version:
+        say(f"sysid-harness {__version__}")
+        raise typer.Exit()
+
+
+def run(
+    arguments: Sequence[str] | None, interrupts: Interrupts, *, application: typer.Typer = app, name: str = "sysid"
+) -> int:
+    """Run a command line and return the exit status; every failure is one line on standard error."""
+    from typer.main import get_command
+
+    for name in ("stdin", "stdout", "stderr"):  # a descriptor that the caller closed
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r+", encoding="utf-8"))
+    try:
+        code = get_command(application).main(
+            args=None if arguments is None else list(arguments), prog_name=name, standalone_mode=False
+        )
+        if code == INTERRUPTED or interrupts.seen:  # a library turns Ctrl-C into a status, or swallows it
+            raise KeyboardInterrupt
+        sys.stdout.flush()
+        return code if isinstance(code, int) else 0
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except SystemExit as ended:
+        if isinstance(ended.__context__, BrokenPipeError):  # the reader has seen enough
+            return 0
+        raise
+    except (KeyboardInterrupt, typer.Abort):
+        return _interrupted()
+    except Exception as error:
+        return _interrupted() if interrupts.seen else _failed(error)
+
+
+def _interrupted() -> int:
+    """Say that Ctrl-C was heard."""
+    text = "interrupted; what was finished is kept: --resume continues, a fit goes on from its checkpoint"
+    return fail(text, INTERRUPTED)
+
+
+def _failed(error: Exception) -> int:
+    """Say what went wrong, and whose it is."""
+    if isinstance(error, OSError):
+        from harness.data.whole_files import refused_by_system
+
+        error = refused_by_system(error) or error
+    debug = bool(os.environ.get("SYSID_HARNESS_DEBUG"))
+    if debug and isinstance(error.__cause__, TypeError | ValueError | AttributeError | LookupError):
+        raise error
+    if isinstance(error, HarnessError):
+        return fail(" ".join(str(error).split()), 2)
+    if hasattr(error, "format_message") and hasattr(error, "exit_code"):
+        return fail(f"{error.format_message()}; remedy: sysid --help", 2)
+    if debug:
+        raise error
+    return fail(
+        f"a fault in sysid-harness: {type(error).__name__}: {' '.join(str(error).split())}; "
+        "remedy: set SYSID_HARNESS_DEBUG=1 for the traceback and report it",
+        OWN_FAULT,
+    )

@@ -1,0 +1,253 @@
+"""The commands of ``sysid`` that close the loop: on a record, on a fleet, before measuring, and on what is left."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from harness import api
+from harness.cli.options import (
+    AsJson,
+    Columns,
+    FailOn,
+    Force,
+    Inputs,
+    Junit,
+    MaxError,
+    MaxShare,
+    ModelName,
+    Outputs,
+    Resume,
+    Runs,
+    SampleTime,
+    ScenarioPairs,
+    Seed,
+    Trust,
+    Undriven,
+    Units,
+    Validation,
+    demands_of,
+    judged,
+    signals_of,
+)
+from harness.cli.terminal import (
+    completed,
+    jobs_bar,
+    noted,
+    option_pairs,
+    print_json,
+    print_planned,
+    progress_bar,
+    say,
+    wide_console,
+)
+from harness.errors import InputError, printable
+
+if TYPE_CHECKING:
+    from harness.scoring.acceptance import Demands
+
+__all__ = ["close_loop", "isolability", "learn_residual"]
+
+
+def close_loop(
+    dataset: Annotated[
+        str,
+        typer.Argument(
+            metavar="DATASET|RECORDING|FLEET",
+            help="see sysid list recordings; many: a folder, a pattern in quotes, a CSV table with the column file",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="folder for report.html and report.json; of a fleet, for fleet.html")],
+    model: ModelName = None,
+    validation: Validation = None,
+    undriven: Undriven = None,
+    input: Inputs = None,
+    output: Outputs = None,
+    column: Columns = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    run: Runs = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print report.json")] = False,
+    resume: Resume = False,
+    force: Force = False,
+    workers: Annotated[int | None, typer.Option(min=1, help="of a fleet: processes; default all cores")] = None,
+    engine: Annotated[str, typer.Option(help="of a fleet: local, or dask://HOST:PORT")] = "local",
+    time_limit: Annotated[float | None, typer.Option(help="of a fleet: seconds for one record")] = None,
+    fail_on: FailOn = None,
+    max_error: MaxError = None,
+    max_share: MaxShare = None,
+    junit: Junit = None,
+    trust: Trust = None,
+) -> None:
+    """Find the effect that a model lacks, add it, report the error before and after; of one record or of a fleet."""
+    from harness.fleet import is_fleet
+
+    demands = demands_of(fail_on, max_error, max_share)
+    signals = signals_of(input, output, column, unit, sample_time, run)
+    if is_fleet(dataset):
+        if any(signals.values()):
+            raise InputError(
+                "columns chosen for a fleet",
+                expected="records whose titles are the model's ports, or a dataset.toml for each",
+                got=" ".join(f"--{name.replace('_', '-')}" for name, value in signals.items() if value),
+                remedy="leave it out",
+            )
+        if validation is not None or force:
+            raise InputError(
+                "option of one record",
+                expected="records with their own validation files, and a new folder or --resume",
+                got="--force" if force else "--validation",
+                remedy="name validation files in the column validation of a table of records",
+            )
+        _close_fleet(dataset, out, model, undriven, as_json, resume, workers, engine, time_limit, demands, junit)
+        return
+    if engine != "local" or time_limit is not None or workers is not None:
+        raise InputError(
+            "option of a fleet",
+            expected="many records",
+            got="one, with "
+            + ("--engine" if engine != "local" else "--workers" if time_limit is None else "--time-limit"),
+            remedy="leave it out, or give a folder, a pattern in quotes or a table of records",
+        )
+    with progress_bar("closing the loop") as bar:
+        task = bar.add_task(dataset, total=1.0)
+
+        def show(fraction: float, what: str) -> None:
+            bar.update(task, completed=fraction, description=what)
+
+        report = api.close_loop(
+            dataset,
+            out=out,
+            model=model,
+            validation=validation,
+            undriven=undriven or (),
+            resume=resume,
+            force=force,
+            progress=show,
+            **signals,
+        )
+    if as_json:
+        print_json(report.data)
+    else:
+        wide_console().print(printable(str(report)), highlight=False, markup=False, soft_wrap=True)
+        for text in report.data["warnings"]:
+            noted(text)
+        say(f"report: {out / 'report.html'}")
+    judged("close-loop", demands.of_report(str(report.data["dataset"]), report.data), junit)
+
+
+def _close_fleet(
+    source: str,
+    out: Path,
+    model: str | None,
+    undriven: list[str] | None,
+    as_json: bool,
+    resume: bool,
+    workers: int | None,
+    engine: str,
+    time_limit: float | None,
+    demands: Demands,
+    junit: Path | None,
+) -> None:
+    """Close the loop on many records and print what they have in common."""
+    with jobs_bar("of records", source) as show:
+        result = api.close_fleet(
+            source,
+            out=out,
+            model=model,
+            undriven=undriven or (),
+            engine=engine,
+            workers=workers,
+            time_limit=time_limit,
+            resume=resume,
+            progress=show,
+        )
+    if as_json:
+        print_json(result.to_records())
+    else:
+        say(str(result))
+        say(f"page: {result.page}")
+    if result.rows and not any(row.ok for row in result.rows):
+        raise InputError(
+            "no record gave an answer",
+            expected="at least one that can be used",
+            got=f"{len(result.rows)} of {len(result.rows)} without one, the first: {result.rows[0].reason}",
+            remedy=f"see the reasons in {result.page}",
+        )
+    judged("close-loop", result.checks(demands), junit)
+
+
+def learn_residual(
+    loop: Annotated[Path, typer.Argument(metavar="DIR", help="folder of close-loop that ended with something left")],
+    dataset: Annotated[str, typer.Argument(metavar="DATASET|RECORDING", help="the data of that loop")],
+    out: Annotated[Path, typer.Option(help="folder for learned.html, learned.json and model.json")],
+    validation: Validation = None,
+    undriven: Undriven = None,
+    coordinate: Annotated[str | None, typer.Option(help="where the force acts; default: where it helps most")] = None,
+    argument: Annotated[
+        list[str] | None,
+        typer.Option(help="state or input that it depends on, repeatable; default: speed, place or both"),
+    ] = None,
+    refit: Annotated[bool, typer.Option("--refit", help="let the named parameters move beside the force")] = False,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+    force: Force = False,
+    trust: Trust = None,
+) -> None:
+    """Learn what a closed loop left over as a force without a name: not physical, with the hull of its data."""
+    with progress_bar("learning a residual force") as bar:
+        task = bar.add_task(str(loop), total=1.0)
+
+        def show(fraction: float, what: str) -> None:
+            bar.update(task, completed=fraction, description=what)
+
+        found = api.learn_residual(
+            loop,
+            dataset,
+            out=out,
+            validation=validation,
+            undriven=undriven or (),
+            coordinate=coordinate,
+            arguments=argument,
+            refit=refit,
+            seed=seed,
+            force=force,
+            progress=show,
+        )
+    if as_json:
+        print_json(found.data)
+        return
+    wide_console().print(printable(str(found)), highlight=False, markup=False, soft_wrap=True)
+    for text in found.data["warnings"]:
+        noted(text)
+    say(f"page: {out / 'learned.html'}")
+
+
+def isolability(
+    model: Annotated[str, typer.Argument(metavar="PLANT_OR_MODEL", help="nominal model, or a plant made of equations")],
+    scenario: Annotated[
+        str, typer.Option("--scenario", help="id of a scenario", autocompletion=completed("scenarios"))
+    ],
+    scenario_option: ScenarioPairs = None,
+    parameter: Annotated[
+        list[str] | None, typer.Option("--parameter", metavar="k=v", help="value of a model parameter, repeatable")
+    ] = None,
+    sample_time: Annotated[float, typer.Option(help="of the planned record [s]")] = 0.01,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Say before measuring which effects an experiment could tell apart."""
+    found = api.isolability(
+        model,
+        scenario=scenario,
+        scenario_options=option_pairs(scenario_option, "--scenario-option"),
+        parameters=option_pairs(parameter, "--parameter"),
+        sample_time=sample_time,
+        seed=seed,
+    )
+    if as_json:
+        print_json(found.to_dict())
+    else:
+        print_planned(found)

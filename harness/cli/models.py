@@ -1,0 +1,295 @@
+"""The commands of ``sysid`` that learn models from data, look at both, and write them out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from harness import api
+from harness.cli.options import (
+    AsJson,
+    Columns,
+    DatasetName,
+    Force,
+    Inputs,
+    Junit,
+    MaxError,
+    ModelName,
+    OptionPairs,
+    Outputs,
+    Runs,
+    SampleTime,
+    Seed,
+    Trust,
+    Undriven,
+    Units,
+    Validation,
+    demands_of,
+    judged,
+    signals_of,
+)
+from harness.cli.terminal import (
+    completed,
+    noted,
+    option_pairs,
+    print_identified,
+    print_json,
+    print_rows,
+    print_written,
+    say,
+    whole_range,
+)
+from harness.errors import InputError
+
+__all__ = ["check_data", "compare", "export", "identify", "order", "spectrum"]
+
+
+def check_data(
+    dataset: DatasetName,
+    model: ModelName = None,
+    validation: Validation = None,
+    undriven: Undriven = None,
+    input: Inputs = None,
+    output: Outputs = None,
+    column: Columns = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    run: Runs = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="page.html")] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Say what is odd about records: spikes, held readings, late inputs and more; fits are kept from these."""
+    found = api.check_data(
+        dataset,
+        model=model,
+        validation=validation,
+        undriven=undriven or (),
+        out=out,
+        force=force,
+        **signals_of(input, output, column, unit, sample_time, run),
+    )
+    if as_json:
+        print_json(found.to_dict())
+        return
+    say(str(found))
+    if out is not None:
+        say(f"wrote {out}")
+
+
+def identify(
+    dataset: DatasetName,
+    identifier: Annotated[
+        str | None,
+        typer.Option(
+            help="id of an identifier; default arx where no physical model is given",
+            autocompletion=completed("identifiers"),
+        ),
+    ] = None,
+    option: OptionPairs = None,
+    model: ModelName = None,
+    validation: Validation = None,
+    undriven: Undriven = None,
+    input: Inputs = None,
+    output: Outputs = None,
+    column: Columns = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    run: Runs = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="model.json")] = None,
+    seed: Seed = 0,
+    max_error: MaxError = None,
+    junit: Junit = None,
+    as_json: AsJson = False,
+    force: Force = False,
+    trust: Trust = None,
+) -> None:
+    """Fit one model to a data set and score it."""
+    demands = demands_of(None, max_error, None)
+    fitted = api.identify(
+        dataset,
+        identifier=identifier,
+        options=option_pairs(option, "--option"),
+        model=model,
+        validation=validation,
+        undriven=undriven or (),
+        out=out,
+        seed=seed,
+        force=force,
+        **signals_of(input, output, column, unit, sample_time, run),
+    )
+    name = identifier or api.DEFAULT_IDENTIFIER
+    if as_json:
+        print_json(fitted.to_dict())
+    else:
+        print_identified(fitted, name)
+        if out is not None:
+            say(f"wrote {out}")
+    judged("identify", demands.of_errors(name, fitted.errors()), junit)
+
+
+def compare(
+    files: Annotated[
+        list[str],
+        typer.Argument(metavar="MODEL... DATASET", help="model.json files, then the data set; or two reports"),
+    ],
+    model: ModelName = None,
+    validation: Validation = None,
+    undriven: Undriven = None,
+    input: Inputs = None,
+    output: Outputs = None,
+    column: Columns = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    run: Runs = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="page.html")] = None,
+    trust: Trust = None,
+    max_error: MaxError = None,
+    junit: Junit = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Put stored models side by side on one data set: fit, residuals, frequency responses; or two reports."""
+    demands = demands_of(None, max_error, None)
+    from harness.comparison.reports import is_report
+
+    if len(files) < 2:
+        raise InputError(
+            "what to compare",
+            expected="MODEL... DATASET, or REPORT REPORT",
+            got=" ".join(files),
+            remedy="give a model and a data set",
+        )
+    if len(files) == 2 and is_report(files[1]):
+        told = api.compare_reports(*files)
+        if as_json:
+            print_json(told.rows())
+            return
+        say(str(told))
+        print_rows(told.rows())
+        return
+    found = api.compare(
+        files[:-1],
+        files[-1],
+        model=model,
+        validation=validation,
+        undriven=undriven or (),
+        out=out,
+        force=force,
+        note=noted,
+        **signals_of(input, output, column, unit, sample_time, run),
+    )
+    if as_json:
+        print_json(found.rows())
+    else:
+        print_rows(found.rows())
+        if out is not None:
+            say(f"wrote {out}")
+    checks = [check for one in found.models for check in demands.of_errors(one.name, one.errors())]
+    judged("compare", checks, junit)
+
+
+def spectrum(
+    dataset: DatasetName,
+    model: ModelName = None,
+    undriven: Undriven = None,
+    input: Inputs = None,
+    output: Outputs = None,
+    column: Columns = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    run: Runs = None,
+    segment: Annotated[
+        int | None, typer.Option(min=16, help="use Welch's method with segments of so many samples")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+    trust: Trust = None,
+) -> None:
+    """Show the frequency response in the data, with bands and coherence."""
+    found = api.spectrum(
+        dataset,
+        model=model,
+        undriven=undriven or (),
+        segment=segment,
+        out=out,
+        force=force,
+        note=noted,
+        **signals_of(input, output, column, unit, sample_time, run),
+    )
+    if as_json:
+        print_json(found.rows(64))
+    else:
+        counted = "averages" if found.method == "Welch" else "lines each"
+        say(f"{found.method}, {found.averages:.0f} {counted}; deviation is one standard deviation of the magnitude")
+        print_rows(found.rows())
+        if out is not None:
+            say(f"wrote {out}")
+
+
+def export(
+    source: Annotated[str, typer.Argument(metavar="DIR_OR_MODEL", help="folder of close-loop, or a model")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="model.fmu; model.ssp for a repaired FMU")],
+    fmi: Annotated[str, typer.Option(help="2, 3 or both (then model.fmu is FMI 2.0, model-fmi3.fmu FMI 3.0)")] = "both",
+    as_json: AsJson = False,
+    force: Force = False,
+    trust: Trust = None,
+) -> None:
+    """Write a model as a co-simulation FMU, with its C source."""
+    print_written(api.export(source, out=out, fmi=fmi, force=force), as_json=as_json)
+
+
+def order(
+    dataset: DatasetName,
+    identifier: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="one with the option order, repeatable; default arx, n4sid, ho-kalman",
+            autocompletion=completed("identifiers"),
+        ),
+    ] = None,
+    orders: Annotated[str, typer.Option(metavar="A..B", help="orders A to B, both included")] = "1..12",
+    option: OptionPairs = None,
+    model: ModelName = None,
+    validation: Validation = None,
+    undriven: Undriven = None,
+    input: Inputs = None,
+    output: Outputs = None,
+    column: Columns = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    run: Runs = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="picture: .svg, .png or .pdf")] = None,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+    force: Force = False,
+    trust: Trust = None,
+) -> None:
+    """Show which order a linear model needs: held-out errors by order, and singular values."""
+    first, last = whole_range(orders, "--orders")
+    found = api.order(
+        dataset,
+        identifiers=identifier or (),
+        orders=range(first, last + 1),
+        options=option_pairs(option, "--option"),
+        model=model,
+        validation=validation,
+        undriven=undriven or (),
+        out=out,
+        seed=seed,
+        force=force,
+        note=noted,
+        **signals_of(input, output, column, unit, sample_time, run),
+    )
+    if as_json:
+        print_json(
+            {"orders": found.rows(), "singular_values": {k: v.tolist() for k, v in found.singular_values.items()}}
+        )
+    else:
+        say(f"judged on {found.judged}")
+        print_rows(found.rows())
+        if out is not None:
+            say(f"wrote {out}")

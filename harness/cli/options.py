@@ -1,0 +1,160 @@
+"""Options that several commands share, so that one word means the same everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from harness.cli.terminal import completed, fail, text_pairs
+from harness.trust import trusting
+
+if TYPE_CHECKING:
+    from harness.data.recipe.chosen import Signals
+    from harness.scoring.acceptance import Check, Demands
+
+__all__ = [
+    "AsJson",
+    "Columns",
+    "DatasetName",
+    "Engine",
+    "FailOn",
+    "Force",
+    "Inputs",
+    "Junit",
+    "MaxError",
+    "MaxShare",
+    "ModelName",
+    "OptionPairs",
+    "Outputs",
+    "Resume",
+    "Runs",
+    "SampleTime",
+    "ScenarioPairs",
+    "Seed",
+    "Trust",
+    "Undriven",
+    "Units",
+    "Validation",
+    "Workers",
+    "demands_of",
+    "judged",
+    "signals_of",
+]
+
+
+def _trust(context: typer.Context, files: list[str] | None) -> list[str] | None:
+    """Trust files until the command ends."""
+    if files and not context.resilient_parsing:
+        context.with_resource(trusting(*files))
+    return files
+
+
+OptionPairs = Annotated[list[str] | None, typer.Option("--option", "-O", metavar="k=v", help="option, repeatable")]
+AsJson = Annotated[bool, typer.Option("--json", help="print JSON")]
+Force = Annotated[bool, typer.Option("--force", help="overwrite")]
+Resume = Annotated[bool, typer.Option("--resume", help="continue what was interrupted")]
+Seed = Annotated[int, typer.Option(help="keys every random number")]
+ModelName = Annotated[
+    str | None,
+    typer.Option(help="nominal model: NAME, FILE.fmu, FILE.urdf or FILE.py:NAME", autocompletion=completed("models")),
+]
+Validation = Annotated[Path | None, typer.Option(help="validation file beside a bare CSV or Parquet file")]
+Undriven = Annotated[
+    list[str] | None, typer.Option("--undriven", metavar="INPUT", help="input of the model that nothing drove")
+]
+Trust = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--trust",
+        metavar="FILE",
+        callback=_trust,
+        help="code that a file may name: FILE.py or FILE.fmu, or FILE that names it, repeatable",
+    ),
+]
+Workers = Annotated[int | None, typer.Option(min=1, help="processes; default all cores")]
+Engine = Annotated[str, typer.Option(help="local, or dask://HOST:PORT")]
+ScenarioPairs = Annotated[
+    list[str] | None, typer.Option("--scenario-option", "-S", metavar="k=v", help="scenario option, repeatable")
+]
+DatasetName = Annotated[str, typer.Argument(metavar="DATASET", help="dataset.toml, CSV, Parquet, or a recording")]
+Inputs = Annotated[
+    list[str] | None,
+    typer.Option("--input", metavar="NAME", help="of a table: an input, repeatable; none if nothing drives it"),
+]
+Outputs = Annotated[
+    list[str] | None, typer.Option("--output", metavar="NAME", help="of a table: an output, repeatable")
+]
+Columns = Annotated[
+    list[str] | None,
+    typer.Option("--column", metavar="NAME=TITLE", help="of a table: column of a signal or of time, repeatable"),
+]
+Units = Annotated[
+    list[str] | None,
+    typer.Option("--unit", metavar="NAME=UNIT", help="of a table: unit of a signal or of time, repeatable"),
+]
+SampleTime = Annotated[float | None, typer.Option("--sample-time", help="of a table without a time column [s]")]
+FailOn = Annotated[
+    str | None,
+    typer.Option(
+        "--fail-on", metavar="VERDICT[,...]", help="verdicts that end with exit status 1, such as unexplained"
+    ),
+]
+MaxError = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--max-error",
+        metavar="OUTPUT=VALUE",
+        help="largest simulation error (rms) on validation data, such as theta=2mrad, repeatable; more is status 1",
+    ),
+]
+MaxShare = Annotated[
+    float | None, typer.Option("--max-share", help="largest unexplained share of the motion, 0 to 1; more is status 1")
+]
+Junit = Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="write what was checked as JUnit XML")]
+Runs = Annotated[
+    list[str] | None,
+    typer.Option("--run", metavar="[USE=]FILE", help="of a table: a further record, repeatable; USE as estimation"),
+]
+
+
+def demands_of(fail_on: str | None, max_error: list[str] | None, max_share: float | None) -> Demands:
+    """Return what the options demand of a result."""
+    from harness.scoring.acceptance import Demands
+
+    words = [word.strip().replace("-", "_") for word in (fail_on or "").split(",")]
+    return Demands(tuple(word for word in words if word), text_pairs(max_error, "--max-error"), max_share)
+
+
+def judged(suite: str, checks: Sequence[Check], junit: Path | None) -> None:
+    """Write checks where asked, say on standard error what fails, and leave with status 1 if something does."""
+    if junit is not None:
+        from harness.scoring.acceptance import write_junit
+
+        write_junit(junit, suite, checks)
+    failed = [check for check in checks if not check.passed]
+    for check in failed:
+        fail(f"{check.subject} fails {check.name}: {check.text}", 1)
+    if failed:
+        raise typer.Exit(1)
+
+
+def signals_of(
+    input: list[str] | None,
+    output: list[str] | None,
+    column: list[str] | None,
+    unit: list[str] | None,
+    sample_time: float | None,
+    run: list[str] | None,
+) -> Signals:
+    """Return what the options say of the columns of a table."""
+    return {
+        "input": input or None,
+        "output": output or None,
+        "column": text_pairs(column, "--column"),
+        "unit": text_pairs(unit, "--unit"),
+        "sample_time": sample_time,
+        "run": run or None,
+    }

@@ -1,0 +1,224 @@
+"""The commands of ``sysid`` that run plants: one of them, or a benchmark and its stored rows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from harness import api
+from harness.cli.options import AsJson, Engine, Force, OptionPairs, Resume, ScenarioPairs, Seed, Trust, Workers
+from harness.cli.terminal import (
+    completed,
+    hidden_effect,
+    jobs_bar,
+    noted,
+    option_pairs,
+    print_answer,
+    print_bench,
+    print_json,
+    print_rows,
+    progress_bar,
+    say,
+    seed_range,
+    text_pairs,
+)
+from harness.errors import InputError, PlantError, printable
+
+__all__ = ["bench", "query", "simulate", "table"]
+
+
+def simulate(
+    plant: Annotated[
+        str,
+        typer.Argument(
+            metavar="PLANT",
+            help="id of a plant, or a file: .fmu, .toml, .ssp, .ssd, OspSystemStructure.xml",
+            autocompletion=completed("plants"),
+        ),
+    ],
+    scenario: Annotated[
+        str | None,
+        typer.Option(
+            "--scenario", help="id of a scenario; a file also runs as it is", autocompletion=completed("scenarios")
+        ),
+    ] = None,
+    seed: Seed = 0,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="run.csv or run.parquet")] = None,
+    option: OptionPairs = None,
+    scenario_option: ScenarioPairs = None,
+    hide: Annotated[
+        list[str] | None,
+        typer.Option(metavar="EFFECT@PORT:k=v,...", help="hide an effect in the plant, repeatable"),
+    ] = None,
+    role: Annotated[
+        str, typer.Option(help="estimation/0, validation/0, ...: another role, other noise")
+    ] = "estimation/0",
+    start: Annotated[float | None, typer.Option(help="of a file without a scenario: first instant [s]")] = None,
+    stop: Annotated[float | None, typer.Option(help="of a file without a scenario: last instant [s]")] = None,
+    step: Annotated[float | None, typer.Option(help="of a file without a scenario: sample time [s]")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="of a file without a scenario: of its solver")] = None,
+    exchange: Annotated[
+        str | None, typer.Option(help="of a coupling or system: jacobi (all step at once) | gauss-seidel (in turn)")
+    ] = None,
+    halve: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="of a file without a scenario: halve the step N times"),
+    ] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+    trust: Trust = None,
+) -> None:
+    """Run a scenario on a plant and record it; an FMU or a system runs as it is where no scenario is given."""
+    notes: list[str] = []
+    if halve is not None:
+        if scenario is not None or hide or scenario_option:
+            raise InputError(
+                "--halve",
+                expected="a file without a scenario",
+                got="a scenario or a hidden effect",
+                remedy="leave it out",
+            )
+        found = api.halve(
+            plant,
+            times=halve,
+            step=step,
+            out=out,
+            force=force,
+            note=notes.append,
+            start=start,
+            stop=stop,
+            tolerance=tolerance,
+            exchange=exchange,
+            options=option_pairs(option, "--option"),
+        )
+        for text in notes:
+            noted(text)
+        if as_json:
+            print_json(found.rows())
+            return
+        print_rows(found.rows())
+        if out is not None:
+            say(f"wrote {out}")
+        return
+    broken: list[PlantError] = []
+    with progress_bar("simulating") as bar:
+        task = bar.add_task(plant, total=None)
+        trajectory = api.simulate(
+            plant,
+            scenario=scenario,
+            seed=seed,
+            out=out,
+            options=option_pairs(option, "--option"),
+            scenario_options=option_pairs(scenario_option, "--scenario-option"),
+            hide=[hidden_effect(text) for text in hide or ()],
+            role=role,
+            start=start,
+            stop=stop,
+            step=step,
+            tolerance=tolerance,
+            exchange=exchange,
+            force=force,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+            note=notes.append,
+            broke=broken.append,
+        )
+    for text in notes:
+        noted(text)
+    if as_json:
+        from harness.specs import spec_to_dict
+
+        print_json({"spec": spec_to_dict(trajectory.spec), "samples": len(trajectory), "written": out and str(out)})
+        return
+    say(str(trajectory))
+    if out is not None:
+        say(f"wrote {out}")
+    for error in broken:  # what came before it is kept, and the exit status says that it is not the whole
+        raise error
+
+
+def bench(
+    suite: Annotated[
+        str,
+        typer.Argument(
+            metavar="SUITE", help="name of a suite (sysid list suites) or FILE.toml", autocompletion=completed("suites")
+        ),
+    ],
+    out: Annotated[Path | None, typer.Option(help="folder for results; default results/SUITE")] = None,
+    workers: Workers = None,
+    seeds: Annotated[str | None, typer.Option(metavar="A..B", help="seeds A to B, both included")] = None,
+    engine: Engine = "local",
+    resume: Resume = False,
+    shard: Annotated[str | None, typer.Option(metavar="i/n", help="the i-th of n shares, for job arrays")] = None,
+    traces: Annotated[
+        str, typer.Option(help="seeds with an overlay of their trajectory: first | all | none")
+    ] = "first",
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="say what would run, and how long it would take")] = False,
+    as_json: AsJson = False,
+    trust: Trust = None,
+) -> None:
+    """Run a suite of plants x scenarios x identifiers x seeds and print its table."""
+    folder = out if out is not None else Path("results") / Path(suite).stem
+    if dry_run:
+        planned = api.plan_bench(suite, out=folder, workers=workers, seeds=seed_range(seeds), shard=shard)
+        if as_json:
+            cells = [{"names": list(names), "jobs": count} for names, count in planned.cells.items()]
+            print_json({"cells": cells, "summary": str(planned)})
+            return
+        for names, count in planned.cells.items():
+            say(f"{count:6d}  {' x '.join(names)}")
+        say(str(planned))
+        return
+    with jobs_bar(suite, suite) as show:
+        result = api.bench(
+            suite,
+            out=folder,
+            workers=workers,
+            seeds=seed_range(seeds),
+            engine=engine,
+            resume=resume,
+            shard=shard,
+            traces=traces,
+            progress=show,
+        )
+    print_bench(result, as_json=as_json)
+
+
+def table(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark, or of its shares")],
+    form: Annotated[str | None, typer.Option("--format", help="markdown | latex | csv")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Print a stored benchmark again, and render its report anew; puts the shares of a job array together."""
+    result = api.table(directory)
+    if form is not None:
+        from harness.benchmark import render
+
+        print(printable(render(result, form)), end="")
+        return
+    print_bench(result, as_json=as_json)
+
+
+def query(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="folder of a benchmark or a fleet, finished or not")],
+    sql: Annotated[
+        str | None,
+        typer.Argument(metavar="SQL", help="over results, timings, regret, traces; of a fleet: records, effects"),
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option("--filter", metavar="COLUMN=VALUE", help="only such rows, repeatable")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="answer.csv or answer.parquet")] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Ask the stored rows of a benchmark or a fleet a question in SQL (DuckDB), or show those with given values."""
+    answer = api.query(directory, sql, filters=text_pairs(only, "--filter"))
+    if out is not None:
+        answer.write(out, force=force)
+        say(f"wrote {out}")
+    elif as_json:
+        print_json(answer.records())
+    else:
+        print_answer(answer if sql is not None else answer.narrow())

@@ -1,0 +1,189 @@
+"""One table as a whole data set: its columns carry the names of the model's ports, or the caller names them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from harness.data.recipe.chosen import TIME, Chosen
+from harness.data.recipe.ports import Ports, located_model, ports_of, rate_unit
+from harness.data.recipe.sections import Description, NominalSection, RunSection, SignalSection, TimeSection
+from harness.data.tables.bags import is_bag_folder
+from harness.data.tables.headers import clock_of
+from harness.data.tables.table import FORMATS, REFERENCE, Table, open_table, suffix_of
+from harness.data.trajectories import stored_spec
+from harness.errors import InputError
+from harness.signals import Channel
+
+__all__ = ["describe_bare"]
+
+
+def describe_bare(
+    path: Path,
+    *,
+    model: str | None,
+    validation: str | Path | None,
+    ports: tuple[Sequence[Channel], Sequence[Channel]] | None,
+    notes: list[str],
+    tables: dict[Path, Table],
+    chosen: Chosen,
+) -> tuple[Description, Ports | None]:
+    """Return the description that a bare file amounts to, and the ports that name its columns.
+
+    Parameters
+    ----------
+    chosen : Chosen
+        What the caller says of the columns. The names are those of the model's ports where there is a model that has
+        some, else those that the caller chose as inputs and outputs.
+
+    Raises
+    ------
+    InputError
+        If neither a model nor the caller says which columns are meant, or a column is not there.
+    """
+    table = open_table(path, tables)
+    known = _known_ports(path, model, ports)
+    if known is None or chosen.outputs is not None or chosen.inputs is not None:
+        found, said = chosen.sections(table, known)
+        notes += said
+    else:
+        found = _signals(table, known, path, notes, chosen)
+    signals = dict(found.values())
+    runs, second = _runs(path, table, validation, next(iter(found)), tables, chosen)
+    notes += second
+    described = Description(
+        name=path.stem,
+        signals=signals,
+        runs=runs,
+        nominal=NominalSection(model=model) if model is not None else None,
+        time=_time(table, found, chosen),
+        sample_time=chosen.sample_time,
+    )
+    return described, known
+
+
+def _known_ports(
+    path: Path, model: str | None, ports: tuple[Sequence[Channel], Sequence[Channel]] | None
+) -> Ports | None:
+    """Return the ports that name the columns of a file; None where only the caller can."""
+    if ports is not None:
+        return Ports(tuple(ports[0]), tuple(ports[1]), model or "the model", rates=False)
+    if model is not None and (found := ports_of(located_model(model, Path.cwd()), {})) is not None:
+        return found
+    stored = stored_spec(path)
+    return None if stored is None else Ports(stored.inputs, stored.outputs, path.name, rates=False)
+
+
+def _time(table: Table, found: dict[str, tuple[str, SignalSection]], chosen: Chosen) -> TimeSection | None:
+    """Return what the caller says of the clock; None where the titles are to say it."""
+    column, unit = chosen.columns.get(TIME), chosen.units.get(TIME)
+    if column is None and unit is None:
+        return None
+    return TimeSection(column=column or clock_of(table.titles, found) or TIME, unit=unit)
+
+
+def _signals(
+    table: Table, ports: Ports, path: Path, notes: list[str], chosen: Chosen
+) -> dict[str, tuple[str, SignalSection]]:
+    """Return by title the name and signal of every column that carries the name of a port or rate, or is said to."""
+    inputs = {channel.name: channel.unit for channel in ports.inputs}
+    outputs = {channel.name: (channel, 0) for channel in ports.outputs}
+    for channel in ports.outputs if ports.rates else ():
+        outputs.setdefault(Ports.channel_name(channel.name, 1), (channel, 1))
+    units = {name: rate_unit(channel.unit, derivative) for name, (channel, derivative) in outputs.items()} | inputs
+    said = chosen.placed(table, units)
+    titles = _titles(table, units, said)
+    signals: dict[str, tuple[str, SignalSection]] = {}
+    for title in table.titles:
+        if title.startswith(REFERENCE):
+            signals[title] = table.split(title)[0], SignalSection(role="reference")
+        elif title in titles:
+            name, port = titles[title]
+            unit = chosen.units.get(port)
+            if unit is None and units[port] == "1" and table.read(title, "1")[1] is None:
+                unit = "1"  # a port that is a plain number asks for no unit
+            # a column that was not said is found by its name: the unit in its title may be another in the next file
+            column = title if title in said else None
+            if port in inputs:
+                section = SignalSection(role="input", port=port, unit=unit, column=column)
+            else:
+                channel, derivative = outputs[port]
+                section = SignalSection(
+                    role="output", port=channel.name, derivative=derivative, unit=unit, column=column
+                )
+            signals[title] = name, section
+    if not any(signal.role == "output" for _, signal in signals.values()):
+        raise InputError(
+            f"no column is an output of {ports.model}",
+            expected=f"a column named {' or '.join(map(str, ports.outputs[:6]))}",
+            got=", ".join(table.titles[:12]),
+            remedy=f"say which column it is (--column {ports.outputs[0].name}=TITLE), choose another --model, "
+            "or write a dataset.toml",
+            file=path,
+        )
+    clock = next((title for title, name in said.items() if name == TIME), None) or clock_of(table.titles, signals)
+    ignored = [title for title in table.titles if title and title not in signals and title != clock]
+    if ignored:
+        notes.append(f"columns that are no ports of {ports.model} are ignored: {', '.join(ignored[:8])}")
+    return signals
+
+
+def _titles(table: Table, units: dict[str, str], said: dict[str, str]) -> dict[str, tuple[str, str]]:
+    """Return by title the name of a signal and its port: as said, by its name, by its name and a unit behind it."""
+    plain = {name.replace("_", ""): name for name in units}  # tau_1 is as good as tau1
+    found = {title: (name, name) for title, name in said.items() if name != TIME}
+    elsewhere = set(said.values())
+    free = [title for title in table.titles if title not in said and not title.startswith(REFERENCE)]
+    for title in free:
+        name = table.split(title)[0]
+        port = name if name in units else plain.get(name.replace("_", ""))
+        if port is not None and port not in elsewhere:
+            found[title] = name, port
+    taken = {port for _, port in found.values()}
+    for title in free:
+        for port, unit in units.items() if title not in found else ():
+            if port not in taken and (parts := table.stated(title, unit)) is not None and parts[0] == port:
+                found[title] = port, port
+    return found
+
+
+def _runs(
+    path: Path,
+    table: Table,
+    validation: str | Path | None,
+    first: str,
+    tables: dict[Path, Table],
+    chosen: Chosen,
+) -> tuple[tuple[RunSection, ...], list[str]]:
+    """Return the runs: the file and those beside it; two thirds and one third of it where none validates."""
+    own = RunSection(file=path.name, use="estimation")
+    beside = [(use, Path(file)) for use, file in chosen.runs]
+    beside += [] if validation is None else [("validation", Path(validation))]
+    runs = [RunSection(file=str(file if file in tables else _table_file(file, use)), use=use) for use, file in beside]
+    if chosen.whole or any(run.use == "validation" for run in runs):
+        return (own, *runs), []
+    n = len(table.read(first)[0])
+    cut = 2 * n // 3
+    if cut < 1:
+        return (own, *runs), []
+    note = f"no validation file: rows {cut} to {n} of {path.name}, its last third, validate"
+    return (
+        msgspec.structs.replace(own, rows=(0, cut)),
+        RunSection(file=path.name, use="validation", rows=(cut, n)),
+        *runs,
+    ), [note]
+
+
+def _table_file(file: Path, use: str) -> Path:
+    """Return the whole path of a further file; refuse one that is no table."""
+    if suffix_of(file) not in FORMATS and not is_bag_folder(file):
+        raise InputError(
+            f"{use} file",
+            expected=f"a file that ends in {' or '.join(FORMATS)}",
+            got=file.name,
+            remedy="give a file with the same columns",
+            file=file,
+        )
+    return file.resolve()

@@ -1,0 +1,250 @@
+"""Which columns of a bare table are meant, said by the caller: the options of the command line, and of Python."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypedDict, get_args
+
+from harness.data.recipe.ports import Ports
+from harness.data.recipe.sections import SignalSection
+from harness.data.tables.table import REFERENCE, Table
+from harness.errors import InputError
+from harness.signals import Use
+
+__all__ = ["TIME", "Chosen", "Signals"]
+
+TIME = "time"
+"""What names the clock among the columns and units."""
+NOTHING = "none"
+"""What ``--input`` says where nothing drives the outputs."""
+
+
+class Signals(TypedDict, total=False):
+    """What a caller may say of the columns of a table that has no ``dataset.toml``."""
+
+    input: str | Sequence[str] | None
+    """Names of the inputs; an empty sequence, or ``"none"``, where nothing drives the outputs."""
+    output: str | Sequence[str] | None
+    """Names of the outputs."""
+    column: Mapping[str, str] | None
+    """Column by name of a signal, where it is called otherwise: ``{"theta": "Winkel", "time": "Zeit"}``."""
+    unit: Mapping[str, str] | None
+    """Unit by name of a signal, where its title states none: ``{"theta": "deg"}``."""
+    sample_time: float | None
+    """Sample time [s] of a table without a time column."""
+    run: Any
+    """Further records with the same columns: a file (or a table), ``(use, file)``, or a list of such; those without
+    a use are for estimation."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The columns that a caller chose.
+
+    Parameters
+    ----------
+    inputs, outputs : tuple of str, or None
+        Names of signals; None where the caller did not say.
+    columns, units : mapping
+        By name of a signal (``time`` is the clock).
+    sample_time : float, optional
+        [s]
+    runs : tuple of (use, file or table)
+    whole : bool
+        True where the table is one record, and no part of it validates.
+    """
+
+    inputs: tuple[str, ...] | None = None
+    outputs: tuple[str, ...] | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    sample_time: float | None = None
+    runs: tuple[tuple[Use, Any], ...] = ()
+    whole: bool = False
+
+    @classmethod
+    def of(cls, signals: Signals) -> Chosen:
+        """Return what the caller's words amount to.
+
+        Raises
+        ------
+        InputError
+            If a word is unknown, or the sample time is no positive number.
+
+        Examples
+        --------
+        >>> chosen = Chosen.of({"input": "u [V]", "output": ["x", "y"], "run": [("test", "b.csv"), "c.csv"]})
+        >>> chosen.inputs, chosen.outputs, chosen.runs
+        (('u [V]',), ('x', 'y'), (('test', 'b.csv'), ('estimation', 'c.csv')))
+        """
+        unknown = [name for name in signals if name not in Signals.__annotations__]
+        if unknown:
+            raise InputError(
+                "unknown argument",
+                expected=f"one of {', '.join(Signals.__annotations__)}",
+                got=", ".join(unknown),
+                remedy="correct the name",
+            )
+        inputs, outputs = _names(signals.get("input")), _names(signals.get("output"))
+        inputs = () if inputs == (NOTHING,) else inputs
+        step = signals.get("sample_time")
+        if step is not None and not 0.0 < step < float("inf"):
+            raise InputError(
+                "sample time", expected="seconds, more than 0", got=repr(step), remedy="correct it",
+                place="--sample-time",
+            )  # fmt: skip
+        given = signals.get("run")
+        runs = [] if given is None else given if isinstance(given, list) else [given]
+        return cls(
+            inputs,
+            outputs,
+            dict(signals.get("column") or {}),
+            dict(signals.get("unit") or {}),
+            step,
+            tuple(_run(one) for one in runs),
+        )
+
+    @property
+    def anything(self) -> bool:
+        """True if the caller said something."""
+        return self != Chosen()
+
+    def sections(self, table: Table, ports: Ports | None) -> tuple[dict[str, tuple[str, SignalSection]], list[str]]:
+        """Return name and signal of each chosen column, by its title, and what there is to say.
+
+        Parameters
+        ----------
+        table : Table
+        ports : Ports or None
+            Of a model, which give the signals their units; without, a column that states none holds plain numbers.
+
+        Raises
+        ------
+        InputError
+            If inputs or outputs are not named, a name or a column is used twice, or a column is not there.
+        """
+        if self.outputs is None or self.inputs is None:
+            raise self._unnamed(table)
+        wanted = [("input", table.split(title)[0], title) for title in self.inputs]
+        wanted += [("output", table.split(title)[0], title) for title in self.outputs]
+        names = [name for _, name, _ in wanted]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise InputError(
+                f"{twice[0]} is chosen twice",
+                expected="each signal once, as an input or as an output",
+                got=f"{names.count(twice[0])} times",
+                remedy="leave out one",
+                place="--input and --output",
+            )
+        known = {} if ports is None else {channel.name: channel.unit for channel in (*ports.inputs, *ports.outputs)}
+        placed = self.placed(table, dict.fromkeys(names) | known)
+        found: dict[str, tuple[str, SignalSection]] = {}
+        plain = []
+        for role, name, title in wanted:
+            like = self.units.get(name) or known.get(name)
+            column = self.columns.get(name, title)
+            place = table.find(column, like) or column  # what has no title is found by a selector
+            if place in found or placed.get(place, name) != name:
+                raise _two_from_one(place, found[place][0] if place in found else placed[place], name)
+            stated = self.units.get(name) or table.read(column, like)[1]
+            if stated is None and ports is None:
+                plain.append(name)
+            unit = self.units.get(name, "1" if name in plain else None)
+            found[place] = name, SignalSection(role=role, column=column, unit=unit)  # type: ignore[arg-type]
+        for title in table.titles:
+            if title.startswith(REFERENCE):
+                found[title] = table.split(title)[0], SignalSection(role="reference")
+        notes = [] if not plain else [f"no unit is stated for {', '.join(plain)}: their numbers count as they are"]
+        return found, notes
+
+    def placed(self, table: Table, units: Mapping[str, str | None]) -> dict[str, str]:
+        """Return by title which signal the caller said that it holds, or ``time``.
+
+        Parameters
+        ----------
+        table : Table
+        units : mapping
+            Unit (or None) by name of every signal that there can be.
+
+        Raises
+        ------
+        InputError
+            If a name is none of these, a column is not there, or holds two.
+        """
+        self._refuse_unknown((*units, TIME))
+        found: dict[str, str] = {}
+        for name, given in self.columns.items():
+            title = table.find(given, self.units.get(name) or units.get(name))
+            if title is None:
+                table.read(given)  # a selector, else refused
+                title = given
+            if title in found:
+                raise _two_from_one(title, found[title], name)
+            found[title] = name
+        return found
+
+    def _refuse_unknown(self, names: Sequence[str]) -> None:
+        """Refuse a column or a unit of a signal that is none of these.
+
+        Raises
+        ------
+        InputError
+            If there is one.
+        """
+        for word, given in (("column", self.columns), ("unit", self.units)):
+            for name in given:
+                if name not in names:
+                    raise InputError(
+                        f"{word} of an unknown signal",
+                        expected=f"one of {', '.join(dict.fromkeys(names))}",
+                        got=repr(name),
+                        remedy="correct the name, or choose it as an input or output",
+                        place=f"--{word}",
+                    )
+
+    def _unnamed(self, table: Table) -> InputError:
+        """Return the refusal of a table whose columns are not chosen."""
+        shown = ", ".join(map(repr, table.titles[:24])) + (" ..." if len(table.titles) > 24 else "")
+        missing = [word for word, names in (("--input", self.inputs), ("--output", self.outputs)) if names is None]
+        return InputError(
+            "which columns are inputs and which are outputs",
+            expected=f"{' and '.join(f'{word} NAME' for word in missing)}, or a model whose ports name the columns",
+            got=f"columns {shown or '(none)'}",
+            remedy="name them (--input none where nothing drives the outputs), give --model, or write a dataset.toml",
+            file=table.path,
+        )
+
+
+def _two_from_one(title: str, first: str, second: str) -> InputError:
+    """Return the refusal of a column that is said to be two signals."""
+    return InputError(
+        "two signals from one column",
+        expected="a column of its own for each signal",
+        got=f"{first} and {second} from {title!r}",
+        remedy="correct the column of one",
+        place="--column",
+    )
+
+
+def _names(given: str | Sequence[str] | None) -> tuple[str, ...] | None:
+    """Return names as a tuple; None where nothing was said."""
+    return None if given is None else (given,) if isinstance(given, str) else tuple(map(str, given))
+
+
+def _run(given: Any) -> tuple[Use, Any]:
+    """Return use and file of a further record."""
+    uses = get_args(Use)
+    if isinstance(given, tuple) and len(given) == 2:
+        use, data = given
+        if use not in uses:
+            raise InputError(
+                "use of a record", expected=f"one of {', '.join(uses)}", got=repr(use), remedy="correct it",
+                place="--run",
+            )  # fmt: skip
+        return use, data
+    for use in uses if isinstance(given, str) and not Path(given).exists() else ():
+        if given.startswith(f"{use}="):
+            return use, given.removeprefix(f"{use}=")
+    return "estimation", given

@@ -1,0 +1,213 @@
+"""What is inside a file of data: its channels with units, sizes and holes, and the clock that they were taken by."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.data.conditioning.timebase import sample_time_of
+from harness.data.tables.headers import clock_of
+from harness.data.tables.table import Table
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["ChannelContent", "Contents", "contents_of"]
+
+
+@dataclass(frozen=True)
+class ChannelContent:
+    """One channel of a file.
+
+    Attributes
+    ----------
+    column : str
+        What ``column = ...`` in a dataset.toml calls it.
+    name : str
+        Its title without the unit.
+    unit : str
+        The unit that the file states; empty where it states none.
+    rows, empty : int
+        Rows, and how many of them hold no number.
+    minimum, maximum, mean, deviation : float or None
+        Of its numbers, in its unit.
+    every : float or None
+        Usual step [s] of a channel that has a clock of its own.
+    note : str
+        Why it cannot be read as numbers.
+    """
+
+    column: str
+    name: str
+    unit: str = ""
+    rows: int = 0
+    empty: int = 0
+    minimum: float | None = None
+    maximum: float | None = None
+    mean: float | None = None
+    deviation: float | None = None
+    every: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What is inside a file of data.
+
+    Attributes
+    ----------
+    path : str
+    channels : tuple of ChannelContent
+        But for the time column.
+    rows : int
+    clock : str or None
+        The time column.
+    clock_stated : bool
+        False if the file does not say in what unit the time is.
+    start, length, sample_time : float or None
+        Of the clock [s].
+    holes, unsteady : int
+        Steps longer than one and a half sample times; steps that are not forward.
+    notes : tuple of str
+        What was noticed.
+    """
+
+    path: str
+    channels: tuple[ChannelContent, ...]
+    rows: int
+    clock: str | None = None
+    clock_stated: bool = False
+    start: float | None = None
+    length: float | None = None
+    sample_time: float | None = None
+    holes: int = 0
+    unsteady: int = 0
+    notes: tuple[str, ...] = ()
+
+    def facts(self) -> list[str]:
+        """Return lines for a person."""
+        lines = [f"{self.path}: {self.rows} rows, {len(self.channels)} channels"]
+        if self.clock is None and self.length is not None:
+            lines.append(f"time: {self.length:.6g} s in all")
+        elif self.clock is None:
+            lines.append("no time column: sample_time has to be declared")
+        elif self.sample_time is None:
+            lines.append(f"time: {self.clock}, which does not run")
+        else:
+            unit = "" if self.clock_stated else " (no unit stated: seconds?)"
+            lines.append(
+                f"time: {self.clock}{unit}, {self.length:.6g} s from {self.start:.6g} s, "
+                f"every {self.sample_time:.6g} s ({1 / self.sample_time:.6g} Hz)"
+            )
+            lines += [f"{self.holes} holes"] if self.holes else []
+            lines += [f"{self.unsteady} steps that stand still or run back"] if self.unsteady else []
+        return lines + list(self.notes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return asdict(self)
+
+
+def contents_of(path: str | Path) -> Contents:
+    r"""Return what is inside a file of data.
+
+    Parameters
+    ----------
+    path : path
+        Any format of :data:`harness.data.tables.table.FORMATS`; nothing in it has to be declared.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it is none of these formats.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     log = Path(folder) / "log.csv"
+    ...     _ = log.write_text("time [ms],u [V]\n0,1\n10,3\n20,5\n")
+    ...     found = contents_of(log)
+    >>> found.sample_time, found.channels[0].unit, found.channels[0].mean
+    (0.01, 'V', 3.0)
+    """
+    path = Path(path)
+    table = Table(path)
+    notes: list[str] = []
+    columns = [(title, selector) for title in table.titles for selector in _selectors(table, title)]
+    try:
+        clock = clock_of([title for title in table.titles if title])
+    except InputError as error:
+        clock, notes = None, [f"time: {error.what}: {error.got}"]
+    channels = tuple(_channel(table, title, selector) for title, selector in columns if title != clock)
+    rows = max((channel.rows for channel in channels), default=0)
+    if table.clocks([title for title in table.titles if title][:1]) is not None and clock in (None, "time"):
+        clocks, kind = table.clocks([channel.column for channel in channels]) or ([], "")
+        notes.append(f"channels have clocks of their own ({kind}): [resample] sample_time puts them on one grid")
+        start, end = min(one[0] for one in clocks), max(one[-1] for one in clocks)
+        return Contents(path.name, channels, rows, None, True, float(start), float(end - start), None, 0, 0,
+                        (*table.notes, *notes))  # fmt: skip
+    if clock is None:
+        return Contents(path.name, channels, rows, notes=(*table.notes, *notes))
+    try:
+        time, stated = table.read_time(clock)
+    except InputError as error:
+        return Contents(path.name, channels, rows, clock, notes=(*table.notes, f"time: {error}"))
+    steps = np.diff(time[np.isfinite(time)])
+    forward = steps[steps > 0]
+    notes += [*table.notes] + [f"{int((~np.isfinite(time)).sum())} rows without a time"] * (not np.isfinite(time).all())
+    if not forward.size:
+        return Contents(path.name, channels, max(rows, len(time)), clock, stated, notes=tuple(notes))
+    dt = sample_time_of(np.concatenate(([0.0], np.cumsum(forward))))
+    return Contents(
+        path.name,
+        channels,
+        max(rows, len(time)),
+        clock,
+        stated,
+        float(np.nanmin(time)),
+        float(np.nanmax(time) - np.nanmin(time)),
+        dt,
+        int((steps > 1.5 * dt).sum()),
+        int((steps <= 0).sum()),
+        tuple(notes),
+    )
+
+
+def _selectors(table: Table, title: str) -> list[str]:
+    """Return the columns that a variable holds: itself, or those of its matrices, cells and fields."""
+    inside = table.inside(title)
+    return [title] if inside is None else inside
+
+
+def _channel(table: Table, title: str, selector: str) -> ChannelContent:
+    """Return one channel with what its numbers are."""
+    name = table.split(title)[0] if selector == title else selector
+    try:
+        values, unit = table.read(selector)
+    except InputError as error:
+        return ChannelContent(selector, name, note=f"{error.what}: {error.got}"[:80])
+    own = table.clocks([selector])
+    steps = np.zeros(0) if own is None else np.diff(own[0][0])
+    every = float(np.median(steps)) if steps.size else None
+    holes = int((steps > 5 * every).sum()) if every is not None else 0
+    note = f"{holes} holes" if holes else ""
+    empty = int((~np.isfinite(values)).sum())
+    return replace(
+        ChannelContent(selector, name, unit or "", len(values), empty, every=every, note=note), **_sizes(values)
+    )
+
+
+def _sizes(values: FloatArray) -> dict[str, Any]:
+    """Return minimum, maximum, mean and standard deviation of what is finite."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return {}
+    return {
+        "minimum": float(finite.min()),
+        "maximum": float(finite.max()),
+        "mean": float(finite.mean()),
+        "deviation": float(finite.std()),
+    }

@@ -1,0 +1,182 @@
+"""A dataset.toml drafted from files of data: what they state is written down, what they do not state is asked."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from harness.data.recipe.contents import ChannelContent, Contents, contents_of
+from harness.data.recipe.description import OPEN
+from harness.data.recipe.ports import Ports, located_model, ports_of, rate_unit
+from harness.data.tables.headers import stated_unit
+from harness.errors import InputError
+from harness.signals import Channel
+from harness.units import fits
+
+__all__ = ["draft_dataset"]
+
+_JOINT = re.compile(r"\.(?P<list>position|velocity|effort)\[(?P<joint>[^\]]+)\]$")
+
+
+def draft_dataset(files: Sequence[str | Path], *, model: str | None = None, folder: Path | None = None) -> str:
+    r"""Return the text of a dataset.toml for files of data, with a question as a comment where something is open.
+
+    Parameters
+    ----------
+    files : sequence of path
+        One for each run; the first one's channels count.
+    model : str, optional
+        Nominal model: columns that carry the names of its ports get them.
+    folder : Path, optional
+        Where the text will stand; files are named from there.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     log = Path(folder) / "log.csv"
+    ...     _ = log.write_text("time [s],u [V],y\n0,1,2\n1,2,3\n")
+    ...     text = draft_dataset([log])
+    >>> [line for line in text.splitlines() if line.startswith("[")]
+    ['[time]', '[signals."u"]', '[signals."y"]', '[[runs]]']
+    """
+    paths = [Path(file) for file in files]
+    found = [contents_of(path) for path in paths]
+    first = found[0]
+    ports = None if model is None else ports_of(located_model(model, Path.cwd()), {})
+    lines = [f"name = {_quoted(paths[0].stem)}", *_clock(first, ports), ""]
+    lines += [] if model is None else ["[nominal]", f"model = {_quoted(model)}", ""]
+    lines += [] if model is not None else ['# [nominal] model = "..." names the model that you believe in', ""]
+    for channel in first.channels:
+        lines += _signal(channel, ports)
+    if ports is not None:
+        lines += _lacking(first, ports)
+    for number, path in enumerate(paths):
+        name = path if folder is None else _from(path, folder)
+        use = "estimation" if number == 0 else "validation"
+        lines += ["[[runs]]", f"file = {_quoted(str(name))}", f'use = "{use}"']
+        if number == 0 and len(paths) == 1:
+            cut = 2 * first.rows // 3
+            lines.append(
+                f"# another record to validate on is better; to divide this one: rows = [0, {cut}], and a second"
+            )
+            lines.append(f'# [[runs]] of the same file with use = "validation" and rows = [{cut}, {first.rows}]')
+        lines += [f"# {note}" for note in found[number].notes if found[number].clock is not None] + [""]
+    return "\n".join(lines)
+
+
+def _clock(found: Contents, ports: Ports | None) -> list[str]:
+    """Return the lines about time."""
+    if found.clock is None and found.length is not None:
+        used = [channel for channel in found.channels if ports is not None and _port(channel, ports) is not None]
+        slowest = max(channel.every or 0.0 for channel in used or found.channels)
+        return [
+            "",
+            "[resample]  # channels have clocks of their own: inputs are held from their stamps, outputs interpolated",
+            f"sample_time = {slowest:.4g}  # [s] the slowest channel's: another?",
+            'method = "linear"  # or "cubic"',
+        ]
+    if found.clock is None:
+        return ["sample_time = 0.0  # [s] no time column was found: what was the sample time?"]
+    rate = "" if found.sample_time is None else f"  # steps of {found.sample_time:.6g} s over {found.length:.6g} s"
+    lines = []
+    if found.holes:
+        lines += [f'# gaps = "split"  # {found.holes} holes: split the run there?']
+    if found.unsteady:
+        lines += [f'# duplicates = "first"  # {found.unsteady} rows do not go forward in time: which of two counts?']
+    lines += ["", "[time]", f"column = {_quoted(found.clock)}{rate}"]
+    if not found.clock_stated:
+        lines.append('unit = "s"  # the title states none: is it s, ms, us or ns?')
+    return lines
+
+
+def _signal(channel: ChannelContent, ports: Ports | None) -> list[str]:
+    """Return the table of one channel; as a comment where it holds no numbers, or the model has no such port."""
+    head = f"[signals.{_quoted(channel.name)}]"
+    if channel.note and channel.minimum is None:
+        return [f"# {channel.column}: {channel.note}", ""]
+    sizes = (
+        "" if channel.minimum is None else f"  # {channel.minimum:.4g} to {channel.maximum:.4g} {channel.unit}".rstrip()
+    )
+    sizes += f", {channel.empty} rows empty" if channel.empty else ""
+    match = None if ports is None else _port(channel, ports)
+    if ports is not None and match is None:
+        near = _fitting(channel, ports)
+        lines = [head, f'role = "{OPEN}"{sizes}', f"column = {_quoted(channel.column)}"]
+        lines.append(
+            f"# port of {ports.model}? of like unit: {', '.join(near) or 'none'}; remove the table if it is none"
+        )
+        return [*("# " + line if not line.startswith("# ") else line for line in lines), ""]
+    if match is not None and ports is not None:
+        port, role, derivative = match
+        lines = [head, f'role = "{role}"{sizes}', f"column = {_quoted(channel.column)}"]
+        lines += [f"port = {_quoted(port.name)}"] if port.name != channel.name else []
+        lines += [f"derivative = {derivative}"] if derivative else []
+    else:
+        lines = [head, f'role = "{OPEN}"  # "input", "output" or "reference"?{sizes.replace("  #", "")}']
+        lines.append(f"column = {_quoted(channel.column)}")
+    if not channel.unit and not (match and stated_unit(channel.column, rate_unit(match[0].unit, match[2]))):
+        wanted = "" if match is None else f" (the model's is {rate_unit(match[0].unit, match[2])})"
+        lines.append(f'unit = "{OPEN}"  # the title states none: which{wanted}?')
+    return [*lines, ""]
+
+
+def _port(channel: ChannelContent, ports: Ports) -> tuple[Channel, str, int] | None:
+    """Return the port whose name a channel carries, with role and derivative."""
+    joint = _JOINT.search(channel.name)
+    if joint is not None and joint["joint"] in ports.joints:  # what ROS calls the three lists of a JointState
+        drive, angle = ports.joints[joint["joint"]]
+        if joint["list"] == "effort":
+            return ports.find(drive, "input"), "input", 0
+        return ports.find(angle, "output"), "output", int(joint["list"] == "velocity")
+    for role, group in (("input", ports.inputs), ("output", ports.outputs)):
+        for port in group:
+            for derivative in (0, 1, 2) if role == "output" else (0,):
+                name = Ports.channel_name(port.name, derivative)
+                loose = stated_unit(channel.column, rate_unit(port.unit, derivative))
+                if channel.name in (name, name.replace("_", "")) or (loose is not None and loose[0] == name):
+                    return port, role, derivative
+    return None
+
+
+def _fitting(channel: ChannelContent, ports: Ports) -> list[str]:
+    """Return the ports whose unit a channel's fits."""
+    near = []
+    for port in (*ports.inputs, *ports.outputs):
+        try:
+            if channel.unit and fits(channel.unit, port.unit):
+                near.append(str(port))
+        except InputError:
+            continue
+    return near
+
+
+def _lacking(found: Contents, ports: Ports) -> list[str]:
+    """Return a question for each input of the model that no channel gives."""
+    given = {match[0].name for channel in found.channels if (match := _port(channel, ports)) is not None}
+    return [
+        f"# {port} is an input of {ports.model} that no column is called after: which is it? undriven = "
+        f"[{_quoted(port.name)}] above the first table if nothing drove it"
+        for port in ports.inputs
+        if port.name not in given
+    ] + [""]
+
+
+def _from(path: Path, folder: Path) -> Path:
+    """Return a path as it is named from a folder."""
+    try:
+        return path.resolve().relative_to(folder.resolve())
+    except ValueError:
+        return path.resolve()
+
+
+def _quoted(text: str) -> str:
+    """Return a text as TOML writes it."""
+    return json.dumps(text, ensure_ascii=False)

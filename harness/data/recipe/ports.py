@@ -1,0 +1,197 @@
+"""The ports of a nominal model, as far as data need them: names, units, ranges; and which signal sits on which."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from harness.errors import InputError
+from harness.signals import Channel
+
+__all__ = ["ANY_PORTS", "Ports", "located_model", "model_options", "ports_of"]
+
+ANY_PORTS = "linear"
+"""The built-in model that takes its ports from the data."""
+
+_SUFFIX = {0: "", 1: "_rate", 2: "_acceleration"}
+
+
+@dataclass(frozen=True)
+class Ports:
+    """What a model can be driven by, and what can be measured of it.
+
+    Parameters
+    ----------
+    inputs, outputs : tuple of Channel
+        Outputs first, then what else can be measured (coordinates, states).
+    model : str
+        For messages.
+    units_fixed : bool
+        False where the model takes over the units of the data.
+    rates : bool
+        False where the rates of the outputs cannot be measured too: a fitted model has the outputs that it has.
+    """
+
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
+    model: str = "the model"
+    units_fixed: bool = True
+    joints: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    """Input and output port of each joint by the name that the robot's file gives it."""
+    rates: bool = True
+
+    def named(self, port: str, role: str) -> str:
+        """Return the name of a port that goes by its joint's name.
+
+        Examples
+        --------
+        >>> ports = Ports((Channel("tau1", "N m"),), (Channel("q1", "rad"),), joints={"elbow": ("tau1", "q1")})
+        >>> ports.named("elbow", "output")
+        'q1'
+        """
+        if port not in self.joints or role == "reference":
+            return port
+        return self.joints[port][role == "output"]
+
+    def find(self, port: str, role: str) -> Channel:
+        """Return the channel of a port.
+
+        Raises
+        ------
+        InputError
+            If there is no such port in this role; near names are listed.
+        """
+        channels = self.inputs if role == "input" else self.outputs
+        for channel in channels:
+            if channel.name == port:
+                return channel
+        others = self.outputs if role == "input" else self.inputs
+        names = [channel.name for channel in channels]
+        near = difflib.get_close_matches(port, names, n=2, cutoff=0.4)
+        if any(channel.name == port for channel in others):
+            remedy = f"{port} is an {'output' if role == 'input' else 'input'} of {self.model}: correct the role"
+        else:
+            remedy = f"did you mean {' or '.join(near)}?" if near else "set port = ... to one of these"
+        raise InputError(
+            f"{self.model} has no {role} {port!r}",
+            expected=f"one of {', '.join(map(str, channels)) or '(none)'}",
+            got=repr(port),
+            remedy=remedy,
+        )
+
+    @staticmethod
+    def channel_name(port: str, derivative: int) -> str:
+        """Return the name of a measured port or rate, as the physics room calls it.
+
+        Examples
+        --------
+        >>> Ports.channel_name("theta", 1)
+        'theta_rate'
+        """
+        return port + _SUFFIX[derivative]
+
+
+def rate_unit(unit: str, derivative: int) -> str:
+    """Return the unit of a port's time derivative.
+
+    Examples
+    --------
+    >>> rate_unit("rad", 1), rate_unit("1", 1), rate_unit("m", 2)
+    ('rad/s', '1/s', 'm/s^2')
+    """
+    return unit if derivative == 0 else f"{unit}/s" if derivative == 1 else f"{unit}/s^2"
+
+
+def ports_of(model: str, options: Mapping[str, Any], *, analogy: bool = False) -> Ports | None:
+    """Return the ports of a nominal model; None for a model that takes any.
+
+    Parameters
+    ----------
+    model : str
+        Built-in name, ``FILE.py:NAME`` or ``FILE.fmu``.
+    options : mapping
+        Options of the model's definition.
+    analogy : bool
+        True where only the equations count and units come from the data.
+
+    Raises
+    ------
+    InputError
+        If the model is unknown or cannot be read.
+    """
+    if model == ANY_PORTS:
+        return None
+    if model.endswith(".fmu"):
+        return _fmu_ports(model, analogy=analogy)
+    from harness.physics import load_model
+    from harness.physics.arms.arm import is_arm, load_arm
+
+    arm = load_arm(model) if is_arm(model) else None
+    system: Any = load_model(model, **options) if arm is None else arm
+    outputs = {channel.name: channel for channel in (*system.states, *system.outputs)}
+    first = [channel.name for channel in system.outputs]
+    ordered = [*first, *(name for name in outputs if name not in first)]
+    joints = {}
+    if arm is not None:
+        pairs = zip(arm.arm.moving, arm.inputs, arm.positions, strict=True)
+        joints = {joint.name: (drive.name, angle.name) for joint, drive, angle in pairs}
+    return Ports(system.inputs, tuple(outputs[name] for name in ordered), model, not analogy, joints)
+
+
+def located_model(model: str, folder: Path) -> str:
+    """Return a model's name with its file made findable from any folder (relative to the data set first).
+
+    Examples
+    --------
+    >>> located_model("pendulum", Path("."))
+    'pendulum'
+    """
+    name, colon, attribute = model.rpartition(":") if ".py:" in model else (model, "", "")
+    if not name.endswith((".py", ".fmu", ".urdf")):
+        return model
+    beside = folder / name
+    return f"{beside if beside.is_file() else Path(name)}{colon}{attribute}"
+
+
+def model_options(
+    model: str, options: Mapping[str, Any], inputs: Sequence[str], outputs: Sequence[str]
+) -> dict[str, Any]:
+    """Return the options of a model, with the names of the ports where it takes them from the data."""
+    result = dict(options)
+    if model == ANY_PORTS:
+        result.setdefault("inputs", list(inputs))
+        result.setdefault("outputs", list(outputs))
+        result["order"] = max(int(result.get("order", 2)), len(outputs))
+    return result
+
+
+def _fmu_ports(path: str, *, analogy: bool) -> Ports:
+    """Return the ports of an FMU from its modelDescription."""
+    if not Path(path).is_file():
+        raise InputError("no such FMU", expected="an FMU file", got="no file", remedy="check the path", file=path)
+    from fmpy import read_model_description
+
+    try:
+        description = read_model_description(path)
+    except Exception as error:
+        raise InputError(
+            "not an FMU",
+            expected="a zip archive with a modelDescription.xml",
+            got=f"{type(error).__name__}: {error}"[:200],
+            remedy="export the FMU anew",
+            file=path,
+        ) from error
+
+    def channel(variable: Any) -> Channel:
+        declared = getattr(variable, "declaredType", None)
+        unit = variable.unit or (getattr(declared, "unit", None) if declared is not None else None) or "1"
+        return Channel(str(variable.name), str(unit))
+
+    groups = {
+        kind: tuple(channel(v) for v in description.modelVariables if v.causality == kind and v.type != "String")
+        for kind in ("input", "output", "local")
+    }
+    return Ports(groups["input"], (*groups["output"], *groups["local"]), Path(path).name, units_fixed=not analogy)

@@ -1,0 +1,267 @@
+"""Binary tables: Parquet, MAT (v5 and v7.3), numpy, HDF5."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.data.tables.cells import seconds_of
+from harness.data.tables.packing import NUMBER, refuse_large
+from harness.data.tables.selectors import parse_selector, vector
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["FeatherFile", "Hdf5File", "MatFile", "NumpyFile", "ParquetFile", "broken", "open_mat", "optional"]
+
+
+def broken(path: Path, kind: str, error: Exception) -> InputError:
+    """Return the refusal of a file that its reader cannot read."""
+    return InputError(
+        f"not {'an' if kind in ('Excel', 'HDF5', 'MCAP', 'MDF') else 'a'} {kind} file",
+        expected=f"a readable {kind} file",
+        got=f"{type(error).__name__}: {error}"[:200],
+        remedy="check that it was copied whole",
+        file=path,
+    )
+
+
+def optional(package: str, kind: str, install: str = "'sysid-harness[data]'") -> Any:
+    """Return an optional package, or refuse with the words that install it."""
+    import importlib
+
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise InputError(
+            f"{kind} needs the package {package}",
+            expected=f"{package} installed",
+            got="it is not",
+            remedy=f"pip install {install}",
+        ) from error
+
+
+class ParquetFile:
+    """A Parquet file; nulls are NaN, time stamps seconds from the first."""
+
+    kind = "Parquet"
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._table = self._read(path)
+        except InputError:
+            raise
+        except Exception as error:
+            raise broken(path, self.kind, error) from error
+        self.titles = list(self._table.column_names)
+        self.metadata: dict[bytes, bytes] = dict(self._table.schema.metadata or {})
+
+    def _read(self, path: Path) -> Any:
+        """Return the table of the file."""
+        import pyarrow.parquet as pq
+
+        about = pq.read_metadata(path)
+        stated = sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups))
+        refuse_large(path, max(stated, NUMBER * about.num_rows * about.num_columns))
+        return pq.read_table(path)
+
+    def values(self, title: str) -> FloatArray:
+        """Return one column (N,)."""
+        import pyarrow.types as kinds
+
+        column = self._table.column(title)
+        if kinds.is_timestamp(column.type) or kinds.is_duration(column.type):
+            return seconds_of(column.to_numpy(zero_copy_only=False))
+        try:
+            return np.array(column.to_numpy(zero_copy_only=False), dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                "a column that holds no numbers",
+                expected="numbers",
+                got=str(column.type),
+                remedy="choose another column, or convert it",
+                place=f"column {title!r}",
+            ) from error
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return None: Parquet has plain columns only."""
+        return None
+
+    def unit(self, title: str) -> str | None:
+        """Return s for time stamps and spans; other units stand in the titles."""
+        import pyarrow.types as kinds
+
+        kind = self._table.column(title).type
+        return "s" if kinds.is_timestamp(kind) or kinds.is_duration(kind) else None
+
+
+class FeatherFile(ParquetFile):
+    """A Feather file (Arrow on disk)."""
+
+    kind = "Feather"
+
+    def _read(self, path: Path) -> Any:
+        from pyarrow import feather
+
+        return feather.read_table(path)
+
+
+class _Variables:
+    """Named variables, some of them matrices, cells or structs, behind selectors."""
+
+    def __init__(self, variables: dict[str, Any]) -> None:
+        self._variables = variables
+        self.titles = list(variables)
+
+    def resolve(self, value: Any) -> Any:
+        """Return what a cell holds."""
+        return value
+
+    def values(self, title: str) -> FloatArray:
+        """Return a variable that is one column of numbers (N,)."""
+        selector = parse_selector(title) if not set("{[.") & set(title) else None
+        if selector is None:
+            return np.asarray(self._variables[title], dtype=np.float64).reshape(-1)
+        return vector(self._variables[title], selector, resolve=self.resolve)
+
+    def inside(self, title: str) -> list[str] | None:
+        """Return the selectors of the columns that a variable holds; None where it is one column of numbers."""
+        return _inside(title, np.asarray(self._variables[title]), self.resolve)
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return what a selector finds; None if its variable is not there."""
+        selector = parse_selector(text)
+        if selector.variable not in self._variables:
+            return None
+        return vector(self._variables[selector.variable], selector, resolve=self.resolve)
+
+    def unit(self, title: str) -> str | None:
+        """Return None: these formats state no units."""
+        return None
+
+
+MOST_INSIDE = 100
+"""Columns that are shown of one variable."""
+
+
+def _inside(so_far: str, array: Any, resolve: Any, depth: int = 0) -> list[str] | None:
+    """Return the selectors of the columns of numbers in a value; None where it is one itself."""
+    array = np.asarray(resolve(array))
+    if array.dtype.names and depth < 4:
+        inner: list[str] = []
+        for name in array.dtype.names:
+            value = array[name]
+            value = value.reshape(-1)[0] if value.size == 1 and value.dtype == object else value
+            inner += _inside(f"{so_far}.{name}", value, resolve, depth + 1) or [f"{so_far}.{name}"]
+        return inner[:MOST_INSIDE]
+    if array.dtype == object and depth < 4:
+        cells = list(enumerate(array.reshape(-1, order="F")))[:MOST_INSIDE]
+        nested = [_inside(f"{so_far}{{{k}}}", cell, resolve, depth + 1) or [f"{so_far}{{{k}}}"] for k, cell in cells]
+        return [one for some in nested for one in some][:MOST_INSIDE]
+    if array.ndim == 2 and 1 not in array.shape and array.dtype.kind in "biuf":
+        rows, columns = array.shape
+        if columns <= rows:
+            return [f"{so_far}[:,{k}]" for k in range(min(columns, MOST_INSIDE))]
+        return [f"{so_far}[{k}]" for k in range(min(rows, MOST_INSIDE))]
+    return None
+
+
+class MatFile(_Variables):
+    """A MAT file of version 5 (what MATLAB writes without -v7.3)."""
+
+    def __init__(self, path: Path) -> None:
+        from scipy.io import loadmat
+
+        try:
+            content = loadmat(path)
+        except Exception as error:
+            raise broken(path, "MAT", error) from error
+        super().__init__({name: value for name, value in content.items() if not name.startswith("__")})
+
+
+class NumpyFile(_Variables):
+    """A ``.npz`` archive, or one ``.npy`` array called ``array``."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            with path.open("rb") as file:  # given the path, numpy leaves the file open where it fails
+                content = np.load(file, allow_pickle=False)
+                variables = {"array": content} if isinstance(content, np.ndarray) else dict(content)
+        except Exception as error:
+            raise broken(path, "numpy", error) from error
+        super().__init__(variables)
+
+
+class Hdf5File(_Variables):
+    """An HDF5 file; data sets go by their path (``log/theta``), units by an attribute ``unit`` or ``units``."""
+
+    transposed = False
+    paths = True
+
+    def __init__(self, path: Path) -> None:
+        h5py = optional("h5py", "HDF5")
+        variables: dict[str, Any] = {}
+        self._units: dict[str, str] = {}
+        try:
+            with h5py.File(path, "r") as file:
+
+                def visit(name: str, item: Any) -> None:
+                    if not isinstance(item, h5py.Dataset) or name.startswith("#refs#"):
+                        return
+                    _refuse_elsewhere(name, item)
+                    variables[name] = self._loaded(item, file, h5py)
+                    for key in ("unit", "units"):
+                        if key in item.attrs:
+                            text = item.attrs[key]
+                            self._units[name] = text.decode() if isinstance(text, bytes) else str(text)
+
+                file.visititems(visit)
+        except InputError:
+            raise
+        except Exception as error:  # the library raises whatever its walk through a damaged file meets
+            raise broken(path, "HDF5", error) from error
+        super().__init__(variables)
+
+    def _loaded(self, item: Any, file: Any, h5py: Any) -> Any:
+        """Return a data set in memory, references followed."""
+        content = item[()]
+        if getattr(content, "dtype", None) == h5py.ref_dtype:
+            cells = np.empty(content.shape, dtype=object)
+            for index in np.ndindex(content.shape):
+                cells[index] = self._loaded(file[content[index]], file, h5py)
+            content = cells
+        array = np.asarray(content)
+        return array.T if self.transposed and array.ndim == 2 else array
+
+    def unit(self, title: str) -> str | None:
+        """Return the unit attribute of a data set."""
+        return self._units.get(title)
+
+
+def _refuse_elsewhere(name: str, item: Any) -> None:
+    """Refuse a data set whose numbers lie in other files, which the file may name as it likes."""
+    others = [str(found[0]) for found in item.external or ()]
+    if item.is_virtual:
+        others += [source.file_name for source in item.virtual_sources() if source.file_name != "."]
+    if others:
+        raise InputError(
+            "a data set with its numbers in another file",
+            expected="numbers in the file itself",
+            got=others[0],
+            remedy="repack the file (h5repack), or give that file",
+            place=name,
+        )
+
+
+class MatV73File(Hdf5File):
+    """A MAT file of version 7.3: HDF5 with the axes turned; shapes are those that MATLAB shows."""
+
+    transposed = True
+
+
+def open_mat(path: Path) -> MatFile | MatV73File:
+    """Return the reader for the version of a MAT file."""
+    with path.open("rb") as file:
+        head = file.read(128)
+    return MatV73File(path) if head.startswith(b"MATLAB 7.3") else MatFile(path)

@@ -1,0 +1,91 @@
+"""Columns of numbers, texts and times that are in memory, as a reader of a file shows its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from harness.data.tables.cells import EMPTY, clock, seconds_of
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["MemoryTable"]
+
+
+class MemoryTable:
+    """Columns in memory.
+
+    Parameters
+    ----------
+    columns : mapping
+        One-dimensional arrays by title (``"u [N m]"``).
+    first : int
+        What a person calls the first row.
+    word : str
+        What a person calls a row.
+    """
+
+    def __init__(self, columns: Mapping[str, Any], *, first: int = 0, word: str = "row") -> None:
+        self._columns = {str(title): values for title, values in columns.items()}
+        self.titles = list(self._columns)
+        self.notes: list[str] = []
+        self._clocks: set[str] = set()
+        self._first, self._word = first, word
+
+    def values(self, title: str) -> FloatArray:
+        """Return one column (N,)."""
+        array = np.asarray(self._columns[title])
+        if array.ndim != 1:
+            raise InputError(
+                f"column {title!r}",
+                expected="one dimension",
+                got=f"shape {array.shape}",
+                remedy="give each channel a column of its own",
+            )
+        if array.dtype.kind in "mM":
+            self._clocks.add(title)
+            return seconds_of(array)
+        if array.dtype.kind in "biuf":
+            return array.astype(np.float64)
+        if array.dtype.kind == "c":
+            raise InputError(
+                f"column {title!r}",
+                expected="real numbers",
+                got=f"complex ones ({array.dtype})",
+                remedy="give real and imaginary part a column each",
+            )
+        return self._slowly(title, list(array))
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return None: there are plain columns only."""
+        return None
+
+    def unit(self, title: str) -> str | None:
+        """Return s for dates and times; other units stand in the titles."""
+        return "s" if title in self._clocks else None
+
+    def where(self, row: int) -> str:
+        """Return the place of a row (from 0) as the table's owner counts it."""
+        return f"{self._word} {row + self._first}"
+
+    def _slowly(self, title: str, cells: list[Any]) -> FloatArray:
+        """Return a column of objects: numbers, texts of numbers, times, None."""
+        texts = ["" if cell is None else str(cell) for cell in cells]
+        if (stamps := clock(texts)) is not None:
+            self._clocks.add(title)
+            return stamps
+        numbers = []
+        for row, text in enumerate(texts):
+            try:
+                numbers.append(np.nan if text.strip().lower() in EMPTY else float(text))
+            except ValueError:
+                raise InputError(
+                    "a cell that is no number",
+                    expected="a number",
+                    got=repr(text),
+                    remedy="correct or empty the cell",
+                    place=f"{self.where(row)}, column {title!r}",
+                ) from None
+        return np.array(numbers)

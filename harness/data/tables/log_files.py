@@ -1,0 +1,160 @@
+"""Measurement logs: MDF4 (automotive) and MCAP (robotics), both through optional packages."""
+
+from __future__ import annotations
+
+import gc
+import json
+import logging
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.data.tables.binary_files import broken, optional
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["McapFile", "MdfFile"]
+
+
+class MdfFile:
+    """An MDF file (version 3 or 4); channels go by their name, ``time`` is the raster of the first channel.
+
+    Channels on other rasters keep their own stamps.
+    """
+
+    def __init__(self, path: Path) -> None:
+        asammdf = optional("asammdf", "MDF")
+        logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # the refusal says what is wrong, once
+        self._channels: dict[str, Any] = {}
+        try:
+            with asammdf.MDF(path) as log:
+                for signal in log.iter_channels(skip_master=True):
+                    if signal.samples.dtype.kind in "biuf" and signal.samples.ndim == 1 and len(signal.samples):
+                        self._channels.setdefault(signal.name, signal)
+        except Exception as error:
+            _drop_quietly(error)
+            raise broken(path, "MDF", error) from error
+        if not self._channels:
+            raise InputError(
+                "an empty log", expected="numeric channels", got="none", remedy="check the file", file=path
+            )
+        self._time = np.asarray(next(iter(self._channels.values())).timestamps, dtype=np.float64)
+        self.titles = ["time", *(name for name in self._channels if name != "time")]
+
+    def values(self, title: str) -> FloatArray:
+        """Return one channel (N,), or the time axis [s]."""
+        if title == "time":
+            return self._time.copy()
+        return np.array(self._channels[title].samples, dtype=np.float64)
+
+    def clocks(self, titles: Sequence[str]) -> tuple[list[FloatArray], str]:
+        """Return the stamps [s] of some channels, each on its own raster."""
+        stamps = [self._time if title == "time" else self._channels[title].timestamps for title in titles]
+        return [np.asarray(one, dtype=np.float64) for one in stamps], "the log's own"
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return None: MDF has plain channels only."""
+        return None
+
+    def unit(self, title: str) -> str | None:
+        """Return the unit that the log states."""
+        if title == "time":
+            return "s"
+        return str(self._channels[title].unit) or None
+
+
+def _drop_quietly(error: BaseException) -> None:
+    """Let go of what an error holds: a reader that failed half-way may raise once more when it goes, in print only."""
+    loud, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    try:
+        link: BaseException | None = error
+        while link is not None:
+            traceback.clear_frames(link.__traceback__)
+            link = link.__context__
+        gc.collect()  # such readers refer to themselves
+    finally:
+        sys.unraisablehook = loud
+
+
+class McapFile:
+    """An MCAP log with JSON messages; a value goes by ``/topic.field.field``.
+
+    ``time`` is the log time [s] of the first topic since its first message; every topic keeps stamps of its own.
+    """
+
+    paths = True
+
+    def __init__(self, path: Path) -> None:
+        reader_module = optional("mcap.reader", "MCAP")
+        columns: dict[str, list[float]] = {}
+        taken: dict[str, list[int]] = {}
+        stamps: dict[str, list[int]] = {}
+        foreign: dict[str, str] = {}
+        try:
+            with path.open("rb") as stream:
+                for _, channel, message in reader_module.make_reader(stream).iter_messages():
+                    if channel.message_encoding != "json":
+                        foreign[channel.topic] = channel.message_encoding or "unknown"
+                        continue
+                    stamps.setdefault(channel.topic, []).append(message.log_time)
+                    for name, value in _numbers(channel.topic, json.loads(message.data)):
+                        columns.setdefault(name, []).append(value)
+                        taken.setdefault(name, []).append(message.log_time)
+        except Exception as error:
+            raise broken(path, "MCAP", error) from error
+        if not columns:
+            raise InputError(
+                "no readable topics",
+                expected="topics with JSON messages",
+                got=", ".join(f"{topic} ({encoding})" for topic, encoding in sorted(foreign.items())) or "none",
+                remedy="convert the log to JSON messages or to CSV",
+                file=path,
+            )
+        self._foreign = foreign
+        self._columns = {name: np.array(values) for name, values in columns.items()}
+        first = np.array(next(iter(stamps.values())), dtype=np.int64)
+        self._clocks = {name: (np.array(at, dtype=np.int64) - first[0]) * 1e-9 for name, at in taken.items()}
+        self._clocks["time"] = (first - first[0]) * 1e-9
+        self._columns = {"time": (first - first[0]) * 1e-9, **self._columns}
+        self.titles = list(self._columns)
+
+    def values(self, title: str) -> FloatArray:
+        """Return one field (N,) at the stamps of its topic, or the log time [s] of the first one."""
+        return self._columns[title].copy()
+
+    def clocks(self, titles: Sequence[str]) -> tuple[list[FloatArray], str]:
+        """Return the log times [s] of some fields, from the first message of the first topic."""
+        return [self._clocks[title].copy() for title in titles], "the times at which messages were recorded"
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return None, as a field goes by its full name; refuse what lies in messages that are not JSON."""
+        for topic, encoding in self._foreign.items():
+            if text == topic or text.startswith(f"{topic}."):
+                raise InputError(
+                    f"topic {topic!r} cannot be read",
+                    expected="JSON messages",
+                    got=f"{encoding} messages",
+                    remedy="convert the log to JSON messages or to CSV",
+                    place=text,
+                )
+        return None
+
+    def unit(self, title: str) -> str | None:
+        """Return None: JSON messages state no units."""
+        return "s" if title == "time" else None
+
+
+def _numbers(prefix: str, content: Any) -> list[tuple[str, float]]:
+    """Return every number of a message with its path."""
+    if isinstance(content, bool | int | float):
+        return [(prefix, float(content))]
+    items: list[tuple[str, Any]] = []
+    if isinstance(content, dict):
+        items = [(f"{prefix}.{key}", value) for key, value in content.items()]
+    elif isinstance(content, list):
+        items = [(f"{prefix}[{number}]", value) for number, value in enumerate(content)]
+    return [pair for name, value in items for pair in _numbers(name, value)]

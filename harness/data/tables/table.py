@@ -1,0 +1,413 @@
+"""Files of recorded data behind one face: what columns are there, and one of them as numbers."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from harness.data.tables.headers import clock_unit, split_header, stated_unit
+from harness.errors import InputError
+from harness.signals import Channel, FloatArray
+from harness.units import convert, fits
+
+__all__ = ["BARE", "FORMATS", "REFERENCE", "TRUTH", "Source", "Table", "nearest", "open_table", "suffix_of"]
+
+BARE = (".csv", ".tsv", ".csv.gz", ".tsv.gz", ".parquet", ".pq", ".feather", ".arrow", ".xlsx")
+"""Suffixes of files that can stand for a whole data set, with a model that names the ports."""
+
+REFERENCE = "reference:"
+"""Prefix of columns that hold what came from outside a control loop: the instruments of the test for its bias."""
+
+TRUTH = "truth:"
+"""Prefix of columns that hold true states: for scoring only, never read as measurements."""
+
+
+class Source(Protocol):
+    """What a reader of one format offers."""
+
+    @property
+    def titles(self) -> Sequence[str]:
+        """Titles of the columns or names of the variables, in the file's order."""
+        ...
+
+    def values(self, title: str) -> FloatArray:
+        """Return one column (N,) as float64; NaN where the file holds none, dates and times as seconds."""
+        ...
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return what a selector finds, or None if the format has no selectors."""
+        ...
+
+    def unit(self, title: str) -> str | None:
+        """Return the unit that the file itself states, after :meth:`values`: s for what was a date or time."""
+        ...
+
+
+def _csv(path: Path) -> Source:
+    from harness.data.tables.text_files import TextFile
+
+    return TextFile(path)
+
+
+def _parquet(path: Path) -> Source:
+    from harness.data.tables.binary_files import ParquetFile
+
+    return ParquetFile(path)
+
+
+def _mat(path: Path) -> Source:
+    from harness.data.tables.binary_files import open_mat
+
+    return open_mat(path)
+
+
+def _feather(path: Path) -> Source:
+    from harness.data.tables.binary_files import FeatherFile
+
+    return FeatherFile(path)
+
+
+def _excel(path: Path) -> Source:
+    from harness.data.tables.excel import ExcelFile
+
+    return ExcelFile(path)
+
+
+def _npz(path: Path) -> Source:
+    from harness.data.tables.binary_files import NumpyFile
+
+    return NumpyFile(path)
+
+
+def _hdf5(path: Path) -> Source:
+    from harness.data.tables.binary_files import Hdf5File
+
+    return Hdf5File(path)
+
+
+def _mdf(path: Path) -> Source:
+    from harness.data.tables.log_files import MdfFile
+
+    return MdfFile(path)
+
+
+def _mcap(path: Path) -> Source:
+    from harness.data.tables.bags import BagFile, holds_json
+    from harness.data.tables.log_files import McapFile
+
+    return McapFile(path) if holds_json(path) else BagFile(path)
+
+
+def _bag(path: Path) -> Source:
+    from harness.data.tables.bags import BagFile
+
+    return BagFile(path)
+
+
+FORMATS: dict[str, Callable[[Path], Source]] = {
+    ".csv": _csv,
+    ".tsv": _csv,
+    ".txt": _csv,
+    ".dat": _csv,
+    **{f"{suffix}.gz": _csv for suffix in (".csv", ".tsv", ".txt", ".dat")},
+    ".feather": _feather,
+    ".arrow": _feather,
+    ".xlsx": _excel,
+    ".xlsm": _excel,
+    ".parquet": _parquet,
+    ".pq": _parquet,
+    ".mat": _mat,
+    ".npz": _npz,
+    ".npy": _npz,
+    ".h5": _hdf5,
+    ".hdf5": _hdf5,
+    ".mf4": _mdf,
+    ".mdf": _mdf,
+    ".mcap": _mcap,
+    ".bag": _bag,
+    ".db3": _bag,
+}
+"""Readers by suffix."""
+
+
+def suffix_of(path: Path) -> str:
+    """Return the suffix that decides the format, in small letters.
+
+    Examples
+    --------
+    >>> suffix_of(Path("a.CSV")), suffix_of(Path("run.1.csv.gz"))
+    ('.csv', '.csv.gz')
+    """
+    last = path.suffix.lower()
+    return "".join(path.suffixes[-2:]).lower() if last == ".gz" else last
+
+
+class Table:
+    """One file of data, or a table in memory.
+
+    Parameters
+    ----------
+    path : Path
+        Its suffix decides the format; see :data:`FORMATS`.
+    source : Source, optional
+        What is in memory already; the path is then a name for messages.
+
+    Raises
+    ------
+    InputError
+        If there is no file, its format is unknown, or it cannot be read.
+    """
+
+    def __init__(self, path: Path, source: Source | None = None) -> None:
+        self.path = path
+        if source is not None:
+            self._source = source
+            return
+        if path.is_dir() and (path / "metadata.yaml").is_file():  # a bag of ROS 2
+            self._source = _bag(path)
+            return
+        if not path.is_file():
+            raise InputError(
+                "no such file", expected="a file of data", got=_nearby(path), remedy="check the path", file=path
+            )
+        opener = FORMATS.get(suffix_of(path))
+        if opener is None:
+            raise InputError(
+                "unknown format",
+                expected=f"a file that ends in {', '.join(FORMATS)}",
+                got=repr(path.suffix),
+                remedy="convert it, for example to CSV",
+                file=path,
+            )
+        try:
+            self._source = opener(path)
+        except InputError as error:
+            raise error.located(file=path) from error
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """Titles of the measured columns (those of true states are left out)."""
+        return tuple(title for title in self._source.titles if not title.startswith(TRUTH))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was noticed while reading."""
+        return tuple(getattr(self._source, "notes", ()))
+
+    def where(self, row: int) -> str:
+        """Return the place of a row (from 0) as an editor of the file counts it, or as the file itself does."""
+        find = getattr(self._source, "where", None)
+        return f"row {row}" if find is None else str(find(row))
+
+    @property
+    def all_titles(self) -> tuple[str, ...]:
+        """Titles of all columns, those of true states included."""
+        return tuple(self._source.titles)
+
+    def clocks(self, columns: Sequence[str | int]) -> tuple[list[FloatArray], str] | None:
+        """Return the stamps [s] of columns that have clocks of their own, and which they are; None for one clock."""
+        find = getattr(self._source, "clocks", None)
+        titles = [self.find(column) for column in columns]
+        if find is None or None in titles:
+            return None
+        found: tuple[list[FloatArray], str] = find(titles)
+        return found
+
+    def inside(self, title: str) -> list[str] | None:
+        """Return the selectors of what a variable holds; None where it is one column."""
+        find = getattr(self._source, "inside", None)
+        found: list[str] | None = None if find is None else find(title)
+        return found
+
+    def read_any(self, title: str) -> FloatArray:
+        """Return a column (N,) by its exact title, be it measured or true."""
+        return self._source.values(title)
+
+    def find(self, column: str | int, like: str | None = None) -> str | None:
+        """Return the title that a column's name means: exact, or its name before the unit; None if there is none.
+
+        Parameters
+        ----------
+        column : str or int
+        like : str, optional
+            A unit of what the column measures: the unit may then stand without brackets (``theta_deg``).
+
+        Raises
+        ------
+        InputError
+            If two columns carry this name.
+        """
+        titles = self.titles
+        if isinstance(column, int):
+            return titles[column] if 0 <= column < len(titles) else None
+        exact = [title for title in titles if title == column]
+        found = exact or [title for title in titles if self.split(title)[0] == column.strip()]
+        if not found and like is not None:
+            stated = {title: self.stated(title, like) for title in titles if title.startswith(column.strip())}
+            found = [title for title, parts in stated.items() if parts is not None and parts[0] == column.strip()]
+        if len(found) > 1:
+            raise InputError(
+                f"column {column!r} is there {len(found)} times",
+                expected="one column of this name",
+                got=", ".join(found),
+                remedy="rename one, or name its title with the unit, or give its number (from 0)",
+                file=self.path,
+            )
+        return found[0] if found else None
+
+    def split(self, title: str) -> tuple[str, str | None]:
+        """Return name and unit of a title; the index or joint at the end of a path is no unit."""
+        name, unit = split_header(title)
+        inside = (
+            getattr(self._source, "paths", False)
+            and unit is not None
+            and not title[len(name) : len(name) + 1].isspace()
+        )
+        return (title, None) if inside else (name, unit)
+
+    def stated(self, title: str, like: str) -> tuple[str, str] | None:
+        """Return name and unit of a title that states a fitting unit without brackets; steps of a path are no units."""
+        parts = stated_unit(title, like)
+        path = getattr(self._source, "paths", False) and parts is not None and title[len(parts[0])] in "/."
+        return None if path else parts
+
+    def read_time(self, column: str | int, declared: str | None = None) -> tuple[FloatArray, bool]:
+        """Return a column (N,) of time stamps [s], and whether their unit was stated or declared.
+
+        Raises
+        ------
+        InputError
+            If the column is not there, or its title states something that is no unit of time.
+        """
+        title = self.find(column)
+        values, unit = self.read(column if title is None else title)
+        own = None if title is None else self._source.unit(title)  # of a date, whatever its title says
+        if own is None and declared is None and title is not None:
+            try:
+                unit = clock_unit(title)
+            except InputError as error:
+                raise error.located(file=self.path) from error
+        unit = own or declared or unit
+        return convert(values, unit or "s", "s"), unit is not None
+
+    def read(self, column: str | int, like: str | None = None) -> tuple[FloatArray, str | None]:
+        """Return one column (N,) and the unit that its title states, or None.
+
+        Parameters
+        ----------
+        column : str or int
+        like : str, optional
+            A unit of what the column measures: the unit may then stand without brackets (``theta_deg``).
+
+        Raises
+        ------
+        InputError
+            If the column is not there; the message names near matches. If a cell is no number.
+        """
+        try:
+            title = self.find(column, like)
+            if title is not None:
+                number = column if isinstance(column, int) else None
+                values = self._values(title, number)
+                unit = self._source.unit(title)
+                unit = unit if unit is not None else self.split(title)[1]
+                if unit is None and like is not None and (parts := self.stated(title, like)) is not None:
+                    unit = parts[1]
+                return values, unit
+            selected = self._source.select(column) if isinstance(column, str) else None
+        except InputError as error:
+            raise error.located(file=self.path) from error
+        if selected is not None:
+            return selected, None
+        raise self.missing(column)
+
+    def _values(self, title: str, number: int | None) -> FloatArray:
+        """Return a column by its title, or by its number where two have one title."""
+        if number is None or self.titles.count(title) == 1:
+            return self._source.values(title)
+        numbered = getattr(self._source, "numbered", None)
+        if numbered is None:
+            raise InputError(
+                f"{self.titles.count(title)} columns {title!r}",
+                expected="titles of their own",
+                got=f"column {number}",
+                remedy="rename one",
+            )
+        places = [place for place, known in enumerate(self._source.titles) if not known.startswith(TRUTH)]
+        found: FloatArray = numbered(places[number])
+        return found
+
+    def missing(self, column: str | int) -> InputError:
+        """Return the refusal of a column that is not there."""
+        titles = self.titles
+        shown = ", ".join(repr(title) for title in titles[:12]) + (" ..." if len(titles) > 12 else "")
+        if isinstance(column, int):
+            remedy = f"give a number from 0 to {len(titles) - 1}"
+        else:
+            names = {split_header(title)[0].lower(): title for title in titles}
+            near = difflib.get_close_matches(column.lower(), list(names), n=2, cutoff=0.5)
+            near = near or [name for name in names if name and (name in column.lower() or column.lower() in name)][:2]
+            said = " or ".join(repr(names[name]) for name in near)
+            remedy = f"did you mean {said}?" if near else "correct the name"
+        return InputError(
+            f"no column {column!r}",
+            expected=f"one of {shown or '(none)'}",
+            got=repr(column),
+            remedy=remedy,
+            file=self.path,
+        )
+
+
+def open_table(path: Path, cache: dict[Path, Table], sheet: str | None = None) -> Table:
+    """Return the table of a file (or of one sheet of a workbook), opened once."""
+    key = path if sheet is None else path / sheet
+    if key not in cache:
+        cache[key] = Table(path, None if sheet is None else _sheet(path, sheet))
+    return cache[key]
+
+
+def _sheet(path: Path, sheet: str) -> Source | None:
+    """Return a sheet of a workbook; None where there is no file, which is refused as any other."""
+    if not path.is_file():
+        return None
+    if suffix_of(path) not in (".xlsx", ".xlsm"):
+        raise InputError(
+            "sheet", expected="an Excel workbook (.xlsx, .xlsm)", got=path.name, remedy="remove sheet", file=path
+        )
+    from harness.data.tables.excel import ExcelFile
+
+    return ExcelFile(path, sheet)
+
+
+def nearest(channel: Channel, titles: Sequence[str]) -> list[str]:
+    """Return the titles that may be meant by a channel: of like name first, then of like unit, at most six.
+
+    Examples
+    --------
+    >>> nearest(Channel("u", "N m"), ["temperature [K]", "u_motor [V]", "torque [N mm]"])
+    ['u_motor [V]', 'torque [N mm]', 'temperature [K]']
+    """
+
+    def distance(title: str) -> tuple[float, bool]:
+        name, unit = split_header(title)
+        alike = difflib.SequenceMatcher(None, name.lower(), channel.name.lower()).ratio()
+        starts = name.lower().startswith(channel.name.lower())
+        try:
+            other = unit is None or not fits(unit, channel.unit)
+        except InputError:
+            other = True
+        return -alike - 0.5 * starts - 0.3 * (not other), other
+
+    return sorted(titles, key=distance)[:6]
+
+
+def _nearby(path: Path) -> str:
+    """Return what stands where a file was expected: nothing, or files with similar names."""
+    if path.is_dir():
+        return "a folder"
+    if not path.parent.is_dir():
+        return f"no file (nor a folder {path.parent})"
+    near = difflib.get_close_matches(path.name, [neighbour.name for neighbour in path.parent.iterdir()], n=2)
+    return f"no file (near it: {', '.join(near)})" if near else "no file"

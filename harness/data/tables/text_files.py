@@ -1,0 +1,296 @@
+"""Text tables: CSV and its relatives, with or without a header; every bad cell is named by its line."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import re
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.data.tables.cells import EMPTY, clock, is_number, units_below
+from harness.data.tables.packing import most_unpacked
+from harness.errors import InputError
+from harness.signals import FloatArray
+
+__all__ = ["TextFile"]
+
+_DELIMITERS = (",", ";", "\t")
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
+_COMMA = re.compile(r"(?<!\d)[+-]?\d*,\d+(?:[eE][+-]?\d+)?(?!\d)")
+
+
+class TextFile:
+    r"""A CSV, TSV or white-space table, plain or packed by gzip.
+
+    The delimiter is the comma, semicolon or tab that the first line holds most of, else white space. A first line of
+    numbers only means that there is no header; the columns are then called ``0``, ``1``, ... A line of units below the
+    header belongs to it. Lines that start with ``#`` or ``%`` and empty lines are skipped. Empty cells are NaN. Where
+    the comma does not separate, it may be the decimal sign. Dates and times of ISO 8601 become seconds from the first.
+
+    Raises
+    ------
+    InputError
+        If the file is empty or no text.
+    """
+
+    def __init__(self, path: Path) -> None:
+        text, coding = _text(path)
+        lines = text.splitlines()
+        self.notes: list[str] = []
+        if coding == "cp1252":
+            self.notes.append("the text is no UTF-8: its letters are read as cp1252 (Windows, Western Europe)")
+        self._lines = [
+            (number, line)
+            for number, line in enumerate(lines, start=1)
+            if line.strip() and not line.lstrip().startswith(("#", "%"))
+        ]
+        if not self._lines:
+            raise InputError("an empty file", expected="a header and rows of numbers", got="nothing", remedy="check it")
+        first = self._lines[0][1]
+        counts = {sign: first.count(sign) for sign in _DELIMITERS}
+        best = max(_DELIMITERS, key=lambda sign: counts[sign])
+        self._delimiter = best if counts[best] else None
+        titles = self._cells(first)
+        if all(is_number(cell) for cell in titles if cell) and any(titles):
+            self.titles = [str(number) for number in range(len(titles))]
+        else:
+            self.titles = titles
+            self._lines = self._lines[1:]
+            if self._lines and (named := units_below(titles, self._cells(self._lines[0][1]))) is not None:
+                self.titles = named
+                self._lines = self._lines[1:]
+        if not self._lines:
+            raise InputError(
+                "no rows", expected="rows of numbers below the header", got="only a header", remedy="check the export"
+            )
+        self._accept_decimal_commas()
+        self._square()
+        self._body: bytes | None = None
+        self._clocks: set[str] = set()
+
+    def values(self, title: str) -> FloatArray:
+        """Return one column (N,)."""
+        return self.numbered(self.titles.index(title))
+
+    def numbered(self, column: int) -> FloatArray:
+        """Return one column (N,) by its number, as two may have one title."""
+        for read in (self._fast, self._plain):
+            found = read(column)
+            if found is not None:
+                return found
+        return self._slowly(column, self.titles[column])
+
+    def select(self, text: str) -> FloatArray | None:
+        """Return None: text tables have plain columns only."""
+        return None
+
+    def unit(self, title: str) -> str | None:
+        """Return s for dates and times; other units stand in the titles."""
+        return "s" if title in self._clocks else None
+
+    def where(self, row: int) -> str:
+        """Return the place of a row (from 0) as an editor counts it."""
+        return f"line {self._lines[row][0]}"
+
+    def _accept_decimal_commas(self) -> None:
+        """Read decimal commas as points, where the comma separates nothing and no number holds a point."""
+        if self._delimiter == ",":
+            return
+        if not any("," in line for _, line in self._lines) or any("." in line for _, line in self._lines):
+            return
+        numbers = [cell for _, line in self._lines if "," in line for cell in self._cells(line) if "," in cell]
+        if all(map(_THOUSANDS.fullmatch, numbers)):  # 1,234 is a thousand as likely as a fraction
+            return
+        if all(_COMMA.search(line) for _, line in self._lines if "," in line):
+            self._lines = [(number, line.replace(",", ".")) for number, line in self._lines]
+            self.notes.append("decimal commas are read as decimal points")
+
+    def _square(self) -> None:
+        """Make every row as long as the header where that is certain; refuse the others with their line.
+
+        Empty cells behind the last column are surplus separators. A last line that stops short was cut. Row names of R
+        are quoted while the numbers are not, and have no title. Anything else could belong to any column.
+        """
+        width = len(self.titles)
+        lengths = self._lengths()
+        if (lengths == width).all():
+            return
+        if self.titles[-1] == "" and (lengths == width - 1).all():  # the separator ends the header only
+            self.titles = self.titles[:-1]
+            return
+        if (lengths == width + 1).all() and all(self._names_row(line) for _, line in self._lines):
+            self.titles = ["", *self.titles]
+            self.notes.append("the first cells are names of rows, as R writes them: the titles begin behind them")
+            return
+        if lengths[-1] < width and (lengths[:-1] == width).all() and len(lengths) > 1:
+            self.notes.append(f"line {self._lines[-1][0]}, the last one, is cut short: it is left out")
+            self._lines = self._lines[:-1]
+            return
+        for row in np.flatnonzero(lengths != width):
+            number, line = self._lines[row]
+            cells = self._cells(line)
+            if len(cells) < width or any(cells[width:]):
+                raise InputError(
+                    f"a row of {len(cells)} cells under {width} titles",
+                    expected=f"{width} cells ({', '.join(map(repr, self.titles[:6]))}{' ...' if width > 6 else ''})",
+                    got=line.strip()[:80],
+                    remedy="give every column a title and every row as many cells, empty where nothing was recorded",
+                    place=f"line {number}",
+                )
+            self._lines[row] = (number, self._joined(cells[:width]))
+
+    def _lengths(self) -> npt.NDArray[np.int64]:
+        """Return the number of cells of every row."""
+        if self._delimiter is None or any('"' in line for _, line in self._lines):
+            return np.array([len(self._cells(line)) for _, line in self._lines])
+        return np.array([line.count(self._delimiter) + 1 for _, line in self._lines])
+
+    def _names_row(self, line: str) -> bool:
+        """Return True if the first cell of a row is a quoted name, or no number, and the others are numbers."""
+        cells = self._cells(line)
+        plain = not all(is_number(cell) or cell.lower() in EMPTY for cell in cells[:1])
+        quoted = line.lstrip().startswith('"') and line.count('"') == 2
+        return (plain or quoted) and any(map(is_number, cells[1:]))
+
+    def _joined(self, cells: list[str]) -> str:
+        """Return cells as a line."""
+        text = io.StringIO()
+        csv.writer(text, delimiter=self._delimiter or " ", lineterminator="").writerow(cells)
+        return text.getvalue()
+
+    def _fast(self, column: int) -> FloatArray | None:
+        """Return a column by the C++ reader of Arrow; None where it cannot, or a cell is no number."""
+        if self._delimiter is None:
+            return None
+        import pyarrow as pa
+        from pyarrow import csv as arrow
+
+        if self._body is None:
+            self._body = "\n".join(line for _, line in self._lines).encode()
+        names = [str(number) for number in range(len(self.titles))]
+        try:
+            table = arrow.read_csv(
+                io.BytesIO(self._body),
+                read_options=arrow.ReadOptions(column_names=names, use_threads=False),
+                parse_options=arrow.ParseOptions(delimiter=self._delimiter),
+                convert_options=arrow.ConvertOptions(
+                    include_columns=[names[column]],
+                    column_types={names[column]: pa.float64()},
+                    null_values=sorted({*EMPTY, *map(str.upper, EMPTY), "NaN", "Null", "None", "N/a"}),
+                    quoted_strings_can_be_null=True,
+                ),
+            )
+        except pa.ArrowInvalid:
+            return None
+        found = np.concatenate([_values(chunk) for chunk in table.column(0).chunks] or [np.zeros(0)])
+        return found if len(found) == len(self._lines) else None
+
+    def _plain(self, column: int) -> FloatArray | None:
+        """Return a column by the reader of numpy; None at the first cell that is no number."""
+        try:
+            return np.loadtxt(
+                (line for _, line in self._lines),
+                delimiter=self._delimiter,
+                usecols=column,
+                ndmin=1,
+                comments=None,
+                quotechar='"',
+                dtype=np.float64,
+            )
+        except (ValueError, IndexError):
+            return None
+
+    def _slowly(self, column: int, title: str) -> FloatArray:
+        """Return a column cell by cell: NaN for an empty one, a named refusal for one that is no number."""
+        cells = []
+        for _, line in self._lines:
+            row = self._cells(line)
+            cells.append(row[column] if column < len(row) else "")
+        if (stamps := clock(cells)) is not None:
+            self._clocks.add(title)
+            return stamps
+        numbers = []
+        signs = [cell for cell in cells if "," in cell]
+        thousands = bool(signs) and all(map(_THOUSANDS.fullmatch, signs))
+        commas = not thousands and not any("." in cell for cell in cells)
+        for k, cell in enumerate(cells):
+            if cell.lower() in EMPTY:
+                numbers.append(np.nan)
+                continue
+            try:
+                numbers.append(float(cell.replace(",", ".") if commas and _COMMA.fullmatch(cell) else cell))
+            except ValueError:
+                comma = "," in cell
+                raise InputError(
+                    "a cell that is no number",
+                    expected="a number" + (" with one kind of decimal sign, and none for thousands" if comma else ""),
+                    got=repr(cell),
+                    remedy="export with decimal points" if comma else "correct or empty the cell",
+                    place=f"{self.where(k)}, column {title!r}",
+                ) from None
+        return np.array(numbers)
+
+    def _cells(self, line: str) -> list[str]:
+        """Return the cells of a line."""
+        if self._delimiter is None:
+            if '"' not in line:
+                return line.split()
+            spaced = csv.reader(io.StringIO(line.strip()), delimiter=" ", skipinitialspace=True)
+            return [cell for cell in next(spaced) if cell]
+        return [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=self._delimiter))]
+
+
+def _text(path: Path) -> tuple[str, str]:
+    """Return the text of a file, unpacked where it is packed, and its coding."""
+    raw = path.read_bytes()
+    if path.suffix.lower() == ".gz":
+        try:
+            with gzip.GzipFile(fileobj=io.BytesIO(raw)) as packed:
+                most = most_unpacked(len(raw))
+                raw = packed.read(most + 1)
+        except (OSError, EOFError, zlib.error) as error:
+            raise InputError(
+                "not a gzip file", expected="a table packed by gzip", got=str(error), remedy="check the file"
+            ) from error
+        if len(raw) > most:
+            raise InputError(
+                "a packed table",
+                expected=f"at most {most >> 20} MiB unpacked",
+                got="more",
+                remedy="unpack it yourself, or cut or thin it",
+            )
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        coding = "utf-16"
+    elif raw[1:2] == b"\0" or raw[:1] == b"\0":  # a title begins with a letter of ASCII in every table that we read
+        coding = "utf-16-le" if raw[1:2] == b"\0" else "utf-16-be"
+    else:
+        coding = "utf-8-sig"
+    for tried in (coding, "cp1252") if coding == "utf-8-sig" and b"\0" not in raw[:4096] else (coding,):
+        try:
+            text = raw.decode(tried)
+        except UnicodeDecodeError as error:
+            last = error
+            continue
+        return text, tried
+    raise InputError(
+        "not a text file",
+        expected="text in UTF-8, UTF-16 or cp1252",
+        got=str(last)[:120],
+        remedy="save it as UTF-8 CSV",
+    ) from last
+
+
+def _values(array: Any) -> FloatArray:
+    """Return an Arrow array of floats with NaN for what is missing, by its buffers: ``to_numpy`` imports pandas."""
+    valid, data = array.buffers()
+    found = np.frombuffer(data, np.float64, len(array), 8 * array.offset).copy()
+    if valid is not None:
+        bits = np.unpackbits(np.frombuffer(valid, np.uint8), bitorder="little")
+        found[bits[array.offset : array.offset + len(array)] == 0] = np.nan
+    return found

@@ -1,0 +1,317 @@
+"""Inertial parameters from normal equations: semidefinite program, log-Cholesky, or least squares, beside a prior.
+
+The problem of all methods: ``1/2 x'Gx - s'x + sum_b D(J_b, J0_b) / trust^2`` over x = inertial parameters of the
+bodies, then friction; G and s weighted by the noise. The bodies are scaled by their prior, ``J = T K T'`` with
+``J0 = T T'``, so that K = 1 is the prior and numbers are near 1.
+"""
+
+from __future__ import annotations
+
+import importlib
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from harness.errors import FitError
+from harness.physics.arms.inertia import from_pseudo_inertia, pseudo_inertia
+from harness.signals import FloatArray
+
+__all__ = ["Bodies", "Problem", "by_least_squares", "by_log_cholesky", "by_semidefinite_program", "extent_of"]
+
+LEAST = 1e-6
+"""Smallest eigenvalue of K in the semidefinite program: a body a millionth of its prior in some direction."""
+NO_PRIOR = 1e-6
+"""Weight where no prior is wanted: as if the prior were trusted to a factor of a thousand."""
+ITERATIONS = 300
+_ROWS, _COLUMNS = np.triu_indices(4)
+_DIAGONAL = np.nonzero(_ROWS == _COLUMNS)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """The free bodies, scaled by their prior.
+
+    Attributes
+    ----------
+    prior : array (B, 10)
+        Consistent.
+    scale : array (B, 4, 4)
+        T, lower triangular: ``J0 = T T'``.
+    maps : array (B, 10, 16)
+        From the entries of K to parameters.
+    boxes : sequence of (low (3,), high (3,)) or None
+        Box that holds the centre of mass and every part of a body [m], in its joint's frame.
+    """
+
+    prior: FloatArray
+    scale: FloatArray = field(init=False)
+    maps: FloatArray = field(init=False)
+    boxes: Sequence[tuple[FloatArray, FloatArray] | None] = ()
+
+    def __post_init__(self) -> None:
+        prior = np.asarray(self.prior, dtype=float).reshape(-1, 10)
+        scale = np.linalg.cholesky(pseudo_inertia(prior))
+        maps = np.empty((len(prior), 10, 16))
+        for column in range(16):
+            unit = np.zeros((4, 4))
+            unit.flat[column] = 0.5
+            unit = unit + unit.T
+            maps[:, :, column] = from_pseudo_inertia(scale @ unit @ np.swapaxes(scale, 1, 2))
+        object.__setattr__(self, "prior", prior)
+        object.__setattr__(self, "scale", scale)
+        object.__setattr__(self, "maps", maps)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Weighted normal equations of bodies and friction.
+
+    Attributes
+    ----------
+    gram, side : array (k, k), (k,)
+        G and s; the first 10 B unknowns are the bodies'.
+    bodies : Bodies
+    trust : float or None
+        Relative standard deviation of the prior inertia; None: no prior.
+    positive : array of bool (k - 10 B,)
+        Which of the other unknowns cannot be negative.
+    """
+
+    gram: FloatArray
+    side: FloatArray
+    bodies: Bodies
+    trust: float | None
+    positive: FloatArray
+
+    @property
+    def weight(self) -> float:
+        """1 / trust^2; without a prior next to nothing, which keeps directions that nothing determines finite."""
+        return NO_PRIOR if self.trust is None else self.trust**-2
+
+    def cost(self, x: FloatArray) -> float:
+        """Return the objective at x (k,), without the constant."""
+        from harness.physics.arms.inertia import divergence
+
+        own = x[: self.bodies.prior.size].reshape(-1, 10)
+        prior = self.weight * float(np.sum(divergence(own, self.bodies.prior))) if self.weight else 0.0
+        return float(0.5 * x @ self.gram @ x - self.side @ x) + prior
+
+
+def by_semidefinite_program(problem: Problem, *, objective: FloatArray | None = None) -> FloatArray:
+    """Return x (k,) by a semidefinite program (cvxpy, Clarabel): the global optimum among consistent bodies.
+
+    Parameters
+    ----------
+    problem : Problem
+    objective : array (k,), optional
+        Minimise this linear function instead, the data being exact (``R x = R x_LS``): how far the constraints alone
+        bound a parameter that the motion does not show.
+
+    Raises
+    ------
+    FitError
+        If the solver does not end at an optimum.
+    """
+    # its stubs miss most of its functions
+    cp: Any = importlib.import_module("cvxpy")
+    count, others = len(problem.bodies.prior), problem.side.size - problem.bodies.prior.size
+    blocks = [cp.Variable((4, 4), symmetric=True) for _ in range(count)]
+    free = cp.Variable(max(others, 1))
+    parts = [problem.bodies.maps[b] @ cp.vec(blocks[b], order="C") for b in range(count)]
+    x = cp.hstack([*parts, free[:others]]) if others else cp.hstack(parts)
+    limits = [block >> LEAST * np.eye(4) for block in blocks]
+    if others:
+        rows = np.nonzero(problem.positive)[0]
+        limits += [free[rows] >= 0] if rows.size else []
+    for b, box in enumerate(problem.bodies.boxes):
+        if box is not None:
+            limits += _inside(parts[b], *box)
+    root, known = _root(problem.gram, problem.side)
+    if objective is None:
+        # Measured from the prior: the numbers of the solver stay near those that the answer moves by.
+        base = np.concatenate([problem.bodies.prior.ravel(), np.zeros(others)])
+        cost = 0.5 * cp.sum_squares(root @ (x - base) - (known - root @ base))
+        if problem.weight:
+            cost = cost + problem.weight * sum(cp.trace(block) - cp.log_det(block) for block in blocks)
+    else:
+        cost = objective @ x
+        scale = np.linalg.norm(root, axis=1, keepdims=True)
+        limits.append((root / scale) @ x == known / scale[:, 0])
+    task = cp.Problem(cp.Minimize(cost), limits)
+    try:
+        with warnings.catch_warnings():
+            # "may be inaccurate": judged below by what the answer costs, not by a warning
+            warnings.simplefilter("ignore", UserWarning)
+            task.solve(solver=cp.CLARABEL)
+    except cp.error.SolverError as error:
+        raise _unsolved(str(error)) from error
+    if objective is not None and task.status in ("unbounded", "unbounded_inaccurate"):
+        return np.array(
+            [-np.inf if coefficient > 0 else np.inf if coefficient < 0 else 0.0 for coefficient in objective]
+        )
+    if x.value is None or task.status not in ("optimal", "optimal_inaccurate"):
+        raise _unsolved(str(task.status))
+    return np.asarray(x.value, dtype=float).ravel()
+
+
+def by_log_cholesky(problem: Problem) -> FloatArray:
+    """Return x (k,) by Newton's method in log-Cholesky coordinates of K: consistent at every step, no constraint.
+
+    Unknowns that cannot be negative go through their logarithm. From the prior on, in trust regions; the same optimum
+    as the semidefinite program wherever that lies inside its bounds.
+
+    Raises
+    ------
+    FitError
+        If it does not converge.
+    """
+    from scipy.optimize import minimize
+
+    count = len(problem.bodies.prior)
+    others = problem.side.size - 10 * count
+    positive = np.asarray(problem.positive, dtype=bool)
+    root, known = _root(problem.gram, problem.side)
+
+    def at(z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return U, x, the misfit, and by how much each body's K changes the data's part (symmetric)."""
+        U = _factor(z[: 10 * count].reshape(count, 10))
+        own = np.einsum("bij,bj->bi", problem.bodies.maps, (U @ np.swapaxes(U, 1, 2)).reshape(count, 16))
+        friction = z[10 * count :]
+        x = np.concatenate([own.ravel(), np.where(positive, np.exp(np.minimum(friction, 50.0)), friction)])
+        miss = root @ x - known
+        by_own = (root.T @ miss)[: 10 * count].reshape(count, 10)
+        by_K = np.einsum("bij,bi->bj", problem.bodies.maps, by_own).reshape(count, 4, 4)
+        return U, x, miss, 0.5 * (by_K + np.swapaxes(by_K, 1, 2)) + problem.weight * np.eye(4)
+
+    def value_and_gradient(z: FloatArray) -> tuple[float, FloatArray]:
+        U, x, miss, B = at(z)
+        theta = z[: 10 * count].reshape(count, 10)
+        prior = float(np.sum(U**2)) - 2 * float(np.sum(theta[:, _DIAGONAL])) - 4 * count
+        gradient = 2 * (B @ U)[:, _ROWS, _COLUMNS]
+        gradient[:, _DIAGONAL] *= U[:, range(4), range(4)]
+        gradient[:, _DIAGONAL] -= 2 * problem.weight
+        by_friction = (root.T @ miss)[10 * count :] * np.where(positive, x[10 * count :], 1.0)
+        return 0.5 * float(miss @ miss) + problem.weight * prior, np.concatenate([gradient.ravel(), by_friction])
+
+    def curvature(z: FloatArray) -> FloatArray:
+        U, x, miss, B = at(z)
+        jacobian = np.zeros((x.size, x.size))
+        local = np.zeros((x.size, x.size))
+        for b in range(count):
+            part = slice(10 * b, 10 * b + 10)
+            chain = np.ones(10)
+            chain[_DIAGONAL] = U[b, range(4), range(4)]
+            for row in range(10):
+                unit = np.zeros((4, 4))
+                unit[_ROWS[row], _COLUMNS[row]] = chain[row]
+                moved = unit @ U[b].T
+                jacobian[part, 10 * b + row] = problem.bodies.maps[b] @ (moved + moved.T).ravel()
+            same = _COLUMNS[:, None] == _COLUMNS[None, :]
+            block = 2 * B[b][np.ix_(_ROWS, _ROWS)] * same * np.outer(chain, chain)
+            block[_DIAGONAL, _DIAGONAL] += 2 * (B[b] @ U[b]).diagonal() * U[b].diagonal()
+            local[part, part] = block
+        tail = np.arange(10 * count, x.size)
+        chain = np.where(positive, x[tail], 1.0)
+        jacobian[tail, tail] = chain
+        local[tail, tail] = np.where(positive, (root.T @ miss)[tail] * x[tail], 0.0)
+        rows = root @ jacobian
+        return np.asarray(rows.T @ rows + local)
+
+    start = np.zeros(10 * count + others)
+    if others:
+        # friction from plain least squares beside the prior bodies
+        left = problem.side[10 * count :] - problem.gram[10 * count :, : 10 * count] @ problem.bodies.prior.ravel()
+        guess = np.linalg.lstsq(problem.gram[10 * count :, 10 * count :], left, rcond=None)[0]
+        start[10 * count :] = np.where(positive, np.log(np.maximum(guess, 1e-6)), guess)
+    scale = max(abs(value_and_gradient(start)[0]), 1.0)
+    search: Any = minimize  # its stubs do not know this method's arguments
+    found = search(
+        lambda z: value_and_gradient(z)[0] / scale,
+        start,
+        jac=lambda z: value_and_gradient(z)[1] / scale,
+        hess=lambda z: curvature(z) / scale,
+        method="trust-exact",
+        options={"maxiter": ITERATIONS, "gtol": 1e-3 / scale},
+    )
+    # rounding of the misfit may stop it just before
+    if not np.isfinite(found.fun) or (not found.success and np.abs(found.jac).max() * scale > 1.0):
+        raise _unsolved(str(found.message))
+    return at(np.asarray(found.x))[1]
+
+
+def _factor(theta: FloatArray) -> FloatArray:
+    """Return the upper triangular factors (B, 4, 4) of log-Cholesky coordinates (B, 10)."""
+    U = np.zeros((len(theta), 4, 4))
+    U[:, _ROWS, _COLUMNS] = theta
+    U[:, range(4), range(4)] = np.exp(theta[:, _DIAGONAL])
+    return U
+
+
+def by_least_squares(problem: Problem, kept: FloatArray) -> FloatArray:
+    """Return x (k,) by least squares in given directions (columns of kept (k, r)), at the prior in the others."""
+    start = np.concatenate([problem.bodies.prior.ravel(), np.zeros(problem.side.size - problem.bodies.prior.size)])
+    root, known = _root(problem.gram, problem.side)
+    rows = root @ kept
+    size = np.linalg.norm(rows, axis=0)
+    move = np.linalg.lstsq(rows / size, known - root @ start, rcond=None)[0] / size
+    return np.asarray(start + kept @ move)
+
+
+def extent_of(problem: Problem, direction: FloatArray) -> tuple[float, float]:
+    """Return least and largest ``direction @ x`` among bodies that reproduce the data exactly (maybe infinite).
+
+    Parameters
+    ----------
+    problem : Problem
+        Its prior does not count.
+    direction : array (k,)
+    """
+    chosen = np.asarray(direction) != 0
+    low = by_semidefinite_program(problem, objective=direction)[chosen]
+    high = by_semidefinite_program(problem, objective=-direction)[chosen]
+    return float(direction[chosen] @ low), float(direction[chosen] @ high)
+
+
+def _inside(p: object, low: FloatArray, high: FloatArray) -> list[object]:
+    """Return the constraints of a body (10,) in a box: centre of mass, and second moments within its ellipsoid.
+
+    Any density in the box has ``h`` between the corners times m, and ``tr(Q J) >= 0`` with Q of the ellipsoid through
+    the corners (Wensing, Kim & Slotine 2018, eq. 15).
+    """
+    middle, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-4)
+    mass, first = p[0], p[1:4]  # type: ignore[index]
+    # second moments about the frame: S = tr(I)/2 - I
+    xx, yy, zz = p[4], p[7], p[9]  # type: ignore[index]
+    second = [0.5 * (yy + zz - xx), 0.5 * (xx + zz - yy), 0.5 * (xx + yy - zz)]
+    limits: list[object] = []
+    reach = 0.0
+    for axis in range(3):
+        limits += [first[axis] <= high[axis] * mass, first[axis] >= low[axis] * mass]
+        about = second[axis] - 2 * middle[axis] * first[axis] + middle[axis] ** 2 * mass
+        limits.append(about <= half[axis] ** 2 * mass)
+        reach = reach + about / half[axis] ** 2
+    # the ellipsoid through the corners has the half axes sqrt(3) times those of the box
+    limits.append(reach <= 3 * mass)
+    return limits
+
+
+def _root(gram: FloatArray, side: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return R and r with ``R'R = G`` and ``R'r = s``, rows without information left out."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+    keep = values > 1e-13 * values[-1]
+    root = (np.sqrt(values[keep])[:, None] * vectors[:, keep].T) * size
+    known = (vectors[:, keep].T @ (side / size)) / np.sqrt(values[keep])
+    return root, known
+
+
+def _unsolved(got: str) -> FitError:
+    return FitError(
+        "inertial parameters",
+        expected="an optimum",
+        got=got,
+        remedy="give a prior (trust), record richer motion, or free fewer bodies",
+    )

@@ -1,0 +1,89 @@
+"""A URDF with other inertial parameters, damping and friction: what an identification found, as a file."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.physics.arms.inertia import is_consistent
+from harness.signals import FloatArray
+
+if TYPE_CHECKING:
+    from harness.physics.arms.arm import ArmModel
+
+__all__ = ["urdf_with"]
+
+
+def urdf_with(
+    model: ArmModel,
+    parameters: FloatArray,
+    *,
+    damping: FloatArray | None = None,
+    friction: FloatArray | None = None,
+) -> str:
+    """Return the text of the arm's URDF with these inertial parameters.
+
+    Parameters
+    ----------
+    model : ArmModel
+        Read from a file (its ``path``).
+    parameters : array (10 * bodies,)
+        In the order of :attr:`harness.physics.arms.rigid_tree.Arm.parameters`.
+    damping, friction : array (n,), optional
+        Of the joints that move, into ``<dynamics>``; as in the file by default.
+
+    Raises
+    ------
+    InputError
+        If the arm has no file, or a body with mass is not physically consistent (other programs would refuse it).
+    """
+    if model.path is None:
+        raise InputError("URDF of an arm", expected="an arm read from a file", got="none", remedy="use load_arm")
+    table = np.asarray(parameters, dtype=float).reshape(len(model.arm.joints), 10)
+    for joint, row in zip(model.arm.joints, table, strict=True):
+        if row.any() and not is_consistent(row, tolerance=1e-9):
+            raise InputError(
+                f"inertial parameters behind joint {joint.name}",
+                expected="a positive definite pseudo-inertia",
+                got=f"mass {row[0]:.4g} kg and moments that no density makes",
+                remedy="identify with method sdp or log-cholesky",
+            )
+    tree = ElementTree.parse(model.path)
+    root = tree.getroot()
+    links = {link.get("name"): link for link in root.findall("link")}
+    elements = {joint.get("name"): joint for joint in root.findall("joint")}
+    for joint, row in zip(model.arm.joints, table, strict=True):
+        child = elements[joint.name].find("child")
+        assert child is not None  # the file was read before
+        if row.any():
+            _write_body(links[child.get("link")], row)
+    for number, joint in enumerate(model.arm.moving):
+        for key, values in (("damping", damping), ("friction", friction)):
+            if values is not None:
+                _child(elements[joint.name], "dynamics").set(key, repr(float(values[number])))
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _write_body(link: ElementTree.Element, row: FloatArray) -> None:
+    """Put mass, centre and inertia about the centre into a link."""
+    mass, centre = float(row[0]), row[1:4] / row[0]
+    about_frame = np.zeros((3, 3))
+    about_frame[np.triu_indices(3)] = row[4:]
+    about_frame = about_frame + about_frame.T - np.diag(np.diag(about_frame))
+    inertia = about_frame - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    inertial = _child(link, "inertial")
+    origin = _child(inertial, "origin")
+    origin.set("xyz", " ".join(repr(float(component)) for component in centre))
+    origin.set("rpy", "0 0 0")
+    _child(inertial, "mass").set("value", repr(mass))
+    element = _child(inertial, "inertia")
+    for name, (i, j) in zip(("xx", "xy", "xz", "yy", "yz", "zz"), zip(*np.triu_indices(3), strict=True), strict=True):
+        element.set(f"i{name}", repr(float(inertia[i, j])))
+
+
+def _child(parent: ElementTree.Element, tag: str) -> ElementTree.Element:
+    found = parent.find(tag)
+    return ElementTree.SubElement(parent, tag) if found is None else found

@@ -1,0 +1,374 @@
+"""C source of a system's functions, and its compilation into a cache that concurrent processes may share."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import os
+import platform
+import re
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from harness.fmi.build import compiler, tell_without_compiler
+from harness.fmi.compiled import cache_folder
+from harness.signals import FloatArray
+
+__all__ = ["Compilation", "c_function", "system_source"]
+
+# No fused multiply-add: the compiled code repeats CasADi's virtual machine bit for bit. The vectors are written out, so
+# -O1 gives as fast a roll-out as -O2, compiled a third sooner.
+FLAGS = ("-fPIC", "-shared", "-ffp-contract=off", "-fno-math-errno", "-std=c99")
+
+# Passes of gcc's -O1 that straight-line code gains little from: without them it takes a quarter less time, the bits are
+# the same, roll-outs up to 5 % slower (benchmarks/bench_compilation.py).
+LEFT_OUT = ("-fira-region=one", "-fno-tree-loop-optimize", "-fno-tree-ccp", "-fno-move-loop-invariants",
+            "-fno-guess-branch-probability", "-fno-tree-pta", "-fno-forward-propagate")  # fmt: skip
+
+
+def _shortened(level: str) -> tuple[str, ...]:
+    """Return the passes to leave out at a level of optimisation; other compilers than gcc may not know them."""
+    return LEFT_OUT if level == "-O1" and "gcc" in Path((compiler() or ("",))[0]).name else ()
+
+
+@functools.cache
+def _machine_flags() -> tuple[str, ...]:
+    """Return the flags for four doubles in a register, where the processor has them; the same bits, sooner.
+
+    The second one has gcc clear the upper halves of the registers before calls: with them in use, some processors run
+    the tanh and log1p of the mathematical library up to eight times as long (``benchmarks/bench_rollouts.py``).
+    """
+    try:
+        known = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ()
+    wide = re.search(r"^flags\s*:.*\bavx2\b", known, re.MULTILINE)
+    return ("-mavx2", "-fexpensive-optimizations") if wide else ()
+
+
+_BINARY = {
+    "OP_ADD": "{0}+{1}",
+    "OP_SUB": "{0}-{1}",
+    "OP_MUL": "{0}*{1}",
+    "OP_DIV": "{0}/{1}",
+    "OP_LT": "{0}<{1}",
+    "OP_LE": "{0}<={1}",
+    "OP_EQ": "{0}=={1}",
+    "OP_NE": "{0}!={1}",
+    "OP_AND": "{0}&&{1}",
+    "OP_OR": "{0}||{1}",
+    "OP_FMIN": "fmin({0},{1})",
+    "OP_FMAX": "fmax({0},{1})",
+    "OP_POW": "pow({0},{1})",
+    "OP_CONSTPOW": "pow({0},{1})",
+    "OP_ATAN2": "atan2({0},{1})",
+    "OP_FMOD": "fmod({0},{1})",
+    "OP_COPYSIGN": "copysign({0},{1})",
+    "OP_HYPOT": "hypot({0},{1})",
+    "OP_IF_ELSE_ZERO": "({0}?{1}:0)",
+}
+_UNARY = {
+    "OP_ASSIGN": "{0}",
+    "OP_NEG": "-{0}",
+    "OP_NOT": "!{0}",
+    "OP_SQ": "{0}*{0}",
+    "OP_TWICE": "2.*{0}",
+    "OP_INV": "1./{0}",
+    "OP_SIGN": "({0}<0?-1:({0}>0?1:{0}))",
+    **{
+        f"OP_{name.upper()}": f"{name}({{0}})"
+        for name in (
+            *("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
+            *("exp", "log", "sqrt", "floor", "ceil", "fabs", "erf", "expm1", "log1p"),
+        )
+    },
+}
+
+
+@functools.cache
+def _formats() -> dict[int, str]:
+    """Return the C text of every operation by its CasADi number."""
+    return {getattr(ca, name): text for name, text in {**_BINARY, **_UNARY}.items() if hasattr(ca, name)}
+
+
+def c_function(name: str, function: Any) -> str:
+    """Return a CasADi SX function as one static C function of plain arrays.
+
+    Parameters
+    ----------
+    name : str
+        Name of the C function.
+    function : casadi.Function
+        Of SX; inputs and outputs dense columns.
+
+    Returns
+    -------
+    str
+        ``static void NAME(const double *i0, ..., double *o0, ...)``. An input without elements may be NULL.
+
+    Raises
+    ------
+    ValueError
+        If CasADi uses an operation that has no C text here.
+
+    Examples
+    --------
+    >>> x = ca.SX.sym("x")
+    >>> print(c_function("twice", ca.Function("twice", [x], [2 * x])))
+    static void twice(const double *i0, double *o0) {
+      double w0;
+      w0 = i0[0];
+      w0 = 2.*w0;
+      o0[0] = w0;
+    }
+    """
+    formats = _formats()
+    lines = []
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        into, out = function.instruction_input(k), function.instruction_output(k)
+        if operation == ca.OP_CONST:
+            lines.append(f"w{out[0]} = {_number(function.instruction_constant(k))};")
+        elif operation == ca.OP_INPUT:
+            lines.append(f"w{out[0]} = i{into[0]}[{into[1]}];")
+        elif operation == ca.OP_OUTPUT:
+            lines.append(f"o{out[0]}[{out[1]}] = w{into[0]};")
+        elif operation in formats:
+            lines.append(f"w{out[0]} = {formats[operation].format(*(f'w{operand}' for operand in into))};")
+        else:
+            raise ValueError(f"no C text for CasADi operation {operation} in {name}")
+    inputs = [f"const double *i{row}" for row in range(function.n_in())]
+    outputs = [f"double *o{row}" for row in range(function.n_out())]
+    unused = "".join(
+        f"(void)i{row}; " for row in range(function.n_in()) if not any(f"i{row}[" in line for line in lines)
+    )
+    work = [f"w{row}" for row in range(function.sz_w())]
+    head = f"static void {name}({', '.join(inputs + outputs)}) {{"
+    declare = [f"double {', '.join(work)};"] if work else []
+    body = [*declare, *([unused.strip()] if unused else []), *lines]
+    return "\n".join([head, *("  " + line for line in body), "}"])
+
+
+def _number(value: float) -> str:
+    """Return a C literal that reads back as the same double."""
+    if value != value:
+        return "NAN"
+    if value in (float("inf"), float("-inf")):
+        return "INFINITY" if value > 0 else "-INFINITY"
+    text = repr(float(value))
+    return text if any(mark in text for mark in ".e") else text + "."
+
+
+def dense(name: str, inputs: list[Any], outputs: list[Any]) -> Any:
+    """Return a CasADi function whose outputs are dense columns."""
+    flat = [ca.densify(ca.SX(output)) for output in outputs]
+    return ca.Function(name, inputs, flat, {"cse": True})
+
+
+def system_source(system: Any, prefix: str = "model") -> str:
+    """Return the C source of a system: derivative, output, start of hidden states, one Runge-Kutta step.
+
+    Every function is static, so that a loader cannot bind it to another library's name, and needs ``math.h`` only.
+    Delays and quantisers (``system.sampled``) act on samples and are not part of it.
+
+    Parameters
+    ----------
+    system : System
+    prefix : str
+        In front of each name.
+
+    Returns
+    -------
+    str
+        With the macros ``PREFIX_NX``, ``PREFIX_NU``, ``PREFIX_NY``, ``PREFIX_NP``, ``PREFIX_NZ`` (hidden states) and::
+
+            static void PREFIX_derivative(x, u, p, t, dx);   /* const double *x, *u, *p, *t; double *dx */
+            static void PREFIX_output(x, u, p, t, y);
+            static void PREFIX_initial(x, u, p, z);          /* start of the hidden states, the last of x */
+            static void PREFIX_step(double *x, u, p, double t, double h);
+
+    Examples
+    --------
+    >>> from harness.physics.models import drive
+    >>> "static void drive_derivative(" in system_source(drive().system(), "drive")
+    True
+    """
+    arguments = [system.x, system.u, system.p, system.t]
+    start = system.initial if system.initial is not None else ca.SX(0, 1)
+    upper = prefix.upper()
+    sizes = {"NX": system.nx, "NU": system.nu, "NY": system.ny, "NP": system.np, "NZ": system.hidden_count}
+    parts = [
+        "#include <math.h>",
+        "\n".join(f"#define {upper}_{name} {size}" for name, size in sizes.items()),
+        c_function(f"{prefix}_derivative", dense("f", arguments, [system.f])),
+        c_function(f"{prefix}_output", dense("h", arguments, [system.upright(system.h)])),
+        c_function(f"{prefix}_initial", dense("z", [system.x, system.u, system.p], [start])),
+        _STEP.replace("PREFIX", prefix).replace("NX", f"{upper}_NX"),
+        near_zero(system, prefix),
+        _ADVANCE.replace("PREFIX", prefix).replace("NX", f"{upper}_NX"),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+FINE = 8
+"""Parts of a step that comes near the zero of a speed whose sign a force takes."""
+
+
+def without_signs(system: Any, p: FloatArray) -> FloatArray:
+    """Return parameters with which no force takes a sign: signs are steep at rest only, and there steps are finer."""
+    smooth = np.array(p, dtype=float)
+    smooth[[system.parameter_names.index(name) for _, name in system.switches]] = 1e9
+    return smooth
+
+
+def near_zero(system: Any, prefix: str) -> str:
+    """Return the C function that tells whether a step from x to y comes near the zero of a switch of the system."""
+    tests = [
+        f"  if (fmin(fabs(x[{k}]), fabs(y[{k}])) < fabs(y[{k}] - x[{k}])) return 1;"
+        for k in dict.fromkeys(k for k, _ in system.switches)
+    ]
+    head = f"static int {prefix}_near_zero(const double *x, const double *y) {{"
+    return "\n".join([head, *tests, "  (void)x; (void)y;", "  return 0;", "}"])
+
+
+_STEP = """\
+/* One step of the classical fourth-order Runge-Kutta method, input held. */
+static void PREFIX_runge_kutta(double *x, const double *u, const double *p, double t, double h) {
+  double k1[NX], k2[NX], k3[NX], k4[NX], y[NX], middle = t + 0.5*h, end = t + h;
+  int i;
+  PREFIX_derivative(x, u, p, &t, k1);
+  for (i = 0; i < NX; i++) y[i] = x[i] + 0.5*h*k1[i];
+  PREFIX_derivative(y, u, p, &middle, k2);
+  for (i = 0; i < NX; i++) y[i] = x[i] + 0.5*h*k2[i];
+  PREFIX_derivative(y, u, p, &middle, k3);
+  for (i = 0; i < NX; i++) y[i] = x[i] + h*k3[i];
+  PREFIX_derivative(y, u, p, &end, k4);
+  for (i = 0; i < NX; i++) x[i] = x[i] + h/6.0*(k1[i] + 2.0*k2[i] + 2.0*k3[i] + k4[i]);
+}"""
+
+_ADVANCE = f"""\
+/* One step, or {FINE} finer ones where a force changes its sign. */
+static void PREFIX_step(double *x, const double *u, const double *p, double t, double h) {{
+  double y[NX];
+  int i;
+  for (i = 0; i < NX; i++) y[i] = x[i];
+  PREFIX_runge_kutta(y, u, p, t, h);
+  if (PREFIX_near_zero(x, y))
+    for (i = 0; i < {FINE}; i++) PREFIX_runge_kutta(x, u, p, t + i*(h/{FINE}), h/{FINE});
+  else
+    for (i = 0; i < NX; i++) x[i] = y[i];
+}}"""
+
+
+# ---- compilation -------------------------------------------------------------------------------------------------
+
+
+class Compilation:
+    """A shared library in the making: ``start`` does not wait, ``library`` does.
+
+    Parameters
+    ----------
+    source : str
+        C source; its hash (with flags, compiler and machine) names the file, so that equal sources compile once.
+    level : str
+        Of optimisation.
+    """
+
+    def __init__(self, source: str, *, level: str = "-O1") -> None:
+        self.source = source
+        self._flags = (level, *FLAGS, *_shortened(level), *_machine_flags())
+        key = "\x1f".join((source, " ".join(self._flags), str(compiler()), platform.machine(), platform.system()))
+        self.path = cache_folder() / f"rollout-{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
+        self._process: subprocess.Popen[bytes] | None = None
+        self._draft: Path | None = None
+        self._library: ctypes.CDLL | None = None
+        self._owner = os.getpid()
+        self._command = compiler()
+        self.failed = self._command is None
+        if self.failed:
+            tell_without_compiler()
+
+    def _disown(self) -> None:
+        """Leave a compiler that was started before a fork to the process that started it."""
+        if self._owner != os.getpid():
+            self._process, self._draft, self._owner = None, None, os.getpid()
+
+    def start(self) -> None:
+        """Begin to compile unless it is done, under way or impossible."""
+        self._disown()
+        if (
+            self._command is None
+            or self.failed
+            or self._process is not None
+            or self._library is not None
+            or self.path.exists()
+        ):
+            return
+        handle, draft = tempfile.mkstemp(suffix=".so", prefix=self.path.stem + "-", dir=self.path.parent)
+        os.close(handle)
+        self._draft = Path(draft)
+        try:
+            self._process = subprocess.Popen(
+                [*self._command, *self._flags, "-x", "c", "-", "-o", draft, "-lm"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+            assert self._process.stdin is not None
+            self._process.stdin.write(self.source.encode())
+            self._process.stdin.close()
+        except OSError:
+            self.failed = True
+            self._discard()
+
+    def ready(self) -> bool:
+        """Return True if the library can be had without waiting."""
+        self._disown()
+        if self._library is not None or self.path.exists():
+            return True
+        return self._process is not None and self._process.poll() is not None and self.library() is not None
+
+    def library(self) -> ctypes.CDLL | None:
+        """Return the loaded library, compiling first if needed; None if there is no working compiler."""
+        if self._library is not None:
+            return self._library
+        self.start()
+        if self._process is not None:
+            status = self._process.wait()
+            self._process = None
+            if status == 0 and self._draft is not None:
+                # Another process may have put the same file there: replacing it by an equal one is atomic.
+                self._draft.replace(self.path)
+                self._draft = None
+            else:
+                self.failed = True
+                self._discard()
+        if self.failed:
+            return None
+        try:
+            self._library = ctypes.CDLL(str(self.path))
+        except OSError:
+            self.failed = True
+        return self._library
+
+    def _discard(self) -> None:
+        """Remove the unfinished file."""
+        if self._draft is not None:
+            self._draft.unlink(missing_ok=True)
+            self._draft = None
+
+    def __del__(self) -> None:
+        if getattr(self, "_owner", None) != os.getpid():
+            return
+        process = getattr(self, "_process", None)
+        if process is not None:
+            process.kill()
+            process.wait()
+        if getattr(self, "_draft", None) is not None:
+            self._discard()

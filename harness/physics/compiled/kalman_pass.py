@@ -1,0 +1,328 @@
+"""One pass of the extended Kalman filter over a record: innovations, their variances, and their derivatives."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.physics.compiled.ccode import Compilation
+from harness.physics.compiled.filter_kernels import filter_kernels
+from harness.physics.compiled.filter_machine import FilterMachine, Wanted
+from harness.physics.compiled.filter_source import filter_source
+from harness.signals import FloatArray, Trajectory
+
+if TYPE_CHECKING:
+    from harness.physics.compiled.latent import Disturbed, LatentForce
+    from harness.physics.compiled.simulator import Intersample
+
+__all__ = ["Filtered", "KalmanPass", "Noise", "Pass", "Path"]
+
+_LOG_2PI = float(np.log(2 * np.pi))
+_COUNTS = ("n", "substeps", "every", "chosen", "foh")
+_NUMBERS = ("dt", "t0")
+_GIVEN = ("p", "x0", "p0", "u", "d", "columns", "measured", "r", "period", "a", "q", "w", "fade", "q_tau")
+_MADE = ("e", "s", "j", "e_noise", "s_noise")
+_STORES = ("x_before", "p_before", "x_after", "p_after", "transition", "gain", "row")
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What disturbs plant and sensors.
+
+    Attributes
+    ----------
+    r : array (ny,)
+        Standard deviation of the sensor noise, white, in the units of the outputs.
+    s, tau : array (nl,)
+        Standard deviation [force or rate units] and time constant [s] of every latent force, a Gauss-Markov process.
+    w : array (nl,)
+        Standard deviation of a white part of it, drawn anew for every sample: noise of the recorded input, say.
+    """
+
+    r: FloatArray
+    s: FloatArray
+    tau: FloatArray
+    w: FloatArray
+
+
+@dataclass(eq=False)
+class Path:
+    """What a smoother needs of a pass: states before and after the outputs of each sample, transitions, gains.
+
+    ``x_before``, ``x_after`` (K, nx); ``p_before``, ``p_after``, ``transition`` (K, nx, nx), from a sample to the next;
+    ``gain``, ``row`` (K, ny, nx): outputs are taken one after the other.
+    """
+
+    x_before: FloatArray
+    p_before: FloatArray
+    x_after: FloatArray
+    p_after: FloatArray
+    transition: FloatArray
+    gain: FloatArray
+    row: FloatArray
+
+
+@dataclass(eq=False)
+class Filtered:
+    """Result of a pass.
+
+    Attributes
+    ----------
+    e, s : array (K, ny)
+        Innovations and their variances, each output given those before it; NaN where nothing was measured.
+    j : array (K, ny, columns) or None
+        Derivatives of the innovations, gains held fixed.
+    path : Path or None
+    e_noise, s_noise : array (K, ny, 3 nl + ny) or None
+        Derivatives of the innovations, and of the logarithms of their variances, by the logarithms of the noise: s,
+        tau and w of every latent force, then r of every output. None where only difference quotients can tell.
+    """
+
+    e: FloatArray
+    s: FloatArray
+    j: FloatArray | None = None
+    path: Path | None = field(default=None, repr=False)
+    e_noise: FloatArray | None = field(default=None, repr=False)
+    s_noise: FloatArray | None = field(default=None, repr=False)
+
+    @property
+    def terms(self) -> FloatArray:
+        """Minus the logarithm of the density of every sample (K,)."""
+        with np.errstate(over="ignore"):  # of a run far off its data: the density is 0
+            each = 0.5 * (_LOG_2PI + np.log(self.s) + self.e**2 / self.s)
+            return np.asarray(np.where(np.isfinite(self.e), each, 0.0).sum(axis=1))
+
+    @property
+    def nll(self) -> float:
+        """Minus the log-likelihood of the record."""
+        with np.errstate(over="ignore"):
+            return float(self.terms.sum())
+
+
+class Pass(Protocol):
+    """What gives a record its innovations under a model; see :class:`KalmanPass` for the attributes."""
+
+    forces: tuple[LatentForce, ...]
+    state_names: tuple[str, ...]
+    dt: float
+    substeps: int
+    nl: int
+    ny: int
+    start_size: int
+    simulator: Any
+
+    parameter_count: int
+
+    def __call__(
+        self,
+        record: Trajectory,
+        p: Any,
+        x0: Any,
+        noise: Noise,
+        *,
+        columns: npt.NDArray[np.intp] | None = None,
+        keep: bool = False,
+        by_noise: bool = False,
+    ) -> Filtered | None:
+        """Return the innovations of a record, None if the state diverges; see :meth:`KalmanPass.__call__`."""
+        ...
+
+
+class _Job(ctypes.Structure):
+    """The struct ``filter_job`` of the C source, field by field."""
+
+    _fields_ = (
+        *((name, ctypes.c_long) for name in _COUNTS),
+        *((name, ctypes.c_double) for name in _NUMBERS),
+        *((name, ctypes.c_void_p) for name in (*_GIVEN, *_MADE, *_STORES, "run")),
+    )
+
+
+class KalmanPass:
+    """Filters records with a disturbed system.
+
+    Parameters
+    ----------
+    disturbed : Disturbed
+        See :func:`harness.physics.compiled.latent.with_latent_forces`.
+    dt : float
+        Sample time [s].
+    intersample : {"zoh", "foh", "smooth"}
+    substeps : int, optional
+    compiled : bool
+        False to work on CasADi's virtual machine, some times slower; also where there is no compiler.
+
+    Attributes
+    ----------
+    nx, nl, ny, parameter_count : int
+        States (latent forces included), latent forces, outputs, parameters.
+    forces : tuple of LatentForce
+    state_names : tuple of str
+        States without the latent forces.
+    start_size : int
+        States without the latent forces: what an initial state has.
+
+    Examples
+    --------
+    >>> from harness.physics.compiled.latent import with_latent_forces
+    >>> from harness.physics.models import pendulum
+    >>> from harness.signals import PlantSpec
+    >>> system = pendulum().system()
+    >>> spec = PlantSpec(system.inputs, system.outputs, 0.01)
+    >>> record = Trajectory(np.arange(3) * 0.01, np.zeros((3, 1)), np.array([[0.5], [0.4998], [0.499]]), spec)
+    >>> noise = Noise(np.array([0.01]), np.array([0.1]), np.array([0.1]), np.zeros(1))
+    >>> filtered = KalmanPass(with_latent_forces(system), 0.01)(record, [0.1, 0.05, 1.0], [0.5, 0.0], noise)
+    >>> (filtered.s[0] == 0.01**2).tolist(), filtered.e[:2].round(5).tolist()
+    ([True], [[0.0], [4e-05]])
+    """
+
+    def __init__(
+        self,
+        disturbed: Disturbed,
+        dt: float,
+        *,
+        intersample: Intersample = "zoh",
+        substeps: int | None = None,
+        compiled: bool = True,
+    ) -> None:
+        self.forces, self.dt, self.intersample = disturbed.forces, float(dt), intersample
+        system = disturbed.system
+        self.state_names = tuple(channel.name for channel in system.states[: system.nx - len(self.forces)])
+        self.simulator = system.simulator(dt, intersample=intersample, substeps=substeps)
+        self.substeps = self.simulator.substeps
+        self.nx, self.ny, self.parameter_count, self.nl = system.nx, system.ny, system.np, len(self.forces)
+        self.start_size = self.nx - self.nl
+        self.parameter_names = system.parameter_names
+        self._period = np.array([channel.period or 0.0 for channel in system.outputs])
+        self.sampled = self.simulator.sampled
+        self._compilation: Compilation | None = None
+        if compiled:
+            source = filter_source(self.simulator.functions, self.sampled.delay_columns)
+            self._compilation = Compilation(source)
+        self._seen: list[tuple[Any, Any, FloatArray, FloatArray | None]] = []
+
+    def prepare(self) -> None:
+        """Start the compiler in the background."""
+        if self._compilation is not None:
+            self._compilation.start()
+
+    def __call__(
+        self,
+        record: Trajectory,
+        p: Any,
+        x0: Any,
+        noise: Noise,
+        *,
+        columns: npt.NDArray[np.intp] | None = None,
+        keep: bool = False,
+        by_noise: bool = False,
+    ) -> Filtered | None:
+        """Filter a record.
+
+        Parameters
+        ----------
+        record : Trajectory
+            Readings that are missing are passed over: they correct nothing and have no likelihood.
+        p : array (np,)
+        x0 : array (start_size,)
+            Known initial state; the latent forces start from their stationary distribution.
+        noise : Noise
+        columns : array of int, optional
+            Which of (p, x0) the innovations are differentiated by.
+        keep : bool
+            Keep what a smoother needs.
+        by_noise : bool
+            Differentiate by the noise too.
+
+        Returns
+        -------
+        Filtered or None
+            None if the state diverged.
+        """
+        p = np.ascontiguousarray(p, dtype=float)
+        start, variance = np.zeros(self.nx), np.zeros((self.nx, self.nx))
+        start[: self.start_size] = x0
+        variance[range(self.start_size, self.nx), range(self.start_size, self.nx)] = noise.s**2
+        u, input_jacobian, every = self._inputs(record, p)
+        step = self.dt / every
+        decay = np.exp(-step / noise.tau)
+        gained = noise.s**2 * -np.expm1(-2 * step / noise.tau)
+        fade = step / noise.tau
+        samples, chosen = len(record), 0 if columns is None else len(columns)
+        made = Filtered(np.empty((samples, self.ny)), np.empty((samples, self.ny)))
+        if columns is not None:
+            made.j = np.zeros((samples, self.ny, chosen))
+        if by_noise:
+            lanes = (samples, self.ny, 3 * self.nl + self.ny)
+            made.e_noise, made.s_noise = np.empty(lanes), np.empty(lanes)
+        if keep:
+            wide, square, tall = (samples, self.nx), (samples, self.nx, self.nx), (samples, self.ny, self.nx)
+            made.path = Path(*(np.empty(shape) for shape in (wide, square, wide, square, square, tall, tall)))
+        given = {
+            "p": p, "x0": start, "p0": variance, "u": u, "d": input_jacobian,
+            "measured": np.ascontiguousarray(record.readings),
+            "columns": np.ascontiguousarray([] if columns is None else columns, dtype=np.intc),
+            "r": noise.r**2, "period": self._period, "a": decay, "q": gained, "w": noise.w**2,
+            "fade": fade, "q_tau": -2 * noise.s**2 * fade * np.exp(-2 * fade),
+            "e": made.e, "s": made.s, "j": made.j, "e_noise": made.e_noise, "s_noise": made.s_noise,
+        }  # fmt: skip
+        library = None if self._compilation is None else self._compilation.library()
+        steps = None if library is None else filter_kernels(self.nx, self.ny, self.nl)
+        if library is None or steps is None:
+            return self._in_casadi(record, given, made, columns, every)
+        if made.path is not None:
+            given |= {name: getattr(made.path, name) for name in _STORES}
+        arrays = {name: value for name, value in given.items() if value is not None}
+        job = _Job(
+            n=len(u), substeps=1 if every > 1 else self.substeps, every=every, chosen=chosen,
+            foh=int(self.intersample != "zoh"), dt=step, t0=float(record.t[0]), run=steps.run,
+            **{name: value.ctypes.data for name, value in arrays.items()},
+        )  # fmt: skip
+        failed = library.sysid_filter(ctypes.byref(job))
+        return None if failed or not np.isfinite(made.s[np.isfinite(made.e)]).all() else made
+
+    def _inputs(self, record: Trajectory, p: FloatArray) -> tuple[FloatArray, FloatArray | None, int]:
+        """Return the inputs that the equations see, their derivatives by the delays, and rows for each sample."""
+        key = tuple(p[list(self.sampled.delay_columns)])
+        for known, delays, u, input_jacobian in self._seen:
+            if known is record and delays == key:
+                return u, input_jacobian, self.substeps if self.intersample == "smooth" else 1
+        seen, input_jacobians = self.sampled.inputs(np.ascontiguousarray(record.u)[None], p[None], True)
+        if self.intersample == "smooth":
+            seen = self.simulator.refined(seen)
+            input_jacobians = None if input_jacobians is None else self.simulator.refined(input_jacobians)
+        u = np.ascontiguousarray(seen[0])
+        input_jacobian = None if input_jacobians is None else np.ascontiguousarray(input_jacobians[0])
+        self._seen = [*self._seen[-7:], (record, key, u, input_jacobian)]
+        return u, input_jacobian, self.substeps if self.intersample == "smooth" else 1
+
+    def _in_casadi(
+        self, record: Trajectory, given: dict[str, Any], made: Filtered, columns: Any, every: int
+    ) -> Filtered | None:
+        """Do the same on CasADi's virtual machine."""
+        known: dict[Any, FilterMachine] = self.simulator.functions.__dict__.setdefault("_filter_machines", {})
+        key = (self.dt, self.substeps, every, self.intersample, self.nl)
+        if key not in known:
+            known[key] = FilterMachine(
+                self.simulator.functions, self.dt / every, 1 if every > 1 else self.substeps, every,
+                self.intersample != "zoh", self.sampled.delay_columns, self.nl, self._period,
+            )  # fmt: skip
+        wanted = Wanted(columns is not None, made.e_noise is not None, made.path is not None)
+        found = known[key](wanted, given, record.t[0] + np.arange(len(record)) * self.dt)
+        measured = np.isfinite(record.readings)
+        if not (np.isfinite(found["e"][measured]).all() and np.isfinite(found["s"]).all() and (found["s"] > 0).all()):
+            return None
+        made.e, made.s = found["e"], found["s"]
+        if columns is not None:
+            made.j = np.ascontiguousarray(found["j"].reshape(len(record), self.ny, -1)[:, :, columns])
+        if made.e_noise is not None:
+            made.e_noise, made.s_noise = (found[name].reshape(made.e_noise.shape) for name in ("e_noise", "s_noise"))
+        if made.path is not None:
+            for name in _STORES:
+                getattr(made.path, name)[:] = found[name].reshape(getattr(made.path, name).shape)
+            made.path.transition[-1] = np.eye(self.nx)  # nothing follows the last sample
+        return made

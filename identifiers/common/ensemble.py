@@ -1,0 +1,113 @@
+"""Several models of one kind as one model, whose predicted distribution is the mixture of theirs."""
+
+from __future__ import annotations
+
+from abc import ABC
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from harness.models.distributions import NormalMixture
+from harness.scoring import same_language
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.specs import spec_from_dict, spec_to_dict
+
+__all__ = ["Ensemble", "own_spread"]
+
+_NINETY = 1.6449
+"""Half width of the central 90 % of a normal distribution, in standard deviations."""
+
+_OWN = 0.3
+"""Least share of the spread that is each member's own, and not their disagreement: outputs are noisy for all alike."""
+
+
+def own_spread(misses: FloatArray, disagreement: FloatArray) -> FloatArray:
+    """Return the standard deviation (ny,) of each member so that the mixture's 90 % bands hold 90 % of held-out data.
+
+    What the members disagree by widens the mixture besides; it is the part that grows outside the data.
+
+    Parameters
+    ----------
+    misses : array (n, ny)
+        Measured minus the mean of the members, held out.
+    disagreement : array (n, ny)
+        Variance of the members' predictions there.
+
+    Examples
+    --------
+    >>> own_spread(np.random.default_rng(0).normal(size=(4000, 1)), np.zeros((4000, 1))).round(1).tolist()
+    [1.0]
+    """
+    size = np.quantile(np.abs(misses), 0.9, axis=0) / _NINETY
+    return np.asarray(np.sqrt(np.maximum(size**2 - disagreement.mean(axis=0), (_OWN * size) ** 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Ensemble(ABC):
+    """Several models of the same kind; the state is theirs side by side, so that each follows its own run.
+
+    The output is their mean; the predicted distribution is the equal mixture of theirs (Lakshminarayanan, Pritzel and
+    Blundell 2017, *NeurIPS*, sec. 2.4), wide where they disagree. A subclass names its ``kind`` and the class of its
+    members.
+
+    Parameters
+    ----------
+    members : tuple of models
+        With as many states each.
+    """
+
+    spec: PlantSpec
+    members: tuple[Any, ...]
+    notes: dict[str, Any] = field(default_factory=dict)
+
+    kind: ClassVar[str]
+    member: ClassVar[type[Any]]
+
+    @property
+    def burn_in(self) -> int:
+        """Samples that the members need before their predictions count."""
+        return int(self.members[0].burn_in)
+
+    def initial_state(self, data: Trajectory) -> FloatArray:
+        """Return the states of all members at the first sample, side by side (nx,)."""
+        same_language(self.spec, data)
+        return np.concatenate([member.initial_state(data) for member in self.members])
+
+    def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the mean of the members' outputs (..., ny)."""
+        return np.asarray(np.mean([member.output(part, u) for member, part in self._parts(x)], axis=0))
+
+    def predictive(self, x: FloatArray, u: FloatArray) -> NormalMixture:
+        """Return the equal mixture of the members' distributions (..., ny)."""
+        each = [member.predictive(part, u) for member, part in self._parts(x)]
+        means, stds = (
+            np.concatenate([getattr(mixture, name) for mixture in each], axis=-2) for name in ("means", "stds")
+        )
+        return NormalMixture(means, stds, self.spec.outputs)
+
+    def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the next states (..., nx)."""
+        return np.concatenate([member.step(part, u) for member, part in self._parts(x)], axis=-1)
+
+    def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the states with the present output as it was measured (..., nx)."""
+        return np.concatenate([member.correct(part, u, y) for member, part in self._parts(x)], axis=-1)
+
+    def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the outputs (M, N, ny) from states x (M, nx) under inputs u (M, N, nu)."""
+        return np.asarray(np.mean([member.free_run(part, u) for member, part in self._parts(x)], axis=0))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+        members = [member.to_dict() for member in self.members]
+        return {"kind": self.kind, "spec": spec_to_dict(self.spec), "members": members, "notes": self.notes}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Any:
+        """Return the model of a description."""
+        members = tuple(cls.member.from_dict(member) for member in content["members"])
+        return cls(spec_from_dict(content["spec"]), members, dict(content.get("notes", {})))
+
+    def _parts(self, x: FloatArray) -> list[tuple[Any, FloatArray]]:
+        return list(zip(self.members, np.split(np.asarray(x, dtype=float), len(self.members), axis=-1), strict=True))

@@ -1,0 +1,243 @@
+"""One decision for all linear fits: whether the data tell the model, or the input follows the outputs by a law."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from harness.errors import FitError
+from harness.judgement import dependence_text
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.common.records import lagged_blocks
+from identifiers.common.regression import Solution, solve
+
+__all__ = ["Columns", "excited_lags", "refuse_collinear", "refuse_feedback", "refuse_feedback_of_records"]
+
+# Columns have rms 1: a combination ten times smaller is a near-dependence, one of size 1 is a signal by itself.
+_WEAK = 0.1
+# A louder residual does not hide a law: at most so much of it is counted against the law's coefficients.
+_PENALTY = _WEAK**2
+# A departure below this fraction of the inputs is rounding of the normal equations (the root of 1e-16, and room).
+_EXACT = 1e-7
+# Where one more lag of an input moves so much less than the lags before, it follows from them (the inputs of many
+# records that step once move by the root of their length; a sweep sampled a thousand times too fast by 0.005).
+_CLIFF = 1e-3
+# Samples that are looked at for that, and how much of them is rounding.
+_ROWS, _ROUNDING = 20_000, 1e-13
+# A ridge that is none: it only asks for exact laws too, where the solver answers dependent columns.
+_TINY = 1e-30
+
+
+class Columns:
+    """Which column of a one-step regression is what.
+
+    Parameters
+    ----------
+    spec : PlantSpec
+    lags : int
+        The columns are ``y[k], ..., y[k-lags+1], u[k], ..., u[k-lags+1]``, then a constant where there is one.
+    delay : int
+        Samples that an input takes to reach an output: the first inputs are then ``u[k-delay+1]``.
+    """
+
+    def __init__(self, spec: PlantSpec, lags: int = 1, delay: int = 1) -> None:
+        ny, nu = spec.ny, spec.nu
+        self.now = list(range(lags * ny, lags * ny + nu))
+        self.output_of = {j * ny + i: i for j in range(lags) for i in range(ny)}
+        self.names: list[str] = []
+        for side, first in ((spec.outputs, 0), (spec.inputs, delay - 1)):
+            for j in range(first, lags):
+                self.names += [c.name if lags == 1 else f"{c.name}[k{f'-{j}' if j else ''}]" for c in side]
+        self.names.append("1")
+
+    @classmethod
+    def lifted(cls, size: int, spec: PlantSpec) -> Columns:
+        """Return the columns ``[z (size), u]`` of a state z that the same regression predicts."""
+        made = cls(spec)
+        made.now = list(range(size, size + spec.nu))
+        made.output_of = {j: j for j in range(size)}
+        made.names = [f"z{j + 1}" for j in range(size)] + [c.name for c in spec.inputs] + ["1"]
+        return made
+
+
+def refuse_feedback(solution: Solution, columns: Columns, least: float, what: str, *, ridge: float = 0.0) -> None:
+    """Raise if the inputs depart from a law of the other regressors by no more than noise makes of that law.
+
+    Under pure feedback ``u = K y`` the parts of A and B cannot be told apart. Sensor noise of size s then makes the
+    input depart from the best law by K s, which fills the rank while the answer is wrong (Ljung 1999, sec. 13.4;
+    Soderstrom & Stoica 1989, sec. 10.3). So the part of the inputs that the other regressors do not explain is
+    compared, in its weakest combination, with the noise that the law would pass on. The noise is taken to be the
+    equation's own residual, which is no less. An input that follows no law (open loop) is never refused, whatever the
+    noise, nor one that departs from it by a tenth of its size: a controller that acts on the noisy outputs themselves
+    gives consistent fits with any departure, and the two cases look alike.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of the one-step equations, least squares.
+    columns : Columns
+    least : float
+        Least ratio of departure to noise, about 2; 0 refuses nothing.
+    what : str
+        For messages.
+    ridge : float
+        Tikhonov weight of the fit, which hides an exact law from its rank decision: then one is looked for here.
+    """
+    if least <= 0 or not columns.now:
+        return
+    r, size, noise = solution.factor, solution.scale, _noise(solution, columns)
+    others = [j for j in range(r.shape[1]) if j not in columns.now]
+    # The law that the true states could have had: one that only noise would need is not taken for a law.
+    left = np.vstack([r[:, others], np.diag(np.minimum(noise[others], _PENALTY))])
+    right = np.vstack([r[:, columns.now], np.zeros((len(others), len(columns.now)))])
+    law = np.linalg.lstsq(left, right, rcond=1e-12)[0]
+    residual = r[:, columns.now] - r[:, others] @ law
+    passed = noise[others, None] * law
+    # How much of the departure is noise, in the combination of inputs where that is most.
+    departure, carried = residual.T @ residual, passed.T @ passed
+    if ridge > 0:
+        departure = departure - ridge * (np.eye(len(columns.now)) + law.T @ law)
+        carried = carried + _EXACT**2 / least**2 * np.eye(len(columns.now))
+    low, turned = np.linalg.eigh(departure)
+    root = turned * np.sqrt(np.maximum(low, 1e-30))
+    half = np.linalg.inv(root)
+    values, vectors = np.linalg.eigh(half @ carried @ half.T)
+    chance = len(others) / solution.rows  # what a law fitted to chance passes on
+    turns = half.T @ vectors
+    shares = np.sqrt(np.clip(np.einsum("ij,ik,kj->j", turns, departure, turns), 0.0, None))
+    shares = shares / np.linalg.norm(turns, axis=0)
+    weak = (values - chance > 1.0 / least**2) & (shares < _WEAK)
+    if not weak.any():
+        return
+    turn = turns[:, int(np.flatnonzero(weak)[-1])]
+    null = np.zeros(r.shape[1])
+    null[columns.now], null[others] = turn, -law @ turn
+    share = float(np.sqrt(max(turn @ departure @ turn, 0.0)) / max(np.linalg.norm(null), 1e-300))
+    raise _undetermined(null / size, size, columns, r.shape[1] - int(weak.sum()), share, what)
+
+
+def refuse_collinear(
+    solution: Solution,
+    columns: Columns,
+    least: float,
+    what: str,
+    remedy: str = "add an excitation to what the controller commands, or leave an output out",
+) -> None:
+    """Raise if some combination of measured states is no more than noise.
+
+    Parameters
+    ----------
+    solution, columns, least, what
+        As of :func:`refuse_feedback`; here the outputs are the states (one lag).
+    """
+    if least <= 0:
+        return
+    noise = _noise(solution, columns)
+    _, values, right = np.linalg.svd(solution.factor)
+    weak = (values < least * np.linalg.norm(right * noise, axis=1)) & (values < _WEAK)
+    if weak.any():
+        null = right[int(np.flatnonzero(weak)[-1])]
+        rank = values.size - int(weak.sum())
+        raise _undetermined(null / solution.scale, solution.scale, columns, rank, float(values[-1]), what, remedy)
+
+
+def excited_lags(records: Sequence[Trajectory], most: int) -> int:
+    """Return how many lags of the inputs move independently, at most so many: the order of persistent excitation.
+
+    A constant is taken away first. m lines excite 2 m lags, a ramp one: the next lag follows from those. A smooth input
+    excites each further lag less, in steps; that is no end, nor is rounding when it is reached that way (Ljung 1999,
+    *System Identification*, definition 13.2; a model of order n asks for 2 n, theorem 13.1).
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    most : int
+
+    Examples
+    --------
+    >>> from harness.signals import Channel
+    >>> k, spec = np.arange(300.0), PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    >>> lines = [Trajectory(k, (np.sin(0.3 * k) + np.sin(k))[:, None], k[:, None], spec)]
+    >>> ramp = [Trajectory(k, k[:, None], k[:, None], spec)]
+    >>> excited_lags(lines, 12), excited_lags(ramp, 12)
+    (4, 1)
+    """
+    nu = records[0].spec.nu
+    parts, left = [], _ROWS
+    for record in records:
+        u = record.u[: max(left, 0)]
+        if len(u) >= most:
+            view = np.lib.stride_tricks.sliding_window_view(u, most, axis=0)
+            parts.append(view.transpose(0, 2, 1).reshape(len(view), -1))
+            left -= len(u)
+    if not parts or nu == 0:
+        return most
+    rows = np.concatenate(parts)
+    spread = rows[:, :nu].std(axis=0)
+    rows = (rows - rows.mean(axis=0)) / np.tile(np.where(spread > 0, spread, 1.0), most)
+    triangle: FloatArray = np.asarray(np.linalg.qr(rows, mode="r"))
+    before = 1.0
+    for lags in range(1, most + 1):
+        values: FloatArray = np.linalg.svd(triangle[:, : lags * nu], compute_uv=False)
+        least = float(values[-1] / values[0]) if values[0] > 0 else 0.0
+        if least < _CLIFF * before:
+            return lags - 1
+        if least < _ROUNDING:
+            break
+        before = least
+    return most
+
+
+def refuse_feedback_of_records(records: Sequence[Trajectory], lags: int, least: float, what: str) -> None:
+    """Raise if the inputs follow the outputs by a law, for fits that are not linear one-step equations themselves.
+
+    As :func:`refuse_feedback`, with the noise of each output taken to be no more than its fourth difference leaves
+    (``/ sqrt(70)``, what white noise makes of it): the residual of a linear equation may be the plant's nonlinearity.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    lags : int
+        Samples of the past that the fit uses.
+    least, what
+        As of :func:`refuse_feedback`.
+    """
+    spec = records[0].spec
+    few = sum(max(0, len(record) - lags) for record in records) <= 2 * (lags * (spec.ny + spec.nu) + 1)
+    if spec.nu == 0 or few:
+        return
+    solution = solve(lambda: lagged_blocks(records, lags, offset=True), what, least_norm=True)
+    rough = np.concatenate([np.diff(record.y, 4, axis=0) for record in records if len(record) > 4])
+    noise = 1.4826 * np.median(np.abs(rough - np.median(rough, axis=0)), axis=0) / np.sqrt(70.0)
+    quiet = replace(solution, residual_rms=np.minimum(solution.residual_rms, noise))
+    refuse_feedback(quiet, Columns(spec, lags), least, what, ridge=_TINY)
+
+
+def _noise(solution: Solution, columns: Columns) -> FloatArray:
+    """Return the noise of each regressor relative to its rms (p,): inputs and constants are exact."""
+    noise = np.zeros(solution.scale.size)
+    rms = solution.scale / np.sqrt(solution.rows)
+    for column, output in columns.output_of.items():
+        noise[column] = solution.residual_rms[output] / rms[column]
+    return noise
+
+
+def _undetermined(
+    null: FloatArray,
+    size: FloatArray,
+    columns: Columns,
+    rank: int,
+    share: float,
+    what: str,
+    remedy: str = "add an excitation to what the controller commands",
+) -> FitError:
+    """Return the refusal, with the direction that the data do not tell."""
+    law = dependence_text(null, size, columns.names)
+    return FitError(
+        f"{what}: the data do not determine the model",
+        expected="inputs and states that move in every direction by more than noise",
+        got=f"rank {rank} of {size.size}: {law} up to {share:.1e} of full size, which noise alone would leave",
+        remedy=remedy,
+    )

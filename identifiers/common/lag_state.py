@@ -1,0 +1,198 @@
+"""What models share that predict the next output from past outputs and inputs, each in its own way."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from harness.models.distributions import NormalMixture, normal
+from harness.scoring import same_language
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.specs import spec_to_dict
+from identifiers.common.observers import fitted_start, run_in_steps
+
+__all__ = ["LagModel", "Scaling", "regression_data"]
+
+_START = 30
+"""Samples that the unknown past at the start of a record is fitted to: some times the usual number of lags."""
+
+_SURE = 1e-6
+"""Standard deviation of an output that was just measured, relative to its scale: it is known."""
+
+_FAR = 100.0
+"""A free run so many scales away from the data has diverged, as in :mod:`identifiers.sparse.sparse_model`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scaling:
+    """Mean and size of regressors and targets, so that learners see numbers about 1.
+
+    Parameters
+    ----------
+    x_mean, x_std : array (p,)
+    y_mean, y_std : array (ny,)
+    """
+
+    x_mean: FloatArray
+    x_std: FloatArray
+    y_mean: FloatArray
+    y_std: FloatArray
+
+    @classmethod
+    def of(cls, rows: FloatArray, targets: FloatArray) -> Scaling:
+        """Return the scaling of data; a column that never moves has the size 1."""
+        x_std, y_std = rows.std(axis=0), targets.std(axis=0)
+        return cls(
+            rows.mean(axis=0), np.where(x_std > 0, x_std, 1.0), targets.mean(axis=0), np.where(y_std > 0, y_std, 1.0)
+        )
+
+    def rows(self, values: FloatArray) -> FloatArray:
+        """Return scaled regressors."""
+        return np.asarray((values - self.x_mean) / self.x_std)
+
+    def targets(self, values: FloatArray) -> FloatArray:
+        """Return scaled targets."""
+        return np.asarray((values - self.y_mean) / self.y_std)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+        return {name: getattr(self, name).tolist() for name in ("x_mean", "x_std", "y_mean", "y_std")}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Scaling:
+        """Return the scaling of a description."""
+        return cls(*(np.array(content[name], dtype=float) for name in ("x_mean", "x_std", "y_mean", "y_std")))
+
+
+@dataclass(frozen=True, eq=False)
+class LagModel(ABC):
+    """``y[k+1] = f(y[k], ..., y[k-L+1], u[k], ..., u[k-L+1])`` with an error of known size.
+
+    The state is ``[y[k], ..., y[k-L+1], u[k-1], ..., u[k-L+1], v]``, where v (ny,) is the variance of y[k]: 0 once it
+    was measured, that of the one-step error one step later; further ahead the variances of the steps are added, as if
+    an error stayed what it is. A subclass says :meth:`ahead` only.
+
+    Parameters
+    ----------
+    spec : PlantSpec
+    lags : int
+        L, at least 1.
+    scaling : Scaling
+        Of the regressors ``[y lags, u lags]``, and of what is learned: the next output, or its change.
+    """
+
+    spec: PlantSpec
+    lags: int
+    scaling: Scaling
+    notes: dict[str, Any] = field(default_factory=dict, kw_only=True)
+
+    @abstractmethod
+    def ahead(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and variance (..., ny) of the next output from regressors (..., p), all in the units of data."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+
+    @property
+    def y_size(self) -> FloatArray:
+        """Standard deviation of the outputs (ny,) in the estimation data."""
+        return self.scaling.x_std[: self.spec.ny]
+
+    @property
+    def burn_in(self) -> int:
+        """Samples that the lags reach back."""
+        return self.lags - 1
+
+    def initial_state(self, data: Trajectory) -> FloatArray:
+        """Return the state (nx,) at the first sample; the unknown past is fitted to the start of the record."""
+        same_language(self.spec, data)
+        ny = self.spec.ny
+        # Backwards along a parabola through the first samples, the input as it is at first.
+        few = min(len(data), 7)
+        past = np.tile(data.y[0], (self.lags, 1))
+        if few > 2 and self.lags > 1:
+            unwound = data.y[:few].copy()
+            for i, channel in enumerate(self.spec.outputs):
+                if channel.period is not None:
+                    unwound[:, i] = np.unwrap(unwound[:, i], period=channel.period)
+            curve = np.polynomial.polynomial.polyfit(np.arange(few), unwound, 2)
+            guess = np.polynomial.polynomial.polyval(-np.arange(1.0, self.lags), curve).T
+            size = 2 * self.y_size
+            past[1:] = np.clip(guess, data.y[:few].min(axis=0) - size, data.y[:few].max(axis=0) + size)
+        held = np.tile(data.u[0], self.lags - 1)
+        variance = (_SURE * self.y_size) ** 2
+
+        def complete(lagged: FloatArray) -> FloatArray:
+            lead = lagged.shape[:-1]
+            parts = [lagged, np.broadcast_to(held, (*lead, held.size)), np.broadcast_to(variance, (*lead, ny))]
+            return np.concatenate(parts, axis=-1)
+
+        if self.lags == 1:
+            return complete(past.ravel())
+        found = fitted_start(
+            lambda x, u: self.free_run(complete(x), u),
+            self.spec.outputs,
+            data,
+            past.ravel(),
+            scale=np.tile(self.y_size, self.lags),
+            lengths=(_START,),
+        )
+        return complete(found)
+
+    def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the present output (..., ny), the first part of the state."""
+        return np.asarray(x)[..., : self.spec.ny]
+
+    def predictive(self, x: FloatArray, u: FloatArray) -> NormalMixture:
+        """Return the normal distribution of the output (..., ny)."""
+        ny = self.spec.ny
+        variance = np.maximum(np.asarray(x)[..., -ny:], (_SURE * self.y_size) ** 2)
+        return normal(np.asarray(x)[..., :ny], np.sqrt(variance), self.spec.outputs)
+
+    def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the next state (..., nx); NaN once it is far outside the data."""
+        x = np.asarray(x, dtype=float)
+        ny, nu, past = self.spec.ny, self.spec.nu, self.lags * self.spec.ny
+        u = np.broadcast_to(u, (*x.shape[:-1], nu))
+        lagged_u = np.concatenate([u, x[..., past:-ny]], axis=-1)
+        rows = np.concatenate([x[..., :past], lagged_u], axis=-1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            mean, variance = self.ahead(rows)
+            near = (np.abs(mean - self.scaling.x_mean[:ny]) <= _FAR * self.y_size).all(axis=-1, keepdims=True)
+            mean = np.where(near, mean, np.nan)
+        kept_u = lagged_u[..., : (self.lags - 1) * nu]
+        return np.concatenate([mean, x[..., : past - ny], kept_u, variance + x[..., -ny:]], axis=-1)
+
+    def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the state with the present output as it was measured (..., nx)."""
+        new = np.array(x, dtype=float)
+        ny = self.spec.ny
+        new[..., :ny] = y
+        new[..., -ny:] = (_SURE * self.y_size) ** 2
+        return new
+
+    def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the outputs (M, N, ny) from states x (M, nx) under inputs u (M, N, nu)."""
+        return run_in_steps(self, x, u)
+
+    def head(self, kind: str) -> dict[str, Any]:
+        """Return what the descriptions of all kinds have."""
+        return {
+            "kind": kind,
+            "spec": spec_to_dict(self.spec),
+            "lags": self.lags,
+            "scaling": self.scaling.to_dict(),
+            "notes": self.notes,
+        }
+
+
+def regression_data(records: list[Trajectory], lags: int) -> tuple[FloatArray, FloatArray]:
+    """Return regressors (n, p) and next outputs (n, ny) of all records; no row reaches across a seam."""
+    from identifiers.common.records import lagged
+
+    rows = np.concatenate([lagged(record, lags) for record in records])
+    return rows, np.concatenate([record.y[lags:] for record in records])

@@ -1,0 +1,199 @@
+"""Linear state-space models in innovation form: what every linear identifier returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.errors import InputError
+from harness.scoring import same_language
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.scaling import Scaling, sizes
+
+__all__ = ["LinearModel"]
+
+# Outputs are not told apart by what a free run leaves of them below this fraction of their size.
+_QUIET = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """``x+ = A x + B u + a``, ``y = C x + D u + c``; a seen output corrects the state by ``L (y - C x - D u - c)``.
+
+    Parameters
+    ----------
+    spec : PlantSpec
+    a_matrix, b_matrix, c_matrix, d_matrix : array (nx, nx), (nx, nu), (ny, nx), (ny, nu)
+    filter_gain : array (nx, ny)
+        L; zero for a model that was fitted to free runs only.
+    state_offset, output_offset : array (nx,), (ny,)
+        Constants, for records around an operating point.
+    burn_in : int
+        Samples of a record that the memory of the model reaches back.
+    notes : dict
+        Condition numbers, singular values, what the fit wants to say.
+    """
+
+    spec: PlantSpec
+    a_matrix: FloatArray
+    b_matrix: FloatArray
+    c_matrix: FloatArray
+    d_matrix: FloatArray
+    filter_gain: FloatArray
+    state_offset: FloatArray
+    output_offset: FloatArray
+    burn_in: int = 0
+    notes: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        nx = np.shape(self.a_matrix)[0]
+        nu, ny = self.spec.nu, self.spec.ny
+        shapes = {
+            "a_matrix": (nx, nx),
+            "b_matrix": (nx, nu),
+            "c_matrix": (ny, nx),
+            "d_matrix": (ny, nu),
+            "filter_gain": (nx, ny),
+            "state_offset": (nx,),
+            "output_offset": (ny,),
+        }
+        for name, shape in shapes.items():
+            array = np.array(getattr(self, name), dtype=float)
+            if array.shape != shape:
+                raise InputError(
+                    f"{name} of a linear model",
+                    expected=f"shape {shape}",
+                    got=str(array.shape),
+                    remedy="give matrices of one state dimension",
+                )
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def eigenvalues(self) -> npt.NDArray[np.complex128]:
+        """Eigenvalues of A (nx,), complex, by falling modulus."""
+        values = np.linalg.eigvals(self.a_matrix).astype(np.complex128)
+        return values[np.argsort(-np.abs(values), kind="stable")]
+
+    def initial_state(self, data: Trajectory) -> FloatArray:
+        """Return the state (nx,) whose free run fits the start of the record best (least squares, least norm)."""
+        same_language(self.spec, data)
+        nx = self.a_matrix.shape[0]
+        count = min(len(data), max(50, 4 * nx))
+        # Unstable modes: beyond this the free response swamps the rest of the regression.
+        radius = float(np.abs(np.linalg.eigvals(self.a_matrix)).max()) if nx else 0.0
+        if radius > 1.0:
+            count = min(count, max(nx + 1, int(np.log(1e6) / np.log(radius))))
+        count = max(1, min(count, len(data)))
+        forced = self.free_run(np.zeros((1, nx)), data.u[None, :count])[0]
+        observed = np.empty((count, self.spec.ny, nx))
+        power = self.c_matrix.copy()
+        for k in range(count):
+            observed[k] = power
+            power = power @ self.a_matrix
+        # Every state counts by what it does and every output by its size, then by what the free run leaves of it: no
+        # unit decides, and an output that is mostly noise does not either.
+        size = sizes([data[:count].y])
+        weight, target = 1.0 / size, data.y[:count] - forced
+        found = np.zeros(nx)
+        for last in (False, True):
+            rows = (observed * weight[:, None]).reshape(-1, nx)
+            length = np.linalg.norm(rows, axis=0)
+            length = np.where(length > 0, length, 1.0)
+            found = np.asarray(np.linalg.lstsq(rows / length, (target * weight).ravel(), rcond=1e-10)[0]) / length
+            if last or self.spec.ny == 1:
+                break
+            left = np.sqrt(np.mean((target - observed @ found) ** 2, axis=0))
+            weight = 1.0 / np.maximum(left, _QUIET * size)
+        return found
+
+    def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the output (..., ny)."""
+        y: FloatArray = x @ self.c_matrix.T + u @ self.d_matrix.T + self.output_offset
+        return y
+
+    def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the next state (..., nx)."""
+        new: FloatArray = x @ self.a_matrix.T + u @ self.b_matrix.T + self.state_offset
+        return new
+
+    def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the state (..., nx) after an output was seen."""
+        new: FloatArray = x + (y - self.output(x, u)) @ self.filter_gain.T
+        return new
+
+    def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the outputs (M, N, ny) from states x (M, nx) under inputs u (M, N, nu)."""
+        m, n = u.shape[:2]
+        driven = u @ self.b_matrix.T + self.state_offset
+        states = np.empty((m, n, self.a_matrix.shape[0]))
+        transposed = np.ascontiguousarray(self.a_matrix.T)
+        state = np.array(np.broadcast_to(x, (m, self.a_matrix.shape[0])))
+        for k in range(n):
+            states[:, k] = state
+            state = state @ transposed + driven[:, k]
+        y: FloatArray = states @ self.c_matrix.T + u @ self.d_matrix.T + self.output_offset
+        return y
+
+    def in_units(self, scaling: Scaling) -> LinearModel:
+        """Return this model, fitted to scaled records, for records in their own units."""
+        u, y = scaling.inputs, scaling.outputs
+        return replace(
+            self,
+            b_matrix=self.b_matrix / u,
+            c_matrix=self.c_matrix * y[:, None],
+            d_matrix=self.d_matrix * y[:, None] / u,
+            filter_gain=self.filter_gain / y,
+            output_offset=self.output_offset * y,
+        )
+
+    def centred(self) -> LinearModel:
+        """Return the model of deviations from its equilibrium, without offsets (what control design wants)."""
+        nx = self.a_matrix.shape[0]
+        return replace(self, state_offset=np.zeros(nx), output_offset=np.zeros(self.spec.ny))
+
+    def impulse_response(self, length: int) -> FloatArray:
+        """Return the Markov parameters ``D, C B, C A B, ...``, shape (length, ny, nu)."""
+        found = np.empty((length, self.spec.ny, self.spec.nu))
+        state = self.b_matrix
+        for k in range(length):
+            found[k] = self.c_matrix @ state if k else self.d_matrix
+            state = self.a_matrix @ state if k else state
+        return found
+
+    def frequency_response(self, frequency: FloatArray) -> npt.NDArray[np.complex128]:
+        """Return ``C (z I - A)^-1 B + D`` at frequencies [Hz], shape (F, ny, nu)."""
+        z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.spec.sample_time)
+        nx = self.a_matrix.shape[0]
+        inner = np.linalg.solve(
+            z[:, None, None] * np.eye(nx) - self.a_matrix,
+            np.broadcast_to(self.b_matrix.astype(complex), (z.size, nx, self.spec.nu)),
+        )
+        return np.asarray(self.c_matrix @ inner + self.d_matrix, dtype=np.complex128)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+        arrays = ("a_matrix", "b_matrix", "c_matrix", "d_matrix", "filter_gain", "state_offset", "output_offset")
+        return {
+            "kind": "linear",
+            "spec": spec_to_dict(self.spec),
+            **{name: getattr(self, name).tolist() for name in arrays},
+            "burn_in": self.burn_in,
+            "notes": self.notes,
+        }
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> LinearModel:
+        """Return the model of a description."""
+        spec = spec_from_dict(content["spec"])
+        nx = len(content["a_matrix"])
+        shapes = {"b_matrix": (nx, spec.nu), "d_matrix": (spec.ny, spec.nu), "c_matrix": (spec.ny, nx)}
+        names = ("a_matrix", "b_matrix", "c_matrix", "d_matrix", "filter_gain", "state_offset", "output_offset")
+        arrays = {name: np.array(content[name], dtype=float) for name in names}
+        for name, shape in shapes.items():
+            arrays[name] = arrays[name].reshape(shape)
+        return cls(spec, **arrays, burn_in=int(content["burn_in"]), notes=dict(content.get("notes", {})))

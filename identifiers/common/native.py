@@ -1,0 +1,46 @@
+"""C sources beside this file, compiled once and kept in the user's cache."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import logging
+import platform
+from pathlib import Path
+from typing import Any
+
+__all__ = ["library", "pointers"]
+
+log = logging.getLogger(__name__)
+
+
+@functools.cache
+def library(name: str) -> Any:
+    """Return the compiled library of ``identifiers/NAME.c``, or None where there is no C compiler.
+
+    Examples
+    --------
+    >>> library("hmm_loop") is library("hmm_loop")
+    True
+    """
+    from harness.fmi import build
+    from harness.fmi.compiled import build_once
+
+    source = Path(__file__).with_name(f"{name}.c")
+    try:
+        key = source.read_bytes() + repr((platform.machine(), platform.system(), build.FLAGS)).encode()
+        path = build_once(
+            hashlib.sha256(key).hexdigest()[:24],
+            f"{name}{build.library_suffix()}",
+            lambda target: build.compile_library([source], target, "-O3"),
+        )
+        return ctypes.CDLL(str(path))
+    except (build.BuildError, OSError) as error:
+        log.info("%s runs in numpy: %s", name, error)
+        return None
+
+
+def pointers(*arrays: Any) -> list[int]:
+    """Return the addresses of arrays for a call into C."""
+    return [array.ctypes.data for array in arrays]

@@ -1,0 +1,414 @@
+"""Extended dynamic mode decomposition with control: a Koopman model, linear in functions of the outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import combinations_with_replacement
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.errors import FitError, InputError
+from harness.judgement import refuse_law
+from harness.models.lqr import spectral_radius
+from harness.scoring import same_language
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.excitation import Columns, refuse_feedback
+from identifiers.common.normal import NormalEquations
+from identifiers.common.one_step_estimate import lifted_estimate
+from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.regression import Solution, solve
+from identifiers.common.stability import clip_eigenvalues, nearest_stable
+from identifiers.linear.arx import solution_notes
+from identifiers.sparse.stlsq import eliminate
+
+__all__ = ["Dictionary", "Edmdc", "KoopmanModel", "register_functions", "registered"]
+
+_BLOCK = 50_000
+_USERS: dict[str, Callable[[FloatArray], FloatArray]] = {}
+
+
+def register_functions(name: str, functions: Callable[[FloatArray], FloatArray]) -> None:
+    """Make functions of the user known, for the option ``functions`` of ``edmdc`` and for models read from files.
+
+    A stored model holds the name only, so that reading one never runs code of the file.
+
+    Parameters
+    ----------
+    name : str
+    functions : callable
+        Takes arguments (..., n), outputs in their own units and delays as ``edmdc`` stacks them, and returns (..., m).
+
+    Examples
+    --------
+    >>> register_functions("energy", lambda y: y[..., :1] ** 2)
+    >>> registered("energy")(np.array([[3.0]])).tolist()
+    [[9.0]]
+    """
+    _USERS[name] = functions
+
+
+def registered(name: str) -> Callable[[FloatArray], FloatArray]:
+    """Return the functions registered under a name.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    if name not in _USERS:
+        raise InputError(
+            f"functions {name!r} of a Koopman dictionary",
+            expected=f"one of {', '.join(_USERS) or 'none registered'}",
+            got=repr(name),
+            remedy="call identifiers.koopman.koopman.register_functions(name, functions) first",
+        )
+    return _USERS[name]
+
+
+def _users(name: str, arguments: FloatArray) -> FloatArray:
+    """Return what functions of the user give (..., m), or say that their shape is wrong."""
+    found = np.asarray(registered(name)(arguments), dtype=float)
+    if found.shape[:-1] != arguments.shape[:-1] or found.ndim != arguments.ndim:
+        raise InputError(
+            f"functions {name!r} of a Koopman dictionary",
+            expected=f"an array of shape {(*arguments.shape[:-1], 'm')}",
+            got=str(found.shape),
+            remedy="keep the leading axes and put the functions on the last",
+        )
+    return found
+
+
+@lru_cache(maxsize=64)
+def _monomials(n: int, degree: int) -> npt.NDArray[np.intp]:
+    """Return the factors (m, degree) of all monomials of a degree in n arguments."""
+    return np.array(list(combinations_with_replacement(range(n), degree)), dtype=np.intp)
+
+
+@dataclass(frozen=True)
+class Dictionary:
+    """Functions of the outputs (and their past) that lift them to a Koopman state.
+
+    The lifted state starts with the arguments themselves, so that the output is read off without error.
+
+    Parameters
+    ----------
+    degree : int
+        Monomials up to this degree.
+    trigonometric : bool
+        Sine and cosine of every argument.
+    centres : tuple of tuple of float
+        Centres of radial functions in the scaled arguments.
+    scale : tuple of float
+        The arguments are divided by these first.
+    width : float
+        Of Gaussian radial functions ``exp(-r^2 / (2 width^2))``; 0 takes thin-plate splines ``r^2 log r``.
+    fourier : int
+        Sines and cosines of ``pi j z`` for j = 1 .. fourier of every scaled argument z (its range is -1 .. 1).
+    functions : tuple of str
+        Names of functions of the user, see :func:`register_functions`.
+    """
+
+    degree: int = 1
+    trigonometric: bool = False
+    centres: tuple[tuple[float, ...], ...] = ()
+    scale: tuple[float, ...] = ()
+    width: float = 0.0
+    fourier: int = 0
+    functions: tuple[str, ...] = ()
+
+    def lift(self, arguments: FloatArray) -> FloatArray:
+        """Return the lifted state (..., nz) of arguments (..., n)."""
+        z = arguments / np.asarray(self.scale)
+        n = z.shape[-1]
+        parts = [z, np.ones((*z.shape[:-1], 1))]
+        for degree in range(2, self.degree + 1):
+            parts.append(np.prod(z[..., _monomials(n, degree)], axis=-1))
+        if self.trigonometric:
+            parts += [np.sin(arguments), np.cos(arguments) - 1.0]
+        if self.centres:
+            distance = np.linalg.norm(z[..., None, :] - np.asarray(self.centres), axis=-1)
+            if self.width > 0:
+                parts.append(np.exp(-0.5 * (distance / self.width) ** 2))
+            else:
+                parts.append(distance**2 * np.log(np.where(distance > 0, distance, 1.0)))
+        for j in range(1, self.fourier + 1):
+            parts += [np.sin(np.pi * j * z), np.cos(np.pi * j * z)]
+        parts += [_users(name, arguments) for name in self.functions]
+        return np.concatenate(parts, axis=-1)
+
+    def names(self, arguments: Sequence[str], size: int) -> list[str]:
+        """Return the names of the functions, given those of the arguments and the number of functions.
+
+        Examples
+        --------
+        >>> Dictionary(2, scale=(1.0, 1.0)).names(["a", "b"], 6)
+        ['a', 'b', '1', 'a a', 'a b', 'b b']
+        """
+        names = [*arguments, "1"]
+        for degree in range(2, self.degree + 1):
+            names += [" ".join(pick) for pick in combinations_with_replacement(arguments, degree)]
+        if self.trigonometric:
+            names += [f"{what}({argument})" for what in ("sin", "cos") for argument in arguments]
+        names += [f"radial {j + 1}" for j in range(len(self.centres))]
+        for j in range(1, self.fourier + 1):
+            names += [f"{what}({j} pi {argument})" for what in ("sin", "cos") for argument in arguments]
+        return names + [f"function {j + 1} of {', '.join(self.functions)}" for j in range(size - len(names))]
+
+
+@dataclass(frozen=True, eq=False)
+class KoopmanModel:
+    """``z+ = A z + B u`` on lifted outputs; the state is ``[z, past outputs and inputs]``.
+
+    A seen output replaces the present one and the state is lifted anew; in free run the lifted state moves linearly.
+    """
+
+    spec: PlantSpec
+    a_matrix: FloatArray
+    b_matrix: FloatArray
+    dictionary: Dictionary
+    delays: int
+    notes: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def burn_in(self) -> int:
+        """Samples until the lifted state has seen its whole past; none without delays."""
+        return self.delays if self.delays > 1 else 0
+
+    @property
+    def lifted(self) -> int:
+        """Dimension of the lifted state."""
+        return int(self.a_matrix.shape[0])
+
+    def initial_state(self, data: Trajectory) -> FloatArray:
+        """Return the state (nx,) at the first sample; the past is the straight line through the first samples."""
+        same_language(self.spec, data)
+        back = np.arange(self.delays)[:, None]
+        slope = np.zeros(self.spec.ny)
+        few = min(len(data), 2 * self.delays)
+        if self.delays > 1 and few > 1:
+            slope = np.polyfit(np.arange(few), data.y[:few], 1)[0]
+        held = np.tile(data.u[0], self.delays - 1)
+        return self._state(np.concatenate([(data.y[0] - back * slope).ravel(), held]))
+
+    def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the output (..., ny), the first arguments of the lifted state."""
+        y: FloatArray = x[..., : self.spec.ny] * np.asarray(self.dictionary.scale)[: self.spec.ny]
+        return y
+
+    def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the next state (..., nx)."""
+        z, past = x[..., : self.lifted], x[..., self.lifted :]
+        moved = z @ self.a_matrix.T + u @ self.b_matrix.T
+        ny, nu = self.spec.ny, self.spec.nu
+        seen, held = past[..., : self.delays * ny], past[..., self.delays * ny :]
+        parts = [moved, self.output(moved, u), seen[..., : (self.delays - 1) * ny]]
+        if self.delays > 1:
+            parts += [np.broadcast_to(u, (*x.shape[:-1], nu)), held[..., : (self.delays - 2) * nu]]
+        return np.concatenate(parts, axis=-1)
+
+    def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the state (..., nx) lifted from the output just seen."""
+        past = x[..., self.lifted + self.spec.ny :]
+        return self._state(np.concatenate([np.broadcast_to(y, (*x.shape[:-1], self.spec.ny)), past], axis=-1))
+
+    def _state(self, past: FloatArray) -> FloatArray:
+        return np.concatenate([self.dictionary.lift(past), past], axis=-1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+        return {
+            "kind": "koopman",
+            "spec": spec_to_dict(self.spec),
+            "a_matrix": self.a_matrix.tolist(),
+            "b_matrix": self.b_matrix.tolist(),
+            "dictionary": {
+                "degree": self.dictionary.degree,
+                "trigonometric": self.dictionary.trigonometric,
+                "centres": [list(centre) for centre in self.dictionary.centres],
+                "scale": list(self.dictionary.scale),
+                "width": self.dictionary.width,
+                "fourier": self.dictionary.fourier,
+                "functions": list(self.dictionary.functions),
+            },
+            "delays": self.delays,
+            "notes": self.notes,
+        }
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> KoopmanModel:
+        """Return the model of a description."""
+        spec = spec_from_dict(content["spec"])
+        given = content["dictionary"]
+        dictionary = Dictionary(
+            int(given["degree"]),
+            bool(given["trigonometric"]),
+            tuple(tuple(map(float, centre)) for centre in given["centres"]),
+            tuple(map(float, given["scale"])),
+            float(given.get("width", 0.0)),
+            int(given.get("fourier", 0)),
+            tuple(map(str, given.get("functions", ()))),
+        )
+        for name in dictionary.functions:
+            registered(name)
+        a = np.array(content["a_matrix"], dtype=float)
+        b = np.array(content["b_matrix"], dtype=float).reshape(a.shape[0], spec.nu)
+        return cls(spec, a, b, dictionary, int(content["delays"]), dict(content.get("notes", {})))
+
+
+@dataclass(frozen=True)
+class Edmdc:
+    """Extended DMD with control: a linear map between lifted outputs, driven by the input.
+
+    Williams, Kevrekidis & Rowley 2015 (J. Nonlinear Sci. 25:1307, eq. 13); Korda & Mezic 2018 (Automatica 93:149,
+    eq. 18).
+
+    Parameters
+    ----------
+    degree : int
+        Monomials of the outputs up to this degree; more is not always better.
+    trigonometric : bool
+        Sine and cosine of the outputs too, for angles.
+    radial : int
+        Number of radial functions, their centres drawn from the data.
+    width : float
+        Width of Gaussian radial functions, in arguments scaled to -1 .. 1; 0 takes thin-plate splines.
+    fourier : int
+        Sines and cosines of so many harmonics of every scaled argument.
+    functions : tuple of str
+        Functions of the user by the name they were registered under (:func:`register_functions`).
+    threshold : float
+        Sparse Koopman matrices: entries whose loss raises the residual least are dropped, one at a time, while it stays
+        below this fraction of the lifted function or 1.22 times its value without dropping
+        (:func:`identifiers.sparse.stlsq.eliminate`). 0 keeps all.
+    delays : int
+        Number of past samples among the arguments (1: none).
+    stable : bool
+        Nearest stable model where a free run would grow: all eigenvalues but that of the constant function, which is 1,
+        within radius 0.999. Not with ``threshold``: the nearest stable matrix is not sparse.
+    ridge : float
+        Tikhonov weight relative to the scaled columns; lifted columns are often nearly dependent.
+    least_excitation : float
+        As of ``least-squares``.
+    """
+
+    degree: int = 2
+    trigonometric: bool = False
+    radial: int = 0
+    width: float = 0.0
+    fourier: int = 0
+    functions: tuple[str, ...] = ()
+    threshold: float = 0.0
+    delays: int = 1
+    stable: bool = False
+    ridge: float = 1e-10
+    least_excitation: float = 2.0
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> KoopmanModel:
+        """Return the lifted linear model."""
+        what = "edmdc"
+        if self.degree < 1 or self.delays < 1 or min(self.radial, self.fourier) < 0 or not 0 <= self.threshold < 1:
+            raise FitError(
+                f"{what}: options",
+                expected="degree >= 1, delays >= 1, radial >= 0, fourier >= 0, 0 <= threshold < 1",
+                got=f"degree={self.degree}, delays={self.delays}, radial={self.radial}, fourier={self.fourier}, "
+                f"threshold={self.threshold}",
+                remedy="correct the options",
+            )
+        if self.stable and self.threshold > 0:
+            raise FitError(
+                f"{what}: stable and threshold together",
+                expected="one of them",
+                got=f"stable=True, threshold={self.threshold}",
+                remedy="leave out threshold: the nearest stable matrix is not sparse",
+            )
+        records, spec = usable(trajectories, samples=self.delays + 2, what=what)
+        real_signals(spec, what)
+        moving(records, what)
+        refuse_law(records, what, self.least_excitation)
+        arguments = [_arguments(record, self.delays) for record in records]
+        together = np.concatenate(arguments)
+        scale = np.abs(together).max(axis=0)
+        scale = np.where(scale > 0, scale, 1.0)
+        centres: tuple[tuple[float, ...], ...] = ()
+        if self.radial:
+            picked = rng.choice(len(together), size=min(self.radial, len(together)), replace=False)
+            centres = tuple(tuple(map(float, row)) for row in together[np.sort(picked)] / scale)
+        dictionary = Dictionary(
+            self.degree,
+            self.trigonometric,
+            centres,
+            tuple(map(float, scale)),
+            self.width,
+            self.fourier,
+            tuple(self.functions),
+        )
+
+        def blocks() -> Iterator[tuple[FloatArray, FloatArray]]:
+            for record, rows in zip(records, arguments, strict=True):
+                for start in range(0, len(rows) - 1, _BLOCK):
+                    lifted = dictionary.lift(rows[start : start + _BLOCK + 1])
+                    held = record.u[self.delays - 1 + start :][: len(lifted) - 1]
+                    yield np.hstack([lifted[:-1], held]), lifted[1:]
+
+        solution = solve(blocks, what, ridge=self.ridge, rank_tolerance=1e-14)
+        size = solution.coefficients.shape[1]
+        lifted_columns = Columns.lifted(size, spec)
+        refuse_feedback(solution, lifted_columns, self.least_excitation, what, ridge=self.ridge)
+        theta, notes = solution.coefficients.T, solution_notes(solution)
+        if self.threshold > 0:
+            theta, notes["terms"] = self._sparse(blocks, size + spec.nu, size)
+        elif self.stable and (settled := _settled(solution, together.shape[1])) is not None:
+            theta, notes["stabilized"] = settled, True
+        elif (
+            estimate := lifted_estimate(dictionary.names(_names(spec, self.delays), size), spec, solution)
+        ) is not None:
+            notes["estimate"] = estimate.to_dict()
+        return KoopmanModel(spec, theta[:, :size], theta[:, size:], dictionary, self.delays, notes)
+
+    def _sparse(
+        self, blocks: Callable[[], Iterator[tuple[FloatArray, FloatArray]]], p: int, m: int
+    ) -> tuple[FloatArray, int]:
+        """Return the lifted matrix [A B] with the entries that do not count left out, and how many are left."""
+        sums = NormalEquations.of(((phi.T, target.T) for phi, target in blocks()), p, m)
+        coefficients, support = eliminate(sums, self.threshold)
+        return coefficients.T, int(support.sum())
+
+
+def _names(spec: PlantSpec, delays: int) -> list[str]:
+    """Return the names of the arguments, as they are stacked."""
+    names = [c.name + (f"[k-{j}]" if j else "") for j in range(delays) for c in spec.outputs]
+    return names + [f"{c.name}[k-{j}]" for j in range(1, delays) for c in spec.inputs]
+
+
+def _settled(solution: Solution, constant: int) -> FloatArray | None:
+    """Return the nearest lifted matrix [A B] whose free runs do not grow, None where the fit's own do not.
+
+    The constant function keeps itself and drives the others as an input does; theirs is the part that must be stable.
+    """
+    size = solution.coefficients.shape[1]
+    moving_functions = np.delete(np.arange(size), constant)
+    order = np.concatenate([moving_functions, [constant], np.arange(size, len(solution.coefficients))])
+    theta = solution.coefficients[order][:, moving_functions]
+    if spectral_radius(theta[: size - 1]) < 1.0:
+        return None
+    factor = (solution.factor * solution.scale)[:, order]
+    length = np.linalg.norm(factor[:, : size - 1], axis=0)
+    weights = 1.0 / np.where(length > 0, length, 1.0)
+    nearest = nearest_stable(theta, factor, size - 1, clip_eigenvalues, weights)
+    whole = np.zeros_like(solution.coefficients)
+    whole[np.ix_(order, moving_functions)] = nearest
+    whole[constant, constant] = 1.0
+    return whole.T
+
+
+def _arguments(record: Trajectory, delays: int) -> FloatArray:
+    """Return rows ``[y[k], ..., y[k - d + 1], u[k - 1], ..., u[k - d + 1]]`` for k = d - 1 .. N - 1."""
+    n = len(record)
+    parts = [record.y[delays - 1 - j : n - j] for j in range(delays)]
+    parts += [record.u[delays - 1 - j : n - j] for j in range(1, delays)]
+    return np.hstack(parts)

@@ -1,0 +1,198 @@
+"""Autoregressive network with attention over past samples: trained with torch, run with numpy alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.signals import FloatArray, Trajectory
+from identifiers.common.ensemble import Ensemble
+from identifiers.learned.lag_network import LagNetwork
+from identifiers.learned.lag_training import lag_task
+
+__all__ = ["AttentionEnsemble", "AttentionModel", "AttentionNetwork"]
+
+_TABLES = ("embed", "place", "query", "key", "value", "mix", "inner", "bias", "outer", "read")
+"""Of every member, in the order in which they are trained."""
+
+
+@dataclass(frozen=True, eq=False)
+class AttentionModel(LagNetwork):
+    """The change of the output is affine in the lags, plus what attention finds in them.
+
+    Every past sample ``[y, u]`` is a token. The newest asks, all of them answer: scaled dot-product attention with
+    several heads and learned places (Vaswani et al. 2017, *NeurIPS*, eq. 1 and sec. 3.2.2), then a tanh layer, each
+    added to what was there. With one output to predict only the newest token needs to ask.
+
+    Parameters
+    ----------
+    tables : dict of array
+        embed (ny + nu, d), place (L, d), query, key, value (d, d), mix (d, d), inner (d, h), bias (1, h), outer
+        (h, d), read (d, ny).
+    heads : int
+    """
+
+    tables: dict[str, FloatArray]
+    heads: int
+
+    def change(self, x: FloatArray) -> FloatArray:
+        """Return what the network adds (..., ny) at scaled rows (..., p), scaled."""
+        found = _attend(np, [self.tables[name] for name in _TABLES], x.reshape(-1, x.shape[-1]), self.heads)
+        return np.asarray(found.reshape(*x.shape[:-1], self.spec.ny))
+
+    def attention(self, rows: FloatArray) -> FloatArray:
+        """Return how much each past sample weighs (n, heads, L), newest first, at regressors (n, p)."""
+        tables = [self.tables[name] for name in _TABLES]
+        return np.asarray(_weights(np, tables, _tokens(tables, self.scaling.rows(rows)), self.heads))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+        tables = {name: table.tolist() for name, table in self.tables.items()}
+        return {**self.head("attention"), "tables": tables, "heads": self.heads}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> AttentionModel:
+        """Return the model of a description."""
+        tables = {name: np.array(content["tables"][name], dtype=float) for name in _TABLES}
+        return cls.read(content, tables=tables, heads=int(content["heads"]))
+
+
+@dataclass(frozen=True, eq=False)
+class AttentionEnsemble(Ensemble):
+    """Attention networks as one model."""
+
+    kind = "attention-ensemble"
+    member = AttentionModel
+
+
+@dataclass(frozen=True)
+class AttentionNetwork:
+    """Ensemble of networks that look back over many samples by attention, for plants whose past matters late.
+
+    As ``neural-network`` an affine fit comes first and the network learns what it leaves; the last fifth of every
+    record is held out. Attention costs as much with 50 lags as with 5, and finds which of them matter. Needs torch for
+    the fit (extra ``learned``); the model runs with numpy.
+
+    Parameters
+    ----------
+    order : int
+        Past outputs and inputs.
+    width : int
+        Numbers that a sample is turned into; a multiple of ``heads``.
+    heads : int
+        Questions asked at the same time.
+    hidden : int
+        Units of the tanh layer.
+    members : int
+        Networks.
+    steps : int
+        Of Adam.
+    rate : float
+        Learning rate at the start; it falls as a cosine.
+    batch : int
+        Rows of a batch.
+    checkpoint : path, optional
+        File from which an interrupted fit goes on.
+    progress : bool
+        Show a bar on the error stream.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
+    """
+
+    order: int = 20
+    width: int = 16
+    heads: int = 4
+    hidden: int = 32
+    members: int = 3
+    steps: int = 1500
+    rate: float = 5e-3
+    batch: int = 128
+    checkpoint: str | None = None
+    progress: bool = False
+    least_excitation: float = 2.0
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> AttentionEnsemble:
+        """Return the ensemble; held-out losses stand in its notes."""
+        what = "attention-network"
+        numbers = (self.order, self.width, self.heads, self.hidden, self.members, self.steps, self.batch)
+        if min(numbers) < 1 or not self.rate > 0 or self.width % self.heads:
+            raise InputError(
+                f"options of {what}",
+                expected="numbers of at least 1, a rate > 0, a width that is a multiple of heads",
+                got=f"{numbers}, rate {self.rate}",
+                remedy="correct them",
+            )
+        task = lag_task(trajectories, self.order, what, self.least_excitation)
+        spec, d = task.spec, self.width
+        shapes = {
+            "embed": (spec.ny + spec.nu, d),
+            "place": (self.order, d),
+            **{name: (d, d) for name in ("query", "key", "value", "mix")},
+            "inner": (d, self.hidden),
+            "bias": (1, self.hidden),
+            "outer": (self.hidden, d),
+            "read": (d, spec.ny),
+        }
+        tables = [rng.normal(size=(self.members, *shapes[name])) / np.sqrt(shapes[name][0]) for name in _TABLES]
+        tables[_TABLES.index("place")] *= np.sqrt(self.order)
+        tables[_TABLES.index("bias")] *= 0.0
+        tables[_TABLES.index("read")] *= 0.1
+        found, history = task.train(
+            tables,
+            lambda torch, tensors, rows: _attend(torch, tensors, rows, self.heads),
+            (self.steps, self.rate, self.batch),
+            rng=rng,
+            what=what,
+            checkpoint=self.checkpoint,
+            progress=self.progress,
+        )
+        members = []
+        for number in range(self.members):
+            own = {name: table[number] for name, table in zip(_TABLES, found, strict=True)}
+            own["read"] = own["read"] * task.size
+            shared = (spec, self.order, task.scaling, task.affine, np.ones(spec.ny), None)
+            members.append(AttentionModel(*shared, tables=own, heads=self.heads))
+        notes = {"held-out loss": history[-1], "samples": len(task.x), "held out": len(task.kept)}
+        return AttentionEnsemble(spec, task.banded(members), notes)
+
+
+# ---- one definition for numpy, which runs, and torch, which trains ---------------------------------------------------
+
+
+def _tokens(tables: Sequence[Any], rows: Any) -> Any:
+    """Return the embedded samples (..., n, L, d) of rows (..., n, L (ny + nu)), newest first."""
+    embed, place = tables[0], tables[1]
+    lags, signals = place.shape[-2], embed.shape[-2]
+    outputs = tables[_TABLES.index("read")].shape[-1]
+    y = rows[..., : lags * outputs].reshape(*rows.shape[:-1], lags, outputs)
+    u = rows[..., lags * outputs :].reshape(*rows.shape[:-1], lags, signals - outputs)
+    return y @ embed[..., None, :outputs, :] + u @ embed[..., None, outputs:, :] + place[..., None, :, :]
+
+
+def _weights(library: Any, tables: Sequence[Any], tokens: Any, heads: int) -> Any:
+    """Return the attention of the newest token (..., n, heads, L)."""
+    query, key = tables[2], tables[3]
+    *lead, lags, d = tokens.shape
+    asked = (tokens[..., 0, :] @ query).reshape(*lead, heads, 1, d // heads)
+    keys = (tokens @ key[..., None, :, :]).reshape(*lead, lags, heads, d // heads).swapaxes(-3, -2)
+    scores = (asked * keys).sum(-1) / (d // heads) ** 0.5
+    powers = library.exp(scores - library.amax(scores, -1)[..., None])
+    return powers / powers.sum(-1)[..., None]
+
+
+def _attend(library: Any, tables: Sequence[Any], rows: Any, heads: int) -> Any:
+    """Return the outputs (..., n, ny) of rows (..., n, p); tables may have a leading axis of members."""
+    _, _, _, _, value, mix, inner, bias, outer, read = tables
+    tokens = _tokens(tables, rows)
+    *lead, lags, d = tokens.shape
+    share = _weights(library, tables, tokens, heads)
+    values = (tokens @ value[..., None, :, :]).reshape(*lead, lags, heads, d // heads).swapaxes(-3, -2)
+    answer = (share[..., None] * values).sum(-2).reshape(*lead, d)
+    x = tokens[..., 0, :] + answer @ mix
+    x = x + library.tanh(x @ inner + bias) @ outer
+    return x @ read

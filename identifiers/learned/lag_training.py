@@ -1,0 +1,161 @@
+"""Training of one-step networks on lagged outputs and inputs: what an affine fit leaves, members side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from harness.judgement import refuse_undetermined
+from harness.rng import stream
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.common.ensemble import own_spread
+from identifiers.common.lag_state import Scaling, regression_data
+from identifiers.common.reach import Reach
+from identifiers.common.records import moving, real_signals, usable
+from identifiers.learned.lag_network import LagNetwork
+from identifiers.learned.training import Schedule, need_torch, one_thread, train
+
+__all__ = ["LagTask", "lag_task"]
+
+M = TypeVar("M", bound=LagNetwork)
+
+_RIDGE = 1e-8
+"""Of the affine fit, relative to the number of rows: keeps it real where regressors depend on one another."""
+
+_LEAST_STD = 1e-9
+"""Standard deviation of a prediction, relative to the size of the output, that no model may claim to be below."""
+
+
+@dataclass(frozen=True, eq=False)
+class LagTask:
+    """What a network learns: the part of the next output's change that an affine function of the rows leaves.
+
+    Parameters
+    ----------
+    spec : PlantSpec
+    order : int
+        Lags.
+    scaling : Scaling
+    x, wanted : array (n, p), (n, ny)
+        Scaled rows, and the leftover over its size.
+    held_x, held_wanted : array
+        The same of the held-out last fifth of every record.
+    affine : array (p + 1, ny)
+        In scaled numbers.
+    size : array (ny,)
+        Of the leftover, in scaled numbers.
+    kept, kept_later : array
+        Held-out rows and next outputs in their units.
+    """
+
+    spec: PlantSpec
+    order: int
+    scaling: Scaling
+    x: FloatArray
+    wanted: FloatArray
+    held_x: FloatArray
+    held_wanted: FloatArray
+    affine: FloatArray
+    size: FloatArray
+    kept: FloatArray
+    kept_later: FloatArray
+
+    def train(
+        self,
+        tables: Sequence[FloatArray],
+        network: Callable[[Any, Sequence[Any], Any], Any],
+        schedule: Schedule,
+        *,
+        rng: np.random.Generator,
+        what: str,
+        checkpoint: str | None,
+        progress: bool,
+    ) -> tuple[list[FloatArray], list[list[float]]]:
+        """Return the trained tables (members, ...) and the held-out losses.
+
+        Parameters
+        ----------
+        tables : sequence of array (members, ...)
+        network : callable
+            ``network(torch, tables, rows (members, n, p))`` returns (members, n, ny).
+        schedule : Schedule
+        rng : numpy.random.Generator
+        what : str
+            Name of the identifier.
+        checkpoint, progress
+            See :func:`identifiers.learned.training.train`.
+        """
+        torch = need_torch(what)
+        members = len(tables[0])
+        with one_thread(torch):
+            tensors = [torch.tensor(table, requires_grad=True) for table in tables]
+            inside, wanted = torch.from_numpy(self.x), torch.from_numpy(self.wanted)
+            held_inside = torch.from_numpy(self.held_x)[None].expand(members, -1, -1)
+            held_wanted = torch.from_numpy(self.held_wanted)[None]
+
+            def loss(index: Any) -> Any:
+                return ((network(torch, tensors, inside[index]) - wanted[index]) ** 2).mean(dim=(1, 2)).sum()
+
+            def held_out() -> Any:
+                return ((network(torch, tensors, held_inside) - held_wanted) ** 2).mean(dim=(1, 2))
+
+            history = train(
+                torch,
+                tensors,
+                loss,
+                held_out,
+                len(self.x),
+                schedule,
+                rng=rng,
+                members=members,
+                checkpoint=checkpoint,
+                progress=progress,
+                title=what,
+            )
+            return [tensor.detach().numpy() for tensor in tensors], history
+
+    def banded(self, drafts: Sequence[M]) -> tuple[M, ...]:
+        """Return the members with bands that hold on the held-out rows and widen beyond the data."""
+        each = np.array([draft.ahead(self.kept)[0] for draft in drafts])
+        spread = own_spread(self.kept_later - each.mean(axis=0), each.var(axis=0))
+        variance = np.maximum(spread, _LEAST_STD * drafts[0].y_size) ** 2
+        changes = [self.wanted, self.held_wanted]
+        rows, left = np.vstack([self.x, self.held_x]), np.vstack(changes) * self.size * self.scaling.y_std
+        reach = Reach.of(rows, left, rng=stream("reach"))
+        return tuple(replace(draft, variance=variance, reach=reach) for draft in drafts)
+
+
+def lag_task(trajectories: Sequence[Trajectory], order: int, what: str, least_excitation: float) -> LagTask:
+    """Return the task that records pose; raises FitError if they cannot be learned from.
+
+    Parameters
+    ----------
+    trajectories : sequence of Trajectory
+    order : int
+        Past outputs and inputs.
+    what : str
+        Name of the identifier, for messages.
+    least_excitation : float
+        As of :func:`harness.judgement.refuse_undetermined`.
+    """
+    records, spec = usable(trajectories, samples=max(10, 2 * order + 6), what=what)
+    real_signals(spec, what)
+    moving(records, what, inputs=False)
+    refuse_undetermined(records, what, least_excitation)
+    # Batches are drawn by row: in whatever order records come, they make the same model.
+    records.sort(key=lambda record: (len(record), record.y.tobytes()))
+    cuts = [len(record) - max(len(record) // 5, order + 2) for record in records]
+    rows, later = regression_data([record[:cut] for record, cut in zip(records, cuts, strict=True)], order)
+    kept, kept_later = regression_data([record[cut:] for record, cut in zip(records, cuts, strict=True)], order)
+    scaling = Scaling.of(rows, later - rows[:, : spec.ny])
+    x, y = scaling.rows(rows), scaling.targets(later - rows[:, : spec.ny])
+    held_x, held_y = scaling.rows(kept), scaling.targets(kept_later - kept[:, : spec.ny])
+    design = np.hstack([x, np.ones((len(x), 1))])
+    gram = design.T @ design + _RIDGE * len(x) * np.eye(design.shape[1])
+    affine = np.asarray(np.linalg.solve(gram, design.T @ y), dtype=float)
+    left, held_left = y - design @ affine, held_y - held_x @ affine[:-1] - affine[-1]
+    size = np.maximum(left.std(axis=0), 1e-12)
+    return LagTask(spec, order, scaling, x, left / size, held_x, held_left / size, affine, size, kept, kept_later)

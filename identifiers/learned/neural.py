@@ -1,0 +1,140 @@
+"""Neural networks on past outputs and inputs, as ensembles: trained with torch, run with numpy alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.signals import FloatArray, Trajectory
+from identifiers.common.ensemble import Ensemble
+from identifiers.learned.lag_network import LagNetwork
+from identifiers.learned.lag_training import lag_task
+from identifiers.learned.training import draw_layers
+
+__all__ = ["EnsembleModel", "NetworkModel", "NeuralNetwork"]
+
+Layers = tuple[tuple[FloatArray, FloatArray], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkModel(LagNetwork):
+    """The change of the output is an affine function of lagged outputs and inputs plus a tanh network of them.
+
+    Parameters
+    ----------
+    layers : tuple of (array (in, out), array (out,))
+        Of the network; the last one is linear.
+    """
+
+    layers: Layers
+
+    def change(self, x: FloatArray) -> FloatArray:
+        """Return what the network adds (..., ny) at scaled rows (..., p), scaled."""
+        for weight, bias in self.layers[:-1]:
+            x = np.tanh(x @ weight + bias)
+        weight, bias = self.layers[-1]
+        return np.asarray(x @ weight + bias)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+        return {**self.head("network"), "layers": [[weight.tolist(), bias.tolist()] for weight, bias in self.layers]}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> NetworkModel:
+        """Return the model of a description."""
+        layers = ((np.array(weight, dtype=float), np.array(bias, dtype=float)) for weight, bias in content["layers"])
+        return cls.read(content, layers=tuple(layers))
+
+
+@dataclass(frozen=True, eq=False)
+class EnsembleModel(Ensemble):
+    """Networks that predict the next output from past outputs and inputs, as one model."""
+
+    kind = "network-ensemble"
+    member = NetworkModel
+
+
+@dataclass(frozen=True)
+class NeuralNetwork:
+    """Ensemble of networks that predict the next output from past outputs and inputs.
+
+    An affine fit comes first, the network learns what it leaves; so a network that learns nothing is an ARX model. The
+    last fifth of every record is held out: each member ends at its best state there, and bands are
+    made to hold there. Outside the data they widen with the distance (:class:`identifiers.common.reach.Reach`). Needs
+    torch
+    for the fit (extra ``learned``); the model runs with numpy.
+
+    Parameters
+    ----------
+    order : int
+        Past outputs and inputs; 1 where the state is measured.
+    hidden : tuple of int
+        Units of the hidden layers.
+    members : int
+        Networks; 1 gives a single model.
+    steps : int
+        Of Adam.
+    rate : float
+        Learning rate at the start; it falls as a cosine.
+    batch : int
+        Rows of a batch.
+    checkpoint : path, optional
+        File from which an interrupted fit goes on.
+    progress : bool
+        Show a bar on the error stream.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
+    """
+
+    order: int = 1
+    hidden: tuple[int, ...] = (32, 32)
+    members: int = 5
+    steps: int = 2000
+    rate: float = 5e-3
+    batch: int = 256
+    checkpoint: str | None = None
+    progress: bool = False
+    least_excitation: float = 2.0
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> EnsembleModel:
+        """Return the ensemble; held-out losses stand in its notes."""
+        what = "neural-network"
+        numbers = (self.order, self.members, self.steps, self.batch, *self.hidden)
+        if min(numbers) < 1 or not self.rate > 0:
+            raise InputError(
+                f"options of {what}", expected="numbers of at least 1 and a rate > 0", got=str(numbers), remedy="raise"
+            )
+        task = lag_task(trajectories, self.order, what, self.least_excitation)
+        spec, scaling, size = task.spec, task.scaling, task.size
+        layers = draw_layers((task.x.shape[1], *self.hidden, spec.ny), rng, self.members)
+        layers[-1] = (0.1 * layers[-1][0], layers[-1][1])
+        found, history = task.train(
+            [part for layer in layers for part in layer],
+            _network,
+            (self.steps, self.rate, self.batch),
+            rng=rng,
+            what=what,
+            checkpoint=self.checkpoint,
+            progress=self.progress,
+        )
+        members = []
+        for i in range(self.members):
+            parts = [(found[j][i], found[j + 1][i, 0]) for j in range(0, len(found), 2)]
+            parts[-1] = (parts[-1][0] * size, parts[-1][1] * size)
+            members.append(
+                NetworkModel(spec, self.order, scaling, task.affine, np.ones(spec.ny), None, layers=tuple(parts))
+            )
+        notes = {"held-out loss": history[-1], "samples": len(task.x), "held out": len(task.kept)}
+        return EnsembleModel(spec, task.banded(members), notes)
+
+
+def _network(torch: Any, tables: Sequence[Any], rows: Any) -> Any:
+    """Return the outputs of tanh layers of all members."""
+    for number in range(0, len(tables) - 2, 2):
+        rows = torch.tanh(rows @ tables[number] + tables[number + 1])
+    return rows @ tables[-2] + tables[-1]

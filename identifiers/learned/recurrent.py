@@ -1,0 +1,397 @@
+"""Small recurrent networks fitted by the simulation error of whole records, as an ensemble; nothing more is needed."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.errors import FitError, InputError
+from harness.judgement import refuse_undetermined
+from harness.models.distributions import NormalMixture, normal
+from harness.rng import stream
+from harness.scoring import predict, same_language
+from harness.signals import FloatArray, PlantSpec, Trajectory, residual
+from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.ensemble import Ensemble, own_spread
+from identifiers.common.observers import best_gain, riccati_gains
+from identifiers.common.reach import Reach
+from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.scaling import centred
+from identifiers.learned.recurrent_fit import Fitted, Problem, descend, fit_start
+from identifiers.learned.recurrent_pass import Layout
+from identifiers.learned.training import bar
+
+__all__ = ["NeuralOutputError", "RecurrentEnsemble", "RecurrentModel"]
+
+_HORIZONS = (1, 3, 10, 30, 100)
+"""Steps ahead at which the spread of held-out errors is measured; between them it is interpolated."""
+
+_START = 50
+"""Samples that the unknown initial state is fitted to, as the public benchmarks allow (cascaded tanks, 2016)."""
+
+_LEAST_SPREAD = 1e-6
+"""Standard deviation of a prediction, relative to the size of the output, that no model may claim to be below."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecurrentModel:
+    """``x+ = x + z A + tanh(z W1) W2``, ``y = z C + tanh(z V1) V2`` with ``z = [x, u, 1]``, in scaled signals.
+
+    The state is ``[x, steps, drift]``. ``steps`` counts those since an output was seen: predictions are as uncertain as
+    those that many steps ahead were on held-out data. ``drift`` (ny,) is the standard deviation that a run has gathered
+    beyond the data since then; it fades as fast as the slowest motion of the model.
+
+    Parameters
+    ----------
+    spec : PlantSpec
+    layout : Layout
+    theta : array (p,)
+    u_mean, u_std, y_mean, y_std : array
+        Scaling of the signals.
+    x_mean, x_std : array (nx,)
+        Of the states in the estimation data: what is believed of an initial state.
+    fit_error : float
+        Rms of the free run in the estimation data, in scaled units.
+    filter_gain : array (nx, ny)
+        How a scaled output corrects the state.
+    spread : array (5, ny)
+        Standard deviation of held-out predictions 1, 3, 10, 30 and 100 steps ahead, in the units of the outputs.
+    unseen : array (ny,)
+        Share of the drift that a seen output leaves, from 0 to 1.
+    reach : Reach or None
+        Where the states and inputs of the data lie.
+    fade : float
+        Of the drift in a step, at most 1.
+    """
+
+    spec: PlantSpec
+    layout: Layout
+    theta: FloatArray
+    u_mean: FloatArray
+    u_std: FloatArray
+    y_mean: FloatArray
+    y_std: FloatArray
+    x_mean: FloatArray
+    x_std: FloatArray
+    fit_error: float
+    filter_gain: FloatArray
+    spread: FloatArray
+    unseen: FloatArray
+    reach: Reach | None
+    fade: float
+    notes: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def burn_in(self) -> int:
+        """No samples: the initial state is estimated."""
+        return 0
+
+    def initial_state(self, data: Trajectory) -> FloatArray:
+        """Return the likeliest state at the first sample (nx + 1 + ny,), from the first 50 and what is usual."""
+        same_language(self.spec, data)
+        few = data[: min(len(data), _START)]
+        problem = Problem(self.spec.outputs, self._input(few.u), few.y, self.y_mean, self.y_std)
+        start = fit_start(self.layout, self.theta, problem, self.x_mean, self.x_std, self.fit_error)
+        return self.whole(start)
+
+    def whole(self, start: FloatArray) -> FloatArray:
+        """Return the state (nx + 1 + ny,) of a model state (nx,) at a sample that is about to be seen."""
+        return np.concatenate([start, [1.0], np.zeros(self.spec.ny)])
+
+    def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the output (..., ny)."""
+        x = np.asarray(x, dtype=float)
+        inner = x[..., : self.layout.nx]
+        return np.asarray(self.y_mean + self.y_std * self.layout.output(self.theta, inner, self._input(u)))
+
+    def predictive(self, x: FloatArray, u: FloatArray) -> NormalMixture:
+        """Return the normal distribution of the output (..., ny)."""
+        x, nx = np.asarray(x, dtype=float), self.layout.nx
+        steps = np.log(np.maximum(x[..., nx], 1.0))
+        known = np.log(_HORIZONS)
+        std = np.stack([np.interp(steps, known, column) for column in self.spread.T], axis=-1)
+        return normal(self.output(x, u), np.hypot(std, x[..., nx + 1 :]), self.spec.outputs)
+
+    def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the next state (..., nx + 1 + ny); NaN once it is far outside the data."""
+        x, nx = np.asarray(x, dtype=float), self.layout.nx
+        scaled = self._input(u)
+        new = self.layout.step(self.theta, x[..., :nx], scaled)
+        drift = self.fade * x[..., nx + 1 :]
+        if self.reach is not None:
+            held = np.broadcast_to(scaled, (*x.shape[:-1], self.spec.nu))
+            drift = drift + self.reach.std(np.concatenate([(x[..., :nx] - self.x_mean) / self.x_std, held], axis=-1))
+        return np.concatenate([new, x[..., nx : nx + 1] + 1.0, drift], axis=-1)
+
+    def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the state (..., nx + 1 + ny) moved by the error of the output just seen."""
+        x, nx = np.asarray(x, dtype=float), self.layout.nx
+        predicted = self.output(x, u)
+        miss = residual(self.spec.outputs, np.broadcast_to(y, predicted.shape), predicted) / self.y_std
+        seen = x[..., :nx] + miss @ self.filter_gain.T
+        return np.concatenate([seen, 0.0 * x[..., nx : nx + 1], self.unseen * x[..., nx + 1 :]], axis=-1)
+
+    def free_run(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the outputs (M, N, ny) from states x (M, nx + 1 + ny) under inputs u (M, N, nu)."""
+        outputs = np.empty((*u.shape[:2], self.spec.ny))
+        for row, start, inputs in zip(outputs, np.asarray(x, dtype=float), self._input(u), strict=True):
+            scaled, _ = self.layout.run(self.theta, start[: self.layout.nx], inputs, sensitivities=False)
+            row[:] = self.y_mean + self.y_std * scaled
+        return outputs
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+        layout = self.layout
+        return {
+            "kind": "recurrent",
+            "spec": spec_to_dict(self.spec),
+            "layout": [layout.nx, layout.nu, layout.ny, layout.hidden, layout.outside],
+            "fit_error": self.fit_error,
+            **{name: getattr(self, name).tolist() for name in _ARRAYS},
+            "reach": None if self.reach is None else self.reach.to_dict(),
+            "fade": self.fade,
+            "notes": self.notes,
+        }
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> RecurrentModel:
+        """Return the model of a description."""
+        spec, layout = spec_from_dict(content["spec"]), Layout(*map(int, content["layout"]))
+        arrays = {name: np.array(content[name], dtype=float) for name in _ARRAYS}
+        fit_error, notes = float(content["fit_error"]), dict(content.get("notes", {}))
+        reach = None if content.get("reach") is None else Reach.from_dict(content["reach"])
+        fade = float(content["fade"])
+        return cls(spec=spec, layout=layout, fit_error=fit_error, notes=notes, reach=reach, fade=fade, **arrays)
+
+    def _input(self, u: FloatArray) -> FloatArray:
+        return np.asarray((np.asarray(u, dtype=float) - self.u_mean) / self.u_std)
+
+
+_ARRAYS = (
+    "theta",
+    "u_mean",
+    "u_std",
+    "y_mean",
+    "y_std",
+    "x_mean",
+    "x_std",
+    "filter_gain",
+    "spread",
+    "unseen",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class RecurrentEnsemble(Ensemble):
+    """Recurrent networks as one model."""
+
+    kind = "recurrent-ensemble"
+    member = RecurrentModel
+
+
+@dataclass(frozen=True)
+class NeuralOutputError:
+    """Ensemble of small neural state-space models, each fitted by the simulation error of whole records.
+
+    What output-error methods do for linear models (Ljung 1999, *System Identification*, sec. 7.2), for a network: the
+    free run over each whole record is compared with the data, initial states are unknowns like the weights, and
+    Levenberg and Marquardt's method uses the exact derivatives of the run, which compiled code carries along. States
+    have no meaning and outputs have a network of their own, so levels that nobody measured, saturating tanks and
+    sensors can be learned. The last fifth of every record is held out, simulated on from what came before: every start
+    ends at its best state there, and the ``members`` best of the ``starts`` make the ensemble. For records of up to
+    some ten thousands of samples, of plants whose free run stays near the truth; for unstable ones use
+    ``neural-state-space``.
+
+    Parameters
+    ----------
+    order : int
+        States.
+    hidden, outside : int
+        Units of the network of the state, and of that of the output.
+    ridge : float
+        Cost of the squares of the weights, in those of scaled output errors; a tenth of it for the linear part.
+    starts : int
+        Random starts: every second one from cascades of lags with random time constants, the others from a subspace
+        model.
+    members : int
+        Networks of the ensemble.
+    iterations : int
+        At most, for each start.
+    direct : bool
+        Let y[k] depend on u[k]; always so for a plant with feedthrough.
+    checkpoint : path, optional
+        File in which finished starts are kept, and from which an interrupted fit goes on.
+    progress : bool
+        Show a bar on the error stream.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
+    """
+
+    order: int = 3
+    hidden: int = 6
+    outside: int = 4
+    ridge: float = 1.0
+    starts: int = 60
+    members: int = 5
+    iterations: int = 150
+    direct: bool = False
+    checkpoint: str | None = None
+    progress: bool = False
+    least_excitation: float = 2.0
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> RecurrentEnsemble:
+        """Return the ensemble; the held-out errors of its members stand in its notes."""
+        what = "neural-output-error"
+        numbers = (self.order, self.hidden, self.outside, self.starts, self.members, self.iterations)
+        if min(numbers) < 1 or not self.ridge > 0 or self.members > self.starts:
+            raise InputError(
+                f"options of {what}",
+                expected="numbers of at least 1, a ridge > 0, no more members than starts",
+                got=f"{numbers}, ridge {self.ridge}",
+                remedy="correct them",
+            )
+        records, spec = usable(trajectories, samples=5 * (self.order + 4), what=what)
+        real_signals(spec, what)
+        moving(records, what, inputs=False)
+        refuse_undetermined(records, what, self.least_excitation)
+        records.sort(key=lambda record: (len(record), record.y.tobytes()))
+        (u_mean, u_std), (y_mean, y_std) = (
+            centred([record.u for record in records]),
+            centred([record.y for record in records]),
+        )
+        layout = Layout(self.order, spec.nu, spec.ny, self.hidden, self.outside)
+        problems = [Problem(spec.outputs, (record.u - u_mean) / u_std, record.y, y_mean, y_std) for record in records]
+        direct = self.direct or spec.feedthrough
+        seed = int(rng.integers(2**62))
+        path = None if self.checkpoint is None else Path(self.checkpoint)
+        key = self._key(problems, seed)
+        done = _kept(path, key)
+        with bar(what, self.starts, self.progress) as move:
+            for number in range(len(done), self.starts):
+                draw = np.random.default_rng([seed, number])
+                done.append(
+                    descend(layout, problems, draw, self.ridge, self.iterations, direct=direct, lags=number % 2 == 0)
+                )
+                _keep(path, key, done)
+                move(number + 1)
+        order = sorted(range(self.starts), key=lambda number: (done[number].held_out, number))
+        best = [done[number] for number in order[: self.members] if np.isfinite(done[number].held_out)]
+        if not best:
+            raise FitError(
+                f"{what}: every free run diverges",
+                expected="a plant whose free run stays near the data",
+                got=f"{self.starts} starts, all lost",
+                remedy="use neural-state-space, which is trained on short windows",
+            )
+        scaling = (u_mean, u_std, y_mean, y_std)
+        members = [self._member(spec, layout, fitted, problems, scaling, records) for fitted in best]
+        begin = [[m.whole(start) for start in fitted.starts] for m, fitted in zip(members, best, strict=True)]
+        spread = _spread(members, records, begin)
+        reaches = [_reach(m, problems, records, fitted) for m, fitted in zip(members, best, strict=True)]
+        notes = {
+            "held-out rms": [fitted.held_out for fitted in best],
+            "starts": self.starts,
+            "parameters": layout.count,
+        }
+        banded = (replace(m, spread=spread, reach=reach) for m, reach in zip(members, reaches, strict=True))
+        return RecurrentEnsemble(spec, tuple(banded), notes)
+
+    def _member(
+        self,
+        spec: PlantSpec,
+        layout: Layout,
+        fitted: Fitted,
+        problems: Sequence[Problem],
+        scaling: tuple[FloatArray, ...],
+        records: Sequence[Trajectory],
+    ) -> RecurrentModel:
+        """Return the model of one start with its filter gain, and no spread yet."""
+        states = np.concatenate(
+            [p.states(layout, fitted.theta, x) for p, x in zip(problems, fitted.starts, strict=True)]
+        )
+        x_mean, x_std = states.mean(axis=0), np.maximum(states.std(axis=0), 1e-6)
+        zero = np.zeros((layout.nx, layout.ny))
+        wide = np.ones((len(_HORIZONS), layout.ny))
+        u_mean, u_std, y_mean, y_std = scaling
+        signals = (u_mean, u_std, y_mean, y_std, x_mean, x_std)
+        draft = RecurrentModel(
+            spec, layout, fitted.theta, *signals, fitted.error, zero, wide, np.ones(spec.ny), None, 1.0
+        )
+        a, c = layout.jacobians(fitted.theta, x_mean, np.zeros(spec.nu))
+        gains = riccati_gains(a, c, x_std, np.ones(spec.ny))
+        # best_gain moves whole states, counter included, by errors in units; the model's gain is for scaled ones.
+        padded = np.concatenate([gains / y_std, np.zeros((len(gains), 1 + spec.ny, spec.ny))], axis=1)
+        begin = [draft.whole(start) for start in fitted.starts]
+        gain = best_gain(padded, draft.step, draft.output, begin, records)[: layout.nx] * y_std
+        fade = min(float(np.abs(np.linalg.eigvals(a)).max()), 1.0)
+        unseen = np.clip(1.0 - np.diag(c @ gain), 0.0, 1.0)
+        return replace(draft, filter_gain=gain, fade=fade, unseen=unseen)
+
+    def _key(self, problems: Sequence[Problem], seed: int) -> str:
+        """Return a hash of all that the starts depend on."""
+        text = hashlib.sha256(
+            repr((self.order, self.hidden, self.outside, self.ridge, self.iterations, self.direct, seed)).encode()
+        )
+        for problem in problems:
+            text.update(problem.u.tobytes())
+            text.update(problem.y.tobytes())
+        return text.hexdigest()
+
+
+def _reach(member: RecurrentModel, problems: Sequence[Problem], records: Sequence[Trajectory], fitted: Fitted) -> Reach:
+    """Return where the states and inputs of the data lie, and how the error of the next output grows beyond."""
+    rows, targets = [], []
+    for problem, record, start in zip(problems, records, fitted.starts, strict=True):
+        states = problem.states(member.layout, fitted.theta, start)[: len(record) - 1]
+        rows.append(np.hstack([(states - member.x_mean) / member.x_std, problem.u[: len(states)]]))
+        targets.append(residual(record.spec.outputs, record.y[1:], record.y[:-1])[: len(states)])
+    return Reach.of(np.concatenate(rows), np.concatenate(targets), rng=stream("reach"))
+
+
+def _spread(
+    members: Sequence[RecurrentModel], records: Sequence[Trajectory], begin: Sequence[Sequence[FloatArray]]
+) -> FloatArray:
+    """Return the standard deviation (5, ny) of each member at the horizons, from the held-out ends of the records."""
+    rows = []
+    for horizon in _HORIZONS:
+        misses, quarrels = [], []
+        for number, record in enumerate(records):
+            ahead = min(horizon, len(record) - 1)
+            each = np.array([predict(m, record, ahead, initial=x[number]) for m, x in zip(members, begin, strict=True)])
+            kept = slice(max(ahead, Problem.cut_of(len(record))), None)
+            misses.append(residual(record.spec.outputs, record.y, each.mean(axis=0))[kept])
+            quarrels.append(each.var(axis=0)[kept])
+        rows.append(own_spread(np.concatenate(misses), np.concatenate(quarrels)))
+    return np.maximum(np.maximum.accumulate(rows, axis=0), _LEAST_SPREAD * members[0].y_std)
+
+
+def _kept(path: Path | None, key: str) -> list[Fitted]:
+    """Return the finished starts of a file, if it belongs to this fit."""
+    if path is None or not path.is_file():
+        return []
+    with np.load(path, allow_pickle=False) as content:
+        if str(content["key"]) != key:
+            return []
+        rows = zip(content["theta"], content["starts"], content["errors"], strict=True)
+        return [Fitted(theta, starts, float(e[0]), float(e[1])) for theta, starts, e in rows]
+
+
+def _keep(path: Path | None, key: str, done: Sequence[Fitted]) -> None:
+    """Write the finished starts, whole or not at all."""
+    if path is None:
+        return
+    scratch = path.with_suffix(".part.npz")
+    np.savez(
+        scratch,
+        key=np.array(key),
+        theta=np.array([fitted.theta for fitted in done]),
+        starts=np.array([fitted.starts for fitted in done]),
+        errors=np.array([[fitted.held_out, fitted.error] for fitted in done]),
+    )
+    scratch.replace(path)

@@ -1,0 +1,346 @@
+"""Levenberg and Marquardt's method for the free run of a small recurrent network, with initial states as unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.errors import FitError
+from harness.signals import Channel, FloatArray, PlantSpec, Trajectory, residual
+from identifiers.learned.recurrent_pass import Layout
+from identifiers.linear.n4sid import Subspace
+
+__all__ = ["Fitted", "Problem", "descend", "fit_start"]
+
+Mask = npt.NDArray[np.bool_]
+
+_HELD_OUT = 5
+"""One part in so many of every record, its end, is held out."""
+
+_PATIENCE = 25
+"""Iterations without a better held-out error after which a start is pruned."""
+
+_ENOUGH = 1e-6
+"""Relative fall of the cost in an iteration below which a minimum counts as reached."""
+
+_STATE_PRECISION = 1e-4
+"""Cost of the squares of initial states: they are in the size of the outputs, and the data are to say where."""
+
+_LINEAR_SHARE = 0.1
+"""Share of the ridge for the linear part, which holds gains and time constants."""
+
+_TRIALS = 12
+"""Times that the damping is raised, fourfold each, before an iteration is abandoned."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One record: scaled inputs u (N, nu), outputs y (N, ny) in their units, and their scaling."""
+
+    channels: Sequence[Channel]
+    u: FloatArray
+    y: FloatArray
+    y_mean: FloatArray
+    y_std: FloatArray
+
+    @staticmethod
+    def cut_of(samples: int) -> int:
+        """Return how many samples of a record are learned from."""
+        return samples - samples // _HELD_OUT
+
+    @property
+    def cut(self) -> int:
+        """Samples learned from; the others are held out."""
+        return self.cut_of(len(self.u))
+
+    def errors(self, scaled: FloatArray) -> FloatArray:
+        """Return predicted minus measured (N, ny), wrapped on periodic channels, in scaled units."""
+        predicted = self.y_mean + self.y_std * scaled
+        return -residual(self.channels, self.y, predicted) / self.y_std
+
+    def states(self, layout: Layout, theta: FloatArray, start: FloatArray) -> FloatArray:
+        """Return the states (N, nx) of the free run."""
+        states = np.empty((len(self.u), layout.nx))
+        x = start
+        for k, u in enumerate(self.u):
+            states[k] = x
+            x = layout.step(theta, x, u)
+        return states[np.isfinite(states).all(axis=1)]
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Where one start ended: weights (p,), initial states (R, nx), held-out and estimation rms in scaled units."""
+
+    theta: FloatArray
+    starts: FloatArray
+    held_out: float
+    error: float
+
+
+def descend(
+    layout: Layout,
+    problems: Sequence[Problem],
+    rng: np.random.Generator,
+    ridge: float,
+    iterations: int,
+    *,
+    direct: bool,
+    lags: bool,
+) -> Fitted:
+    """Return the state with the least held-out error on one descent from a random start.
+
+    Parameters
+    ----------
+    layout : Layout
+    problems : sequence of Problem
+    rng : numpy.random.Generator
+    ridge : float
+        Cost of the squares of the weights.
+    iterations : int
+    direct : bool
+        Let outputs depend on the inputs of the same instant.
+    lags : bool
+        Begin at a cascade of lags; else at a subspace model, where there is one.
+    """
+    theta, start = _begin(layout, problems, rng, lags)
+    free = _free(layout, direct)
+    theta[~free] = 0.0
+    weight = _ridge(layout, ridge)
+    starts = np.tile(start, (len(problems), 1))
+    lost = Fitted(theta, starts, np.inf, np.inf)
+    now = _cost(layout, problems, theta, starts, weight)
+    if not np.isfinite(now[0]):
+        return lost
+    damping, best, since = 1.0, lost, 0
+    for _ in range(iterations):
+        gram, gradient, corner, bridge, side, held_out, error = _normal(layout, problems, theta, starts, weight)
+        if held_out < best.held_out:
+            best, since = Fitted(theta.copy(), starts.copy(), held_out, error), 0
+        elif (since := since + 1) > _PATIENCE:
+            break
+        moved = False
+        for _ in range(_TRIALS):
+            d_theta, d_starts = _solve(gram, gradient, corner, bridge, side, free, damping)
+            trial, trial_starts = theta - d_theta, starts - d_starts
+            then = _cost(layout, problems, trial, trial_starts, weight)
+            if then[0] < now[0]:
+                moved = True
+                break
+            damping *= 4.0
+        if not moved:
+            break
+        fall = (now[0] - then[0]) / now[0]
+        theta, starts, now, damping = trial, trial_starts, then, max(0.3 * damping, 1e-7)
+        if fall < _ENOUGH:
+            break
+    if now[1] < best.held_out:
+        best = Fitted(theta, starts, now[1], now[2])
+    return best
+
+
+def fit_start(
+    layout: Layout, theta: FloatArray, problem: Problem, mean: FloatArray, std: FloatArray, error: float
+) -> FloatArray:
+    """Return the likeliest initial state (nx,) of a record under a normal belief of mean and std.
+
+    Parameters
+    ----------
+    layout, theta
+        The model.
+    problem : Problem
+        The first samples of the record.
+    mean, std : array (nx,)
+    error : float
+        Standard deviation of the errors of a free run, in scaled units.
+    """
+    precision = (max(error, 1e-6) / std) ** 2
+    x, damping = np.array(mean, dtype=float), 1e-2
+
+    def cost(state: FloatArray) -> float:
+        y, _ = layout.run(theta, state, problem.u, sensitivities=False)
+        miss = problem.errors(y)
+        total = float(np.sum(miss**2) + np.sum(precision * (state - mean) ** 2))
+        return total if np.isfinite(total) else np.inf
+
+    now = cost(x)
+    for _ in range(40):
+        y, table = layout.run(theta, x, problem.u, sensitivities=True)
+        assert table is not None
+        jacobian = table[..., layout.count :].reshape(-1, layout.nx)
+        miss = problem.errors(y).ravel()
+        if not np.isfinite(miss).all():
+            break
+        gram = jacobian.T @ jacobian + np.diag(precision)
+        right = jacobian.T @ miss + precision * (x - mean)
+        moved = False
+        for _ in range(_TRIALS):
+            trial = x - np.linalg.solve(gram + damping * np.diag(np.diag(gram)), right)
+            then = cost(trial)
+            if then < now:
+                moved = True
+                break
+            damping *= 4.0
+        if not moved:
+            break
+        fall, x, now, damping = (now - then) / now, trial, then, max(0.3 * damping, 1e-9)
+        if fall < _ENOUGH:
+            break
+    return x
+
+
+def _begin(
+    layout: Layout, problems: Sequence[Problem], rng: np.random.Generator, lags: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Return weights whose linear part is a cascade of lags or a subspace model, and an initial state."""
+    nx, nu, ny = layout.nx, layout.nu, layout.ny
+    longest = max(len(problem.u) for problem in problems)
+    # Time constants from some samples to a tenth of the longest record: what the data can show.
+    rate = np.exp(rng.uniform(np.log(min(1.0, 10.0 / longest)), np.log(0.3), nx))
+    a = np.diag(1.0 - rate) + np.diag(rate[1:], -1)
+    b, c = np.zeros((nx, nu)), np.zeros((ny, nx))
+    b[0], c[:, -1] = rate[0], 1.0
+    start = np.full(nx, float(np.mean((problems[0].y[0] - problems[0].y_mean) / problems[0].y_std)))
+    if not lags:
+        a, b, c, start = _subspace(problems, nx, rng) or (a, b, c, start)
+    theta = np.empty(layout.count)
+    t = layout.tables(theta)
+    t["A"][:] = np.vstack([a.T - np.eye(nx), b.T, np.zeros((1, nx))])
+    t["C"][:] = np.vstack([c.T, np.zeros((nu + 1, ny))])
+    for first, second in (("W1", "W2"), ("V1", "V2")):
+        t[first][:] = 0.7 * rng.normal(size=t[first].shape)
+        t[second][:] = 0.01 * rng.normal(size=t[second].shape)
+    return theta, start
+
+
+def _subspace(
+    problems: Sequence[Problem], nx: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+    """Return A, B, C of a stable subspace model with states of size 1, and the state 0; None where there is none."""
+    nu, ny = problems[0].u.shape[1], problems[0].y.shape[1]
+    channels = tuple(Channel(f"{kind}{i}") for kind, count in (("u", nu), ("y", ny)) for i in range(count))
+    spec = PlantSpec(channels[:nu], channels[nu:], 1.0)
+    records = [
+        Trajectory(
+            np.arange(float(problem.cut)),
+            problem.u[: problem.cut],
+            ((problem.y - problem.y_mean) / problem.y_std)[: problem.cut],
+            spec,
+        )
+        for problem in problems
+    ]
+    try:
+        model = Subspace(order=nx, stable=True).fit(records, rng=rng)
+    except FitError:
+        return None  # too short, or too little moves, for a subspace: the cascade serves
+    a, b, c = model.a_matrix[:nx, :nx], model.b_matrix[:nx], model.c_matrix[:, :nx]
+    x, squares = np.zeros(nx), np.zeros(nx)
+    for u in records[0].u:
+        x = a @ x + b @ u
+        squares += x**2
+    size = np.sqrt(squares / len(records[0]))
+    if not (np.isfinite(size).all() and (size > 0).all()):
+        return None
+    return a * size / size[:, None], b / size[:, None], c * size, np.zeros(nx)
+
+
+def _free(layout: Layout, direct: bool) -> Mask:
+    """Return which weights are fitted (p,): those from inputs to outputs only where there is a direct term."""
+    free = np.ones(layout.count)
+    if not direct:
+        tables = layout.tables(free)
+        for name in ("C", "V1"):
+            tables[name][layout.nx : layout.nx + layout.nu] = 0.0
+    return free > 0
+
+
+def _ridge(layout: Layout, ridge: float) -> FloatArray:
+    """Return the cost of the square of each weight (p,)."""
+    weight = np.full(layout.count, ridge)
+    tables = layout.tables(weight)
+    for name in ("A", "C"):
+        tables[name][:] *= _LINEAR_SHARE
+    return weight
+
+
+def _cost(
+    layout: Layout, problems: Sequence[Problem], theta: FloatArray, starts: FloatArray, weight: FloatArray
+) -> tuple[float, float, float]:
+    """Return the cost, the held-out rms and the estimation rms of free runs; infinite where one diverges."""
+    runs = [
+        layout.run(theta, x, problem.u, sensitivities=False)[0] for problem, x in zip(problems, starts, strict=True)
+    ]
+    return _sums(problems, runs, theta, starts, weight)
+
+
+def _sums(
+    problems: Sequence[Problem],
+    runs: Sequence[FloatArray],
+    theta: FloatArray,
+    starts: FloatArray,
+    weight: FloatArray,
+) -> tuple[float, float, float]:
+    if not all(np.isfinite(run).all() for run in runs):
+        return np.inf, np.inf, np.inf
+    errors = [problem.errors(run) for problem, run in zip(problems, runs, strict=True)]
+    learned = np.concatenate([miss[: problem.cut] for problem, miss in zip(problems, errors, strict=True)])
+    held = np.concatenate([miss[problem.cut :] for problem, miss in zip(problems, errors, strict=True)])
+    cost = float(np.sum(learned**2) + np.sum(weight * theta**2) + _STATE_PRECISION * np.sum(starts**2))
+    return cost, float(np.sqrt(np.mean(held**2))), float(np.sqrt(np.mean(learned**2)))
+
+
+Normal = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float, float]
+
+
+def _normal(
+    layout: Layout, problems: Sequence[Problem], theta: FloatArray, starts: FloatArray, weight: FloatArray
+) -> Normal:
+    """Return the normal equations: of the weights (p, p), of each initial state (R, nx, nx), and between them."""
+    p, nx = layout.count, layout.nx
+    gram, gradient = np.diag(weight), weight * theta
+    corner = np.tile(_STATE_PRECISION * np.eye(nx), (len(problems), 1, 1))
+    bridge, side = np.empty((len(problems), p, nx)), _STATE_PRECISION * starts
+    runs = []
+    for number, (problem, x) in enumerate(zip(problems, starts, strict=True)):
+        y, table = layout.run(theta, x, problem.u, sensitivities=True)
+        assert table is not None
+        runs.append(y)
+        rows = table[: problem.cut].reshape(-1, p + nx)
+        miss = problem.errors(y)[: problem.cut].ravel()
+        square, right = rows.T @ rows, rows.T @ miss
+        gram += square[:p, :p]
+        gradient = gradient + right[:p]
+        corner[number] += square[p:, p:]
+        bridge[number] = square[:p, p:]
+        side[number] += right[p:]
+    _, held_out, error = _sums(problems, runs, theta, starts, weight)
+    return gram, gradient, corner, bridge, side, held_out, error
+
+
+def _solve(
+    gram: FloatArray,
+    gradient: FloatArray,
+    corner: FloatArray,
+    bridge: FloatArray,
+    side: FloatArray,
+    free: Mask,
+    damping: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the damped step of the weights (p,) and of the initial states (R, nx), states eliminated first."""
+    index = np.flatnonzero(free)
+    eye = damping * np.eye(corner.shape[1])
+    left = gram[np.ix_(index, index)] + damping * np.eye(len(index))
+    right = gradient[index].copy()
+    turned = []
+    for own, between, end in zip(corner, bridge[:, index], side, strict=True):
+        both = np.linalg.solve(own + eye, np.column_stack([between.T, end]))
+        turned.append(both)
+        left -= between @ both[:, :-1]
+        right -= between @ both[:, -1]
+    d_theta = np.zeros_like(gradient)
+    d_theta[index] = np.linalg.solve(left, right)
+    d_starts = np.array([both[:, -1] - both[:, :-1] @ d_theta[index] for both in turned])
+    return d_theta, d_starts

@@ -1,0 +1,239 @@
+"""ARX models: the next output from past outputs and inputs, with order and lag by validation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.errors import FitError
+from harness.judgement import refuse_law
+from harness.models.lqr import spectral_radius
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.common.excitation import Columns, refuse_feedback
+from identifiers.common.linear_model import LinearModel
+from identifiers.common.one_step_estimate import least_squares_estimate
+from identifiers.common.records import lagged, lagged_blocks, moving, real_signals, snapshot_sums, usable
+from identifiers.common.regression import Solution, solve
+from identifiers.common.scaling import lively, sizes
+from identifiers.common.stability import nearest_stable, stable_lags
+
+__all__ = ["Arx", "design", "lag_model", "one_step", "solution_notes"]
+
+ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
+# An order is kept only if it lowers the validated error by this much: below it the gain is chance.
+_GAIN = 0.98
+# Errors below this share of an output are rounding, and decide nothing.
+_EXACT = 1e-9
+
+
+@dataclass(frozen=True)
+class Arx:
+    """ARX model of one order for all channels; order and delay by validation where none is given.
+
+    Parameters
+    ----------
+    order : int, optional
+        Number of past outputs and inputs. Without it the orders 1, 2, 3, 4, 6, 8, 12, 16, 24, 32 are tried and the one
+        with the least one-step error on the last third of the records wins (Ljung 1999, sec. 16.4).
+    delay : int, optional
+        Samples that an input takes to reach an output, at least 1: inputs later than that are left out. Without it 1,
+        or with no order either the largest that validation bears.
+    offset : bool
+        Fit a constant too.
+    ridge : float
+        Tikhonov weight, for records that do not excite all lags.
+    stable : bool
+        Nearest stable model where the fit is unstable.
+    least_excitation : float
+        As of ``least-squares``: inputs must depart from any law of the other regressors by so many times the noise
+        that the law passes on. Not asked with a ridge.
+    """
+
+    order: int | None = None
+    delay: int | None = None
+    offset: bool = True
+    ridge: float = 0.0
+    stable: bool = False
+    least_excitation: float = 2.0
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
+        """Return a model whose state is the past outputs and inputs."""
+        what = "arx"
+        records, spec = usable(trajectories, samples=4, what=what)
+        real_signals(spec, what)
+        moving(records, what)
+        refuse_law(records, what, self.least_excitation)
+        ladder: dict[str, Any] = {}
+        order, delay = self.order, self.delay
+        if order is None:
+            order, delay, ladder = self._chosen(records, what)
+        delay = 1 if delay is None else delay
+        if order < 1 or not 1 <= delay <= order:
+            raise FitError(
+                f"{what}: order and delay",
+                expected="order at least 1, delay from 1 to the order",
+                got=f"order={order}, delay={delay}",
+                remedy="raise the order, or lower the delay",
+            )
+        records, _ = usable(records, samples=order + 2, what=what)
+        solution = one_step(records, order, self.offset, self.ridge, what, delay=delay)
+        if self.ridge == 0.0:
+            refuse_feedback(solution, Columns(spec, order, delay), self.least_excitation, what)
+        coefficients = _widened(solution.coefficients, spec, order, delay)
+        notes = {"order": order, "delay": delay, **ladder}
+        own = order * spec.ny
+        estimate = None
+        if self.ridge == 0.0 and delay == 1:
+            estimate = least_squares_estimate(records, solution, order, self.offset)
+        kept = {} if estimate is None else {"estimate": estimate.to_dict()}
+        model = lag_model(spec, coefficients, order, self.offset, {**notes, **solution_notes(solution), **kept})
+        if self.stable and spectral_radius(model.a_matrix) >= 1.0:
+            weights = 1.0 / sizes([record.y for record in records])
+            factor = solution.factor * solution.scale
+            coefficients = nearest_stable(solution.coefficients, factor, own, stable_lags, weights)
+            coefficients = _widened(coefficients, spec, order, delay)
+            notes = {**notes, **solution_notes(solution), "stabilized": True}
+            model = lag_model(spec, coefficients, order, self.offset, notes)
+        return model
+
+    def _chosen(self, records: list[Trajectory], what: str) -> tuple[int, int, dict[str, Any]]:
+        """Return order and delay that predict the last third of the records best, and the ladder of errors."""
+        cuts = [(record[: 2 * len(record) // 3], record[2 * len(record) // 3 :]) for record in records]
+        longest = max(min(len(head), len(tail)) for head, tail in cuts) - 2
+        # All orders are judged on the same rows, those that the longest leaves.
+        orders = [n for n in ORDERS if n <= max(1, longest // 3)]
+        skip = orders[-1]
+        delay = 1 if self.delay is None else self.delay
+        found: dict[int, FloatArray] = {}
+        for order in orders:
+            if delay > order:
+                continue
+            held = self._held_out_errors(cuts, order, delay, skip, what)
+            if held is None:
+                break
+            found[order] = held
+        if not found:
+            return 1, delay, {"order_error": {}}
+        moves = lively(np.array(list(found.values())))
+        errors = {order: _together(held, moves) for order, held in found.items()}
+        best, chosen = np.inf, 1
+        for order, error in errors.items():
+            if error < _GAIN * best:
+                best, chosen = error, order
+        if self.delay is None:
+            for longer in range(2, chosen + 1):
+                held = self._held_out_errors(cuts, chosen, longer, skip, what)
+                if held is None or _together(held, moves) > best * (1 + 1e-3):
+                    break
+                best, delay = min(best, _together(held, moves)), longer
+        return chosen, delay, {"order_error": {str(n): float(np.sqrt(e)) for n, e in errors.items()}}
+
+    def _held_out_errors(
+        self, cuts: Sequence[tuple[Trajectory, Trajectory]], order: int, delay: int, skip: int, what: str
+    ) -> FloatArray | None:
+        """Return one-step mean squares (ny,) on the parts held out, relative to each output; None if no fit."""
+        fit = [head for head, _ in cuts if len(head) > order + 1]
+        held = [tail for _, tail in cuts if len(tail) > skip + 1]
+        if not fit or not held:
+            return None
+        try:
+            theta = one_step(fit, order, self.offset, self.ridge, what, delay=delay).coefficients
+        except FitError:
+            return None
+        wrong = [
+            (record.y[order:] - design(record, order, self.offset, delay) @ theta)[skip - order :] for record in held
+        ]
+        return np.asarray(np.mean((np.concatenate(wrong) / sizes([record.y for record in held])) ** 2, axis=0))
+
+
+def _together(errors: FloatArray, moves: npt.NDArray[np.bool_]) -> float:
+    """Return the geometric mean of the errors of outputs that move: each counts by its noise, not by its size."""
+    return float(np.exp(np.mean(np.log(np.maximum(errors[moves], _EXACT**2)))))
+
+
+def lag_model(
+    spec: PlantSpec, coefficients: FloatArray, lags: int, offset: bool, notes: dict[str, Any] | None = None
+) -> LinearModel:
+    """Return the state-space form of ``y[k+1] = theta [lags of y, lags of u, 1]``.
+
+    The state is ``[y[k], ..., y[k - lags + 1], u[k - 1], ..., u[k - lags + 1]]``.
+
+    Parameters
+    ----------
+    spec : PlantSpec
+    coefficients : array (lags (ny + nu) + offset, ny)
+    lags : int
+    offset : bool
+    notes : dict, optional
+    """
+    ny, nu = spec.ny, spec.nu
+    theta = coefficients.T
+    past = lags * ny
+    nx = past + (lags - 1) * nu
+    a, b = np.zeros((nx, nx)), np.zeros((nx, nu))
+    a[:ny, :past] = theta[:, :past]
+    b[:ny] = theta[:, past : past + nu]
+    a[:ny, past:] = theta[:, past + nu : past + lags * nu]
+    a[ny:past, : past - ny] = np.eye(past - ny)
+    if lags > 1:
+        b[past : past + nu] = np.eye(nu)
+        a[past + nu :, past : nx - nu] = np.eye((lags - 2) * nu)
+    c = np.zeros((ny, nx))
+    c[:, :ny] = np.eye(ny)
+    state_offset = np.zeros(nx)
+    if offset:
+        state_offset[:ny] = theta[:, -1]
+    direct = np.zeros((ny, nu))
+    return LinearModel(
+        spec, a, b, c, direct, c.T.copy(), state_offset, np.zeros(ny), burn_in=lags - 1, notes=notes or {}
+    )
+
+
+def design(record: Trajectory, lags: int, offset: bool, delay: int = 1) -> FloatArray:
+    """Return the regressors of one record (N - lags, p)."""
+    rows = _delayed(lagged(record, lags), record.spec, lags, delay)
+    return np.hstack([rows, np.ones((rows.shape[0], 1))]) if offset else rows
+
+
+def one_step(
+    records: Sequence[Trajectory], lags: int, offset: bool, ridge: float, what: str, *, delay: int = 1
+) -> Solution:
+    """Solve for the next output from lagged outputs and inputs."""
+    spec = records[0].spec
+    names = Columns(spec, lags).names
+    first = lags * spec.ny
+    names = names[:first] + names[first + (delay - 1) * spec.nu :]
+    return solve(
+        lambda: ((_delayed(phi, spec, lags, delay), y) for phi, y in lagged_blocks(records, lags, offset=offset)),
+        what,
+        ridge=ridge,
+        names=names,
+        sums=snapshot_sums(records, offset=offset) if lags == 1 else None,
+    )
+
+
+def solution_notes(solution: Solution) -> dict[str, Any]:
+    """Return what a report should say of a regression."""
+    return {
+        "condition": solution.condition,
+        "method": solution.method,
+        "residual_rms": solution.residual_rms.tolist(),
+        "samples": solution.rows,
+    }
+
+
+def _delayed(rows: FloatArray, spec: PlantSpec, lags: int, delay: int) -> FloatArray:
+    """Return the regressors without the inputs that are too late to count."""
+    first = lags * spec.ny
+    return rows if delay == 1 else np.delete(rows, slice(first, first + (delay - 1) * spec.nu), axis=1)
+
+
+def _widened(coefficients: FloatArray, spec: PlantSpec, lags: int, delay: int) -> FloatArray:
+    """Return the coefficients with zeros for the inputs that were left out."""
+    first = lags * spec.ny
+    zeros = np.zeros(((delay - 1) * spec.nu, coefficients.shape[1]))
+    return np.vstack([coefficients[:first], zeros, coefficients[first:]])

@@ -1,0 +1,149 @@
+"""Directions of many outputs that have dynamics: what is white noise is left out, and the model expanded again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from harness.signals import Channel, FloatArray, Trajectory
+from identifiers.common.linear_model import LinearModel
+
+__all__ = ["Directions", "lively_directions"]
+
+LAGS = 2
+"""Samples before and after in which a direction must show: whatever has dynamics is correlated over one or two."""
+CHANCE = 1e-3
+"""Probability of keeping a direction of white noise."""
+CHECKED = 20_000
+"""Samples that are looked at: at so many a correlation of 0.03 is seen."""
+ROUNDING = 1e-10
+"""Singular values of the outputs below this share of the largest are rounding."""
+EQUATIONS = 3
+"""Equations for each regressor, below which correlations are chance and nothing is left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Kept directions ``z = W' y`` of the outputs, and the outputs from them: ``y = P' z + level`` and white noise.
+
+    Parameters
+    ----------
+    weights : array (ny, nz)
+        W; z have unit variance and are not correlated with one another, nor with what is left out.
+    back : array (nz, ny)
+        P, with ``P W = 1``.
+    level : array (ny,)
+    """
+
+    weights: FloatArray
+    back: FloatArray
+    level: FloatArray
+
+    def compressed(self, records: Sequence[Trajectory]) -> list[Trajectory]:
+        """Return records whose outputs are the directions."""
+        outputs = tuple(Channel(f"direction {i} of the outputs") for i in range(1, self.weights.shape[1] + 1))
+        return [
+            Trajectory(record.t, record.u, record.y @ self.weights, replace(record.spec, outputs=outputs))
+            for record in records
+        ]
+
+    def expanded(self, model: LinearModel, like: Trajectory) -> LinearModel:
+        """Return the model of all outputs from that of the directions.
+
+        What was left out is orthogonal to past, present and future of what was kept, so the filter of the directions
+        is the filter of all outputs.
+        """
+        return replace(
+            model,
+            spec=like.spec,
+            c_matrix=self.back.T @ model.c_matrix,
+            d_matrix=self.back.T @ model.d_matrix,
+            filter_gain=model.filter_gain @ self.weights.T,
+            output_offset=self.level + self.back.T @ model.output_offset,
+        )
+
+
+def lively_directions(records: Sequence[Trajectory]) -> Directions | None:
+    """Return the directions of the outputs that have dynamics; None where all have, or too few samples tell.
+
+    Canonical correlations of the outputs with inputs and outputs of the samples before and after; those that chance
+    explains (Bartlett 1947, Suppl. J. R. Stat. Soc. 9:176) are of white noise that neither the past foretells nor the
+    future follows. A regression on many outputs that are nearly the same signals has such noise, magnified, in its
+    regressors. Units do not matter.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+
+    Examples
+    --------
+    >>> from harness.signals import PlantSpec
+    >>> rng = np.random.default_rng(0)
+    >>> u, x = rng.normal(size=(500, 1)), np.zeros((500, 1))
+    >>> for k in range(499):
+    ...     x[k + 1] = 0.5 * x[k] + u[k]
+    >>> y = x @ [[1.0, 2.0, -1.0]] + 0.01 * rng.normal(size=(500, 3))
+    >>> spec = PlantSpec((Channel("u"),), tuple(map(Channel, "abc")), 1.0)
+    >>> lively_directions([Trajectory(np.arange(500.0), u, y, spec)]).weights.shape
+    (3, 1)
+    """
+    from scipy.stats import chi2
+
+    spec = records[0].spec
+    if spec.ny < 2:
+        return None
+    now, around = _rows(records)
+    level = now.mean(axis=0)
+    now, around = now - level, around - around.mean(axis=0)
+    n, q = around.shape
+    if n < EQUATIONS * q:
+        return None
+    size = np.sqrt(np.mean(now**2, axis=0))
+    size = np.where(size > 0, size, 1.0)
+    left, values, right = np.linalg.svd(now / size, full_matrices=False)
+    rank = int(np.sum(values > ROUNDING * values[0]))
+    basis = _orthonormal(around)
+    inner, shares, _ = np.linalg.svd(left[:, :rank].T @ basis, full_matrices=False)
+    # 1 - rho^2 of exact data is rounding, whose logarithm would be lost
+    remaining = np.log(np.clip(1.0 - shares**2, 1e-15, 1.0))
+    kept = 0
+    while kept < shares.size:
+        freedom = (rank - kept) * (basis.shape[1] - kept)
+        statistic = -(n - 1 - (rank + basis.shape[1] + 1) / 2) * float(remaining[kept:].sum())
+        if chi2.sf(statistic, freedom) > CHANCE:
+            break
+        kept += 1
+    if kept in (0, spec.ny):
+        return None
+    weights = (right[:rank].T / values[:rank]) @ inner[:, :kept] * np.sqrt(n) / size[:, None]
+    seen = now @ weights
+    back = seen.T @ now / n
+    return Directions(weights, back, level - (level @ weights) @ back)
+
+
+def _rows(records: Sequence[Trajectory]) -> tuple[FloatArray, FloatArray]:
+    """Return outputs, and inputs and outputs of the samples around them, none across a seam."""
+    now, around, left = [], [], CHECKED
+    for record in records:
+        part = record[: min(len(record), left)]
+        if len(part) <= 2 * LAGS:
+            continue
+        count = len(part) - 2 * LAGS
+        now.append(part.y[LAGS : LAGS + count])
+        blocks = [part.u[shift : shift + count] for shift in range(2 * LAGS + 1)]
+        blocks += [part.y[shift : shift + count] for shift in range(2 * LAGS + 1) if shift != LAGS]
+        around.append(np.hstack(blocks))
+        left -= len(part)
+    if not now:
+        spec = records[0].spec
+        return np.zeros((1, spec.ny)), np.zeros((1, 1))
+    return np.concatenate(now), np.concatenate(around)
+
+
+def _orthonormal(columns: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of what columns span but for rounding."""
+    size = np.linalg.norm(columns, axis=0)
+    left, values, _ = np.linalg.svd(columns / np.where(size > 0, size, 1.0), full_matrices=False)
+    return np.asarray(left[:, values > ROUNDING * values[0]], dtype=np.float64)

@@ -1,0 +1,291 @@
+"""Piecewise-affine models: the next output is affine in the past, with other coefficients in each polyhedral region."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.errors import FitError, InputError
+from harness.judgement import refuse_undetermined
+from harness.signals import FloatArray, Trajectory
+from harness.specs import spec_from_dict
+from identifiers.common.lag_state import LagModel, Scaling, regression_data
+from identifiers.common.records import moving, real_signals, usable
+
+__all__ = ["PiecewiseAffine", "PiecewiseAffineModel"]
+
+Labels = npt.NDArray[np.intp]
+
+_LOCAL = 2
+"""Neighbours of a local affine fit, in multiples of its coefficients."""
+
+_LOCAL_POINTS = 1500
+"""Samples whose local fits are clustered for a start; more do not change the clusters."""
+
+_OUTSIDE = 4.0
+"""Samples further than so many robust standard deviations from every mode lie in none: they switch within a sample."""
+
+_BRIEF = 10
+"""Iterations of the classifier between two reassignments, each begun where the last one ended."""
+
+_TRIAL_ROUNDS, _ROUNDS = 12, 60
+"""Reassignments at most, of every start and of the best one; they settle in about ten."""
+
+
+@dataclass(frozen=True, eq=False)
+class PiecewiseAffineModel(LagModel):
+    """Affine models and the regions in which they hold.
+
+    Parameters
+    ----------
+    coefficients : array (M, ny, p + 1)
+        Of the regressors ``[y lags, u lags, 1]`` in the units of the data, for each mode.
+    regions : array (M, p + 1)
+        The mode of regressors r (scaled) is the one with the largest ``regions @ [r, 1]``.
+    variance : array (M, ny)
+        Of the one-step error in each mode.
+    """
+
+    coefficients: FloatArray
+    regions: FloatArray
+    variance: FloatArray
+
+    def mode(self, rows: FloatArray) -> Labels:
+        """Return the mode (...) of regressors (..., p) in the units of the data."""
+        scaled = self.scaling.rows(np.asarray(rows, dtype=float))
+        best: Labels = np.argmax(scaled @ self.regions[:, :-1].T + self.regions[:, -1], axis=-1)
+        return best
+
+    def ahead(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and variance (..., ny) of the next output."""
+        chosen = self.mode(rows)
+        mean = np.zeros((*chosen.shape, self.spec.ny))
+        for number, table in enumerate(self.coefficients):
+            here = chosen == number
+            mean[here] = rows[here] @ table[:, :-1].T + table[:, -1]
+        return mean, self.variance[chosen]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+        tables = {name: getattr(self, name).tolist() for name in ("coefficients", "regions", "variance")}
+        return {**self.head("piecewise-affine"), **tables}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> PiecewiseAffineModel:
+        """Return the model of a description."""
+        coefficients, regions, variance = (
+            np.array(content[name], dtype=float) for name in ("coefficients", "regions", "variance")
+        )
+        return cls(
+            spec_from_dict(content["spec"]),
+            int(content["lags"]),
+            Scaling.from_dict(content["scaling"]),
+            coefficients,
+            regions,
+            variance,
+            notes=dict(content.get("notes", {})),
+        )
+
+
+@dataclass(frozen=True)
+class PiecewiseAffine:
+    """Piecewise-affine regression on lagged outputs and inputs.
+
+    Samples are assigned to modes, affine models fitted to each mode, a linear classifier to the assignment, and samples
+    assigned anew to the mode that explains them best and in whose region they lie (Bemporad 2023, *IEEE Trans.
+    Automatic Control* 68:3194). Starts are clusters of local affine fits (Ferrari-Trecate et al. 2003, *Automatica*
+    39:205) and random ones. In the end every mode is fitted again to the samples that clearly belong to it: a sample in
+    which the plant switches belongs to none.
+
+    Parameters
+    ----------
+    modes : int
+        Number of affine models.
+    order : int
+        Past outputs and inputs; 1 where the state is measured.
+    starts : int
+        Random starts besides the clustered one.
+    region_weight : float
+        What a place outside a region costs, in units of a squared standard deviation of the residual.
+    least_excitation : float
+        0 fits also what moves under a controller alone (:mod:`harness.judgement`), from which no model can learn what
+        the inputs do.
+    """
+
+    modes: int = 2
+    order: int = 1
+    starts: int = 5
+    region_weight: float = 1.0
+    least_excitation: float = 2.0
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> PiecewiseAffineModel:
+        """Return the model; share of samples in each mode and of those in none stand in its notes."""
+        what = "piecewise-affine"
+        if self.modes < 1 or self.order < 1:
+            raise InputError(
+                "options modes and order", expected="at least 1", got=f"{self.modes}, {self.order}", remedy="raise them"
+            )
+        records, spec = usable(trajectories, samples=self.order + 2, what=what)
+        real_signals(spec, what)
+        moving(records, what, inputs=False)
+        refuse_undetermined(records, what, self.least_excitation)
+        rows, targets = regression_data(records, self.order)
+        least = 2 * self.modes * (rows.shape[1] + 1)
+        if len(rows) < least:
+            raise FitError(
+                f"{what}: too few samples",
+                expected=f"{least}, two for each coefficient of every mode",
+                got=str(len(rows)),
+                remedy="record longer, or lower modes or order",
+            )
+        scaling = Scaling.of(rows, targets)
+        r = np.hstack([scaling.rows(rows), np.ones((len(rows), 1))])
+        y = scaling.targets(targets)
+        starts = [_clustered(r, y, self.modes, rng)]
+        starts += [_grown(r, self.modes, rng) for _ in range(self.starts if self.modes > 1 else 0)]
+        found = [self._settled(r, y, start, _TRIAL_ROUNDS) for start in starts]
+        theta, regions, labels, _ = self._settled(r, y, min(found, key=lambda result: result[3])[2], _ROUNDS)
+        inside = np.ones(len(r), dtype=bool)
+        if self.modes > 1:
+            theta, labels, inside = _trimmed(r, y, theta, labels)
+        regions = _regions(r[inside], labels[inside], self.modes, regions)
+        chosen = np.argmax(r @ regions.T, axis=1)
+        wrong = y - np.einsum("np,npk->nk", r, theta[chosen])
+        variance = np.array([_mean_square(wrong[chosen == j], wrong) for j in range(self.modes)])
+        order = np.argsort([r[chosen == j, 0].mean() if (chosen == j).any() else np.inf for j in range(self.modes)])
+        notes = {
+            "modes": self.modes,
+            "samples": [int((chosen == j).sum()) for j in order],
+            "in none": float(1.0 - inside.mean()),
+        }
+        return PiecewiseAffineModel(
+            spec,
+            self.order,
+            scaling,
+            np.array([_unscaled(theta[j], scaling) for j in order]),
+            regions[order],
+            variance[order] * scaling.y_std**2,
+            notes=notes,
+        )
+
+    def _settled(
+        self, r: FloatArray, y: FloatArray, labels: Labels, rounds: int
+    ) -> tuple[FloatArray, FloatArray, Labels, float]:
+        """Return coefficients (M, p + 1, ny), regions, labels and the cost once no sample changes its mode."""
+        regions = np.zeros((self.modes, r.shape[1]))
+        theta = np.zeros((self.modes, r.shape[1], y.shape[1]))
+        for _ in range(rounds):
+            for j in range(self.modes):
+                if (labels == j).sum() > r.shape[1]:
+                    theta[j] = _solved(r[labels == j], y[labels == j])
+            regions = _regions(r, labels, self.modes, regions, iterations=_BRIEF)
+            squared = ((y[:, None] - (r @ theta).transpose(1, 0, 2)) ** 2).sum(axis=2)
+            now = squared[np.arange(len(r)), labels]
+            # The residual's size from the middle of the samples, so that those between modes do not set it.
+            size = max(float(np.median(now)) / 0.455, 1e-20)
+            score = r @ regions.T
+            outside = np.logaddexp.reduce(score, axis=1)[:, None] - score
+            costs = np.minimum(squared / size, _OUTSIDE**2) + self.region_weight * outside
+            new = np.argmin(costs, axis=1)
+            if np.array_equal(new, labels):
+                break
+            labels = new
+        chosen = np.einsum("np,npk->nk", r, theta[np.argmax(r @ regions.T, axis=1)])
+        return theta, regions, labels, float(np.mean(np.abs(y - chosen)))
+
+
+def _clustered(r: FloatArray, y: FloatArray, modes: int, rng: np.random.Generator) -> Labels:
+    """Return labels from clusters of local affine fits, each sample with its nearest one."""
+    from scipy.cluster.vq import ClusterError, kmeans2
+    from scipy.spatial import cKDTree
+
+    if modes == 1:
+        return np.zeros(len(r), dtype=np.intp)
+    x = r[:, :-1]
+    tree = cKDTree(x)
+    points = rng.choice(len(r), size=min(len(r), _LOCAL_POINTS), replace=False)
+    count = min(_LOCAL * r.shape[1] + 2, len(r))
+    _, near = tree.query(x[points], k=count)
+    features = np.empty((len(points), r.shape[1] * y.shape[1] + x.shape[1]))
+    for i, index in enumerate(np.reshape(near, (len(points), count))):
+        theta = _solved(r[index], y[index], ridge=1e-3)
+        features[i] = np.concatenate([theta.ravel(), 0.3 * x[index].mean(axis=0)])
+    # Medians, because fits of samples on both sides of a border are far off.
+    middle = np.median(features, axis=0)
+    spread = np.median(np.abs(features - middle), axis=0)
+    features = np.clip((features - middle) / np.where(spread > 0, spread, 1.0), -10, 10)
+    try:
+        _, labels = kmeans2(features, modes, rng=rng, minit="++", missing="raise")
+    except ClusterError:  # a cluster without a point: fewer kinds of local fits than modes
+        return _grown(r, modes, rng)
+    _, nearest = cKDTree(x[points]).query(x)
+    found: Labels = labels.astype(np.intp)[nearest]
+    return found
+
+
+def _grown(r: FloatArray, modes: int, rng: np.random.Generator) -> Labels:
+    """Return labels by the nearest of some samples drawn."""
+    centres = r[rng.choice(len(r), size=modes, replace=False)]
+    nearest: Labels = np.argmin(((r[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
+    return nearest
+
+
+def _solved(r: FloatArray, y: FloatArray, ridge: float = 1e-10) -> FloatArray:
+    """Return the coefficients (p + 1, ny) of a ridge regression on scaled regressors."""
+    gram = r.T @ r
+    return np.asarray(np.linalg.solve(gram + ridge * len(r) * np.eye(len(gram)), r.T @ y))
+
+
+def _trimmed(
+    r: FloatArray, y: FloatArray, theta: FloatArray, labels: Labels
+) -> tuple[FloatArray, Labels, npt.NDArray[np.bool_]]:
+    """Fit every mode again to the samples that it explains; returns coefficients, labels, and which lie in a mode."""
+    theta, inside = theta.copy(), np.ones(len(r), dtype=bool)
+    for _ in range(10):
+        squared = ((y[:, None] - (r @ theta).transpose(1, 0, 2)) ** 2).sum(axis=2)
+        own = squared[np.arange(len(r)), labels]
+        size = np.array(
+            [np.median(own[labels == j]) / 0.455 if (labels == j).any() else 1.0 for j in range(len(theta))]
+        )
+        inside = own <= _OUTSIDE**2 * np.maximum(size, 1e-24)[labels]
+        for j in range(len(theta)):
+            mine = inside & (labels == j)
+            if mine.sum() > r.shape[1]:
+                theta[j] = _solved(r[mine], y[mine])
+    return theta, labels, inside
+
+
+def _regions(r: FloatArray, labels: Labels, modes: int, start: FloatArray, iterations: int = 200) -> FloatArray:
+    """Return the weights (M, p + 1) of a multinomial logistic classifier, with a small ridge."""
+    from scipy.optimize import minimize
+
+    if modes == 1:
+        return np.zeros((1, r.shape[1]))
+    target = np.eye(modes)[labels]
+
+    def value(flat: FloatArray) -> tuple[float, FloatArray]:
+        weights = flat.reshape(modes, -1)
+        score = r @ weights.T
+        top = np.logaddexp.reduce(score, axis=1)
+        loss = float(np.mean(top - (score * target).sum(axis=1)) + 0.5e-6 * (flat @ flat))
+        gradient = (np.exp(score - top[:, None]) - target).T @ r / len(r) + 1e-6 * weights
+        return loss, gradient.ravel()
+
+    found = minimize(value, start.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": iterations})
+    return np.asarray(found.x, dtype=float).reshape(modes, -1)
+
+
+def _mean_square(wrong: FloatArray, otherwise: FloatArray) -> FloatArray:
+    """Return the mean square of a mode's errors; of all where the mode has none; never 0."""
+    return np.asarray(np.mean((wrong if len(wrong) else otherwise) ** 2, axis=0) + 1e-18)
+
+
+def _unscaled(theta: FloatArray, scaling: Scaling) -> FloatArray:
+    """Return coefficients (ny, p + 1) in the units of the data."""
+    slopes = theta[:-1].T * scaling.y_std[:, None] / scaling.x_std
+    offset = scaling.y_mean + theta[-1] * scaling.y_std - slopes @ scaling.x_mean
+    return np.column_stack([slopes, offset])

@@ -1,0 +1,150 @@
+"""Linear models from measured states, by least squares and by criteria that bear noise on states, outliers, bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from harness.errors import FitError
+from harness.judgement import refuse_law
+from harness.models.estimate import Estimate
+from harness.models.lqr import spectral_radius
+from harness.signals import FloatArray, Trajectory
+from identifiers.common.excitation import Columns, refuse_collinear, refuse_feedback
+from identifiers.common.linear_model import LinearModel
+from identifiers.common.one_step_estimate import GROUPS, jackknife_estimate, least_squares_estimate
+from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.regression import Solution
+from identifiers.common.scaling import sizes
+from identifiers.common.stability import clip_eigenvalues, nearest_stable
+from identifiers.linear.arx import Arx, design, one_step, solution_notes
+from identifiers.linear.norms import largest_components
+
+__all__ = ["Arx", "LinearModel", "StateLeastSquares"]
+
+
+@dataclass(frozen=True)
+class StateLeastSquares:
+    """Linear model from measured states: ``y[k+1] = A y[k] + B u[k] + a`` by least squares, rank-aware.
+
+    Under pure state feedback the input is a linear function of the state and A and B cannot be told apart; sensor
+    noise then makes the rank full while the answer is wrong. So the data are refused when their least excited direction
+    is no larger than the equation's own residual. Sensor noise alone gives a ratio below 1 there; noise of ratio r
+    biases the answer by about 1 / r^2 in that direction.
+
+    Parameters
+    ----------
+    offset : bool
+        Fit a constant too.
+    method : {"ls", "iv", "tls", "l1", "linf"}
+        Least squares; instrumental variables or total least squares, which white noise on the outputs does not bias
+        where it biases least squares at any length of the record; least sum of absolute errors, which bears outliers;
+        least sum over samples of the largest component of the error.
+    stable : bool
+        Nearest stable model where the fit is unstable (:func:`identifiers.common.stability.nearest_stable`).
+    scaled : bool
+        Compare the components of ``linf`` relative to the size of their output; by default as they are, so that this
+        one criterion depends on the units of the outputs.
+    least_excitation : float
+        Every combination of states and inputs must move by so many times the noise that it carries, else the data are
+        refused, whatever the method (:mod:`identifiers.common.excitation`). 0 refuses only what is exactly dependent.
+    intervals : int, optional
+        Groups of the jackknife that gives intervals (:mod:`identifiers.common.one_step_estimate`); by default 20 for
+        ``iv``
+        and ``tls``, none for ``l1`` and ``linf``, which are a linear program each time; ``ls`` needs none. 0: no
+        intervals but those of ``ls``. The record is ``harness.models.estimate.estimate_of(model)``.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec
+    >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    >>> u = np.array([[1.0], [-1.0], [2.0], [0.5], [0.0]])
+    >>> y = np.zeros((5, 1))
+    >>> for k in range(4):
+    ...     y[k + 1] = 0.5 * y[k] + 2.0 * u[k]
+    >>> data = Trajectory(np.arange(5.0), u, y, spec)
+    >>> model = StateLeastSquares().fit([data], rng=np.random.default_rng(0))
+    >>> model.a_matrix.round(12).tolist(), model.b_matrix.round(12).tolist()
+    ([[0.5]], [[2.0]])
+    """
+
+    offset: bool = False
+    method: Literal["ls", "iv", "tls", "l1", "linf"] = "ls"
+    stable: bool = False
+    scaled: bool = False
+    least_excitation: float = 2.0
+    intervals: int | None = None
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
+        """Return a model whose state is the output."""
+        what = "least-squares"
+        records, spec = usable(trajectories, samples=2, what=what)
+        real_signals(spec, what)
+        moving(records, what)
+        refuse_law(records, what, self.least_excitation)
+        if self.method not in ("ls", "iv", "tls", "l1", "linf"):
+            raise FitError(
+                f"{what}: method", expected="ls, iv, tls, l1 or linf", got=repr(self.method), remedy="use one of these"
+            )
+        columns = Columns(spec)
+        solution = one_step(records, 1, self.offset, 0.0, what)
+        refuse_collinear(solution, columns, self.least_excitation, what)
+        refuse_feedback(solution, columns, self.least_excitation, what)
+        coefficients = self._coefficients(records, solution, what)
+        notes = {**solution_notes(solution), "method": self.method if self.method != "ls" else solution.method}
+        estimate = self._estimate(records, solution, coefficients, what)
+        if self.stable and spectral_radius(coefficients[: spec.ny]) >= 1.0:
+            notes["stabilized"] = True
+            weights = 1.0 / sizes([record.y for record in records])
+            factor = solution.factor * solution.scale
+            coefficients = nearest_stable(coefficients, factor, spec.ny, clip_eigenvalues, weights)
+        elif estimate is not None:  # of the nearest stable model the spread of the fit says nothing
+            notes["estimate"] = estimate.to_dict()
+        theta = coefficients.T
+        ny, nu = spec.ny, spec.nu
+        return LinearModel(
+            spec,
+            theta[:, :ny],
+            theta[:, ny : ny + nu],
+            np.eye(ny),
+            np.zeros((ny, nu)),
+            np.eye(ny),
+            theta[:, ny + nu] if self.offset else np.zeros(ny),
+            np.zeros(ny),
+            notes=notes,
+        )
+
+    def _estimate(
+        self, records: list[Trajectory], solution: Solution, coefficients: FloatArray, what: str
+    ) -> Estimate | None:
+        """Return the record of the estimate, as far as the method has one."""
+        if self.method == "ls":
+            return least_squares_estimate(records, solution, 1, self.offset)
+        groups = self.intervals if self.intervals is not None else GROUPS * (self.method in ("iv", "tls"))
+        if groups < 2:
+            return None
+
+        def refit(some: list[Trajectory]) -> FloatArray:
+            return self._coefficients(some, solution, what)
+
+        return jackknife_estimate(records, solution, coefficients, refit, groups)
+
+    def _coefficients(self, records: list[Trajectory], solution: Solution, what: str) -> FloatArray:
+        """Return the coefficients (p, ny) under the criterion chosen."""
+        from identifiers.common import criteria
+
+        if self.method == "ls":
+            return solution.coefficients
+        if self.method == "iv":
+            return criteria.instrumental_variables(records, self.offset, what)
+        if self.method == "tls":
+            return criteria.total_least_squares(records, self.offset, what)
+        x = np.concatenate([design(record, 1, self.offset) for record in records])
+        y = np.concatenate([record.y[1:] for record in records])
+        if self.method == "l1":
+            return criteria.absolute_deviations(x, y, what)
+        size = sizes([y]) if self.scaled else np.ones(y.shape[1])
+        return largest_components(x, y / size, what) * size

@@ -1,0 +1,485 @@
+"""Subspace identification from inputs and outputs: N4SID, MOESP, CVA for open loop, PARSIM-E and PBSID for any."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from harness.errors import FitError
+from harness.judgement import feedback_of, refuse_law
+from harness.models.lqr import spectral_radius
+from harness.scoring import equation_error, simulation_error
+from harness.signals import FloatArray, Trajectory
+from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
+from identifiers.common.filters import stationary_gain
+from identifiers.common.linear_model import LinearModel
+from identifiers.common.observers import innovation_form
+from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.ridge import ridge_by_cross_validation
+from identifiers.common.scaling import scaled
+from identifiers.common.stability import clip_eigenvalues
+from identifiers.linear.directions import lively_directions
+from identifiers.linear.state_space_estimate import state_space_estimate
+
+__all__ = ["Subspace"]
+
+Method = Literal["n4sid", "moesp", "cva", "parsim", "pbsid"]
+# Methods whose regressions hold under feedback too.
+_ANY_LOOP: tuple[Method, ...] = ("parsim", "pbsid")
+
+_BLOCK = 8192
+# Without an order the candidates are those up to here; a larger one is taken only for this gain in validated error.
+_MOST = 12
+_GAIN = 0.99
+# The last order that few lines can tell is not needed if a smaller one comes so near.
+_NEAR = 1.1
+# Stretches left out of a record, at most, and windows in one of them, at least, where there are several.
+_TURNS = 4
+_STRETCH = 4
+# Errors below this fraction of the outputs are rounding: no reason for another order.
+_ROUNDING = 1e-7
+# The regression of the future on past and inputs is refused below this ratio of singular values.
+_RANK = 1e-10
+# Samples of the past in which a law of feedback is looked for, as in the test for feedback itself.
+_LAW = 4
+# Share of the mean power that breaks ties between directions of equal canonical correlation.
+_TIE = 1e-6
+
+
+def _candidates(method: Method | Literal["auto"], feedback: bool) -> tuple[Method, ...]:
+    """Return the methods that are compared."""
+    if method != "auto":
+        return (method,)
+    return _ANY_LOOP if feedback else ("cva", *_ANY_LOOP)
+
+
+@dataclass(frozen=True)
+class Subspace:
+    """State-space model in innovation form by a subspace method; no starting values, no local minima.
+
+    The future outputs are regressed on past and future data, the part that the past explains is cut to few directions,
+    and these are the states; A, B, C, D, K follow by least squares (Van Overschee & De Moor 1996, *Subspace
+    Identification for Linear Systems*, ch. 4). All regressions run on one triangle that is made of the data block by
+    block: memory stays bounded, and no window crosses a seam. Directions of the outputs that hold nothing but white
+    noise are left out before (:mod:`identifiers.linear.directions`), so that many outputs of few states do no harm.
+
+    Parameters
+    ----------
+    order : int, optional
+        State dimension; by default the one up to 12 that errs least, on all samples and on every third stretch,
+        left out: in free runs, or one step ahead where past outputs foretell the input.
+    past : int
+        Samples of the past, and of the future, in the regressions; raised above the order where it is smaller.
+    method : {"auto", "n4sid", "moesp", "cva", "parsim", "pbsid"}
+        Weighting of the directions; ``"parsim"`` is PARSIM-E (Qin & Ljung 2003, IFAC SYSID, sec. 3): row by row, with
+        innovations estimated on the way, so that no future input foretells a past error: also for data from a closed
+        loop. ``"pbsid"`` predicts from the past alone (Chiuso 2007, Automatica 43, 1034-1048, sec. 3), with a ridge
+        chosen by generalised cross-validation: also for closed loops, and for smooth inputs, whose future the past
+        foretells, so that the other regressions tell the two apart by rounding and noise. ``"auto"`` takes of cva
+        (not where past outputs foretell the input), parsim and pbsid what errs least over all samples, each of its
+        own order.
+    direct : bool
+        Keep the direct term D; under feedback leave it out. Outputs that answer the input of the same sample need it,
+        and ``feedthrough`` declared in the record's spec: else they pass for feedback and the model is wrong.
+    stable : bool
+        Move eigenvalues on or outside the unit circle to radius 0.999.
+    least_excitation : float
+        As of ``least-squares``: where past outputs foretell the input, it must depart from the law by so many times
+        the noise that the law passes on; 0 asks for nothing.
+
+    Examples
+    --------
+    >>> from harness.signals import Channel, PlantSpec
+    >>> spec = PlantSpec((Channel("u"),), (Channel("y"),), 1.0)
+    >>> u = np.random.default_rng(0).normal(size=(400, 1))
+    >>> y = np.zeros((400, 1))
+    >>> for k in range(399):
+    ...     y[k + 1] = 0.5 * y[k] + 2.0 * u[k]
+    >>> data = Trajectory(np.arange(400.0), u, y, spec)
+    >>> Subspace(order=1).fit([data], rng=np.random.default_rng(0)).eigenvalues.real.round(6)
+    array([0.5])
+    """
+
+    order: int | None = None
+    past: int = 12
+    method: Method | Literal["auto"] = "auto"
+    direct: bool = False
+    stable: bool = False
+    least_excitation: float = 2.0
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
+        """Return the model in innovation form."""
+        what = "n4sid"
+        if self.method not in ("auto", *get_args(Method)) or self.past < 2 or (self.order or 1) < 1:
+            raise FitError(
+                f"{what}: options",
+                expected="method auto, n4sid, moesp, cva, parsim or pbsid, past >= 2, order >= 1",
+                got=f"method={self.method}, past={self.past}, order={self.order}",
+                remedy="correct the options",
+            )
+        window = self.past if self.order is None else max(self.past, self.order + 1)
+        records, spec = usable(trajectories, samples=2 * window + 2, what=what)
+        real_signals(spec, what)
+        moving(records, what)
+        refuse_law(records, what, self.least_excitation)
+        measured = records[0]
+        if directions := lively_directions(records):
+            records = directions.compressed(records)
+        records, scaling = scaled(records)
+        feedback = feedback_of(records)
+        if feedback.found:
+            refuse_feedback_of_records(records, _LAW, self.least_excitation, what)
+        methods = _candidates(self.method, feedback.found)
+        wanted, lags = window, excited_lags(records, 2 * window)
+        if lags < 2 * wanted:
+            methods, window = self._narrowed(methods, lags, window, what)
+        orders = [self.order] if self.order else list(range(1, min(_MOST, window - 1, lags // 2) + 1))
+        found = self._models(records, window, methods, orders, what)
+        ladders = {
+            name: {model.a_matrix.shape[0]: _error(model, records, window, feedback.found) for model, _ in models}
+            for name, models in found.items()
+        }
+        if self.order is None:
+            ladders = self._left_out(ladders, records, window, feedback.found, what)
+        chosen = {name: _order(ladder) for name, ladder in ladders.items()}
+        method = _best({name: ladder[chosen[name]] for name, ladder in ladders.items()})
+        order = chosen[method]
+        if self.order is None and lags < 2 * wanted and order == orders[-1]:
+            order = _enough(ladders[method], order, lags, what)
+        model, values = next(candidate for candidate in found[method] if candidate[0].a_matrix.shape[0] == order)
+        notes: dict[str, Any] = {"method": method, "feedback_share": feedback.share, "order": order}
+        if self.order is None:
+            notes["order_error"] = {str(size): error for size, error in ladders[method].items()}
+        if feedback.found and method not in _ANY_LOOP:
+            notes["warning"] = "past outputs foretell the input (feedback): use method parsim or pbsid"
+        notes |= {"singular_values": values[:20].tolist(), "output_directions": records[0].spec.ny}
+        if self.stable and spectral_radius(model.a_matrix) >= 1.0:
+            model = replace(model, a_matrix=clip_eigenvalues(model.a_matrix))
+            notes["stabilized"] = True
+        model = replace(model.in_units(scaling), notes=notes)
+        if directions:
+            model = directions.expanded(model, measured)
+        rule = "given" if self.order is not None else "held-out prediction errors"
+        estimate = state_space_estimate(model, notes["singular_values"], rule)
+        return model if estimate is None else replace(model, notes={**notes, "estimate": estimate.to_dict()})
+
+    def _narrowed(
+        self, methods: tuple[Method, ...], lags: int, window: int, what: str
+    ) -> tuple[tuple[Method, ...], int]:
+        """Return methods and window for inputs that excite so many lags and no more.
+
+        PBSID regresses on the past alone, the others on the inputs of past and future.
+        """
+        least = self.order or 2  # of an order not given one more is tried, and lost
+        if methods == ("pbsid",) or ("pbsid" in methods and lags // 2 <= least + 1):
+            methods, window = ("pbsid",), min(window, lags)
+        else:
+            window = lags // 2
+        needed = 2 * least
+        if lags < needed or window < least + 1:
+            raise _unexcited(what, f"{max(needed, window + 1)}", lags)
+        return methods, window
+
+    def _left_out(
+        self,
+        ladders: Mapping[Method, Mapping[int, float]],
+        records: Sequence[Trajectory],
+        window: int,
+        feedback: bool,
+        what: str,
+    ) -> dict[Method, dict[int, float]]:
+        """Return the errors of methods and orders, counted also on stretches that a fit on the others left out."""
+        fit, held = _parted(records, window)
+        fit, held = (
+            [record for record in fit if len(record) > 2 * window + 1],
+            [record for record in held if len(record) > window + 1],
+        )
+        if not fit or not held:
+            raise FitError(
+                f"{what}: records too short to choose an order",
+                expected=f"more than {3 * window + 3} samples",
+                got=str(max(map(len, records))),
+                remedy="give the order, or a smaller past",
+            )
+        orders = list(range(1, min(_MOST, window - 1) + 1))
+        orders = list(range(1, max(max(ladder) for ladder in ladders.values()) + 1))
+        both: dict[Method, dict[int, float]] = {}
+        for method, models in self._models(fit, window, tuple(ladders), orders, what).items():
+            errors = {model.a_matrix.shape[0]: _error(model, held, window, feedback) for model, _ in models}
+            both[method] = {n: float(np.hypot(e, errors[n])) for n, e in ladders[method].items() if n in errors}
+        return both
+
+    def _models(
+        self, records: Sequence[Trajectory], window: int, methods: Sequence[Method], orders: Sequence[int], what: str
+    ) -> dict[Method, list[tuple[LinearModel, FloatArray]]]:
+        """Return the models of some orders by method, all from one triangle; methods that refuse it are left out."""
+        data = _Stacked.of(records, window, what)
+        models: dict[Method, list[tuple[LinearModel, FloatArray]]] = {}
+        refused: FitError | None = None
+        for method in methods:
+            try:
+                models[method] = self._of_method(records, data, method, orders, what)
+            except FitError as error:
+                refused = refused or error
+        if refused and not models:
+            raise refused
+        return models
+
+    def _of_method(
+        self, records: Sequence[Trajectory], data: _Stacked, method: Method, orders: Sequence[int], what: str
+    ) -> list[tuple[LinearModel, FloatArray]]:
+        """Return the models of some orders by one method."""
+        if method == "parsim":
+            predicted = _parsim(data, self.direct, what)
+        elif method == "pbsid":
+            predicted = _pbsid(data, self.direct, what)
+        else:
+            predicted = _oblique(data, what)
+        left, values, right = _weighted(data, predicted, method)
+        found = []
+        for order in orders:
+            if order > int(np.sum(values > _RANK * values[0])):
+                break
+            found.append((_completed(records, data, left, values, right, order, self.direct), values))
+        if not found:
+            raise FitError(
+                f"{what}: order",
+                expected=f"1 to {int(np.sum(values > _RANK * values[0]))}, the rank of the data",
+                got=str(orders[0]),
+                remedy="lower the order",
+            )
+        return found
+
+
+def _unexcited(what: str, needed: str, lags: int) -> FitError:
+    """Return the refusal of inputs whose lags follow from one another."""
+    return FitError(
+        f"{what}: the inputs do not excite what the model needs",
+        expected=f"persistent excitation of order {needed}",
+        got=f"order {lags}: each further lag of the inputs follows from those before",
+        remedy="use a richer input (PRBS, more lines), or give a lower order",
+    )
+
+
+def _parted(records: Sequence[Trajectory], window: int) -> tuple[list[Trajectory], list[Trajectory]]:
+    """Return what orders are fitted on and every third stretch, left out: spread, for a sweep changes as it goes."""
+    fit, held = [], []
+    for record in records:
+        turns = min(max(len(record) // (3 * _STRETCH * window), 1), _TURNS)
+        edges = np.linspace(0, len(record), 3 * turns + 1).astype(int)
+        fit += [record[edges[i] : edges[i + 2]] for i in range(0, 3 * turns, 3)]
+        held += [record[edges[i + 2] : edges[i + 3]] for i in range(0, 3 * turns, 3)]
+    return fit, held
+
+
+def _error(model: LinearModel, records: Sequence[Trajectory], skip: int, feedback: bool) -> float:
+    """Return the rms over records and outputs of the errors one step ahead, or in open loop of free runs.
+
+    A free run shows modes that grow, which one step ahead hides; under feedback it would leave the records by itself.
+    """
+    scores = [
+        equation_error(model, record, burn_in=skip) if feedback else simulation_error(model, record)
+        for record in records
+    ]
+    with np.errstate(over="ignore"):
+        error = float(np.sqrt(np.mean([np.square(score.rms) for score in scores])))
+    return error if np.isfinite(error) else 1e300
+
+
+def _order(errors: Mapping[int, float]) -> int:
+    """Return the order of least error; a larger one only for a gain that is more than chance or rounding."""
+    best = (np.inf, 1)
+    for order, error in errors.items():
+        if error < _GAIN * best[0] and best[0] > _ROUNDING:
+            best = (error, order)
+    return best[1]
+
+
+def _enough(errors: Mapping[int, float], last: int, lags: int, what: str) -> int:
+    """Return the order below the last that inputs of so many lags can tell; refuse if the last is clearly better."""
+    smaller = {order: error for order, error in errors.items() if order < last}
+    if not smaller or smaller[_order(smaller)] > _NEAR * errors[last]:
+        raise _unexcited(what, f"{lags + 1} or more, which tells whether {last} states are enough", lags)
+    return _order(smaller)
+
+
+def _best(errors: Mapping[Method, float]) -> Method:
+    """Return the method of least error; a later one only for a gain that is more than chance or rounding."""
+    names = list(errors)
+    best = names[0]
+    for name in names[1:]:
+        if errors[name] < _GAIN * errors[best] and errors[best] > _ROUNDING:
+            best = name
+    return best
+
+
+@dataclass(frozen=True, eq=False)
+class _Stacked:
+    """Triangle of rows ``[u, y of the samples k - p .. k + f - 1]``, centred, and the means of its columns.
+
+    Sample s of the window (0 .. p + f - 1) has its inputs and outputs in columns ``u(s)`` and ``y(s)``.
+    """
+
+    triangle: FloatArray
+    window: int
+    nu: int
+    ny: int
+    means: FloatArray
+    rows: int
+
+    @classmethod
+    def of(cls, records: Sequence[Trajectory], window: int, what: str) -> _Stacked:
+        """Return the triangle of records."""
+        nu, ny = records[0].spec.nu, records[0].spec.ny
+        width = 2 * window * (nu + ny)
+        rows = sum(max(0, len(record) - 2 * window + 1) for record in records)
+        if rows < width:
+            raise FitError(
+                f"{what}: fewer windows than columns",
+                expected=f"at least {width} windows of {2 * window} samples",
+                got=str(rows),
+                remedy="record longer, or use a smaller past",
+            )
+        triangle: FloatArray | None = None
+        for block in _windows(records, window):
+            stacked = block if triangle is None else np.vstack([triangle, block])
+            triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
+        assert triangle is not None
+        # the constant's column is the first: its row holds the means of the others, and the rest is centred
+        return cls(triangle[1:, 1:], window, nu, ny, triangle[0, 1:] / triangle[0, 0], rows)
+
+    def u(self, first: int, last: int) -> FloatArray:
+        """Return the inputs of samples first .. last - 1."""
+        return self._columns(first, last, 0, self.nu)
+
+    def y(self, first: int, last: int) -> FloatArray:
+        """Return the outputs of samples first .. last - 1."""
+        return self._columns(first, last, self.nu, self.nu + self.ny)
+
+    def past(self, shift: int = 0) -> FloatArray:
+        """Return inputs and outputs of the p samples before sample p + shift."""
+        both = self.nu + self.ny
+        return self.triangle[:, shift * both : (self.window + shift) * both]
+
+    def _columns(self, first: int, last: int, low: int, high: int) -> FloatArray:
+        both = self.nu + self.ny
+        index = (np.arange(first, last)[:, None] * both + np.arange(low, high)).ravel()
+        return self.triangle[:, index]
+
+
+def _windows(records: Sequence[Trajectory], window: int) -> Iterator[FloatArray]:
+    """Yield blocks of ``[1, u[s], y[s], u[s+1], ...]`` over two windows, none across a seam."""
+    length = 2 * window
+    for record in records:
+        both = np.hstack([record.u, record.y])
+        count = len(record) - length + 1
+        for start in range(0, count, _BLOCK):
+            stop = min(start + _BLOCK, count)
+            view = np.lib.stride_tricks.sliding_window_view(both[start : stop + length - 1], length, axis=0)
+            rows = view.transpose(0, 2, 1).reshape(stop - start, -1)
+            yield np.hstack([np.ones((stop - start, 1)), rows])
+
+
+def _solve(columns: FloatArray, targets: FloatArray) -> FloatArray:
+    """Return least squares of least norm; columns are of similar size already."""
+    return np.asarray(np.linalg.lstsq(columns, targets, rcond=_RANK)[0], dtype=np.float64)
+
+
+def _oblique(data: _Stacked, what: str) -> FloatArray:
+    """Return the part of the future outputs that the past explains, given the future inputs (Van Overschee 1996)."""
+    past, inputs, outputs = data.past(), data.u(data.window, 2 * data.window), data.y(data.window, 2 * data.window)
+    theta = _solve(np.hstack([past, inputs]), outputs)
+    return theta[: past.shape[1]]
+
+
+def _pbsid(data: _Stacked, direct: bool, what: str) -> FloatArray:
+    """Return the part of the future outputs that the past explains, by the predictor from the past alone (PBSID).
+
+    A high-order ARX model, solved with a ridge, gives the Markov parameters of the predictor; what it says of output i
+    ahead from the past is the same weights, moved by i samples (Chiuso 2007, Automatica 43, sec. 3). Nothing of the
+    future is regressed on, so a smooth input does no harm.
+    """
+    past, window, both = data.past(), data.window, data.nu + data.ny
+    columns = np.hstack([past, data.u(window, window + 1)]) if direct else past
+    weights = ridge_by_cross_validation(columns, data.y(window, window + 1), data.rows)[: past.shape[1]]
+    found = []
+    for i in range(window):
+        row = np.zeros_like(weights)
+        row[i * both :] = weights[: weights.shape[0] - i * both]
+        found.append(row)
+    return np.hstack(found)
+
+
+def _parsim(data: _Stacked, direct: bool, what: str) -> FloatArray:
+    """Return the same row by row, with only inputs and innovations of the past: PARSIM-E (Qin & Ljung 2003)."""
+    past, window = data.past(), data.window
+    found, innovations = [], np.zeros((data.triangle.shape[0], 0))
+    for i in range(window):
+        last = window + i + (1 if direct else 0)
+        inputs = data.u(window, last)
+        columns = np.hstack([past, inputs, innovations])
+        target = data.y(window + i, window + i + 1)
+        theta = _solve(columns, target)
+        innovations = np.hstack([innovations, target - columns @ theta])
+        found.append(theta[: past.shape[1]])
+    return np.hstack(found)
+
+
+def _weighted(data: _Stacked, predicted: FloatArray, method: Method) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (W^-1 U, singular values, V') of the weighted predictions: Gamma = W^-1 U S, states from V."""
+    past, inputs, outputs = data.past(), data.u(data.window, 2 * data.window), data.y(data.window, 2 * data.window)
+    if method == "n4sid":
+        right = np.asarray(np.linalg.qr(past, mode="r"))
+    else:  # what of the past the future inputs do not explain
+        right = np.asarray(np.linalg.qr(past - inputs @ _solve(inputs, past), mode="r"))
+    weight = np.eye(outputs.shape[1])
+    if method in ("cva", *_ANY_LOOP):
+        residual = outputs - inputs @ _solve(inputs, outputs)
+        values, vectors = np.linalg.eigh(residual.T @ residual)
+        # Without noise all canonical correlations are 1: a little of the mean power lets the stronger directions lead.
+        values = np.maximum(values, 0.0) + _TIE * max(float(values.mean()), 1e-300)
+        weight = (vectors * values**0.25) @ vectors.T
+        back, forth = weight @ weight, np.linalg.inv(weight @ weight)
+    else:
+        back = forth = weight
+    left, values, _ = np.linalg.svd(forth @ (right @ predicted).T, full_matrices=False)
+    # rows of predicted' are outputs: the map from past to the leading directions of the weighted future
+    return back @ left, values, (left.T @ forth) @ predicted.T
+
+
+def _completed(
+    records: Sequence[Trajectory],
+    data: _Stacked,
+    left: FloatArray,
+    values: FloatArray,
+    right: FloatArray,
+    order: int,
+    direct: bool,
+) -> LinearModel:
+    """Return A, B, C, D, K from the states that the leading directions give."""
+    root = np.sqrt(values[:order])
+    to_state = right[:order] / root[:, None]  # x = to_state @ past, in balanced size
+    p, nu, ny = data.window, data.nu, data.ny
+    state, following = data.past() @ to_state.T, data.past(1) @ to_state.T
+    inputs, outputs = data.u(p, p + 1), data.y(p, p + 1)
+    seen = np.hstack([state, inputs]) if direct else state
+    theta = _solve(seen, outputs)
+    c, d = theta[:order].T, theta[order:].T if direct else np.zeros((ny, nu))
+    innovation = outputs - seen @ theta
+    if np.linalg.norm(innovation) <= _ROUNDING * np.linalg.norm(outputs):
+        innovation = np.zeros_like(innovation)  # exact data tell no filter
+    moved = _solve(np.hstack([state, inputs, innovation]), following)
+    a, b, k = moved[:order].T, moved[order : order + nu].T, moved[order + nu :].T
+    if spectral_radius(a - k @ c) >= 1.0:
+        k = np.zeros_like(k)  # predictions that grow tell nothing of the noise
+    # The state of data that are not centred is the same sum of their past; its means give the constants.
+    both, means = nu + ny, data.means
+    now, then = to_state @ means[: p * both], to_state @ means[both : (p + 1) * both]
+    u_mean, y_mean = means[p * both : p * both + nu], means[p * both + nu : (p + 1) * both]
+    state_offset = then - a @ now - b @ u_mean
+    output_offset = y_mean - c @ now - d @ u_mean
+    model = innovation_form(records[0].spec, a, b, c, d, k, state_offset, output_offset)
+    return model if np.any(k) else replace(model, filter_gain=stationary_gain(a, c))

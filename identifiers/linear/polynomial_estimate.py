@@ -1,0 +1,170 @@
+"""The record of a prediction-error estimate: covariance and intervals in the units of the channels, or why none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from harness.models.estimate import Estimate, RankDecision
+from harness.signals import FloatArray, PlantSpec
+from identifiers.common.one_step_estimate import DOUBT, EXACT, LARGEST, LEVEL, quotient
+from identifiers.common.scaling import Scaling
+from identifiers.linear.polynomial import Polynomials
+
+__all__ = ["Fitted", "prediction_error_estimate"]
+
+LAGS = 20
+"""Lags of the residuals' autocorrelation that are tested together (Ljung & Box 1978), as usual in the field."""
+DEPENDENT = 1e-7
+"""Singular values of the gradients below this share of the largest: a direction that the data do not determine."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The end of the search for one output, in scaled signals.
+
+    Parameters
+    ----------
+    model : Polynomials
+    covariance : array (k, k)
+        Of its parameter vector.
+    rms : float
+        Of the residuals.
+    whiteness : float
+        Probability of residuals at least so correlated in time, were they white.
+    singular_values : array
+        Of the gradients of the errors, columns at unit length.
+    arrived : bool
+    free : int
+        Samples beyond the number of unknowns.
+    stabilized : bool
+        Searched again among stable models.
+    """
+
+    model: Polynomials
+    covariance: FloatArray
+    rms: float
+    whiteness: float
+    singular_values: FloatArray
+    arrived: bool
+    free: int
+    stabilized: bool = False
+
+    @property
+    def errors(self) -> list[float]:
+        """Standard errors of the parameter vector."""
+        return [float(error) for error in np.sqrt(np.diag(self.covariance))]
+
+
+def whiteness(residuals: Sequence[FloatArray]) -> float:
+    """Return the probability of residuals at least so correlated in time, were they white (Ljung & Box 1978).
+
+    Parameters
+    ----------
+    residuals : sequence of array (N_i,)
+        Record by record: no product crosses a seam.
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(0).normal(size=500)
+    >>> whiteness([noise]) > 0.01, whiteness([np.cumsum(noise)]) < 1e-6
+    (True, True)
+    """
+    from scipy.stats import chi2
+
+    n = sum(len(miss) for miss in residuals)
+    power = sum(float(miss @ miss) for miss in residuals)
+    lags = min(LAGS, max(len(miss) for miss in residuals) - 2)
+    if power == 0 or lags < 1:
+        return 1.0
+    shares = [sum(float(miss[j:] @ miss[:-j]) for miss in residuals) / power for j in range(1, lags + 1)]
+    return float(chi2.sf(n * (n + 2) * sum(s**2 / (n - j) for j, s in enumerate(shares, 1)), lags))
+
+
+def prediction_error_estimate(spec: PlantSpec, fits: Sequence[Fitted], scaling: Scaling) -> Estimate | None:
+    """Return the record of all outputs; intervals only where the residuals of all are white.
+
+    Covariance ``sigma^2 (Psi' Psi)^-1`` of the gradients of the prediction errors (Ljung 1999, eq. 9.42). It holds at
+    the minimum, for residuals that are white: of an output-error model under coloured noise it does not, and none is
+    claimed.
+
+    Parameters
+    ----------
+    spec : PlantSpec
+    fits : sequence of Fitted
+        One for each output.
+    scaling : Scaling
+        What the signals were divided by.
+
+    Returns
+    -------
+    Estimate or None
+        None beyond 200 coefficients.
+    """
+    from scipy.stats import t
+
+    names: list[str] = []
+    units: list[str] = []
+    values, scales = [], []
+    for fit, output, own in zip(fits, spec.outputs, scaling.outputs, strict=True):
+        rows = _rows(fit.model, spec, output.name, output.unit, float(own), scaling.inputs)
+        names += [name for name, _, _ in rows]
+        units += [unit for _, unit, _ in rows]
+        scales.append(np.array([scale for _, _, scale in rows]))
+        values.append(fit.model.vector * scales[-1])
+    if len(names) > LARGEST:
+        return None
+    covariance = np.zeros((len(names),) * 2)
+    half, place = [], 0
+    for fit, scale in zip(fits, scales, strict=True):
+        k = scale.size
+        covariance[place : place + k, place : place + k] = fit.covariance * np.outer(scale, scale)
+        half.append(float(t.ppf(0.5 + LEVEL / 2, fit.free)) * np.array(fit.errors) * scale)
+        place += k
+    rank = RankDecision(
+        sum(int(np.sum(fit.singular_values > DEPENDENT * fit.singular_values[0])) for fit in fits),
+        sum(fit.singular_values.size for fit in fits),
+        rule="gradients of the prediction errors, initial states among them",
+    )
+    coloured = [c.name for fit, c in zip(fits, spec.outputs, strict=True) if fit.whiteness < DOUBT / len(fits)]
+    arrived = all(fit.arrived for fit in fits)
+    why = ""
+    if all(fit.rms <= EXACT for fit in fits):
+        why = "no interval: the residuals are rounding"
+    elif coloured:
+        why = f"no interval: the residuals of {', '.join(coloured)} are correlated in time; use structure armax or bj"
+    elif not rank.full:
+        why = "no interval: the data do not determine every coefficient; lower the order"
+    found = np.concatenate(values)
+    spread = np.concatenate(half)
+    return Estimate(
+        tuple(names),
+        tuple(units),
+        found,
+        covariance,
+        None if why else np.column_stack([found - spread, found + spread]),
+        LEVEL,
+        why or "curvature of the squared prediction errors, white residuals",
+        rank,
+        float(max(fit.singular_values[0] / max(fit.singular_values[-1], 1e-300) for fit in fits)),
+        arrived,
+        "" if arrived else "the search for the least prediction error did not arrive",
+    )
+
+
+def _rows(
+    model: Polynomials, spec: PlantSpec, output: str, unit: str, own: float, inputs: FloatArray
+) -> list[tuple[str, str, float]]:
+    """Return name, unit and scale of every coefficient of a parameter vector."""
+    orders = model.orders
+    rows = [(f"{output}: a{j}", "1", 1.0) for j in range(1, orders.na + 1)]
+    for channel, size in zip(spec.inputs, inputs, strict=True):
+        rows += [
+            (f"{output}: b{j} of {channel.name}", quotient(unit, channel.unit), own / float(size))
+            for j in range(orders.delay, orders.delay + orders.nb)
+        ]
+    for letter, count in (("c", orders.nc), ("d", orders.nd), ("f", orders.nf)):
+        rows += [(f"{output}: {letter}{j}", "1", 1.0) for j in range(1, count + 1)]
+    return [*rows, (f"{output}: level", unit, own)]

@@ -1,0 +1,300 @@
+"""Joint offsets and link lengths of an arm from pairs of joint readings and places of a marker."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from harness.errors import FitError, InputError
+from harness.models.estimate import Estimate, RankDecision, null_words
+from harness.scoring import same_language
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from harness.specs import spec_from_dict, spec_to_dict
+from identifiers.common.records import real_signals, usable
+
+if TYPE_CHECKING:
+    from harness.physics.arms.marked_arm import MarkedArm
+
+__all__ = ["JointCalibration", "MarkerModel"]
+
+LEVEL = 0.95
+TURN = 1.0
+"""A direction of the offsets whose standard deviation is above a radian (for lengths: above the length itself) is not
+determined: the data say nothing about it that was not known before."""
+ROUNDS = 50
+TIGHT = 1e-12
+"""Relative change of the sum of squares at which Gauss-Newton stops: the problem is nearly linear and takes 4 to 6."""
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerModel:
+    """Where the marker is at joint readings: a model without a state.
+
+    Parameters
+    ----------
+    spec : PlantSpec
+        Readings in, coordinates of the marker out.
+    model : str
+        ``iiwa`` or a URDF file.
+    marker : (x, y, z)
+    parameters : dict
+        Offsets [rad or m] and lengths [m].
+    notes : dict
+    """
+
+    spec: PlantSpec
+    model: str
+    marker: tuple[float, float, float]
+    parameters: dict[str, float]
+    notes: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def burn_in(self) -> int:
+        """No samples: there is no state."""
+        return 0
+
+    @cached_property
+    def arm(self) -> MarkedArm:
+        """Joints and geometry."""
+        return marked(self.model, self.marker)
+
+    def initial_state(self, data: Trajectory) -> FloatArray:
+        """Return the empty state (0,)."""
+        same_language(self.spec, data)
+        return np.zeros(0)
+
+    def output(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the marker (..., 3) at readings (..., n)."""
+        u = np.broadcast_to(u, (*np.shape(x)[:-1], self.spec.nu))
+        places = self.arm.places(u.reshape(-1, self.spec.nu), self.arm.vector(self.parameters))
+        return places.reshape(*u.shape[:-1], self.spec.ny)
+
+    def step(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the empty state."""
+        return np.asarray(x, dtype=float)
+
+    def correct(self, x: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the empty state."""
+        return np.asarray(x, dtype=float)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+        return {
+            "kind": "marker",
+            "spec": spec_to_dict(self.spec),
+            "model": self.model,
+            "marker": list(self.marker),
+            "parameters": self.parameters,
+            "notes": self.notes,
+        }
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> MarkerModel:
+        """Return the model of a description; raises InputError if it is none."""
+        try:
+            x, y, z = (float(value) for value in content["marker"])
+            values = {str(name): float(value) for name, value in content["parameters"].items()}
+            notes = dict(content.get("notes", {}))
+            return cls(spec_from_dict(content["spec"]), str(content["model"]), (x, y, z), values, notes)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(
+                "description of a marker model",
+                expected="what to_dict() writes",
+                got=f"{type(error).__name__}: {error}",
+                remedy="write the model anew",
+            ) from error
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name in self.__dataclass_fields__}
+
+
+@dataclass(frozen=True)
+class JointCalibration:
+    """Offsets of the joints, and lengths of the links, that bring the marker to where it was seen.
+
+    Maximum likelihood by Gauss-Newton: white noise of one variance on every coordinate of the marker, and of a known
+    deviation on the readings, which enters through the derivative of the place by the readings. What the pairs do not
+    determine stays as the URDF has it and is named: the offset of a joint whose axis goes through the marker, or of two
+    joints on one axis.
+
+    Parameters
+    ----------
+    model : str
+        ``iiwa`` or a URDF file.
+    marker : (x, y, z)
+        In the frame of the last body [m].
+    lengths : bool
+        Fit the lengths of the links (and of the marker's arm) beside the offsets.
+    fixed : sequence of str
+        Parameters that stay as the URDF has them.
+    reading_noise : float
+        Standard deviation of the joint readings [rad or m]; 0 if they are exact beside the marker.
+
+    Raises
+    ------
+    InputError
+        If an option is wrong, or the URDF cannot be read.
+    """
+
+    model: str = "iiwa"
+    marker: Sequence[float] = (0.05, 0.0, 0.1)
+    lengths: bool = False
+    fixed: Sequence[str] = ()
+    reading_noise: float = 0.0
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> MarkerModel:
+        """Return the calibrated arm; the record of the estimate stands in its notes.
+
+        Raises
+        ------
+        FitError
+            If the signals are not readings and marker of the arm, or the pairs determine nothing.
+        """
+        what = "joint-calibration"
+        records, spec = usable(trajectories, samples=2, what=what)
+        real_signals(spec, what)
+        x, y, z = (float(value) for value in self.marker)
+        arm = marked(self.model, (x, y, z))
+        names = self._free(arm)
+        inputs, outputs = [c.name for c in spec.inputs], [c.name for c in spec.outputs]
+        wanted = [c.name for c in arm.arm.positions], [c.name for c in arm.channels]
+        if (inputs, outputs) != wanted:
+            raise FitError(
+                f"{what}: the records do not speak the language of {arm.arm.name}",
+                expected=f"{', '.join(wanted[0])} -> {', '.join(wanted[1])}",
+                got=str(spec),
+                remedy="rename the signals: joint readings are inputs, the marker's coordinates outputs",
+            )
+        q, p = np.concatenate([record.u for record in records]), np.concatenate([record.y for record in records])
+        if p.size <= len(names):
+            raise FitError(
+                f"{what}: too few pairs",
+                expected=f"more than {len(names)} coordinates",
+                got=str(p.size),
+                remedy="record more postures",
+            )
+        theta, estimate = self._solved(arm, names, q, p)
+        values = dict(zip(arm.parameters, theta.tolist(), strict=True))
+        return MarkerModel(spec, self.model, (x, y, z), values, {"estimate": estimate.to_dict()})
+
+    def _free(self, arm: MarkedArm) -> list[str]:
+        """Return the names of the parameters that are fitted."""
+        unknown = sorted(set(self.fixed) - set(arm.parameters))
+        if unknown or not self.reading_noise >= 0:
+            raise InputError(
+                "options of joint-calibration",
+                expected=f"fixed among {', '.join(arm.parameters)}; reading_noise >= 0",
+                got=f"fixed {', '.join(self.fixed) or 'none'}; reading_noise {self.reading_noise}",
+                remedy="correct them",
+            )
+        kinds = ("offset", "length") if self.lengths else ("offset",)
+        return [name for name in arm.parameters if name.startswith(kinds) and name not in self.fixed]
+
+    def _solved(self, arm: MarkedArm, names: list[str], q: FloatArray, p: FloatArray) -> tuple[FloatArray, Estimate]:
+        """Return all parameters (k,), and the record of those that were fitted."""
+        every = list(arm.parameters)
+        free = [every.index(name) for name in names]
+        theta = arm.vector()
+        scale = np.array([TURN if name.startswith("offset") else arm.parameters[name] for name in names])
+        variance, cost, converged = float(np.var(p)), np.inf, False
+        kept = np.eye(len(names))
+        for _ in range(ROUNDS):
+            place, jacobian, turned = arm.jacobians(q, theta)
+            white = self._whitening(turned, variance)
+            residual = np.einsum("nij,nj->ni", white, p - place)
+            rows = np.einsum("nij,njk->nik", white, jacobian[:, :, free]).reshape(-1, len(free)) * scale
+            left, singular, right = np.linalg.svd(rows, full_matrices=False)
+            # the noise in units of itself is 1: a direction with a smaller singular value is known to worse than TURN
+            seen = singular > np.sqrt(_level(residual, len(free)))
+            kept = right[seen].T
+            step = right[seen].T @ ((left[:, seen].T @ residual.ravel()) / singular[seen])
+            theta[free] += scale * step
+            variance = self._variance(p - arm.places(q, theta), turned, variance, int(seen.sum()))
+            now = float(np.sum((p - arm.places(q, theta)) ** 2))
+            if abs(cost - now) <= TIGHT * max(now, 1e-300) or now < 1e-26 * float(np.sum(p**2)):
+                converged = True
+                break
+            cost = now
+        if kept.shape[1] == 0:
+            raise FitError(
+                "joint-calibration: the pairs determine nothing",
+                expected="postures that turn the joints, and a marker off their axes",
+                got=f"{len(q)} pairs whose noise hides every offset",
+                remedy="move the joints further",
+            )
+        return theta, self._record(
+            names, [arm.units[row] for row in free], theta[free], rows, scale, kept, converged, residual
+        )
+
+    def _whitening(self, turned: FloatArray, variance: float) -> FloatArray:
+        """Return (N, 3, 3) which make the errors of every pair white, of variance 1."""
+        spread = variance * np.eye(3) + self.reading_noise**2 * (turned @ turned.transpose(0, 2, 1))
+        return np.linalg.inv(np.linalg.cholesky(spread))
+
+    def _variance(self, residual: FloatArray, turned: FloatArray, variance: float, count: int) -> float:
+        """Return the variance of the marker's coordinates that explains the residuals beside the readings' noise."""
+        freedom = max(residual.size - count, 1)
+        known = self.reading_noise**2 * float(np.sum(turned**2)) * freedom / residual.size
+        floor = 1e-24 * max(float(np.mean(residual**2)), 1e-6)
+        return max((float(np.sum(residual**2)) - known) / freedom, floor, 1e-6 * known / freedom)
+
+    def _record(
+        self,
+        names: list[str],
+        units: list[str],
+        values: FloatArray,
+        rows: FloatArray,
+        scale: FloatArray,
+        kept: FloatArray,
+        converged: bool,
+        residual: FloatArray,
+    ) -> Estimate:
+        """Return the record: covariance from the curvature (the Cramer-Rao bound at the estimate)."""
+        from scipy.stats import t as student
+
+        k, rank = len(names), kept.shape[1]
+        null = np.linalg.svd(kept, full_matrices=True)[0][:, rank:]
+        loose = np.sum(null**2, axis=1) > 1e-6
+        inner = np.linalg.inv(kept.T @ (rows.T @ rows) @ kept)
+        level = _level(residual, rank)
+        covariance = level * scale[:, None] * (kept @ inner @ kept.T) * scale
+        half = float(student.ppf(0.5 + LEVEL / 2, max(residual.size - rank, 1))) * np.sqrt(np.diag(covariance))
+        half = np.where(loose, np.nan, half)
+        covariance[np.diag_indices(k)] = np.where(loose, np.inf, np.diag(covariance))
+        lengths = np.linalg.norm(rows / scale, axis=0)
+        singular = np.linalg.svd(rows / np.where(lengths > 0, lengths * scale, 1.0), compute_uv=False)
+        return Estimate(
+            tuple(names),
+            tuple(units),
+            values,
+            covariance,
+            np.column_stack([values - half, values + half]),
+            LEVEL,
+            "curvature of the likelihood at its maximum",
+            RankDecision(
+                rank,
+                k,
+                null_words(names, null, 1.0 / scale),
+                tuple(name for name, undetermined in zip(names, loose, strict=True) if undetermined),
+                "known to better than a radian, or than the length",
+            ),
+            float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf"),
+            converged,
+        )
+
+
+def marked(model: str, marker: tuple[float, float, float]) -> MarkedArm:
+    """Return the arm of a model with its marker."""
+    from harness.physics.arms.arm import load_arm
+    from harness.physics.arms.marked_arm import MarkedArm
+
+    return MarkedArm(load_arm(model), marker)
+
+
+def _level(residual: FloatArray, count: int) -> float:
+    """Return the variance of whitened residuals; 1 where they are what was expected."""
+    return max(float(np.sum(residual**2)) / max(residual.size - count, 1), 1e-12)

@@ -1,0 +1,355 @@
+"""Inertial parameters of an arm from torque and motion: physically consistent, with friction, beside a prior."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from harness.errors import FitError, InputError
+from harness.models.estimate import Estimate, RankDecision
+from harness.physics.arms.inertia import TEN, UNITS
+from harness.signals import FloatArray, PlantSpec, Trajectory
+from identifiers.common.records import moving, real_signals, usable
+from identifiers.common.row_solvers import whitening
+from identifiers.mechanics.arm_model import ArmDynamics
+from identifiers.mechanics.motion import Motion, Smoothing, motion, noisier
+
+if TYPE_CHECKING:
+    from harness.physics.arms.arm import ArmModel
+    from harness.physics.arms.inertial_fit import Problem
+
+__all__ = ["Inertial"]
+
+Method = Literal["sdp", "log-cholesky", "least-squares"]
+SLOW = 0.01
+"""Speed [rad/s] and acceleration [rad/s^2] at which friction of the size of the torques seen is held possible."""
+ENOUGH = 3000
+"""Samples on which the rank is decided: the share of noise in a direction needs no more."""
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Ten inertial parameters a body, and joint friction, of an arm read from a URDF.
+
+    Torques are linear in the parameters (Atkeson, An & Hollerbach 1986); joints weigh by the joint covariance of their
+    residuals. What the motion does not determine is decided by the prior, the bodies of the URDF.
+
+    Parameters
+    ----------
+    model : str
+        ``iiwa`` or a URDF file.
+    method : {"sdp", "log-cholesky", "least-squares"}
+        Semidefinite program over pseudo-inertias; Newton's method in log-Cholesky coordinates (the same optimum); or
+        least squares in the directions that the motion determines, the others as in the URDF, nothing constrained.
+    trust : float or None
+        Relative standard deviation of the URDF's inertial parameters, for the entropic prior (Lee, Wensing & Park
+        2019); None for no prior (not with log-cholesky).
+    weighted : bool
+        Weigh the joints by their residuals; otherwise all alike [N m].
+    damping, friction, motor_inertia : bool
+        Fit viscous and dry friction, and the reflected inertia, of every joint.
+    hull : bool
+        Keep mass inside the bounding box of each body's collision shapes, as far as the URDF states any.
+    free : sequence of str, optional
+        Joints whose bodies are fitted, by name; the others stay as in the URDF. All by default. With the last one
+        alone, what it gains over the URDF is the payload.
+    smoothing : {"auto", "local", "spline", "kalman", "forward", "causal"}
+        As of the lumped forms.
+    intersample : {"zoh", "smooth"}
+        Whether the torque was held over each sample (a command), or sampled from a smooth course (a sensor).
+
+    Raises
+    ------
+    InputError
+        If an option is wrong, or the URDF cannot be read.
+    """
+
+    model: str = "iiwa"
+    method: Method = "sdp"
+    trust: float | None = 0.3
+    weighted: bool = True
+    damping: bool = True
+    friction: bool = True
+    motor_inertia: bool = False
+    hull: bool = False
+    free: Sequence[str] | None = None
+    smoothing: Smoothing = "auto"
+    intersample: Literal["zoh", "smooth"] = "zoh"
+
+    def __post_init__(self) -> None:
+        wrong = self.trust is not None and not self.trust > 0
+        if self.method not in ("sdp", "log-cholesky", "least-squares") or wrong:
+            raise InputError(
+                "options of inertial",
+                expected="method sdp, log-cholesky or least-squares; trust > 0 or none",
+                got=f"method {self.method!r}, trust {self.trust}",
+                remedy="correct it",
+            )
+        if self.method == "log-cholesky" and (self.trust is None or self.hull):
+            raise InputError(
+                "options of inertial",
+                expected="a prior (trust) and no hull for log-cholesky",
+                got=f"trust {self.trust}, hull {self.hull}",
+                remedy="use method sdp",
+            )
+
+    def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> ArmDynamics:
+        """Return the arm with the parameters found.
+
+        Raises
+        ------
+        FitError
+            If the signals are not those of the arm, or no consistent parameters can be found.
+        """
+        from harness.physics.arms.arm import load_arm
+
+        what = "inertial"
+        records, spec = usable(trajectories, samples=12, what=what)
+        real_signals(spec, what)
+        moving(records, what)
+        arm = load_arm(self.model)
+        speaks(arm, spec, what)
+        names = SimpleNamespace(coordinates=arm.positions)
+        moved = [motion(names, record, self.smoothing) for record in records]
+        equations = Equations(arm, self._free_joints(arm), self.damping, self.friction, self.motor_inertia)
+        if self.intersample == "smooth":
+            moved = [replace(smoothed, mean_u=smoothed.u) for smoothed in moved]
+        gram, side, rms = equations.weighted(moved, self.weighted)
+        decision, condition, kept = self._rank(equations, names, records, moved, rng)
+        problem = self._problem(arm, equations, gram, side)
+        x = self._solved(problem, kept)
+        inertial, found = equations.unpacked(x)
+        how = {
+            "sdp": "semidefinite program",
+            "log-cholesky": "log-Cholesky coordinates",
+            "least-squares": "least squares in the determined directions, the others as in the URDF",
+        }[self.method]
+        prior = "" if self.trust is None or self.method == "least-squares" else f", prior trusted to {self.trust:.0%}"
+        record = Estimate(
+            equations.names,
+            equations.units,
+            x,
+            method=f"no intervals: they would be the prior's; {how}{prior}",
+            rank=decision,
+            condition=condition,
+        )
+        notes = {"estimate": record.to_dict(), "torque_rms": rms.tolist(), "cost": problem.cost(x)}
+        return ArmDynamics(
+            spec, self.model, inertial, found["damping"], found["friction"], found["motor_inertia"], notes
+        )
+
+    def _free_joints(self, arm: ArmModel) -> list[int]:
+        """Return the numbers of the bodies that are fitted."""
+        known = [joint.name for joint in arm.arm.joints]
+        if self.free is not None:
+            wrong = [name for name in self.free if name not in known]
+            if wrong or not self.free:
+                raise InputError(
+                    "option free",
+                    expected=f"some of {', '.join(known)}",
+                    got=", ".join(wrong) or "none",
+                    remedy="correct it",
+                )
+            return [known.index(name) for name in self.free]
+        return [number for number, joint in enumerate(arm.arm.joints) if joint in arm.arm.moving]
+
+    def _problem(self, arm: ArmModel, equations: Equations, gram: FloatArray, side: FloatArray) -> Problem:
+        from harness.physics.arms.inertia import is_consistent
+        from harness.physics.arms.inertial_fit import Bodies, Problem
+
+        prior = arm.arm.parameters.reshape(-1, 10)[equations.bodies]
+        wrong = [arm.arm.joints[b].name for b, row in zip(equations.bodies, prior, strict=True)
+                 if not is_consistent(row)]  # fmt: skip
+        if wrong:
+            raise FitError(
+                "inertial: bodies of the URDF are not physically consistent",
+                expected="a positive definite pseudo-inertia for every body that is fitted",
+                got=f"behind {', '.join(wrong)}: mass 0, or inertia that no density makes",
+                remedy="correct the URDF, or name the others in free=[...]",
+            )
+        boxes: list[Any] = [None] * len(prior)
+        if self.hull:
+            from harness.physics.arms.urdf_shapes import bounding_boxes
+
+            found = bounding_boxes(arm)
+            boxes = [found[b] for b in equations.bodies]
+        positive = np.ones(len(side) - prior.size, dtype=bool)
+        trust = None if self.method == "least-squares" else self.trust
+        return Problem(gram, side, Bodies(prior, boxes=boxes), trust, positive)
+
+    def _solved(self, problem: Problem, kept: FloatArray) -> FloatArray:
+        from harness.physics.arms.inertial_fit import by_least_squares, by_log_cholesky, by_semidefinite_program
+
+        if self.method == "sdp":
+            return by_semidefinite_program(problem)
+        if self.method == "log-cholesky":
+            return by_log_cholesky(problem)
+        return by_least_squares(problem, kept)
+
+    def _rank(
+        self,
+        equations: Equations,
+        names: Any,
+        records: Sequence[Trajectory],
+        moved: Sequence[Motion],
+        rng: np.random.Generator,
+    ) -> tuple[RankDecision, float, FloatArray]:
+        """Return which directions the motion determines above its noise; their basis (k, rank)."""
+        from harness.physics.lumped.identifiability import determined
+
+        rows, noise = [], []
+        for record, old in zip(records, moved, strict=True):
+            every = max(1, sum(len(smoothed.t) for smoothed in moved) // ENOUGH)
+            again = motion(names, noisier(record, rng), self.smoothing, like=old)
+            bent = motion(names, record, self.smoothing, like=old, coarser=True)
+            part = equations.rows(old.q[::every], old.v[::every], old.a[::every])
+            rows.append(part)
+            noise += [
+                equations.rows(other.q[::every], other.v[::every], other.a[::every]) - part for other in (again, bent)
+            ]
+        phi = np.concatenate(rows)
+        decision, kept, condition = determined(phi, equations.names, np.concatenate(noise))
+        lengths = np.linalg.norm(phi, axis=0)
+        return decision, condition, kept / np.where(lengths > 0, lengths, 1.0)[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """The torque equations of an arm in the parameters that are fitted."""
+
+    arm: ArmModel
+    bodies: list[int]
+    damping: bool
+    friction: bool
+    motor_inertia: bool
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """``m1`` ... of the bodies by number, then ``damping1`` ... of the joints."""
+        own = [f"{name}{body + 1}" for body in self.bodies for name in TEN]
+        return (*own, *(f"{kind}{joint + 1}" for kind in self.kinds for joint in range(self.arm.n)))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Of the parameters."""
+        found = [*UNITS * len(self.bodies)]
+        for kind in self.kinds:
+            for channel in self.arm.inputs:
+                turns = channel.unit == "N m"
+                found.append(
+                    {
+                        "damping": "N m s/rad" if turns else "N s/m",
+                        "friction": channel.unit,
+                        "motor_inertia": "kg m^2" if turns else "kg",
+                    }[kind]
+                )
+        return tuple(found)
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """What is fitted at the joints."""
+        chosen = (("damping", self.damping), ("friction", self.friction), ("motor_inertia", self.motor_inertia))
+        return tuple(name for name, wanted in chosen if wanted)
+
+    def rows(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """Return the regressor (N * n, k)."""
+        from harness.physics.arms.arm import REST
+
+        n, count = self.arm.n, len(q)
+        rigid = self.arm.arm.regressor(q, v, a).reshape(count, n, -1, 10)[:, :, self.bodies].reshape(count, n, -1)
+        what = {"damping": v, "friction": np.tanh(v / REST), "motor_inertia": a}
+        joints = np.zeros((count, n, n * len(self.kinds)))
+        for place, kind in enumerate(self.kinds):
+            for joint in range(n):
+                joints[:, joint, place * n + joint] = what[kind][:, joint]
+        return np.concatenate([rigid, joints], axis=2).reshape(count * n, -1)
+
+    def target(self, moved: Motion) -> FloatArray:
+        """Return the torques (N, n) that the fitted parameters have to explain."""
+        fixed = self.arm.arm.parameters.reshape(-1, 10).copy()
+        fixed[self.bodies] = 0.0
+        known = self.arm.torques(moved.q, moved.v, moved.a, parameters=fixed.ravel())
+        if not self.damping:
+            known = known + self.arm.damping * moved.v
+        if not self.friction:
+            from harness.physics.arms.arm import REST
+
+            known = known + self.arm.friction * np.tanh(moved.v / REST)
+        return np.asarray(moved.mean_u - known)
+
+    def weighted(
+        self, moved: Sequence[Motion], weigh: bool, block: int = 2000
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return G and s in units of the noise, and the residual rms (n,) of plain least squares."""
+        n = self.arm.n
+        white = np.eye(n)
+        spread = np.zeros((n, n))
+        for _ in range(2):
+            gram, side = np.zeros((len(self.names),) * 2), np.zeros(len(self.names))
+            for smoothed in moved:
+                target = self.target(smoothed)
+                for first in range(0, len(smoothed.t), block):
+                    part = slice(first, first + block)
+                    rows = self.rows(smoothed.q[part], smoothed.v[part], smoothed.a[part])
+                    rows = (white @ rows.reshape(-1, n, rows.shape[1])).reshape(rows.shape)
+                    gram += rows.T @ rows
+                    side += rows.T @ (target[part] @ white.T).ravel()
+            size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+            theta = np.linalg.pinv(gram / np.outer(size, size), rcond=1e-12, hermitian=True) @ (side / size) / size
+            residuals = [
+                self.target(smoothed)[::step]
+                - (self.rows(smoothed.q[::step], smoothed.v[::step], smoothed.a[::step]) @ theta).reshape(-1, n)
+                for smoothed in moved
+                for step in [max(1, len(smoothed.t) // ENOUGH)]
+            ]
+            residual = np.concatenate(residuals)
+            spread = residual.T @ residual / len(residual)
+            level = np.sqrt(np.maximum(np.diag(spread), 1e-18 * max(float(np.trace(spread)), 1e-300)))
+            # a floor for exact data: a millionth of the torques
+            floor = 1e-6 * max(float(np.sqrt(np.mean(np.concatenate([self.target(m) for m in moved]) ** 2))), 1e-12)
+            if weigh:
+                white = whitening(np.vstack([residual, floor * np.sqrt(len(residual)) * np.eye(n)]))
+            else:
+                white = np.eye(n) / max(float(np.sqrt(np.mean(level**2))), floor)
+        # What stands at joints that hardly move is held by a torque of the size seen there, no more.
+        first = 10 * len(self.bodies)
+        torque = np.sqrt(np.mean(np.concatenate([smoothed.mean_u for smoothed in moved]) ** 2, axis=0))
+        start = np.concatenate([getattr(self.arm, kind, np.zeros(n)) for kind in self.kinds] or [np.zeros(0)])
+        reach = {"damping": SLOW, "friction": 1.0, "motor_inertia": SLOW}
+        loose = np.concatenate([torque / reach[kind] for kind in self.kinds] or [np.zeros(0)])
+        loose = np.maximum(loose, 1e-9 * max(float(loose.max(initial=0.0)), 1e-9))
+        gram[np.arange(first, len(side)), np.arange(first, len(side))] += loose**-2
+        side[first:] += start / loose**2
+        return gram, side, np.sqrt(np.diag(spread))
+
+    def unpacked(self, x: FloatArray) -> tuple[FloatArray, dict[str, FloatArray]]:
+        """Return the inertial parameters of all bodies, and what stands at the joints."""
+        table = self.arm.arm.parameters.reshape(-1, 10).copy()
+        table[self.bodies] = x[: 10 * len(self.bodies)].reshape(-1, 10)
+        n, remaining = self.arm.n, x[10 * len(self.bodies) :]
+        found = {"damping": self.arm.damping, "friction": self.arm.friction, "motor_inertia": np.zeros(n)}
+        found |= {kind: remaining[place * n : place * n + n] for place, kind in enumerate(self.kinds)}
+        return table.ravel(), found
+
+
+def speaks(arm: ArmModel, spec: PlantSpec, what: str) -> None:
+    """Refuse records whose signals are not those of the arm, by name.
+
+    Raises
+    ------
+    FitError
+        If they are not.
+    """
+    inputs, outputs = [c.name for c in spec.inputs], [c.name for c in spec.outputs]
+    missing = [position.name for position in arm.positions if position.name not in outputs]
+    if inputs != [channel.name for channel in arm.inputs] or missing:
+        raise FitError(
+            f"{what}: the records do not speak the language of {arm.name}",
+            expected=f"{', '.join(c.name for c in arm.inputs)} -> {', '.join(c.name for c in arm.positions)}",
+            got=str(spec),
+            remedy="rename the signals, or choose another model",
+        )

@@ -1,0 +1,137 @@
+"""A ring of machines that fail one another: a decision process whose state has many factors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Self
+
+import numpy as np
+
+from harness.errors import InputError
+from harness.protocols import Ability
+from harness.signals import Channel, FloatArray, PlantSpec
+from plants.checking import checked_inputs, initial_values, positive
+from plants.finite.mdp import category_number
+
+__all__ = ["MachinesMdp"]
+
+
+class MachinesMdp:
+    """A ring of machines, each up (1) or down (0); every step one of them, or none, is rebooted.
+
+    A machine that runs fails more often while the one before it in the ring is down; a machine that is down comes back
+    by itself rarely, and surely if it is rebooted. So the next state of each machine depends on two machines and the
+    action, whatever their number (the ring of Guestrin, Koller, Parr and Venkataraman 2003, *JAIR* 19, sec. 2).
+
+    Parameters
+    ----------
+    machines : int
+        At least 2.
+    stays : float
+        Probability that a machine stays up while the one before it is up.
+    stays_alone : float
+        The same, while the one before it is down.
+    recovers : float
+        Probability that a machine that is down comes back without a reboot.
+    sample_time : float
+        Seconds between decisions.
+
+    Raises
+    ------
+    InputError
+        If a number is no probability, or there are fewer than two machines.
+
+    Examples
+    --------
+    >>> print(MachinesMdp(machines=2).spec)
+    reboot [1] -> m0 [1], m1 [1] every 1 s
+    """
+
+    def __init__(
+        self,
+        *,
+        machines: int = 6,
+        stays: float = 0.95,
+        stays_alone: float = 0.7,
+        recovers: float = 0.05,
+        sample_time: float = 1.0,
+    ) -> None:
+        if int(machines) != machines or machines < 2:
+            raise InputError("option machines", expected="an integer >= 2", got=repr(machines), remedy="correct it")
+        for name, value in (("stays", stays), ("stays_alone", stays_alone), ("recovers", recovers)):
+            if not 0 <= value <= 1:
+                raise InputError(f"option {name}", expected="a probability", got=repr(value), remedy=f"correct {name}")
+        self.machines = int(machines)
+        # up[own, before]: probability that a machine is up next.
+        self._up = np.array([[recovers, recovers], [stays_alone, stays]])
+        states = tuple(Channel(f"m{i}", "1", 0, 1, kind="category") for i in range(self.machines))
+        # The last action reboots none.
+        action = Channel("reboot", "1", 0, self.machines, kind="category")
+        self._spec = PlantSpec((action,), states, positive("sample_time", sample_time), states)
+        self._rng = np.random.default_rng(0)
+        self._state = np.ones(self.machines, dtype=np.intp)
+
+    @property
+    def spec(self) -> PlantSpec:
+        """Channels and sample time."""
+        return self._spec
+
+    @property
+    def abilities(self) -> frozenset[Ability]:
+        """Snapshots (bit for bit, the generator included), batch, truth."""
+        return frozenset({"snapshots", "batch", "truth"})
+
+    def chances(self, state: FloatArray, action: int) -> FloatArray:
+        """Return the probability (machines,) that each machine is up after an action."""
+        now = np.asarray(state, dtype=np.intp)
+        up: FloatArray = self._up[now, np.roll(now, 1)].copy()
+        if action < self.machines:
+            up[action] = 1.0
+        return up
+
+    def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
+        """Start with all machines up, or as ``x0`` says; returns the states (machines,)."""
+        self._rng = rng
+        values = initial_values(x0, self.spec.states, [1] * self.machines)
+        self._state = np.array([category_number(v, c) for v, c in zip(values, self.spec.states, strict=True)])
+        return self.truth()
+
+    def step(self, u: FloatArray) -> FloatArray:
+        """Reboot machine ``u`` (1,), none for the number of machines; returns the next states (machines,)."""
+        row = checked_inputs(np.atleast_2d(u), self.spec)[0]
+        self._move(category_number(row[0], self.spec.inputs[0]))
+        return self.truth()
+
+    def rollout(self, inputs: FloatArray) -> FloatArray:
+        """Take actions ``inputs`` (N, 1) in order; row k of the result (N, machines) is what ``step`` returned."""
+        actions = [category_number(u, self.spec.inputs[0]) for u in checked_inputs(inputs, self.spec)[:, 0]]
+        outputs = np.empty((len(actions), self.machines))
+        for k, action in enumerate(actions):
+            self._move(action)
+            outputs[k] = self._state
+        return outputs
+
+    def truth(self) -> FloatArray:
+        """Return the states (machines,)."""
+        return self._state.astype(float)
+
+    def get_state(self) -> Any:
+        """Return the states and a copy of the generator's state."""
+        return self._state.copy(), self._rng.bit_generator.state
+
+    def set_state(self, state: Any) -> None:
+        """Go back to a state of this same plant object."""
+        self._state, self._rng.bit_generator.state = state[0].copy(), state[1]
+
+    def close(self) -> None:
+        """Nothing to release; may be called twice."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _move(self, action: int) -> None:
+        """Draw the next states, one number for each machine."""
+        self._state = (self._rng.random(self.machines) < self.chances(self.truth(), action)).astype(np.intp)

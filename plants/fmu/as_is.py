@@ -1,0 +1,160 @@
+"""An FMU run as it is: its own experiment, start values and tolerance, and whatever it shows.
+
+What a person does first with a file from a vendor: nothing is excited, inputs keep their start values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.cosim.free_run import FreeRun, free_run, hold, window
+from harness.errors import InputError, PlantError
+from harness.signals import FloatArray
+from plants.fmu.archive import FmuFile, read_fmu
+from plants.fmu.options import default
+from plants.fmu.plant import FmuPlant
+from plants.fmu.variables import INTEGERS, REALS, states_of
+from plants.isolation.isolated import IsolatedPlant
+
+__all__ = ["run_as_is"]
+
+DOMINATES = 1e-3
+"""Share of an output's spread beyond which the error of the suggested tolerance is said."""
+
+
+def run_as_is(
+    path: str | Path,
+    *,
+    start_time: float | None = None,
+    stop_time: float | None = None,
+    sample_time: float | None = None,
+    tolerance: float | None = None,
+    isolated: bool = True,
+    timeout: float = 10.0,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> FreeRun:
+    """Run an FMU with its default experiment.
+
+    Parameters
+    ----------
+    path : path
+        The ``.fmu`` file.
+    start_time, stop_time, sample_time : float, optional
+        [s]; by default those of the FMU's default experiment; where it has none 0, one second after the start, and a
+        500th of the run.
+    tolerance : float, optional
+        Relative tolerance of the solver; by default the FMU's.
+    isolated : bool
+        Run it in a process of its own.
+    timeout : float
+        Longest time [s] for one call, if isolated.
+    progress : callable, optional
+        Called as ``progress(samples_done, samples)``.
+    **options
+        More options of :class:`plants.fmu.plant.FmuPlant`; ``outputs`` where not all declared outputs (without any: the
+        states and local variables) are wanted.
+
+    Raises
+    ------
+    InputError
+        If the file is no FMU, or an option does not fit it.
+    PlantError
+        If it cannot even be started.
+
+    Examples
+    --------
+    >>> from plants.mockups import mockup
+    >>> found = run_as_is(mockup("pendulum"), stop_time=0.1, sample_time=0.05, isolated=False)
+    >>> found.trajectory.t.tolist(), found.trajectory.y.tolist(), found.ended
+    ([0.0, 0.05, 0.1], [[0.0, 0.0], [0.0, 0.0], [0.0, 0.0]], None)
+    """
+    file = read_fmu(path)
+    suggested = {name: default(file, name) for name in ("startTime", "stopTime", "stepSize")}
+    span = window(suggested, start=start_time, stop=stop_time, step=sample_time, file=path, who="the FMU")
+    wanted = tolerance if tolerance is not None else default(file, "tolerance")
+    chosen = {"start_time": span.first, "sample_time": span.step, "tolerance": wanted, **options}
+    notes = list(file.renamed)
+    if "outputs" not in chosen:
+        chosen["outputs"], said = _shown(file)
+        notes += said
+    asked = {"path": str(path), **chosen}
+
+    def made(**more: Any) -> FmuPlant | IsolatedPlant:
+        if isolated:
+            return IsolatedPlant("plants.fmu.plant:FmuPlant", {**asked, **more}, timeout=timeout)
+        return FmuPlant(**{**asked, **more})
+
+    starts = _input_starts(file, chosen)
+    with made() as plant:
+        found = free_run(plant, starts, span, progress)
+        notes += [*plant.warnings]
+    notes += found.notes
+    if found.ended is None and tolerance is None and wanted is not None:
+        notes += _dominated(made, starts, found.trajectory.y, wanted)
+    return replace(found, notes=tuple(notes))
+
+
+def _shown(file: FmuFile) -> tuple[list[str], list[str]]:
+    """Return the variables to record: the outputs, or without any the states and locals."""
+    able = [v for v in file.description.modelVariables if v.type in REALS | INTEGERS | {"Boolean"}]
+    outputs = [v.name for v in able if v.causality == "output" and v.alias is None]
+    if outputs:
+        return outputs, []
+    states = [one.variable.name for one in states_of(file)]
+    locals_ = [v.name for v in able if v.causality in ("local", "calculatedParameter", "internal") and v.alias is None]
+    names = list(dict.fromkeys([*states, *(n for n in locals_ if not _fixed(file, n))]))
+    if not names:
+        raise InputError(
+            "an FMU that shows nothing",
+            expected="outputs, states or local variables",
+            got="none",
+            remedy="name variables: --option 'outputs=[\"x\"]' (sysid list FILE.fmu)",
+            file=file.path,
+        )
+    return names, [f"the FMU declares no outputs: its {len(names)} states and local variables are recorded"]
+
+
+def _fixed(file: FmuFile, name: str) -> bool:
+    """Return True for a variable that cannot change."""
+    return file.variables[name].variability in ("constant", "fixed", "parameter")
+
+
+def _input_starts(file: FmuFile, chosen: dict[str, Any]) -> FloatArray:
+    """Return the start values of the inputs (nu,), in SI, those that the caller gives included."""
+    from plants.fmu.variables import choose, starts
+
+    ports = choose(file, chosen.get("inputs"), "input")
+    values = np.array(starts(ports))
+    names = [channel.name for one in ports for channel in one.channels]
+    for name, value in dict(chosen.get("start") or {}).items():
+        if name in names:
+            values[names.index(name)] = float(value)
+    return values
+
+
+def _dominated(
+    made: Callable[..., FmuPlant | IsolatedPlant], u: FloatArray, rows: FloatArray, tolerance: float
+) -> list[str]:
+    """Say where the FMU's own tolerance makes an error that can be seen."""
+    try:
+        with made(tolerance=0.01 * tolerance) as plant:
+            finer, _ = hold(plant, u, len(rows))
+    except PlantError:
+        return []
+    if finer.shape != rows.shape:
+        return [f"with a tolerance 100 times smaller than the FMU's {tolerance:g} the run ends elsewhere (--tolerance)"]
+    spread = np.ptp(rows, axis=0)
+    change = np.abs(finer - rows).max(axis=0)
+    worst = float((change / np.maximum(spread, 1e-300))[spread > 0].max(initial=0.0))
+    if worst < DOMINATES:
+        return []
+    return [
+        f"the FMU's own tolerance {tolerance:g} moves an output by {100 * worst:.2g} % of its range: give a smaller "
+        "one (--tolerance)"
+    ]
