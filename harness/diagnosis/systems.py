@@ -83,7 +83,8 @@ class _Coordinate(Protocol):
 class AnySystem(Measured, Parametrised, Protocol):
     """A nominal model, or one with effects: a system of equations, or an FMU with what is around it.
 
-    See :class:`harness.physics.compiled.system.System`, and :class:`harness.physics.definition.model_equations.Equations` for the attributes.
+    See :class:`harness.physics.compiled.system.System`, and
+    :class:`harness.physics.definition.model_equations.Equations` for the attributes.
     """
 
     @property

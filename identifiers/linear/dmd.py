@@ -69,7 +69,8 @@ class Dmdc:
     Notes
     -----
     Without ``rank`` and ``ridge`` the model keeps the record of its estimate
-    (:func:`harness.models.estimate.estimate_of`), with intervals where the residuals are white. With ``rank`` the directions are estimated too, and there is none.
+    (:func:`harness.models.estimate.estimate_of`), with intervals where the residuals are white. With ``rank`` the
+    directions are estimated too, and there is none.
 
     Examples
     --------

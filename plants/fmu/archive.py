@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from harness.errors import InputError
 from harness.fmi.archive import check_entries, has_document_type, plain_name
-from plants.fmu.temporary import release, temporary_folder
+from plants.temporary import release, temporary_folder
 
 __all__ = ["MAX_ENTRIES", "MAX_RATIO", "MAX_TOTAL", "FmuFile", "read_fmu"]
 

@@ -16,7 +16,7 @@ from typing import Any
 from harness.errors import InputError, PlantError
 from plants.fmu.archive import FmuFile, Kind
 from plants.fmu.snapshot import Snapshot
-from plants.fmu.temporary import release
+from plants.temporary import release
 
 __all__ = ["Instance"]
 

@@ -26,9 +26,9 @@ from harness.errors import HarnessError, InputError, PlantError
 from harness.protocols import Ability, Plant
 from harness.signals import FloatArray, PlantSpec
 from plants.checking import checked_inputs, refuse_input
-from plants.fmu.temporary import release, temporary_folder
 from plants.isolation import frames
 from plants.isolation.child import registered
+from plants.temporary import release, temporary_folder
 
 __all__ = ["IsolatedPlant", "isolated"]
 

@@ -164,7 +164,7 @@ def test_sigterm_leaves_no_folder_behind(tmp_path: Path) -> None:
 def test_a_handler_of_the_user_is_left_alone() -> None:
     code = (
         "import signal\nhandler = lambda *_: None\nsignal.signal(signal.SIGTERM, handler)\n"
-        "from plants.fmu.temporary import temporary_folder, release\nrelease(temporary_folder('sysid-t-'))\n"
+        "from plants.temporary import temporary_folder, release\nrelease(temporary_folder('sysid-t-'))\n"
         "print(signal.getsignal(signal.SIGTERM) is handler)"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "True\n"
