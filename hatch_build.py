@@ -24,7 +24,7 @@ class MockupHook(BuildHookInterface[Any]):
         folder = Path(self._scratch.name)
         try:
             library = folder / f"fmu_loop{build.library_suffix()}"
-            build.compile_library([Path(self.root) / "plants" / "fmu_loop.c"], library)
+            build.compile_library([Path(self.root) / "plants" / "fmu" / "fmu_loop.c"], library)
             for model in sorted((Path(self.root) / "plants" / "mockups").glob("*/modelDescription.xml")):
                 for fmi in (2, 3):
                     build.build_fmu(model.parent, fmi, folder / f"{model.parent.name}-fmi{fmi}.fmu")
