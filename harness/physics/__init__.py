@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from harness.physics.definition.mechanism import Mechanism
     from harness.physics.definition.ode import Ode
     from harness.physics.fitting.output_error import OutputErrorFit, fit_output_error, simulate_error
-    from harness.physics.lumped.lumped_model import LumpedFit, LumpedModel, lumped
+    from harness.physics.lumps.lumped_model import LumpedFit, LumpedModel, lumped
     from harness.physics.models import load_model
 
 __all__ = [
@@ -44,22 +44,22 @@ __all__ = [
 ]
 
 _WHERE = {
-    "BodyTerm": "system",
-    "Coordinate": "system",
-    "Hidden": "system",
-    "Port": "system",
-    "SampledBlock": "system",
-    "System": "system",
-    "LumpedFit": "lumped_model",
-    "LumpedModel": "lumped_model",
-    "lumped": "lumped_model",
-    "Mechanism": "mechanism",
-    "Ode": "ode",
-    "OutputErrorFit": "output_error",
-    "fit_output_error": "output_error",
-    "simulate_error": "output_error",
-    "Simulator": "simulator",
-    "equations": "equation_text",
+    "BodyTerm": "compiled.system",
+    "Coordinate": "compiled.system",
+    "Hidden": "compiled.system",
+    "Port": "compiled.system",
+    "SampledBlock": "compiled.system",
+    "System": "compiled.system",
+    "LumpedFit": "lumps.lumped_model",
+    "LumpedModel": "lumps.lumped_model",
+    "lumped": "lumps.lumped_model",
+    "Mechanism": "definition.mechanism",
+    "Ode": "definition.ode",
+    "OutputErrorFit": "fitting.output_error",
+    "fit_output_error": "fitting.output_error",
+    "simulate_error": "fitting.output_error",
+    "Simulator": "compiled.simulator",
+    "equations": "definition.equation_text",
     "load_model": "models",
 }
 

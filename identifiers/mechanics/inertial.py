@@ -199,7 +199,7 @@ class Inertial:
         rng: np.random.Generator,
     ) -> tuple[RankDecision, float, FloatArray]:
         """Return which directions the motion determines above its noise; their basis (k, rank)."""
-        from harness.physics.lumped.identifiability import determined
+        from harness.physics.lumps.identifiability import determined
 
         rows, noise = [], []
         for record, old in zip(records, moved, strict=True):

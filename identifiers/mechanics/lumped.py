@@ -180,7 +180,7 @@ class Lumped:
         FitError
             If the system is no mechanism, or a coordinate is not measured.
         """
-        from harness.physics.lumped.identifiability import determined
+        from harness.physics.lumps.identifiability import determined
 
         regression = self.regression_of(system)
         rng = rng or np.random.default_rng(0)

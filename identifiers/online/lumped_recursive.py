@@ -106,7 +106,7 @@ class RecursiveState:
     @property
     def estimate(self) -> Estimate:
         """The record of the lumped parameters."""
-        from harness.physics.lumped.identifiability import determined
+        from harness.physics.lumps.identifiability import determined
 
         names = self.context.regression.names
         decision, _, condition = determined(self.triangle[:, :-1], names, tolerance=DETERMINED)
@@ -194,7 +194,7 @@ class RecursiveLumped:
             rows = self.equations(context, record)
             triangle = rotated(triangle, rows, group=n, forgetting=self.forgetting)
             noise.append(self.equations(context, noisier(record, rng))[:, :k] - rows[:, :k])
-        from harness.physics.lumped.identifiability import determined
+        from harness.physics.lumps.identifiability import determined
 
         decision, _, condition = determined(triangle[:, :k], regression.names, np.concatenate(noise))
         theta = _solved(triangle)

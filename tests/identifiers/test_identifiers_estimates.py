@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from harness.errors import FitError
 from harness.models.estimate import estimate_of
 from harness.physics import load_model
-from harness.physics.lumped.identifiability import determined
+from harness.physics.lumps.identifiability import determined
 from harness.physics.models import pendulum
 from harness.signals import PlantSpec, Trajectory
 from identifiers.mechanics.grey_box import OutputError

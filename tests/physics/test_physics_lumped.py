@@ -13,7 +13,7 @@ from scipy.interpolate import make_interp_spline
 
 from harness.errors import FitError, InputError
 from harness.physics import Mechanism, lumped, models
-from harness.physics.lumped.identifiability import identifiability
+from harness.physics.lumps.identifiability import identifiability
 
 
 def chapter_cart_pole():

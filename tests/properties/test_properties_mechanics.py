@@ -13,8 +13,8 @@ from harness.physics.arms.inertia import is_consistent
 from harness.physics.arms.inertial_fit import Bodies, Problem, by_semidefinite_program
 from harness.physics.arms.mechanism import ArmMechanism
 from harness.physics.arms.rigid_tree import Arm
-from harness.physics.lumped.arm_lumps import ArmLumps
-from harness.physics.lumped.identifiability import determined
+from harness.physics.lumps.arm_lumps import ArmLumps
+from harness.physics.lumps.identifiability import determined
 from harness.physics.models import BUILT_IN
 from harness.signals import PlantSpec, Trajectory
 from harness.testing import arms, random_motion, random_rotation

@@ -23,7 +23,7 @@ from harness.models.estimate import Estimate
 from harness.physics.arms.arm import ArmModel
 from harness.physics.arms.inertia import TEN, UNITS, is_consistent
 from harness.physics.arms.inertial_fit import Bodies, Problem, by_log_cholesky, by_semidefinite_program
-from harness.physics.lumped.identifiability import determined
+from harness.physics.lumps.identifiability import determined
 from harness.signals import FloatArray
 
 __all__ = ["SEEN", "ArmBodies", "bodies_of_arm", "bodies_of_joints", "unit_torques"]

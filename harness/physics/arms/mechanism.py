@@ -54,7 +54,7 @@ class ArmMechanism(Mechanism):
     Examples
     --------
     >>> from harness.physics.arms.arm import ArmModel
-    >>> from harness.physics.lumped.lumped_model import lumped
+    >>> from harness.physics.lumps.lumped_model import lumped
     >>> from harness.physics.arms.rigid_tree import pendulum_for_the_example
     >>> hinge = pendulum_for_the_example()
     >>> zero = np.zeros(1)

@@ -13,9 +13,9 @@ from harness.errors import FitError, InputError
 from harness.physics.arms.mechanism import ArmMechanism
 from harness.physics.definition.lumping import Split, split
 from harness.physics.definition.mechanism import Mechanism
-from harness.physics.lumped.arm_lumps import ArmLumps
-from harness.physics.lumped.lumped_fit import LumpedFit, least_squares
-from harness.physics.lumped.lumped_functions import jumping_mean, motion_functions, test_function_on
+from harness.physics.lumps.arm_lumps import ArmLumps
+from harness.physics.lumps.lumped_fit import LumpedFit, least_squares
+from harness.physics.lumps.lumped_functions import jumping_mean, motion_functions, test_function_on
 from harness.signals import FloatArray
 
 __all__ = ["ForceColumns", "LumpedFit", "LumpedModel", "lumped"]
@@ -335,7 +335,7 @@ class LumpedModel:
             1 / standard deviation of each row.
         tolerance : float
             Relative size below which a direction counts as missing; see
-            :func:`harness.physics.lumped.identifiability.identifiability`.
+            :func:`harness.physics.lumps.identifiability.identifiability`.
 
         Raises
         ------

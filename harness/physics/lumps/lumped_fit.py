@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from harness.errors import FitError
-from harness.physics.lumped.identifiability import Identifiability, identifiability
+from harness.physics.lumps.identifiability import Identifiability, identifiability
 from harness.signals import FloatArray
 
 __all__ = ["LumpedFit", "least_squares"]
