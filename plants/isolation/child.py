@@ -54,10 +54,11 @@ def serve() -> None:
         try:
             if name == "make":
                 plant = _made(*pickle.loads(arguments[0]))
-                told = len(getattr(plant, "warnings", ()))
                 tolerance = getattr(plant, "snapshot_tolerance", None)
                 abilities = tuple(sorted(plant.abilities))
-                answer = Answer(made=Made(plant.spec, abilities, None if tolerance is None else float(tolerance)))
+                starts = tuple(map(float, getattr(plant, "input_starts", ())))
+                made = Made(plant.spec, abilities, None if tolerance is None else float(tolerance), starts)
+                answer = Answer(made=made)
             elif plant is None:
                 raise PlantError("no plant was made")
             elif name == "get_state":
@@ -75,7 +76,7 @@ def serve() -> None:
             text = " ".join(f"raised {type(error).__name__}: {error}".split())
             answer = Answer(trouble=frames.trouble(PlantError(text[:500], status="crashed")))
         said = tuple(getattr(plant, "warnings", ()))
-        if name != "make" and len(said) > told:  # what a plant says later than in its making
+        if len(said) > told:
             answer, told = msgspec.structs.replace(answer, notes=said[told:]), len(said)
         frames.send(pipe, msgspec.msgpack.encode(answer))
     states.clear()

@@ -43,6 +43,7 @@ class Made(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     spec: PlantSpec
     abilities: tuple[Ability, ...]
     snapshot_tolerance: float | None = None
+    input_starts: tuple[float, ...] = ()
 
 
 class Answer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -81,6 +81,7 @@ class IsolatedPlant:
     spec: PlantSpec
     abilities: frozenset[Ability]
     snapshot_tolerance: float
+    input_starts: tuple[float, ...]
 
     def __init__(
         self,
@@ -211,6 +212,7 @@ class IsolatedPlant:
         if made is None:
             raise self._nonsense("make")
         self.spec, self.abilities = made.spec, frozenset(made.abilities) | {"batch"}
+        self.input_starts = made.input_starts
         if "truth" in self.abilities:
             self.abilities |= {"batch-truth"}
         if made.snapshot_tolerance is not None:  # only where the plant inside declares one
@@ -232,6 +234,8 @@ class IsolatedPlant:
         try:
             answer = child.call(name, arguments, self._timeout if limit is None else limit, SLACK + 8 * size)
             for note in answer.notes:
+                if name == "make" and note in self.warnings:  # of the process before this one
+                    continue
                 self.warnings += (note,)
                 log.warning("%s: %s", self._name, note)
             if answer.trouble is not None:
