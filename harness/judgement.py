@@ -31,6 +31,9 @@ _LONGER, _OWN = 4, 40
 _MOST = 16
 # Terms of a dependence that are named: those above this share of the largest.
 _SHOWN = 1e-3
+# Inputs move nearly together if the others leave so little of one; its coefficient is chance if its standard deviation
+# is half of what all inputs do, so that the interval holds nothing and twice as much. Samples of the outputs' past.
+_NEARLY, _CHANCE, _SHORT = 0.1, 0.5, 4
 # Probability, in a law without an integral, of one that is taken to have it.
 _INTEGRAL = 0.05
 # Regressors and witnesses that depend on others up to these shares are left out.
@@ -109,8 +112,10 @@ def refuse_law(records: Sequence[Trajectory], what: str, least_excitation: float
     Raises
     ------
     FitError
-        If :func:`law_of` finds a law.
+        If :func:`law_of` finds a law, or inputs move together and the noise hides what each does.
     """
+    if least_excitation > 0:
+        _refuse_together(records, what)
     law = law_of(records) if least_excitation > 0 else None
     if law is None:
         return
@@ -150,6 +155,47 @@ def refuse_undetermined(records: Sequence[Trajectory], what: str, least_excitati
                 remedy="excite every input by itself, or leave one out",
             )
     refuse_law(records, what, least_excitation)
+
+
+def _refuse_together(records: Sequence[Trajectory], what: str) -> None:
+    """Raise if inputs move so nearly together that, at the noise there is, what each does by itself is not known.
+
+    The standard deviation of an input's coefficient, times the input's size, is ``s / sqrt(N (1 - R^2))`` with s the
+    noise and R^2 the share of the input that the others explain (Belsley, Kuh & Welsch 1980, *Regression Diagnostics*,
+    sec. 3.2). Where that is half of what all inputs do and R^2 is what makes it so, the coefficient is chance.
+    """
+    spec = records[0].spec
+    if spec.nu < 2 or any(channel.kind == "category" for channel in (*spec.inputs, *spec.outputs)):
+        return
+    some = [record for record in _first(records) if len(record) > _SHORT]
+    rows = sum(len(record) - _SHORT for record in some)
+    if rows <= 2 * (_SHORT * spec.ny + spec.nu + 1):
+        return
+    u = np.concatenate([record.u[_SHORT - 1 : -1] for record in some])
+    seen = np.concatenate(
+        [np.hstack([record.y[_SHORT - j : len(record) - j] for j in range(1, _SHORT + 1)]) for record in some]
+    )
+    target = np.concatenate([record.y[_SHORT:] for record in some])
+    u, seen, target = (part - part.mean(axis=0) for part in (u, seen, target))
+    known = _unit(np.hstack([seen, u]))
+    theta = np.linalg.lstsq(known, target, rcond=_THIN)[0]
+    noise = (target - known @ theta).std(axis=0)
+    effect = (known[:, -spec.nu :] @ theta[-spec.nu :]).std(axis=0)
+    size = np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
+    for column in range(spec.nu):
+        others = np.delete(u, column, axis=1) / np.delete(size, column)
+        gains = np.linalg.lstsq(others, u[:, column] / size[column], rcond=_THIN)[0]
+        left = float(np.std(u[:, column] / size[column] - others @ gains))
+        if not 0.0 < left < _NEARLY or np.any(noise / (np.sqrt(rows) * left) < _CHANCE * effect):
+            continue
+        direction = np.insert(-gains, column, 1.0) / size
+        law = dependence_text(direction, size, [channel.name for channel in spec.inputs])
+        raise FitError(
+            f"{what}: the data do not determine the model",
+            expected="inputs that move apart by more than noise hides",
+            got=f"{law} up to {left:.1e} of full size: what each does by itself is chance",
+            remedy="excite every input by itself, or leave one out",
+        )
 
 
 def law_of(records: Sequence[Trajectory]) -> Law | None:

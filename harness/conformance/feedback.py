@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,8 @@ _SPEC = PlantSpec((Channel("u", "V"),), (Channel("q", "m"), Channel("v", "m")), 
 def feedback_told(subject: Subject) -> None:
     """Demand a refusal, a warning in the model's notes, or the right answer, where only a controller moved the input.
 
-    Under ``u = K x`` many plants give the same records, and a fit that names one of them names it by chance.
+    A model that does not answer its input says nothing of what the input does, and passes. Under ``u = K x``
+    many plants give the same records, and a fit that names one of them names it by chance.
     :func:`harness.judgement.refuse_law` tells.
     """
     if not any(kind.startswith("linear") for kind in subject.kinds):
@@ -43,7 +45,7 @@ def feedback_told(subject: Subject) -> None:
         except HarnessError:
             continue
         demand(
-            _warned(model) or _error(model, fresh) < RIGHT,
+            _warned(model) or not _answers(model, fresh) or _error(model, fresh) < RIGHT,
             f"records in which u = K y, and nothing else moved u, give a model without a word (noise {noise:g} of the "
             "outputs): refuse them (harness.judgement.refuse_law), or say so in the model's notes under 'warning'",
         )
@@ -65,6 +67,12 @@ def _warned(model: Any) -> bool:
     """Return True if a model's notes hold a warning."""
     notes = getattr(model, "notes", {})
     return bool(notes.get("warning") or notes.get("warnings"))
+
+
+def _answers(model: Any, data: Trajectory) -> bool:
+    """Return True if a model's predictions depend on the input."""
+    still = replace(data, u=np.zeros_like(data.u))
+    return not np.array_equal(one_step(model, data), one_step(model, still), equal_nan=True)
 
 
 def _error(model: Any, data: Trajectory) -> float:

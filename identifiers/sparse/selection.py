@@ -93,7 +93,7 @@ def lasso(equations: NormalEquations) -> tuple[FloatArray, BoolArray]:
         path = lasso_path(gram, right[:, column], highest * np.geomspace(1.0, _LEAST, _PENALTIES))
         candidates = {tuple(np.flatnonzero(row).tolist()) for row in path}
         best = min(candidates, key=lambda keep: _bic(gram, right[:, column], equations, column, list(keep)))
-        _fill(coefficients, support, gram, right, column, list(best))
+        _fill(coefficients, support, gram, right, column, _needed(gram, right[:, column], equations, column, best))
     return coefficients / size[:, None], support
 
 
@@ -182,6 +182,20 @@ def ensemble(pieces: Sequence[NormalEquations], rule: Rule, count: int, rng: np.
     for column in range(right.shape[1]):
         _fill(coefficients, support, gram, right, column, np.flatnonzero(inclusion[:, column] >= 0.5).tolist())
     return Ensemble(coefficients / size[:, None], support, inclusion, spread)
+
+
+def _needed(
+    gram: FloatArray, target: FloatArray, equations: NormalEquations, column: int, keep: Sequence[int]
+) -> list[int]:
+    """Return terms without those whose loss lowers the BIC: once fitted anew, the path's own may be rounding."""
+    kept, value = list(keep), _bic(gram, target, equations, column, list(keep))
+    while kept:
+        fewer = [[i for i in kept if i != j] for j in kept]
+        values = [_bic(gram, target, equations, column, some) for some in fewer]
+        if min(values) > value:
+            break
+        kept, value = fewer[int(np.argmin(values))], min(values)
+    return kept
 
 
 def _explained(gram: FloatArray, target: FloatArray, keep: list[int]) -> float:

@@ -31,7 +31,7 @@ _BLOCK = 8192
 
 
 def stlsq(
-    equations: NormalEquations, threshold: float, *, ridge: float = 0.0, iterations: int = 20
+    equations: NormalEquations, threshold: float | FloatArray, *, ridge: float = 0.0, iterations: int = 20
 ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     """Return coefficients (p, m) and their support by sequentially thresholded least squares.
 
@@ -42,7 +42,7 @@ def stlsq(
     Parameters
     ----------
     equations : NormalEquations
-    threshold : float
+    threshold : float or array (m,)
         Relative to the root mean square of each target.
     ridge : float
         Tikhonov weight on columns scaled to unit length.
@@ -79,7 +79,7 @@ def stlsq(
     return coefficients / size[:, None], support
 
 
-def eliminate(equations: NormalEquations, threshold: float) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+def eliminate(equations: NormalEquations, threshold: float | FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     """Return coefficients (p, m) and their support by leaving out one term at a time.
 
     Always the term goes whose loss raises the residual least, as long as the residual stays below ``threshold`` times
@@ -90,7 +90,7 @@ def eliminate(equations: NormalEquations, threshold: float) -> tuple[FloatArray,
     Parameters
     ----------
     equations : NormalEquations
-    threshold : float
+    threshold : float or array (m,)
         Relative to the root mean square of each target.
 
     Examples
@@ -104,7 +104,7 @@ def eliminate(equations: NormalEquations, threshold: float) -> tuple[FloatArray,
     gram, right, size = scaled_equations(equations)
     p, m = right.shape
     coefficients, support = np.zeros((p, m)), np.zeros((p, m), dtype=bool)
-    start = _independent(gram)
+    start, limit = _independent(gram), threshold * np.sqrt(equations.square)
     for column in range(m):
         square = float(equations.square[column])
         keep = list(start)
@@ -116,7 +116,7 @@ def eliminate(equations: NormalEquations, threshold: float) -> tuple[FloatArray,
             costs = own**2 / np.diag(inverse)
             cheapest = int(np.argmin(costs))
             cost = float(costs[cheapest])
-            if spent + cost > max(1.5 * floor, threshold**2 * square):
+            if spent + cost > max(1.5 * floor, limit[column] ** 2):
                 break
             spent += cost
             others = [i for i in range(len(keep)) if i != cheapest]
@@ -156,7 +156,7 @@ class Stlsq:
         Monomials of states and inputs up to this degree.
     threshold : float
         A term is dropped when what only it explains (under the classical rule: what it contributes) is below this
-        fraction of the derivative, in the root mean square.
+        fraction of the derivative, or in discrete time of the change from sample to sample, in the root mean square.
     order : int, optional
         1: the outputs are the states; 2: the outputs are positions, their second derivatives are identified and the
         rates belong to the state. By default the order whose model predicts ten steps ahead better on the estimation
@@ -307,15 +307,29 @@ class Stlsq:
             condition=condition,
         )
 
-    def _choose(self, equations: NormalEquations) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    def _choose(self, equations: NormalEquations, threshold: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         """Return coefficients and support by the rule."""
         if self.rule == "threshold":
-            return stlsq(equations, self.threshold, ridge=self.ridge, iterations=self.iterations)
+            return stlsq(equations, threshold, ridge=self.ridge, iterations=self.iterations)
         if self.rule == "lasso":
             return lasso(equations)
         if self.rule == "subset":
             return best_subset(equations)
-        return eliminate(equations, self.threshold)
+        return eliminate(equations, threshold)
+
+    def _thresholds(self, records: Sequence[Trajectory]) -> FloatArray:
+        """Return the threshold of each target (ny,).
+
+        In discrete time the next output is mostly the present one, and what a model is asked for is the change: the
+        threshold is relative to that, where it is the smaller.
+        """
+        least = np.full(records[0].spec.ny, self.threshold)
+        if self.time == "continuous":
+            return least
+        y = [unwrapped(record) for record in records]
+        change = sum(np.sum(np.diff(part, axis=0) ** 2, axis=0) for part in y)
+        size = sum(np.sum(part[1:] ** 2, axis=0) for part in y)
+        return np.asarray(least * np.sqrt(np.minimum(change / np.maximum(size, 1e-300), 1.0)))
 
     def _fitted(
         self, records: Sequence[Trajectory], spec: PlantSpec, order: int, what: str, rng: np.random.Generator
@@ -338,15 +352,16 @@ class Stlsq:
         if not (np.isfinite(equations.gram).all() and np.isfinite(equations.right).all()):
             raise FitError(f"{what}: functions overflow", expected="finite", got="inf", remedy="scale the signals")
         inclusion: dict[str, list[dict[str, float]]] = {}
+        thresholds = self._thresholds(records)
         if pieces:
-            found = ensemble(pieces, self._choose, self.ensemble, rng)
+            found = ensemble(pieces, lambda some: self._choose(some, thresholds), self.ensemble, rng)
             coefficients, support = found.coefficients, found.support
             inclusion["inclusion"] = [
                 {name: float(share) for name, share in zip(library.names, column, strict=True) if share > 0}
                 for column in found.inclusion.T
             ]
         else:
-            coefficients, support = self._choose(equations)
+            coefficients, support = self._choose(equations, thresholds)
         scaled = np.sqrt(np.clip(np.diag(equations.gram), 1e-300, None))
         values = np.linalg.eigvalsh(equations.gram / np.outer(scaled, scaled))
         lost = equations.square - 2 * np.einsum("ij,ij->j", coefficients, equations.right)

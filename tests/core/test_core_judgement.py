@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from harness import registry
 from harness.errors import FitError
 from harness.judgement import feedback_of, law_of, refuse_undetermined
 from harness.signals import Channel, PlantSpec, Trajectory
@@ -73,3 +74,28 @@ def test_inputs_that_move_together_are_named():
     with pytest.raises(FitError, match=r"b = -2 a but for a constant"):
         refuse_undetermined([data], "mine")
     refuse_undetermined([data], "mine", 0.0)
+
+
+def together(apart: float, noise: float, seed: int) -> Trajectory:
+    """Return y[k+1] = .9 y + .1 a + .05 b with ``b = -a`` up to so much, and sensor noise."""
+    rng, n = np.random.default_rng(seed), 1200
+    a = np.repeat(rng.choice([-1.0, 1.0], n // 6), 6)
+    u, y = np.column_stack([a, -a + apart * rng.normal(size=n)]), np.zeros(n)
+    for k in range(n - 1):
+        y[k + 1] = 0.9 * y[k] + u[k] @ [0.1, 0.05]
+    spec = PlantSpec((Channel("a"), Channel("b")), (Channel("y"),), 1.0)
+    return Trajectory(np.arange(float(n)), u, (y + noise * rng.normal(size=n))[:, None], spec)
+
+
+@pytest.mark.parametrize("identifier", ["arx", "n4sid", "prediction-error", "ho-kalman", "dmdc", "stlsq"])
+def test_inputs_that_move_apart_by_less_than_noise_hides_are_refused(identifier):
+    with pytest.raises(FitError, match=r"b = -1 a|a = -1 b"):
+        registry.create("identifiers", identifier).fit([together(1e-3, 0.01, 0)], rng=np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 0.01])
+@pytest.mark.parametrize("seed", range(3))
+def test_inputs_that_move_apart_by_more_than_noise_hides_are_fitted(noise, seed):
+    record = together(max(10 * noise, 1e-3), noise, seed)
+    model = registry.create("identifiers", "arx", order=1).fit([record], rng=np.random.default_rng(0))
+    assert model.frequency_response(np.zeros(1))[0, 0].real == pytest.approx([1.0, 0.5], abs=0.25)

@@ -254,3 +254,16 @@ def test_a_swing_is_identified_by_every_rule_with_inclusion_probabilities(rule):
     assert set(model.support[1]) == {"q", "v", "u", "q^3"}
     assert model.notes["inclusion"][1]["q^3"] == 1.0
     assert simulation_error(model, data).nrmse.max() < 0.02
+
+
+@pytest.mark.parametrize("rule", ["eliminate", "threshold", "lasso", "subset"])
+@pytest.mark.parametrize("pole", [0.5, 0.99, 0.999])
+def test_a_slow_plant_in_discrete_time_keeps_its_input_and_no_term_of_rounding(rule, pole):
+    u = np.tile(np.r_[np.zeros(400), np.ones(600)], 2)
+    x = np.zeros(2000)
+    for k in range(1999):
+        x[k + 1] = pole * x[k] + (1 - pole) * u[k]
+    record = Trajectory(np.arange(2000) * 0.1, u[:, None], x[:, None], PlantSpec((Channel("u"),), (Channel("x"),), 0.1))
+    model = Stlsq(time="discrete", degree=1, rule=rule).fit([record], rng=np.random.default_rng(0))
+    assert model.coefficients.ravel() == pytest.approx([0.0, pole, 1 - pole], abs=1e-9)
+    assert model.support == (("x", "u"),)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import lfilter
+from scipy.signal import cont2discrete, dlsim, lfilter, tf2ss
 
 from harness import api
 from harness.errors import FitError
@@ -444,3 +444,20 @@ def test_one_step_of_the_input_is_excitation_and_a_ramp_is_not():
         else:
             with pytest.raises(FitError, match="got order 1"):
                 Subspace().fit([record], rng=RNG)
+
+
+def test_fast_sampling_gets_a_longer_past_and_white_excitation_does_not():
+    """0.318 Hz sampled at 20 Hz, an input held for five samples: twelve samples hold a sixth of a period."""
+    a, b, c, d, _ = cont2discrete(tf2ss([2.0], np.polymul([1.0, 0.6, 4.0], [0.5, 1.0])), 0.05)
+    spec = PlantSpec((Channel("u"),), (Channel("y"),), 0.05)
+
+    def seen(seed, n):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.choice([-1.0, 1.0], n // 5), 5)
+        y = dlsim((a, b, c, d, 0.05), u)[1] + 0.02 * rng.normal(size=(n, 1))
+        return Trajectory(np.arange(n) * 0.05, u[:, None], y, spec)
+
+    model = Subspace().fit([seen(1, 2000)], rng=RNG)
+    assert model.notes["past"] > 12
+    assert simulation_error(model, seen(2, 1000)).nrmse[0] < 0.08
+    assert Subspace().fit([run(800, 0, noise=0.1)], rng=RNG).notes["past"] == 12
