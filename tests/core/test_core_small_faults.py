@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from harness.diagnosis.policy import POLICY
 from harness.diagnosis.search.coloured import LONGEST, Before
 from harness.diagnosis.search.leftover import Axis, Leftover, _axis
+from harness.diagnosis.search.rounding import add_rounding
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
 from harness.effects import builtin
 from harness.effects.effect import Placed
@@ -271,3 +272,23 @@ def test_a_lead_pays_half_the_logarithm_of_the_samples_for_each_parameter() -> N
     free = sum(not parameter.fixed for parameter in placed.effect.parameters)
     assert only.gain == pytest.approx(18.0)
     assert only.penalised == pytest.approx(18.0 - 0.5 * free * np.log(n))
+
+
+@pytest.mark.parametrize(("share", "named"), [(1.5, True), (0.6, False)])
+def test_rounding_is_named_from_its_share_of_the_noise_on(share: float, named: bool) -> None:
+    """A grid of 0.1 has the power 0.1^2 / 12; the readings lie on it in both uses, which is evidence for it."""
+    readings = np.round(np.random.default_rng(0).standard_normal((400, 1)), 1)
+    noise = np.sqrt(0.1**2 / 12 / (share * POLICY.rounding))
+    (effect,) = (one for one in builtin().values() if one.sampled == "quantise")
+    placed = Placed(effect, "y")
+    run = SimpleNamespace(y=readings)
+    dataset: Any = SimpleNamespace(spec=SPEC, estimation=[run], validation=[run])
+    points = {"estimation": SimpleNamespace(noise=SimpleNamespace(r=np.array([noise])))}
+    terms = {use: [readings[:, 0]] for use in ("estimation", "validation")}
+    model = SimpleNamespace(detail=SimpleNamespace(points=points), effects=[], values={}, terms=terms)
+    outcome: Any = SimpleNamespace(model=model, accepted=[])
+    form: Any = SimpleNamespace(fit=lambda effects, starts, base: base)
+    add_rounding(form, outcome, dataset, [placed])
+    assert [one.placed for one in outcome.accepted] == [placed] * named
+    for one in outcome.accepted:
+        assert one.evidence == one.validation == pytest.approx(-400 * np.log(POLICY.chance))
