@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.diagnosis.policy import POLICY
-from harness.diagnosis.search.coloured import LONGEST, Before
+from harness.diagnosis.search.coloured import Before
 from harness.diagnosis.search.leftover import Axis, Leftover, _axis
 from harness.diagnosis.search.rounding import add_rounding
 from harness.diagnosis.search.score_test import Lead, ScoreTest, score_test
@@ -22,8 +22,9 @@ from harness.effects.effect import Placed
 from harness.errors import FitError
 from harness.fleet.row import Found, Row, fill
 from harness.fleet.trends import new_effects, series_of, trends
+from harness.protocols import Hindsight
 from harness.scoring import errors, predict
-from harness.scoring.regret import Regret, _first
+from harness.scoring.regret import Regret, _curve, _first
 from harness.scoring.rounds import interleaved
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from harness.units import base_units, convert
@@ -182,6 +183,16 @@ def test_the_slope_of_a_regret_begins_with_its_burn_in() -> None:
         regret.slope(11)
 
 
+def test_the_curve_of_a_regret_counts_the_losses_up_to_each_length() -> None:
+    def hindsight(records: list[Trajectory]) -> Hindsight:
+        return Hindsight(np.zeros(sum(len(one) - 1 for one in records)), True)
+
+    online: Any = SimpleNamespace(hindsight=hindsight)
+    steps, curve = _curve(online, [record([0, 0, 0]), record([0, 0, 0])], np.array([1.0, 2.0, 4.0, 8.0]), np.ones(1), 3)
+    assert steps.tolist() == [1, 2, 4]
+    assert curve.tolist() == [1, 3, 15]
+
+
 def test_coverage_is_one_where_all_directions_are_seen_alike() -> None:
     spec = PlantSpec((Channel("u"),), (Channel("x"),), 1.0)
 
@@ -236,7 +247,7 @@ def test_the_gain_of_a_free_force_and_its_error_over_blocks_by_hand() -> None:
 
 
 def test_rows_behind_a_long_gap_are_forgotten_and_those_behind_a_short_one_are_not() -> None:
-    for gap, known in ((LONGEST // 2, True), (LONGEST, True), (LONGEST + 1, False)):
+    for gap, known in ((1000, True), (2000, True), (2001, False)):  # rows
         counts = np.zeros(gap + 1)
         counts[[0, gap]] = 1.0
         before = Before.of(counts, 1)
