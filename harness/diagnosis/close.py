@@ -147,9 +147,10 @@ def close_loop(
                 dataset = inputs_checked(system, dataset)
         kind = _black_box() if box else Equations()
         diagnosis = diagnose(dataset, system, kind=kind, progress=progress, folder=folder, dictionary=dictionary)
-        if by_equations(system) and diagnosis.outcome.accepted:
+        whole = diagnosis.final.model
+        if by_equations(whole) and diagnosis.outcome.accepted:
             # what the model lacked may have hidden that the input is late: its equations are whole now
-            final = diagnosis.final.model.with_parameters(diagnosis.final.values)
+            final = whole.with_parameters(diagnosis.final.values)
             with one_thread():
                 again = inputs_checked(final, dataset)
             if again.runs != dataset.runs:
