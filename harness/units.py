@@ -29,6 +29,7 @@ WRITTEN = {
     "Kg": "kg",
     "KG": "kg",
     "Newton": "N",
+    "million": "1e6",
     "Amp": "A",
     "Amps": "A",
     "amp": "A",
@@ -68,7 +69,7 @@ AMBIGUOUS = {
     "Grad": ("gradian", "degree"),
     "au": ("astronomical_unit", "1"),
     "a.u.": ("astronomical_unit", "1"),
-    "M": ("molar", "1e6"),
+    "M": ("molar", "million"),
     "MM": ("megamolar", "millimeter"),
 }
 """Texts with two readings: one counts only where the other does not fit what is measured."""

@@ -26,7 +26,7 @@ from harness.benchmark.row import Row, read_row
 from harness.data.whole_files import whole_file
 from harness.errors import InputError
 from harness.jobs.manifest import read_manifest
-from harness.jobs.stored import read_columns
+from harness.jobs.stored import read_columns, reading
 
 __all__ = ["Store"]
 
@@ -176,7 +176,8 @@ class Store:
                     file=share.folder,
                 )
         place = {job: k for k, job in enumerate(first["order"])}
-        cells = sorted((cell for content in contents for cell in content["cells"]), key=lambda cell: place[cell[0]])
+        with reading(shares[0].manifest):
+            cells = sorted((cell for content in contents for cell in content["cells"]), key=lambda cell: place[cell[0]])
         rows = {job: row for share in shares for job, row in share.rows().items()}
         planned = len(first["order"])
         whole = {key: first[key] for key in ("format", "suite", "description", "versions")}

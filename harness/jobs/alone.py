@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from harness.errors import InputError
 
@@ -39,10 +37,6 @@ def alone_in(folder: Path | None) -> Iterator[None]:
     ...         print(error.what)
     another run writes into the folder
     """
-    try:
-        fcntl: Any = importlib.import_module("fcntl")
-    except ImportError:  # a system without it
-        fcntl = None
     if folder is None:
         yield
         return
@@ -52,9 +46,11 @@ def alone_in(folder: Path | None) -> Iterator[None]:
         raise InputError(
             "folder for the results", expected="a folder that can be made", got=str(error), remedy="choose another"
         ) from error
-    if fcntl is None:
+    if os.name != "posix":  # a system without such locks
         yield
         return
+    import fcntl
+
     held = os.open(folder, os.O_RDONLY)
     try:
         try:

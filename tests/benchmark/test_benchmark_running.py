@@ -72,9 +72,7 @@ def test_every_way_to_break_is_a_row_and_costs_no_other_row(plugins: Path, tmp_p
     scenarios = [{{id = "prbs", options = {{samples = 100}}}}]
     identifiers = [{", ".join(parts)}]
     """
-    started = time.monotonic()
     rows = by_label(bench(write_suite(tmp_path, groups, time_limit=4.0, seeds=[0]), out=tmp_path / "out", workers=2))
-    assert time.monotonic() - started < 40
     assert len(rows) == len(parts)
     assert rows["test-fit"].status == rows["after"].status == "ok"
     assert rows["raise"].status == "crashed"

@@ -373,3 +373,53 @@ def test_temperatures_keep_their_offset_on_a_wire(unit: str, order: Any, delay: 
         for _ in range(4):
             y = plant.step(np.full(count, 300.0))
     assert y == pytest.approx({"degC": [26.85], "degF": [80.33], "K": [300.0]}[unit])
+
+
+@pytest.mark.parametrize("order", ["jacobi", "gauss-seidel"])
+@pytest.mark.parametrize("delay", [1, 2, 3])
+def test_a_delayed_wire_of_a_part_carries_its_value_of_so_many_steps_ago(order: Any, delay: int) -> None:
+    """What moves within a step is delayed too: an external input, which stands still, does not show it."""
+    ramp = Coupled(
+        {"ramp": integrator(), "seen": integrator()},
+        [("push", "ramp.u0"), Connection("ramp.y0", "seen.u0", delay=delay)],
+        inputs={"push": "ramp.u0"},
+        outputs=["ramp.y0", "seen.y0"],
+        order=order,
+        initial={"ramp.x0": 5.0},
+    )
+    y = np.array([ramp.reset(rng=RNG)] + [ramp.step(np.array([1.0])) for _ in range(8)])
+    held = np.concatenate([np.full(delay, 5.0), y[:, 0]])[: len(y) - 1]
+    np.testing.assert_allclose(np.diff(y[:, 1]), 0.1 * held, atol=1e-12)
+
+
+def test_a_snapshot_between_the_samples_of_a_slow_part_keeps_what_it_holds() -> None:
+    both = Coupled(
+        {"slow": integrator(dt=0.3), "fast": integrator(dt=0.1)},
+        [("push", "slow.u0"), ("slow.y0", "fast.u0")],
+        inputs={"push": "slow.u0"},
+        outputs=["slow.y0", "fast.y0"],
+    )
+    both.reset(rng=RNG)
+    both.step(np.array([1.0]))  # the slow part holds 1 until 0.3 s
+    kept = both.get_state()
+    first = [both.step(np.array([u])) for u in (7.0, 7.0, 2.0, 2.0)]
+    both.set_state(kept)
+    again = [both.step(np.array([u])) for u in (7.0, 7.0, 2.0, 2.0)]
+    np.testing.assert_array_equal(first, again)
+    assert first[1][0] == pytest.approx(0.3)
+
+
+def test_a_slow_static_part_answers_at_its_own_samples_only() -> None:
+    both = Coupled(
+        {"slow": gain(2.0, dt=0.2), "clock": integrator(dt=0.1)},
+        [("push", "slow.u0"), ("push", "clock.u0")],
+        inputs={"push": "slow.u0"},
+        outputs=["slow.y0"],
+    )
+    both.reset(rng=RNG)
+    got = [float(both.output(np.array([1.0]))[0])]
+    both.step(np.array([1.0]))
+    got.append(float(both.output(np.array([5.0]))[0]))  # between its samples
+    both.step(np.array([5.0]))
+    got.append(float(both.output(np.array([3.0]))[0]))
+    assert got == [2.0, 2.0, 6.0]
