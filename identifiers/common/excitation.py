@@ -177,10 +177,10 @@ def excited_lags(records: Sequence[Trajectory], most: int) -> int:
     rows = np.concatenate(parts)
     spread = rows[:, :nu].std(axis=0)
     rows = (rows - rows.mean(axis=0)) / np.tile(np.where(spread > 0, spread, 1.0), most)
-    triangle: FloatArray = np.asarray(np.linalg.qr(rows, mode="r"))
+    triangle = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
     before = 1.0
     for lags in range(1, most + 1):
-        values: FloatArray = np.linalg.svd(triangle[:, : lags * nu], compute_uv=False)
+        values = np.asarray(np.linalg.svd(triangle[:, : lags * nu], compute_uv=False), dtype=np.float64)
         least = float(values[-1] / values[0]) if values[0] > 0 else 0.0
         if least < _CLIFF * before:
             return lags - 1
