@@ -37,7 +37,7 @@ for package in (harness, identifiers, plants, scenarios):
 from harness import api
 from harness.jobs import make_engine
 assert make_engine("local", None).workers >= 1
-record = api.simulate("linear-ode", scenario="prbs", scenario_options={"duration": 5.0})
+record = api.simulate("linear-ode", scenario="prbs", scenario_options={"duration": 10.0})
 print(api.identify(record).equation_error["validation"][0].nrmse)
 from plants.isolation.isolated import isolated
 isolated("linear-ode").close()

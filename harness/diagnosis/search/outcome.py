@@ -65,9 +65,8 @@ class Outcome:
             ]
             if not forbidden:
                 continue
-            if answer <= self.laws.contained(rival.fit.effects) and not _asked_for(
-                rival, base, answer, forbidden, policy
-            ):
+            has_it = answer <= self.laws.contained(rival.fit.effects)
+            if has_it and not _asked_for(rival, base, answer, forbidden, policy):
                 continue
             gap = compared(rival.fit, self.model, policy).total
             _, error = difference(rival.fit, self.model, ("estimation", "validation"), policy)
