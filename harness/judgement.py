@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -245,7 +245,7 @@ def law_of(records: Sequence[Trajectory]) -> Law | None:
             noise = probability > _DOUBT and departure < _HALF
             if (noise or departure < exact) and (sure or form.lags == 0):
                 return Law(column, text, departure, probability)
-        if sure and shares[column] > 1.0 - _EXACT**2:
+        if sure and shares[column] > 1.0 - _EXACT**2 and _granger(_before(some), 4)[0][column] > 1.0 - _EXACT**2:
             left = float(alone[column] * np.sqrt(max(1.0 - shares[column], 0.0)))
             return Law(column, f"{spec.inputs[column].name} follows from the last 4 samples", left, 1.0)
     return None
@@ -450,6 +450,11 @@ def _first(records: Sequence[Trajectory]) -> list[Trajectory]:
             some.append(record[:left])
             left -= len(record)
     return some
+
+
+def _before(records: Sequence[Trajectory]) -> list[Trajectory]:
+    """Return records of which only outputs before an input count: outputs that answer at once hold the input itself."""
+    return [replace(record, spec=replace(record.spec, feedthrough=True)) for record in records]
 
 
 def _seen_through_few(records: Sequence[Trajectory]) -> list[Trajectory]:
