@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from pebble import ProcessExpired
+
 from harness.errors import InputError, PluginError
 from harness.jobs.batch import (
     SHARED,
@@ -214,7 +216,8 @@ def _after_loss(batch: Batch, shards: Path, error: BaseException) -> Batch | Non
     late = isinstance(error, TimeoutError) or was_ended(shards, batch)
     status = "timeout" if late else "crashed"
     reason = f"is over its time limit of {batch.time_limit:g} s" if late else death(error)
-    end_worker(shards, batch)
+    if late or isinstance(error, ProcessExpired | BrokenProcessPool | _Left):
+        end_worker(shards, batch)  # after any other error it lives, and does another batch by now
     if not late:
         raise_if_full(error)
     left = [job for job in batch.jobs if not shard_file(shards, job).exists()]
