@@ -157,6 +157,7 @@ class LocalEngine:
 
         def schedule(batch: Batch) -> None:
             # the watchdog inside the worker keeps the limit of each job; this one is for a worker that is stopped
+            put_away(shards, batch)  # marks of a run that was interrupted tell of no worker of this one
             backstop = math.ceil((len(batch.jobs) + 1) * (batch.time_limit + 10))
             waiting[pool.schedule(do_batch, args=[batch, str(shards), trusted()], timeout=backstop)] = batch
 

@@ -172,7 +172,7 @@ def test_an_interrupted_run_keeps_its_rows_and_resumes(plugins: Path, tmp_path: 
     assert seen[0][0] >= len(kept.rows)
     assert seen[-1] == (32, 32)
     assert len(result.rows) == 32
-    assert result.ok == 32
+    assert result.ok == 32, [row.reason for row in result.rows if row.status != "ok"]
 
 
 def test_table_and_query_read_a_folder_back(plugins: Path, tmp_path: Path) -> None:
