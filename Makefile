@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test lint bench docs clean
+.PHONY: demo test nightly lint bench docs clean
 
 $(READY): pyproject.toml lab/pyproject.toml constraints.txt
 	@echo "setting up $(VENV) (a minute or two, once)"
@@ -32,8 +32,13 @@ lint: $(READY)
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
+# the gate: lint, types, import rules, doctests, and all tests but those that take long
 test: lint
-	@$(BIN)/python -m pytest -n 2 --dist worksteal
+	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+
+# what takes long: whole loops on recordings, fleets, interrupts, plug-ins installed by pip
+nightly: $(READY)
+	@$(BIN)/python -m pytest -n 2 --dist worksteal -m slow
 
 bench: $(READY)
 	@for script in benchmarks/bench_*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 _SPEC = importlib.util.spec_from_file_location(
     "mechanical_figures", Path(__file__).resolve().parents[2] / "docs" / "mechanical_figures.py"
 )

@@ -7,6 +7,8 @@ import pytest
 from harness.diagnosis import close_loop_file
 from harness.effects import builtin
 
+pytestmark = pytest.mark.slow
+
 MASS = (
     95.11  # kg, of the data's authors (Janot, Gautier & Brunot 2019); its other figures depend on the law of friction
 )

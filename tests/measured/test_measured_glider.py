@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 _SPEC = importlib.util.spec_from_file_location(
     "glider_figures", Path(__file__).resolve().parents[2] / "docs" / "glider_figures.py"
 )

@@ -11,6 +11,8 @@ from harness.diagnosis import Diagnosis, diagnose
 from harness.effects import builtin
 from scenarios.recordings import load_recording
 
+pytestmark = pytest.mark.slow
+
 
 def diagnosed(name: str, *effects: str) -> Diagnosis:
     """Diagnose a recording with these effects as the dictionary."""

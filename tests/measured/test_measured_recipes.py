@@ -12,6 +12,8 @@ from harness.data import read_description
 from harness.errors import InputError
 from scenarios.recordings import RECORDINGS, load_recording
 
+pytestmark = pytest.mark.slow
+
 FACTS = {
     # name: (dt, lengths by run, a value of the first run (row, column of [u y]), what it must be)
     "emps": (1e-3, [24841, 24841], (0, 0), 2.53862809 * 35.15065188),
