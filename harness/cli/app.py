@@ -161,7 +161,7 @@ def _root(version: Annotated[bool, typer.Option("--version", help="print the ver
 
 
 def run(
-    arguments: Sequence[str] | None, interrupts: Interrupts, *, application: typer.Typer = app, name: str = "sysid"
+    arguments: Sequence[str] | None, interrupts: Interrupts, *, application: typer.Typer = app, program: str = "sysid"
 ) -> int:
     """Run a command line and return the exit status; every failure is one line on standard error."""
     from typer.main import get_command
@@ -171,7 +171,7 @@ def run(
             setattr(sys, name, open(os.devnull, "r+", encoding="utf-8"))
     try:
         code = get_command(application).main(
-            args=None if arguments is None else list(arguments), prog_name=name, standalone_mode=False
+            args=None if arguments is None else list(arguments), prog_name=program, standalone_mode=False
         )
         if code == INTERRUPTED or interrupts.seen:  # a library turns Ctrl-C into a status, or swallows it
             raise KeyboardInterrupt

@@ -170,4 +170,4 @@ def _separated(text: str) -> list[str]:
 
 def run(arguments: Sequence[str] | None, interrupts: Interrupts) -> int:
     """Run the command line and return the exit status; every failure is one line on standard error."""
-    return cli.run(arguments, interrupts, application=app, name="sysid-lab")
+    return cli.run(arguments, interrupts, application=app, program="sysid-lab")
