@@ -6,5 +6,43 @@ mechanism or an ODE, with its entry point in ``pyproject.toml``.
 
 from __future__ import annotations
 
-from harness.physics.models.catalogue import *  # noqa: F403
-from harness.physics.models.catalogue import __all__ as __all__
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from harness.physics.models.catalogue import (
+        BUILT_IN,
+        acrobot,
+        cart_pole,
+        double_pendulum,
+        drive,
+        linear,
+        load_model,
+        oscillator,
+        pendulum,
+        perching_glider,
+        planar_quadrotor,
+        two_tanks,
+    )
+
+__all__ = [
+    "BUILT_IN",
+    "acrobot",
+    "cart_pole",
+    "double_pendulum",
+    "drive",
+    "linear",
+    "load_model",
+    "oscillator",
+    "pendulum",
+    "perching_glider",
+    "planar_quadrotor",
+    "two_tanks",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a model on first use: listing them must not."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module("harness.physics.models.catalogue"), name)
