@@ -21,7 +21,7 @@ from plants.fmu.mockups import pendulum_fmu
 from plants.fmu.plant import FmuPlant, describe
 from plants.mockups import FOLDER, mockup, models
 
-GOLDEN = Path(fmu_engine.__file__).parent / "golden" / "pendulum-fmu.csv"
+GOLDEN = Path(fmu_engine.__file__).parents[1] / "golden" / "pendulum-fmu.csv"
 RNG = np.random.default_rng(0)
 
 
