@@ -117,7 +117,7 @@ def as_parameter(name: str, given: Any, *, minimum: float = -np.inf) -> Paramete
     )
 
 
-GONE = 1e-9
+GONE = 1e-7
 """Share of its declared value below which a parameter has vanished: what is not there has no unit that may be wrong."""
 
 
@@ -137,7 +137,7 @@ def said_far(
         The fitted values.
     intervals : mapping, optional
         Low and high where the data tell them: a large value counts only where its interval leaves the declared one out,
-        a small one only where it leaves 0 out, as a friction that is not there is no mistake.
+        a small one only where it is told within a power of ten, as a friction that is not there is no mistake.
     factor : float
 
     Examples
@@ -152,7 +152,9 @@ def said_far(
         ratio = abs(values[one.name] / one.value)
         low, high = (intervals or {}).get(one.name, (0.0, 0.0))
         within = one.name in (intervals or {}) and min(low, high) <= one.value <= max(low, high)
-        if (ratio >= factor and not within) or (GONE < ratio <= 1 / factor and low * high > 0):
+        if (ratio >= factor and not within) or (
+            GONE < ratio <= 1 / factor and 0 < abs(high) < 10 * abs(low) and low * high > 0
+        ):
             unit = "" if one.unit == "1" else f" {one.unit}"
             parts.append(f"{one.name} = {values[one.name]:.4g}{unit} is {ratio:.2g} times the declared {one.value:g}")
     return f"check the units of the columns, time included: {', '.join(parts)}" if parts else None
