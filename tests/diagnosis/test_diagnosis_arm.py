@@ -18,6 +18,8 @@ from harness.errors import InputError
 from harness.physics.arms.arm import ArmModel, load_arm
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
+pytestmark = pytest.mark.slow  # whole loops
+
 pytest.importorskip("pybullet", reason="pybullet has wheels for CPython 3.10 and 3.11 only")
 
 SECONDS = 10.0

@@ -14,6 +14,8 @@ from harness.physics.arms.arm import ArmModel, load_arm
 from harness.physics.arms.inertia import is_consistent
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
+pytestmark = pytest.mark.slow  # whole loops
+
 pytest.importorskip("pybullet_data", reason="the URDF of the iiwa comes with PyBullet")
 
 DT, NOISE = 0.01, 0.05

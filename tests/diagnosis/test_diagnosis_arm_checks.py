@@ -12,6 +12,8 @@ from harness.diagnosis.close import close_loop
 from harness.physics.arms.arm import load_arm
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 
+pytestmark = pytest.mark.slow  # whole loops
+
 DT, N = 0.005, 2000
 T = np.arange(N) * DT
 SPEC = PlantSpec(tuple(Channel(f"tau{k}", "N m") for k in (1, 2)), tuple(Channel(f"q{k}", "rad") for k in (1, 2)), DT)

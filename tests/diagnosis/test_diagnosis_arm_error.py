@@ -13,6 +13,8 @@ from harness.diagnosis.search.coloured import Before, Coloured, fitted_error
 from harness.physics.definition.parameters import Parameter
 from harness.signals import FloatArray
 
+pytestmark = pytest.mark.slow  # whole loops
+
 
 def log_likelihood(error: Coloured, values: FloatArray, before: Before) -> float:
     """Return the log-density of the rows that count, each given those before it."""

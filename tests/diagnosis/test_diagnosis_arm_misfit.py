@@ -16,6 +16,8 @@ from harness.effects import builtin
 from harness.physics.arms.arm import ArmModel, load_arm
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
+pytestmark = pytest.mark.slow  # whole loops
+
 pytest.importorskip(
     "pybullet_data", reason="the URDF of the iiwa comes with pybullet, which has wheels for CPython 3.10 and 3.11 only"
 )

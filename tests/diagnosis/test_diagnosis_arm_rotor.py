@@ -14,6 +14,8 @@ from harness.diagnosis.close import close_loop
 from harness.physics.arms.arm import ArmModel, load_arm
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
+pytestmark = pytest.mark.slow  # whole loops
+
 pytest.importorskip("pybullet", reason="pybullet has wheels for CPython 3.10 and 3.11 only")
 
 DT = 0.01

@@ -16,6 +16,8 @@ from harness.physics.arms.arm import ArmModel, load_arm
 from harness.physics.arms.urdf import load_urdf
 from harness.signals import Dataset, FloatArray, PlantSpec, Run, Trajectory
 
+pytestmark = pytest.mark.slow  # whole loops
+
 DT, ROWS = 0.005, 800
 T = np.arange(ROWS) * DT
 USES: tuple[Literal["estimation", "validation"], ...] = ("estimation", "validation")

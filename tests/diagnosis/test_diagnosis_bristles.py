@@ -28,6 +28,8 @@ from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.signals import Dataset, PlantSpec, Run, Trajectory
 
+pytestmark = pytest.mark.slow  # whole loops
+
 USED = 240_000
 """The base of records that were looked at while this was written."""
 

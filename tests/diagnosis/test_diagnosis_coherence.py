@@ -21,6 +21,8 @@ from harness.effects import builtin
 from harness.physics import load_model
 from harness.signals import FloatArray
 
+pytestmark = pytest.mark.slow  # whole loops
+
 N, DT = 2000, 0.01
 T = np.arange(N) * DT
 PARTS = POLICY.line_parts

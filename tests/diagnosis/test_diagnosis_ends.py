@@ -22,6 +22,8 @@ from harness.physics.compiled.kalman_pass import Filtered, Pass
 from harness.physics.fitting.likelihood import Likelihood, NoiseModel, _FisherScoring, _Quadratic
 from harness.signals import Channel, Dataset, FloatArray, PlantSpec, Run, Trajectory
 
+pytestmark = pytest.mark.slow  # whole loops
+
 DT, N = 0.02, 600
 J, B, MGL = 0.1, 0.05, 1.0
 

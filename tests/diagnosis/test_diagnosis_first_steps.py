@@ -18,6 +18,8 @@ from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.signals import Dataset, PlantSpec, Run, Trajectory
 
+pytestmark = pytest.mark.slow  # whole loops
+
 
 @dataclass
 class Valley:

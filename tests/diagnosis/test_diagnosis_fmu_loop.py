@@ -32,6 +32,8 @@ from harness.specs import spec_to_dict
 from harness.trust import trusting
 from plants.mockups import mockup
 
+pytestmark = pytest.mark.slow  # whole loops
+
 DT, N = 0.01, 1000
 EFFECTS = builtin()
 PENDULUM = {"J": 0.06, "b": 0.04, "mgl": 1.1}

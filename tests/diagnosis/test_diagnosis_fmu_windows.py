@@ -13,6 +13,8 @@ from harness.effects import builtin
 from harness.signals import Dataset, PlantSpec, Run, Trajectory
 from plants.mockups import mockup
 
+pytestmark = pytest.mark.slow  # whole loops
+
 DT, N, NOISE = 0.01, 500, 1e-4
 TRUE = {"mc": 0.8, "mp": 0.25, "l": 0.45}
 START = {"mc": 1.0, "mp": 0.2, "l": 0.5}

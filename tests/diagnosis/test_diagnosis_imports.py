@@ -11,6 +11,8 @@ from sysid_lab.folder import write_record
 from sysid_lab.plan import Task
 from sysid_lab.records import make_records
 
+pytestmark = pytest.mark.slow  # whole loops
+
 ASK = """
 import sys
 from harness.command import main

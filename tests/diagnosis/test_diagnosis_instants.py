@@ -14,6 +14,8 @@ from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
 from .conftest import multisine
 
+pytestmark = pytest.mark.slow  # whole loops
+
 DT, N, NOISE = 0.01, 2000, 1e-3
 J, B, MGL, MORE_J, MORE_G = 0.1, 0.05, 1.0, 0.01, 0.15
 LAW = Placed(builtin()["payload_step"], "theta")

@@ -17,6 +17,8 @@ from harness.physics import load_model
 from harness.physics.compiled.windows import Windows
 from harness.signals import PlantSpec, Trajectory
 
+pytestmark = pytest.mark.slow  # whole loops
+
 N, DT = 2000, 0.015
 RINGING = [1.0, -2 * np.exp(-0.5 * DT) * np.cos(6 * DT), np.exp(-1.0 * DT)]
 """A plant with its pole at 6 rad/s, damped by 8 %: what shakes it rings for some 2 s."""

@@ -22,6 +22,8 @@ from harness.diagnosis.search.score_test import score_test
 from harness.effects import Placed, builtin, compose
 from harness.physics import load_model
 
+pytestmark = pytest.mark.slow  # whole loops
+
 TASK = Task("confusion", "pendulum", "bullet", (), "nominal", "high", 0.0, 0, 0)
 
 

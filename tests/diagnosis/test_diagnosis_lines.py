@@ -12,6 +12,8 @@ from harness.effects import builtin
 from harness.physics import load_model
 from harness.signals import Dataset
 
+pytestmark = pytest.mark.slow  # whole loops
+
 FRICTIONS = ("coulomb_friction", "stribeck_friction", "asymmetric_friction", "position_dependent_friction")
 
 

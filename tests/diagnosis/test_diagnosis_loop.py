@@ -16,6 +16,8 @@ from harness.errors import InputError
 from harness.physics.models import pendulum
 from harness.signals import Run
 
+pytestmark = pytest.mark.slow  # whole loops
+
 
 def dry(q: float, v: float, u: float, t: float) -> float:
     return -0.05 * math.copysign(1.0, v) if v else 0.0

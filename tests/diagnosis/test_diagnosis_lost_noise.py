@@ -15,6 +15,8 @@ from harness.effects.effect import Placed
 from harness.physics import load_model
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
+pytestmark = pytest.mark.slow  # whole loops
+
 DT, FINER, NOISE = 2e-3, 16, 2e-4
 PLANT = {"m": 5e-6, "c": 2e-4, "k": 1.0}
 

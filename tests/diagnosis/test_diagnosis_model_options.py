@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from harness import registry
 from harness.diagnosis import close_loop
@@ -14,6 +15,8 @@ from harness.effects import builtin
 from harness.physics import load_model
 from harness.signals import Dataset, Run, Trajectory
 from scenarios.recordings import load_recording
+
+pytestmark = pytest.mark.slow  # whole loops
 
 
 def test_a_repaired_model_remembers_how_its_nominal_model_was_made(tmp_path: Path) -> None:

@@ -14,6 +14,8 @@ from harness.diagnosis.records.prepare import checked
 from harness.diagnosis.steps import candidates_of, form_of, nominal_fit
 from harness.physics import load_model
 
+pytestmark = pytest.mark.slow  # whole loops
+
 
 def task(engine: str, level: str, noise: str, disturbance: float, index: int) -> Task:
     return Task("confusion", "pendulum", engine, ("backlash@theta",), level, noise, disturbance, index, 0)

@@ -22,6 +22,8 @@ from harness.rng import Streams
 from harness.rollout import perform
 from harness.signals import Dataset, Run
 
+pytestmark = pytest.mark.slow  # whole loops
+
 # ---- convergence --------------------------------------------------------------------------------------------------
 
 

@@ -23,6 +23,8 @@ from harness.effects import builtin
 from harness.physics import load_model
 from harness.schemas import report_schema
 
+pytestmark = pytest.mark.slow  # whole loops
+
 EFFECT = {
     "name": "input_compression", "at": "u", "may_be_part_of": "", "formula": "F", "summary": "A drive that tires.",
     "parameters": {"c": {"value": 0.6, "low": 0.58, "high": 0.62, "unit": "1/N", "state": "determined",

@@ -17,6 +17,8 @@ from harness.parts.files import make_plant
 from harness.physics import Parameter
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
+pytestmark = pytest.mark.slow  # whole loops
+
 SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), 0.001)
 
 

@@ -30,6 +30,8 @@ from harness.physics import load_model
 from harness.physics.fitting.likelihood import _damped
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
+pytestmark = pytest.mark.slow  # whole loops
+
 DT = 0.01
 SPEC = PlantSpec((Channel("u", "N m"),), (Channel("theta", "rad"),), DT)
 

@@ -19,6 +19,8 @@ from harness.signals import Channel, Dataset, PlantSpec, Trajectory
 
 from .conftest import pendulum_dataset
 
+pytestmark = pytest.mark.slow  # whole loops
+
 SPEC = PlantSpec((Channel("u", "V"),), (Channel("y", "V"),), 0.02)
 
 

@@ -26,6 +26,8 @@ from harness.errors import InputError
 from harness.physics import load_model
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
 
+pytestmark = pytest.mark.slow  # whole loops
+
 DRAG = Placed(builtin()["quadratic_drag"], "theta")
 
 

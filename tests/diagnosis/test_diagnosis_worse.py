@@ -16,6 +16,8 @@ from harness.diagnosis.runs.compare import FreeRuns
 from harness.effects import builtin
 from harness.physics import load_model
 
+pytestmark = pytest.mark.slow  # whole loops
+
 
 def shown(*validation: np.ndarray[Any, Any]) -> Any:
     return SimpleNamespace(finite=bool(all(np.isfinite(one).all() for one in validation)), validation=validation)
