@@ -12,6 +12,7 @@ from harness.diagnosis.report import evidence_json
 from harness.diagnosis.report.estimates import effect_data
 from harness.diagnosis.report.html import environment
 from harness.diagnosis.search.compare import Comparison, Judged
+from harness.diagnosis.search.refusal import Kind, Refusal
 from harness.diagnosis.search.ties import Accepted
 from harness.effects import builtin
 from harness.effects.effect import Placed
@@ -54,7 +55,7 @@ def test_what_is_not_known_is_null() -> None:
 def test_a_candidate_shows_why_it_was_rejected_or_what_it_ties_with() -> None:
     comparison = Comparison(30.0, 10.0, 4.0, 8.0)
     passed = Judged((DRAG,), a_fit(), comparison, ())
-    rejected = Judged((DRAG,), a_fit(), comparison, ("its fit did not converge",))
+    rejected = Judged((DRAG,), a_fit(), comparison, (Refusal(Kind.UNCONVERGED),))
     row = evidence_json._row(passed, 1, {passed.name}, set())
     assert (row["accepted"], row["reason"]) == (True, "")
     assert (row["evidence"], row["validation_gain"], row["validation_error"]) == (30.0, 10.0, 4.0)
@@ -75,7 +76,7 @@ def test_a_candidate_shows_why_it_was_rejected_or_what_it_ties_with() -> None:
 )  # fmt: skip
 def test_a_candidate_has_limits_where_a_parameter_has(more: dict[str, Any], words: str) -> None:
     """The table of candidates said 1e-9 to 1e9, or 0 to null, where the answer said null and null."""
-    judged = Judged((DRAG,), a_fit(**more), None, ("its evidence is too small",))
+    judged = Judged((DRAG,), a_fit(**more), None, (Refusal(Kind.NOT_SIMULATED),))
     row = evidence_json._row(judged, 1, set(), set())
     assert row["main"] == {DRAG.main(): [0.5, None, None]}, words
     answer = effect_data(a_fit(**more), Accepted(DRAG, (), 1.0, 1.0))
@@ -177,14 +178,14 @@ def test_the_summary_says_the_verdict_and_rounds_nothing_up(verdict: str, more: 
             "quadratic drag at theta would in the estimation records, by 60 in log-likelihood, and the validation "
             "records show nothing of it; excite it in both",
         ),
-        ({"rival": (60.0, 40.0)}, "by 60 in log-likelihood, but it was refused"),
+        ({"rival": (60.0, 40.0)}, "by 60 in log-likelihood, but its fit did not converge"),
         ({"disagree": True}, "the validation records want other parameters"),
         ({}, "the force that nobody measured is too large for a disturbance"),
     ],
 )
 def test_what_is_missing_without_a_name_is_told_by_what_speaks_for_it(more: dict[str, Any], words: str) -> None:
     gain = more.get("rival")
-    row = None if gain is None else Judged((DRAG,), a_fit(), Comparison(*gain, 4.0, 8.0), ("it was refused",))
+    row = None if gain is None else Judged((DRAG,), a_fit(), Comparison(*gain, 4.0, 8.0), (Refusal(Kind.UNCONVERGED),))
     found = SimpleNamespace(
         leftover=SimpleNamespace(best=SimpleNamespace(name=more["best"]) if "best" in more else None),
         outcome=SimpleNamespace(
