@@ -7,6 +7,7 @@ import shutil
 import tempfile
 import zipfile
 import zlib
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlparse
@@ -20,26 +21,26 @@ LARGEST_TEXT = 64 << 20  # bytes of an XML file
 DESCRIPTIONS = (".ssd", ".ssv", ".ssm", ".ssb")
 
 
-class Package:
+class Package(ABC):
     """Files by their names relative to the top of a system; ``close`` removes what was unpacked."""
 
     path: Path
     read_files: frozenset[Path] = frozenset()
     """Files of the file system that were read."""
 
+    @abstractmethod
     def has(self, name: str) -> bool:
         """Return True if there is such a file."""
-        raise NotImplementedError
 
+    @abstractmethod
     def read(self, name: str, largest: int = LARGEST_TEXT) -> bytes:
         """Return the content of a file."""
-        raise NotImplementedError
 
+    @abstractmethod
     def file(self, name: str) -> Path:
         """Return a file as one of the file system."""
-        raise NotImplementedError
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - a folder has nothing to remove
         """Remove what was unpacked."""
 
     def named(self, source: str, beside: str, what: str) -> str:
