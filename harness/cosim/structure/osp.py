@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 from harness.cosim.structure.conversion import Linear
+from harness.cosim.structure.elements import children, first, local
 from harness.cosim.structure.model import Component, Connector, Description, Element, System, Value, Wire
 from harness.cosim.structure.package import FolderPackage, parsed
-from harness.cosim.structure.ssd import children, first, local
 from harness.errors import InputError
 
 __all__ = ["OSP", "read_osp"]

@@ -15,16 +15,25 @@ from urllib.parse import unquote, urlparse
 from harness.errors import InputError
 from harness.fmi.archive import check_entries, has_document_type
 
-__all__ = ["FolderPackage", "Package", "ZipPackage", "parsed"]
+__all__ = ["FolderPackage", "Package", "Readable", "ZipPackage", "parsed"]
 
 LARGEST_TEXT = 64 << 20  # bytes of an XML file
 DESCRIPTIONS = (".ssd", ".ssv", ".ssm", ".ssb")
 
 
-class Package(ABC):
-    """Files by their names relative to the top of a system; ``close`` removes what was unpacked."""
+class Readable(ABC):
+    """What holds files that can be read by their names."""
 
     path: Path
+
+    @abstractmethod
+    def read(self, name: str, largest: int = LARGEST_TEXT) -> bytes:
+        """Return the content of a file."""
+
+
+class Package(Readable):
+    """Files by their names relative to the top of a system; ``close`` removes what was unpacked."""
+
     read_files: frozenset[Path] = frozenset()
     """Files of the file system that were read."""
 
@@ -33,14 +42,10 @@ class Package(ABC):
         """Return True if there is such a file."""
 
     @abstractmethod
-    def read(self, name: str, largest: int = LARGEST_TEXT) -> bytes:
-        """Return the content of a file."""
-
-    @abstractmethod
     def file(self, name: str) -> Path:
         """Return a file as one of the file system."""
 
-    def close(self) -> None:  # noqa: B027 - a folder has nothing to remove
+    def close(self) -> None:
         """Remove what was unpacked."""
 
     def named(self, source: str, beside: str, what: str) -> str:
@@ -188,7 +193,7 @@ def _refuse_doctype(path: Path, name: str, text: bytes) -> None:
         raise InputError(name, expected="no document type", got="a DOCTYPE", remedy="do not trust it", file=path)
 
 
-def parsed(package: Package, name: str) -> Any:
+def parsed(package: Readable, name: str) -> Any:
     """Return the root element of an XML file of a package.
 
     Raises

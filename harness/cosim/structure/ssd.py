@@ -7,13 +7,13 @@ the master of OMSimulator and of the Open Simulation Platform are taken as a sug
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlparse
 
 from harness.cosim.structure.conversion import BARE, Linear, Unit, undefined_unit, unit_of
+from harness.cosim.structure.elements import children, first, local, truth
 from harness.cosim.structure.model import Component, Connector, Description, Element, Mapped, Reference, System, Wire
 from harness.cosim.structure.package import Package, ZipPackage, parsed
 from harness.cosim.structure.values import read_bindings
@@ -32,27 +32,6 @@ DEEPEST = 5
 """Systems of other files inside each other, before it counts as a trap."""
 IMPLEMENTATIONS = {"CoSimulation": "cs", "ModelExchange": "me"}
 TRANSFORMATIONS = ("BooleanMapping", "IntegerMapping", "EnumerationMapping")
-
-
-def local(element: Any) -> str:
-    """Return the name of an XML element without its namespace, which SSP 1.0 and 2.0 share."""
-    tag = str(element.tag)
-    return tag.rpartition("}")[2]
-
-
-def children(element: Any, *names: str) -> Iterator[Any]:
-    """Yield the children below a path of names: ``children(e, "Connectors", "Connector")``."""
-    for child in () if element is None else element:
-        if local(child) == names[0]:
-            if len(names) == 1:
-                yield child
-            else:
-                yield from children(child, *names[1:])
-
-
-def first(element: Any, *names: str) -> Any:
-    """Return the first such child, or None."""
-    return next(children(element, *names), None)
 
 
 @dataclass
@@ -327,11 +306,6 @@ class SsdReader:
             file=self.package.path,
             place=self.name,
         )
-
-
-def truth(text: str | None) -> bool:
-    """Return a boolean of XML."""
-    return text is not None and text.strip() in ("true", "1")
 
 
 def suggested(root: Any) -> tuple[float | None, str | None]:

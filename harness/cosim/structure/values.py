@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
-from harness.cosim.structure.conversion import Unit
-from harness.cosim.structure.model import Binding, Value
-from harness.cosim.structure.package import Package, parsed
+from harness.cosim.structure.conversion import Linear, Unit
+from harness.cosim.structure.elements import children, first, local, truth
+from harness.cosim.structure.model import Binding, Mapped, Value
+from harness.cosim.structure.package import Package, Readable, parsed
 from harness.errors import InputError
-
-if TYPE_CHECKING:
-    from harness.cosim.structure.ssd import SsdReader
 
 __all__ = ["read_bindings"]
 
@@ -20,20 +18,42 @@ VALUES, MAPPING = "application/x-ssp-parameter-set", "application/x-ssp-paramete
 REALS = ("Real", "Float64", "Float32")
 
 
-def read_bindings(reader: SsdReader, element: Any, fmu: Path | None) -> list[Binding]:
+class Reader(Protocol):
+    """What reading a binding asks of the reader of the file that it stands in."""
+
+    package: Package
+    name: str
+    notes: list[str]
+    units: dict[str, Unit]
+
+    def change(self, element: Any) -> Linear | Mapped | None:
+        """Return the transformation of a mapping entry."""
+
+    def unit(self, text: str, units: dict[str, Unit]) -> Unit | None:
+        """Return the unit that a name means."""
+
+    def defined_units(self, element: Any) -> dict[str, Unit]:
+        """Return the units that a file defines."""
+
+    def need(self, element: Any, name: str) -> str:
+        """Return an attribute that the standard requires."""
+
+    def refused(self, what: str, expected: str, got: str) -> InputError:
+        """Return the error for something in the file."""
+
+
+def read_bindings(reader: Reader, element: Any, fmu: Path | None) -> list[Binding]:
     """Return the bindings of an element in their order; of two at one level the later counts (SSP 2.0 sec. 5.2.2).
 
     Parameters
     ----------
-    reader : SsdReader
+    reader : Reader
         Of the file that holds the element.
     element : lxml element
         A component or a system.
     fmu : Path, optional
         The component's FMU, for values that lie in it (``sourceBase="component"``).
     """
-    from harness.cosim.structure.ssd import children, first, truth
-
     found = []
     for binding in children(element, "ParameterBindings", "ParameterBinding"):
         kind = binding.get("type") or VALUES
@@ -67,10 +87,8 @@ def read_bindings(reader: SsdReader, element: Any, fmu: Path | None) -> list[Bin
     return found
 
 
-def _content(reader: SsdReader, element: Any, fmu: Path | None, expected: str, inline: Any) -> Any:
+def _content(reader: Reader, element: Any, fmu: Path | None, expected: str, inline: Any) -> Any:
     """Return the root of what an element holds inline or refers to."""
-    from harness.cosim.structure.ssd import local
-
     source = element.get("source")
     if source is None:
         return inline
@@ -86,7 +104,7 @@ def _content(reader: SsdReader, element: Any, fmu: Path | None, expected: str, i
     return root
 
 
-class _InFmu(Package):
+class _InFmu(Readable):
     """The files of an FMU, for values that lie in it."""
 
     def __init__(self, fmu: Path, path: Path) -> None:
@@ -109,10 +127,8 @@ class _InFmu(Package):
             ) from error
 
 
-def _given(reader: SsdReader, content: Any, prefix: str) -> dict[str, Value]:
+def _given(reader: Reader, content: Any, prefix: str) -> dict[str, Value]:
     """Return the values of a parameter set by their names."""
-    from harness.cosim.structure.ssd import children
-
     units: dict[str, Unit] = {**reader.units, **reader.defined_units(content)}
     found = {}
     for parameter in children(content, "Parameters", "Parameter"):
@@ -126,10 +142,8 @@ def _given(reader: SsdReader, content: Any, prefix: str) -> dict[str, Value]:
     return found
 
 
-def _value(reader: SsdReader, name: str, element: Any, array: bool) -> Any:
+def _value(reader: Reader, name: str, element: Any, array: bool) -> Any:
     """Return a value in its type; a list for an array."""
-    from harness.cosim.structure.ssd import children, local
-
     kind, text = local(element), element.get("value")
     if text is None:
         texts = [child.text or child.get("value") or "" for child in children(element, "Value")]
