@@ -55,6 +55,7 @@ _HOMES = {
     "trusting": "trust",
     "simulate": "api",
     "identify": "api",
+    "calibrate": "api",
     "close_loop": "api",
     "isolability": "api",
     "bench": "api",

@@ -25,6 +25,7 @@ from harness.signals import Dataset, FloatArray, PlantSpec, Trajectory, Use
 if TYPE_CHECKING:
     from harness.benchmark import Answer, BenchResult
     from harness.benchmark.planning import Plan
+    from harness.calibration import Calibration
     from harness.comparison import Comparison, OrderSelection, ReportComparison, Spectrum
     from harness.conformance import CheckResult
     from harness.cosim.convergence import Convergence
@@ -45,6 +46,7 @@ __all__ = [
     "FittedModel",
     "Identified",
     "bench",
+    "calibrate",
     "check",
     "check_data",
     "close_fleet",
@@ -567,7 +569,7 @@ def identify(
             "no identifier for a physical model",
             expected="identifier = ... (sysid: --identifier), such as output-error",
             got=f"the model {model} alone",
-            remedy="choose one (sysid list identifiers)",
+            remedy="choose one (sysid list identifiers); of an FMU or an SSP name what is free: --free NAME,NAME",
         )
     identifier = DEFAULT_IDENTIFIER if identifier is None else identifier
     loaded = load_dataset(
@@ -602,6 +604,120 @@ def identify(
         (*_said(fitted), *data.warnings),
         probability,
     )
+
+
+def calibrate(
+    dataset: Any,
+    *,
+    model: str | Path,
+    free: Sequence[str],
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    start: Mapping[str, float] | None = None,
+    starts: int = 3,
+    initial: str = "estimated",
+    seed: int = 0,
+    options: Mapping[str, Any] | None = None,
+    validation: Any = None,
+    undriven: Sequence[str] = (),
+    out: str | Path | None = None,
+    ssv: str | Path | None = None,
+    model_out: str | Path | None = None,
+    force: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+    **signals: Unpack[Signals],
+) -> Calibration:
+    """Fit parameters of an FMU or a system of FMUs to data (``sysid identify DATA --model X.fmu --free p1,p2``).
+
+    Parameters
+    ----------
+    dataset, validation, undriven
+        As for :func:`identify`; columns are named after the model's inputs and outputs.
+    model : path
+        ``.fmu``, ``.ssp``, ``.ssd`` or an OSP structure. It runs in a process of its own.
+    free : sequence of str
+        Parameters to fit; of a system ``component.parameter``.
+    bounds, start, starts, initial, seed, options
+        See :func:`harness.calibration.calibrate`.
+    out : path, optional
+        JSON file with all that was found.
+    ssv : path, optional
+        SSV file for the calibrated values.
+    model_out : path, optional
+        Copy of the FMU or the SSP that starts from the calibrated values.
+    force : bool
+        Overwrite what exists.
+    progress : callable, optional
+        Called as ``progress(share, what)``.
+    **signals : Signals
+        As for :func:`identify`.
+
+    Raises
+    ------
+    InputError
+        If a name, a bound, the data or a file cannot be used (``FitError`` if the data tell nothing).
+    PlantError
+        If the model breaks at its own start values.
+
+    Examples
+    --------
+    >>> from plants.mockups import mockup
+    >>> with registry.create("plants", "mass-spring-fmu", sample_time=0.05, m=1.5, k=4.0) as plant:
+    ...     u = np.repeat(np.random.default_rng(0).normal(size=(20, 1)), 10, axis=0)
+    ...     y = np.vstack([plant.reset(rng=np.random.default_rng(0)), plant.rollout(u[:-1])])
+    ...     record = Trajectory(np.arange(200) * 0.05, u, y, plant.spec)
+    >>> found = calibrate(record, model=mockup("mass_spring"), free=["m", "k"], starts=1)
+    >>> {name: round(value, 3) for name, value in found.parameters.items()}
+    {'m': 1.5, 'k': 4.0}
+    """
+    from harness import calibration
+    from harness.data import load_dataset
+
+    for path in (out, ssv, model_out):
+        if path is not None:
+            _refuse_overwrite(Path(path), force=force)
+    name, system = str(model), is_system(str(model))
+    if not (system or name.endswith(".fmu")):
+        raise InputError(
+            "model to calibrate",
+            expected="an FMU or a system of them (.fmu, .ssp, .ssd, OspSystemStructure.xml)",
+            got=repr(name),
+            remedy="a model of equations is fitted by --identifier output-error",
+        )
+    loaded = load_dataset(
+        registry.dataset_path(dataset),
+        model=None if system else name,
+        validation=validation,
+        undriven=undriven,
+        ports=calibration.ports_of_system(name) if system else None,
+        **signals,
+    )
+    rates = [channel for channel, (_, times) in zip(loaded.dataset.spec.outputs, loaded.measured, strict=True) if times]
+    if rates:
+        raise InputError(
+            "a derivative as an output",
+            expected="variables of the model",
+            got=", ".join(map(str, rates)),
+            remedy="name the column after the model's own variable for it",
+        )
+    found = calibration.calibrate(
+        name,
+        loaded.dataset,
+        free=free,
+        bounds=bounds,
+        start=start,
+        starts=starts,
+        initial=initial,
+        seed=seed,
+        options=options,
+        progress=progress,
+    )
+    if out is not None:
+        _write_json(Path(out), found.to_dict())
+    if ssv is not None:
+        found.write_ssv(ssv)
+    if model_out is not None:
+        found.write_model(model_out)
+    return found
 
 
 def _said(model: Model) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from harness import api
+from harness.cli.calibration import Bounds, Copies, Free, Initial, Ssv, Start, Starts, calibrated
 from harness.cli.options import (
     AsJson,
     Columns,
@@ -98,6 +99,13 @@ def identify(
     unit: Units = None,
     sample_time: SampleTime = None,
     run: Runs = None,
+    free: Free = None,
+    bound: Bounds = None,
+    start: Start = None,
+    starts: Starts = 3,
+    initial: Initial = "estimated",
+    ssv: Ssv = None,
+    copy: Copies = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="model.json")] = None,
     seed: Seed = 0,
     max_error: MaxError = None,
@@ -106,8 +114,41 @@ def identify(
     force: Force = False,
     trust: Trust = None,
 ) -> None:
-    """Fit one model to a data set and score it."""
+    """Fit one model to a data set and score it; with --free the parameters of an FMU or a system of FMUs."""
     demands = demands_of(None, max_error, None)
+    if free:
+        if model is None or identifier is not None:
+            raise InputError(
+                "--free",
+                expected="--model FILE.fmu or FILE.ssp, and no --identifier",
+                got="no model" if model is None else f"--identifier {identifier}",
+                remedy="name the model alone",
+            )
+        found = calibrated(
+            dataset,
+            model=model,
+            free=free,
+            bound=bound,
+            start=start,
+            starts=starts,
+            initial=initial,
+            ssv=ssv,
+            copy=copy,
+            out=out,
+            as_json=as_json,
+            options=option_pairs(option, "--option"),
+            validation=validation,
+            undriven=undriven or (),
+            seed=seed,
+            force=force,
+            **signals_of(input, output, column, unit, sample_time, run),
+        )
+        judged("identify", demands.of_errors(Path(model).name, found.errors()), junit)
+        return
+    if bound or start or ssv or copy:
+        raise InputError(
+            "--bound, --start, --ssv and --fmu-out", expected="--free NAME", got="none", remedy="name what is free"
+        )
     fitted = api.identify(
         dataset,
         identifier=identifier,

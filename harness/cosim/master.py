@@ -230,6 +230,27 @@ class Coupled:
         self._evaluate(self._direct)
         return self._shown_outputs()
 
+    def preset(self, values: Mapping[str, Any]) -> None:
+        """Set parameters and start values of parts (``"part.name"``, SI) for the resets to come, where they take any.
+
+        Raises
+        ------
+        InputError
+            If there is no such part, it takes none, or it has no such variable.
+        """
+        for name, own in self._checked_states(values).items():
+            if not own:
+                continue
+            plant: Any = next(part.plant for part in self._parts if part.name == name)
+            if not hasattr(plant, "preset"):
+                raise InputError(
+                    "values of a part",
+                    expected="a part that is an FMU",
+                    got=f"{name!r}, a {type(plant).__name__}",
+                    remedy="give its options in the file",
+                )
+            plant.preset(own)
+
     def output(self, u: FloatArray) -> FloatArray:
         """Return the outputs with ``u`` (nu,) applied, while no time passes."""
         self._apply(u)
@@ -409,9 +430,9 @@ class Coupled:
         for wire, memory in zip(self._late, memories, strict=True):
             wire.memory = deque(memory)
 
-    def _checked_states(self, given: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    def _checked_states(self, given: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         """Return the initial states by part, or refuse a part."""
-        own: dict[str, dict[str, float]] = {part.name: {} for part in self._parts}
+        own: dict[str, dict[str, Any]] = {part.name: {} for part in self._parts}
         for name, value in given.items():
             head, _, tail = name.partition(".")
             if head not in own:

@@ -19,19 +19,13 @@ import numpy as np
 from harness.errors import InputError
 from harness.export.c_model import DELAY
 from harness.export.describe import RIGHTS, Variable, describe, xml_text
-from harness.units import base_units
+from harness.export.ssp_elements import SPACES, base_unit, child, unit_definitions
 
 if TYPE_CHECKING:
     from harness.blackbox.system import FmuSystem
 
 __all__ = ["effects_description", "effects_source", "write_package"]
 
-SSP = "http://ssp-standard.org/SSP1/"
-SPACES = {
-    "ssd": f"{SSP}SystemStructureDescription",
-    "ssc": f"{SSP}SystemStructureCommon",
-    "ssv": f"{SSP}SystemStructureParameterValues",
-}
 NOMINAL, EFFECTS = "nominal", "effects"
 
 
@@ -192,13 +186,13 @@ def _structure(system: FmuSystem, sample_time: float) -> str:
     """Return SystemStructure.ssd."""
     for prefix, space in SPACES.items():
         ElementTree.register_namespace(prefix, space)
-    root = _child(None, "ssd:SystemStructureDescription", version="1.0", name=system.name)
-    top = _child(root, "ssd:System", name=system.name)
-    outside = _child(top, "ssd:Connectors")
+    root = child(None, "ssd:SystemStructureDescription", version="1.0", name=system.name)
+    top = child(root, "ssd:System", name=system.name)
+    outside = child(top, "ssd:Connectors")
     for kind, channels in (("input", system.inputs), ("output", system.outputs)):
         for channel in channels:
             _connector(outside, channel.name, kind, channel.unit)
-    elements = _child(top, "ssd:Elements")
+    elements = child(top, "ssd:Elements")
     positions = list(dict.fromkeys(coordinate.position for coordinate in system.coordinates))
     rates = list(dict.fromkeys(coordinate.rate for coordinate in system.coordinates if coordinate.rate is not None))
     measured = [channel.name for channel in system.outputs]
@@ -207,7 +201,7 @@ def _structure(system: FmuSystem, sample_time: float) -> str:
     own = _own_units(system.path)
     _component(elements, NOMINAL, {channel.name: own.get(channel.name) for channel in system.inputs},
                {name: own.get(name) for name in shown}, inner)  # fmt: skip
-    wires = _child(top, "ssd:Connections")
+    wires = child(top, "ssd:Connections")
     if not system.effects:
         for channel in system.inputs:
             _wire(wires, "", channel.name, NOMINAL, channel.name)
@@ -228,8 +222,8 @@ def _structure(system: FmuSystem, sample_time: float) -> str:
         for name in measured:
             _wire(wires, NOMINAL, name, EFFECTS, f"raw.{name}")
             _wire(wires, EFFECTS, f"reading.{name}", "", name)
-    _units(root, "ssd:Units")
-    _child(root, "ssd:DefaultExperiment", startTime="0", stopTime=repr(1000 * sample_time))
+    unit_definitions(root, "ssd:Units")
+    child(root, "ssd:DefaultExperiment", startTime="0", stopTime=repr(1000 * sample_time))
     return xml_text(root)
 
 
@@ -241,27 +235,27 @@ def _component(
     values: Mapping[str, tuple[float, str]],
 ) -> None:
     """Add a component with its connectors (units by name) and parameter values (SI, with their units)."""
-    node = _child(
+    node = child(
         parent, "ssd:Component", name=name, type="application/x-fmu-sharedlibrary", source=f"resources/{name}.fmu"
     )
-    connectors = _child(node, "ssd:Connectors")
+    connectors = child(node, "ssd:Connectors")
     for kind, units in (("input", inputs), ("output", outputs)):
         for port, unit in units.items():
             _connector(connectors, port, kind, unit)
     if values:
-        binding = _child(_child(node, "ssd:ParameterBindings"), "ssd:ParameterBinding")
-        given = _child(_child(binding, "ssd:ParameterValues"), "ssv:ParameterSet", version="1.0", name="calibrated")
-        listed = _child(given, "ssv:Parameters")
+        binding = child(child(node, "ssd:ParameterBindings"), "ssd:ParameterBinding")
+        given = child(child(binding, "ssd:ParameterValues"), "ssv:ParameterSet", version="1.0", name="calibrated")
+        listed = child(given, "ssv:Parameters")
         for key, (value, unit) in values.items():
-            stated = {} if _base(unit) is None else {"unit": unit}
-            _child(_child(listed, "ssv:Parameter", name=key), "ssv:Real", value=repr(float(value)), **stated)
-        _units(given, "ssv:Units")
+            stated = {} if base_unit(unit) is None else {"unit": unit}
+            child(child(listed, "ssv:Parameter", name=key), "ssv:Real", value=repr(float(value)), **stated)
+        unit_definitions(given, "ssv:Units")
 
 
 def _connector(parent: Any, name: str, kind: str, unit: str | None) -> None:
     """Add a real connector; without a unit that of the FMU's variable counts."""
-    stated = {} if unit is None or _base(unit) is None else {"unit": unit}
-    _child(_child(parent, "ssd:Connector", name=name, kind=kind), "ssc:Real", **stated)
+    stated = {} if unit is None or base_unit(unit) is None else {"unit": unit}
+    child(child(parent, "ssd:Connector", name=name, kind=kind), "ssc:Real", **stated)
 
 
 def _own_units(path: Path) -> dict[str, str]:
@@ -276,42 +270,10 @@ def _own_units(path: Path) -> dict[str, str]:
     return {name: unit for name, unit in declared.items() if unit is not None}
 
 
-def _base(unit: str) -> dict[str, str] | None:
-    """Return the attributes of a BaseUnit of SSP 1.0; None if the unit is not known or has no whole powers."""
-    try:
-        powers, factor, offset = base_units(unit)
-    except InputError:
-        return None
-    if any(power != int(power) for power in powers.values()):
-        return None
-    attributes = {name: str(int(power)) for name, power in powers.items()}
-    return (
-        attributes
-        | ({} if factor == 1.0 else {"factor": repr(factor)})
-        | ({} if offset == 0.0 else {"offset": repr(offset)})
-    )
-
-
-def _units(parent: Any, tag: str) -> None:
-    """Define the units that are used inside an element."""
-    used = dict.fromkeys(unit for element in parent.iter() if (unit := element.get("unit")) is not None)
-    if used:
-        node = _child(parent, tag)
-        for unit in used:
-            _child(_child(node, "ssc:Unit", name=unit), "ssc:BaseUnit", **(_base(unit) or {}))
-
-
 def _wire(parent: Any, source: str, output: str, target: str, connector: str) -> None:
     """Add a connection; an empty component is the system itself."""
     ends = {"startElement": source, "startConnector": output, "endElement": target, "endConnector": connector}
-    _child(parent, "ssd:Connection", **{key: value for key, value in ends.items() if value})
-
-
-def _child(parent: Any, tag: str, **attributes: str) -> Any:
-    """Return a new element."""
-    prefix, _, name = tag.partition(":")
-    full = f"{{{SPACES[prefix]}}}{name}"
-    return ElementTree.Element(full, attributes) if parent is None else ElementTree.SubElement(parent, full, attributes)
+    child(parent, "ssd:Connection", **{key: value for key, value in ends.items() if value})
 
 
 _GLUE = """

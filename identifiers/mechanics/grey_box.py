@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from harness.errors import FitError
+from harness.physics.fitting.output_error_estimate import at_bound, output_error_estimate
 from harness.signals import FloatArray, Trajectory
-from identifiers.mechanics.grey_box_estimate import at_bound, output_error_estimate
 from identifiers.mechanics.grey_box_model import GreyBoxModel, tuned_gain
 from identifiers.mechanics.physical import PhysicalFit
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
 from harness.protocols import Ability
@@ -166,6 +166,22 @@ class Beyond:
             self._engine.touched()
         self._start.update(as_fmu)
 
+    def preset(self, values: Mapping[str, Any]) -> None:
+        """Set parameters and start values (SI), fixed ones too, for the resets to come; a run that is under way ends.
+
+        Raises
+        ------
+        InputError
+            If the FMU has no such variable, or it has no start value.
+        """
+        self._check_open()
+        self._leave_record()
+        fixed = {n: x for n, x in values.items() if _is_parameter(self.file, n)}
+        given = encoded(self.file, fixed, "parameters", ("parameter", "structuralParameter"))
+        given.update(encoded(self.file, {n: x for n, x in values.items() if n not in fixed}, "start", None))
+        self._one = idle
+        self._start.update(given)
+
     def _not_ready(self, what: str = "a step") -> NoReturn:
         self._check_open()
         raise refused(self.file, f"{what} of a plant that does not run", "a reset before", "none", "call reset first")
@@ -173,3 +189,9 @@ class Beyond:
     def _check_open(self) -> None:
         if not self._finalizer.alive:
             raise refused(self.file, "a closed plant", "an open one", "a closed one", "make a new one")
+
+
+def _is_parameter(file: FmuFile, name: str) -> bool:
+    """Return True for a parameter of the FMU."""
+    variable = file.variables.get(name)
+    return variable is not None and variable.causality in ("parameter", "structuralParameter")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import re
 import shutil
 import zipfile
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from harness.errors import InputError
-from harness.fmi.archive import check_entries, has_document_type, plain_name
+from harness.fmi.archive import STARTS, check_entries, has_document_type, plain_name
 from plants.temporary import release, temporary_folder
 
 __all__ = ["MAX_ENTRIES", "MAX_RATIO", "MAX_TOTAL", "FmuFile", "read_fmu"]
@@ -52,6 +53,20 @@ class FmuFile:
     def variables(self) -> dict[str, Any]:
         """The variables of the description by name."""
         return {variable.name: variable for variable in self.description.modelVariables}
+
+    @functools.cached_property
+    def changed_starts(self) -> dict[str, float]:
+        """Start values, in the FMU's own units, that its description has and its binary may not know."""
+        with zipfile.ZipFile(self.path) as archive:
+            if STARTS not in archive.namelist():
+                return {}
+            text = archive.read(STARTS)
+        try:
+            names = [name for name in json.loads(text)["names"] if name in self.variables]
+            return {name: float(self.variables[name].start) for name in names}
+        except (ValueError, KeyError, TypeError) as error:
+            remedy = "calibrate it again"
+            raise _refuse(self.path, STARTS, "names of real start values", str(error), remedy, STARTS) from error
 
     @property
     def kinds(self) -> tuple[Kind, ...]:

@@ -137,7 +137,8 @@ class FmuPlant(Beyond):
         step_size = self.spec.sample_time / self._substeps
         told = told or feedthrough is not None
         self.warnings = complaints(self.file, self.kind, step_size, self.unit_complaints, told=told)
-        self._start = encoded(self.file, parameters or {}, "parameters", ("parameter", "structuralParameter"))
+        self._start = dict[str, Any](self.file.changed_starts)
+        self._start |= encoded(self.file, parameters or {}, "parameters", ("parameter", "structuralParameter"))
         self._start.update(encoded(self.file, start or {}, "start", None))
         self._t0 = float(start_time)
         interface = self.file.interface(self.kind)

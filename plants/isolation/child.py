@@ -67,7 +67,8 @@ def serve() -> None:
                 answer = Answer(number=number)
             else:
                 outputs = np.ascontiguousarray(_obey(plant, name, arguments, states), dtype=np.float64)
-                truth = cast(Truth, plant).truth().tobytes() if "truth" in plant.abilities else b""
+                knows = "truth" in plant.abilities and name != "preset"  # then it does not run
+                truth = cast(Truth, plant).truth().tobytes() if knows else b""
                 renew = name == "reset" and bool(getattr(plant, "needs_process", False))
                 answer = Answer(values=outputs.tobytes(), truth=truth, renew=renew)
         except HarnessError as error:
@@ -92,6 +93,9 @@ def _obey(plant: Plant, name: str, arguments: tuple[Any, ...], states: dict[int,
         return plant.step(arguments[0])
     if name == "output":
         return cast(Feedthrough, plant).output(arguments[0])
+    if name == "preset":
+        cast(Any, plant).preset(arguments[0])
+        return np.zeros(0)
     if name == "set_state":
         cast(Snapshots, plant).set_state(states[arguments[0]])
         return np.zeros(0)

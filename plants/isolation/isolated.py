@@ -115,6 +115,8 @@ class IsolatedPlant:
         self._resets = 0
         self._doubtful = False
         self._truth = np.zeros(0)
+        self._values: dict[str, Any] = {}
+        self._told = True
         self.warnings: tuple[str, ...] = ()
         self._start()
 
@@ -123,14 +125,27 @@ class IsolatedPlant:
         self._resets += 1
         if self._child is None or self._doubtful or self._resets > self._recycle:
             self._start()
+        self._tell_values()
         start = None if x0 is None else dict(x0)
         answer = self._call("reset", rng, start)
         if answer.renew:  # neither its reset nor a fresh instance brings the plant back
             self._recycle = 1
             self._start()
             self._resets = 1
+            self._tell_values()
             answer = self._call("reset", rng, start)
         return self._output(answer, (self.spec.ny,))
+
+    def preset(self, values: Mapping[str, Any]) -> None:
+        """Set parameters and start values for the resets to come, where the plant inside has ``preset``."""
+        self._values.update(values)
+        self._told = False
+
+    def _tell_values(self) -> None:
+        """Give a child the values that were preset, if it does not have them yet."""
+        if not self._told and self._values:
+            self._call("preset", dict(self._values))
+        self._told = True
 
     def step(self, u: FloatArray) -> FloatArray:
         """Hold ``u`` (nu,) for one sample time; returns the next output (ny,)."""
@@ -207,7 +222,7 @@ class IsolatedPlant:
         if self._child is not None:
             self._child.end(polite=True)
         self._child = _Child(self._show)
-        self._resets, self._doubtful = 0, False
+        self._resets, self._doubtful, self._told = 0, False, not self._values
         made = self._call("make", self._order, limit=self._start_timeout).made
         if made is None:
             raise self._nonsense("make")

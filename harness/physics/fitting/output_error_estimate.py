@@ -21,7 +21,9 @@ NOTHING = 1e-11
 """Relative eigenvalue of the scaled information below which a direction carries none (rounding)."""
 
 
-def output_error_estimate(system: System, fit: OutputErrorFit) -> Estimate:
+def output_error_estimate(
+    system: System, fit: OutputErrorFit, *, nothing: float = NOTHING, rule: str = "rounding of the sensitivities"
+) -> Estimate:
     """Return the record of a fit.
 
     Where residuals are correlated in time the covariance is that of the sums of scores over blocks longer than the
@@ -33,6 +35,10 @@ def output_error_estimate(system: System, fit: OutputErrorFit) -> Estimate:
     system : System
     fit : OutputErrorFit
         With its windows (as :func:`harness.physics.fit_output_error` returns it).
+    nothing : float
+        Relative eigenvalue of the scaled information below which a direction carries none.
+    rule : str
+        What makes that number, in words.
     """
     names = fit.names
     point = np.array([fit.parameters[name] for name in names])
@@ -43,7 +49,7 @@ def output_error_estimate(system: System, fit: OutputErrorFit) -> Estimate:
     sizes, vectors = (
         np.linalg.eigh((jacobian / size).T @ (jacobian / size)) if len(names) else (np.zeros(0), np.zeros((0, 0)))
     )
-    weak = sizes < NOTHING * max(sizes.max(initial=0.0), 1e-300)
+    weak = sizes < nothing * max(sizes.max(initial=0.0), 1e-300)
     null = vectors[:, weak]
     loose = (np.sum(null**2, axis=1) > 1e-4) | (lengths == 0) | np.isin(names, fit.unidentified)
     decision = RankDecision(
@@ -51,7 +57,7 @@ def output_error_estimate(system: System, fit: OutputErrorFit) -> Estimate:
         len(names),
         null_words(names, null, lengths),
         tuple(name for name, undetermined in zip(names, loose, strict=True) if undetermined),
-        "rounding of the sensitivities",
+        rule,
     )
     condition = float(np.sqrt(sizes[-1] / sizes[0])) if sizes.size and sizes[0] > 0 else float("inf")
     on_bound = tuple(name for name in names if at_bound(system, name, fit.parameters[name]))

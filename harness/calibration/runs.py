@@ -1,0 +1,289 @@
+"""Free runs of an FMU or a system over records, with derivatives, as the fits of :mod:`harness.physics` ask for them.
+
+A plant that breaks at some parameters gives NaN there: the search turns back, and the plant starts anew.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.errors import HarnessError, InputError
+from harness.physics.compiled.rollout_call import Sums
+from harness.physics.compiled.sampled import SampledBlocks
+from harness.physics.definition.dimensions import Dimensions
+from harness.physics.definition.parameters import Parameter
+from harness.protocols import Feedthrough, Plant
+from harness.signals import Channel, FloatArray, PlantSpec
+from harness.supervision.guarded import alive
+
+__all__ = ["FreeModel", "FreeRuns", "Preset"]
+
+STEP = 1e-3
+"""Relative step of one-sided differences: a smaller one would see the steps of the solver inside."""
+CENTRAL = 3e-3
+"""Relative step of central differences, whose error is its square."""
+EXACT = 1e-4
+"""Error, in standard deviations of the sensor, that counts as none: without it records that a model repeats to the last
+digit would never be fitted well enough."""
+KEPT = 32
+"""Runs that are kept: one of each record at a point and at the one before it."""
+
+
+class Preset(Protocol):
+    """A plant whose parameters and start values can be set for the resets to come."""
+
+    def preset(self, values: Mapping[str, Any]) -> None:
+        """Set values by name, in SI."""
+
+
+@dataclass(frozen=True, eq=False)
+class FreeModel(Dimensions):
+    """A model with free parameters and the states whose starts are estimated in every record.
+
+    Attributes
+    ----------
+    name : str
+    inputs, outputs : tuple of Channel
+        Of the records.
+    states : tuple of Channel
+        Named as the plant names them.
+    parameters : tuple of Parameter
+    keys : dict
+        How the plant calls the parameters.
+    """
+
+    name: str
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
+    states: tuple[Channel, ...]
+    parameters: tuple[Parameter, ...]
+    keys: Mapping[str, str]
+    sampled: tuple[()] = ()
+    nominal: None = field(default=None)
+
+    def parameter(self, name: str) -> Parameter:
+        """Return one parameter."""
+        return next(one for one in self.parameters if one.name == name)
+
+
+class FreeRuns:
+    """Simulates records with given parameters (p) and start values of states (x0).
+
+    Parameters
+    ----------
+    model : FreeModel
+    plant : Plant
+        With ``preset``; its inputs and outputs hold those of the model by name.
+    held : mapping
+        Values of inputs that no record brings, by name, in SI.
+    """
+
+    def __init__(self, model: FreeModel, plant: Plant, held: Mapping[str, float]) -> None:
+        self.system, self._plant = model, plant
+        self.dt, self.nx, self.np = plant.spec.sample_time, model.nx, model.np
+        self.parameter_names = model.parameter_names
+        self.spec = PlantSpec(model.inputs, model.outputs, self.dt, model.states)
+        self.sampled = SampledBlocks(cast(Any, model), self.dt)
+        self.central = False
+        self.count = 0
+        self._outputs = [_place(plant.spec.outputs, channel, "output") for channel in model.outputs]
+        self._inputs = [_place(plant.spec.inputs, channel, "input") for channel in model.inputs]
+        self._rest = np.array([held.get(channel.name, 0.0) for channel in plant.spec.inputs], dtype=float)
+        self._memory: OrderedDict[bytes, FloatArray] = OrderedDict()
+        self._derived: OrderedDict[bytes, tuple[frozenset[int], FloatArray]] = OrderedDict()
+        self.broken: HarnessError | None = None
+
+    def run(self, p: FloatArray, x0: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the outputs (N, ny) of one free run; NaN from where the plant breaks."""
+        key = b"".join([p.tobytes(), x0.tobytes(), u.tobytes()])
+        if key in self._memory:
+            return self._memory[key]
+        start = {channel.name: float(value) for channel, value in zip(self.system.states, x0, strict=True)}
+        y = self._memory[key] = self.simulate(p, start, u)
+        while len(self._memory) > KEPT:
+            self._memory.popitem(last=False)
+        return y
+
+    def simulate(self, p: FloatArray, start: Mapping[str, float], u: FloatArray) -> FloatArray:
+        """Return the same with the starts of any states, by the plant's names; nothing is remembered."""
+        model, plant, n = self.system, self._plant, u.shape[0]
+        y = np.full((n, model.ny), np.nan)
+        if not (np.isfinite(p).all() and np.isfinite(list(start.values())).all()):
+            return y
+        self.count += 1
+        alive()
+        rows = np.tile(self._rest, (n, 1))
+        rows[:, self._inputs] = u
+        cast(Preset, plant).preset(
+            {model.keys[name]: float(value) for name, value in zip(self.parameter_names, p, strict=True)}
+        )
+        try:
+            first = plant.reset(
+                rng=np.random.default_rng(0), x0=dict(start) or None
+            )  # what is calibrated draws nothing
+            if plant.spec.feedthrough:
+                for k in range(n):
+                    y[k] = cast(Feedthrough, plant).output(rows[k])[self._outputs]
+                    if k < n - 1:
+                        plant.step(rows[k])
+                return y
+            y[0] = first[self._outputs]
+            if "batch" in plant.abilities:
+                y[1:] = cast(Any, plant).rollout(np.ascontiguousarray(rows[:-1]))[:, self._outputs]
+            else:
+                for k in range(n - 1):
+                    y[k + 1] = plant.step(rows[k])[self._outputs]
+        except InputError:
+            raise
+        except HarnessError as error:
+            self.broken = error
+        return y
+
+    def windows(
+        self,
+        p: FloatArray,
+        x0: FloatArray,
+        u: FloatArray,
+        slope: FloatArray | None,
+        t0: FloatArray,
+        *,
+        sensitivities: bool = True,
+        columns: npt.NDArray[np.intp] | None = None,
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Return states (NaN: unknown), outputs (M, N, ny), derivatives (M, N, ny, np + nx) by (p, x0)."""
+        m, n = u.shape[:2]
+        x, y = np.full((m, n, self.nx), np.nan), np.empty((m, n, self.system.ny))
+        s = np.zeros((m, n, self.system.ny, self.np + self.nx)) if sensitivities else None
+        for k in range(m):
+            y[k] = self.run(p[k], x0[k], u[k])
+            if s is not None and np.isfinite(y[k]).all():
+                s[k] = self._derivatives(p[k], x0[k], u[k], y[k], columns)
+        return x, y, s
+
+    def sums(
+        self,
+        p: FloatArray,
+        x0: FloatArray,
+        u: FloatArray,
+        input_jacobian: FloatArray | None,
+        t0: FloatArray,
+        data: tuple[FloatArray, FloatArray, FloatArray],
+        *,
+        columns: npt.NDArray[np.intp] | None = None,
+        limits: FloatArray | None = None,
+        budget: float = np.inf,
+        keep: bool = False,
+        sensitivities: bool = False,
+    ) -> Sums:
+        """Return the normal equations of records; what costs too much is not differentiated, for that is the work."""
+        measured, sigma, period = data
+        m, n, ny, ns = *u.shape[:2], self.system.ny, self.np + self.nx
+        found = Sums(np.zeros(m), np.zeros(ny), np.zeros((m, ns, ns)), np.zeros((m, ns)), budget, None, None, None)
+        y = np.full((m, n, ny), np.nan)
+        for k in range(m):
+            if limits is None or limits[k] >= 0:
+                y[k] = self.run(p[k], x0[k], u[k])
+        r = measured - y
+        wraps = period > 0
+        r[..., wraps] = (r[..., wraps] + period[wraps] / 2) % period[wraps] - period[wraps] / 2
+        with np.errstate(over="ignore", invalid="ignore"):
+            costs = 0.5 * (np.sum((r / sigma) ** 2, axis=(1, 2)) + n * ny * EXACT**2)
+        costs[~np.isfinite(costs)] = np.inf
+        if limits is not None:
+            costs[costs > limits] = np.inf
+        if np.sum(costs) > budget:
+            costs[:] = np.inf
+        found.costs, found.budget = costs, budget - float(np.sum(costs)) if np.isfinite(budget) else budget
+        s = np.full((m, n, ny, ns), np.nan) if sensitivities else None
+        chosen = None if sensitivities else columns
+        for k in np.flatnonzero(np.isfinite(costs)).tolist():
+            by = self._derivatives(p[k], x0[k], u[k], y[k], chosen)
+            if not np.isfinite(by).all():
+                found.costs[k] = np.inf
+                continue
+            j = (by / sigma[:, None]).reshape(-1, ns)
+            found.squares += np.sum(r[k] ** 2, axis=0)
+            found.gram[k], found.gradient[k] = j.T @ j, (r[k] / sigma).ravel() @ j
+            if s is not None:
+                s[k] = by
+        found.sensitivities = s
+        if keep:
+            found.states, found.residuals = np.full((m, n, self.nx), np.nan), r
+        return found
+
+    def _derivatives(
+        self, p: FloatArray, x0: FloatArray, u: FloatArray, y: FloatArray, columns: Sequence[int] | Any
+    ) -> FloatArray:
+        """Return the derivatives (N, ny, np + nx) by the columns asked for; the others are 0."""
+        wanted = frozenset(range(self.np + self.nx) if columns is None else map(int, columns))
+        key = b"".join([p.tobytes(), x0.tobytes(), u.tobytes(), bytes([self.central])])
+        known, s = self._derived.get(key, (frozenset[int](), np.zeros((*y.shape, self.np + self.nx))))
+        for k in sorted(wanted - known):
+            s[..., k] = self._by_parameter(k, p, x0, u, y) if k < self.np else self._by_state(k - self.np, p, x0, u, y)
+        self._derived[key] = (known | wanted, s)
+        while len(self._derived) > KEPT:
+            self._derived.popitem(last=False)
+        if wanted >= known:
+            return s
+        only = np.zeros_like(s)
+        only[..., sorted(wanted)] = s[..., sorted(wanted)]
+        return only
+
+    def _by_parameter(self, k: int, p: FloatArray, x0: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the derivative by a parameter; one-sided at a bound, shorter where the plant breaks."""
+        parameter = self.system.parameters[k]
+        size = max(abs(p[k]), 1e-3 * abs(parameter.value), 1e-9)
+
+        def moved(step: float) -> FloatArray | None:
+            end = p[k] + step
+            if not parameter.minimum < end < parameter.maximum:
+                return None
+            there = p.copy()
+            there[k] = end
+            found = self.run(there, x0, u)
+            return found if np.isfinite(found).all() else None
+
+        if self.central:
+            up, down = moved(CENTRAL * size), moved(-CENTRAL * size)
+            if up is not None and down is not None:
+                return np.asarray((up - down) / (2 * CENTRAL * size))
+        for h in (STEP * size, 1e-3 * STEP * size):
+            for step in (h, -h):
+                if (found := moved(step)) is not None:
+                    return np.asarray((found - y) / step)
+        return np.full_like(y, np.nan)
+
+    def _by_state(self, k: int, p: FloatArray, x0: FloatArray, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the derivative by the start of a state."""
+        h = STEP * max(abs(x0[k]), float(np.abs(y).max(initial=0.0)), 1e-3)
+
+        def moved(step: float) -> FloatArray:
+            begun = x0.copy()
+            begun[k] += step
+            return self.run(p, begun, u)
+
+        if self.central:
+            return np.asarray((moved(h) - moved(-h)) / (2 * h))
+        found = moved(h)
+        if not np.isfinite(found).all():
+            return np.asarray((y - moved(-h)) / h)
+        return np.asarray((found - y) / h)
+
+
+def _place(channels: Sequence[Channel], wanted: Channel, what: str) -> int:
+    """Return where a channel stands among those of the plant."""
+    names = [channel.name for channel in channels]
+    if wanted.name not in names:
+        raise InputError(
+            f"{what} of the records",
+            expected=f"one of {', '.join(names) or 'none'}, the {what}s of the model",
+            got=repr(wanted.name),
+            remedy="name the columns after the model's variables",
+        )
+    return names.index(wanted.name)

@@ -1,0 +1,182 @@
+"""The search: from several starts, over longer and longer beginnings of the records, the best minimum counts.
+
+Over a whole record the error of an oscillation has many minima; over its beginning it has few.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from harness.calibration.runs import FreeRuns
+from harness.errors import FitError
+from harness.physics.compiled.windows import Windows
+from harness.physics.definition.parameters import Parameter
+from harness.physics.fitting.fit_result import OutputErrorFit, Result, finish, objective
+from harness.physics.fitting.levenberg import minimise, minimise_states
+from harness.signals import FloatArray, Trajectory
+
+__all__ = ["best_fit", "drawn", "estimated_starts"]
+
+PARTS = (8, 3)
+"""A record's beginnings that are fitted first are so many times shorter."""
+SHORTEST = 50
+"""Samples that a beginning has at least: fewer hardly hold the motion of an excited system."""
+ITERATIONS = 60
+PREPARED = 1e-3
+"""Relative decrease of the cost at which a fit that only prepares the next one ends."""
+WEIGHINGS = 4
+"""How often outputs are weighed anew by their residuals."""
+SAME = 1e-2
+"""Sums of squares that differ by less than this part are those of the same minimum."""
+EQUAL = 1e-6
+"""Errors below this part of the deviation of the records are none, whatever their ratio."""
+DRAWS = 4
+"""Draws for each start: the one that fits the first beginning best is followed."""
+
+
+def best_fit(
+    runs: FreeRuns,
+    records: Sequence[Trajectory],
+    guesses: Sequence[FloatArray],
+    x0: FloatArray,
+    noise: Mapping[str, float],
+    progress: Callable[[float, str], None],
+) -> tuple[OutputErrorFit, tuple[int, int]]:
+    """Return the best of the fits from several starts, and how many of how many reached its minimum.
+
+    Parameters
+    ----------
+    runs : FreeRuns
+    records : sequence of Trajectory
+    guesses : sequence of array (np,)
+    x0 : array (records, nx)
+        Where the states start, first guess.
+    noise : mapping
+        Standard deviation of the sensor by output, where it is known.
+    progress : callable
+        ``progress(share, what)``.
+
+    Raises
+    ------
+    FitError
+        If the model breaks from every start, or there are fewer readings than unknowns.
+    """
+    count = sum(record.y.size for record in records)
+    if count <= runs.np + x0.size:
+        raise FitError(
+            "too few readings",
+            expected=f"more than {runs.np + x0.size}, the parameters and starts to be found",
+            got=str(count),
+            remedy="record longer, or free less",
+        )
+    scale = np.maximum(np.std(np.vstack([record.y for record in records]), axis=0), 1e-12)
+    results = []
+    for number, guess in enumerate(guesses):
+        progress(number / len(guesses), f"start {number + 1} of {len(guesses)}")
+        results.append(_followed(runs, records, guess, x0, noise, _path(records)))
+        if number == 0 and len(_path(records)) > 1:  # the beginning may tell less than nothing
+            results.append(_followed(runs, records, guess, x0, noise, [None]))
+    finite = [result for result in results if result is not None]
+    if not finite:
+        raise FitError(
+            "calibration",
+            expected="start values from which the model runs through the records",
+            got=f"none of {len(guesses)}: {runs.broken or 'its outputs are not finite'}",
+            remedy="give other start values (--start), or bounds that keep the model sound (--bound)",
+        )
+    best = min(finite, key=lambda result: result.objective)
+    squares = [float(np.sum(one.solution.evaluation.squares / scale**2)) for one in finite]
+    alike = sum(one <= (1 + SAME) * min(squares) + EQUAL**2 * count for one in squares)
+    runs.central = True
+    fit = finish(runs.system, best, np.ones(runs.np, dtype=bool), None, len(results), "zoh")  # type: ignore[arg-type]
+    return fit, (alike, len(results))
+
+
+def _path(records: Sequence[Trajectory]) -> list[int | None]:
+    """Return how many samples are fitted, in turn; None: all."""
+    longest = max(map(len, records))
+    steps = [max(SHORTEST, longest // part) for part in PARTS]
+    return [*dict.fromkeys(step for step in steps if step < 0.75 * longest), None]
+
+
+def _windows(runs: FreeRuns, records: Sequence[Trajectory], length: int | None, sigma: FloatArray) -> Windows:
+    """Return the beginnings of records."""
+    return Windows(runs, [record[:length] for record in records], None, sigma)  # type: ignore[arg-type]
+
+
+def _followed(
+    runs: FreeRuns,
+    records: Sequence[Trajectory],
+    p: FloatArray,
+    x0: FloatArray,
+    noise: Mapping[str, float],
+    path: Sequence[int | None],
+) -> Result | None:
+    """Return where one start leads; None where the model breaks."""
+    scale = np.maximum(np.std(np.vstack([record.y for record in records]), axis=0), 1e-12)
+    known = np.array([noise.get(channel.name, np.nan) for channel in runs.system.outputs])
+    sigma = np.where(np.isnan(known), 0.1 * scale, known)
+    free = np.ones(runs.np, dtype=bool)
+    best: Result | None = None
+    for length in path:
+        last = length is None
+        for weighing in range(WEIGHINGS if last else 1):
+            windows = _windows(runs, records, length, sigma)
+            if runs.nx and weighing == 0:
+                x0 = minimise_states(windows, p, x0, 8, decrease=0.1)
+            stop = {} if last else {"decrease": PREPARED}
+            solution = minimise(windows, p, x0, free, ITERATIONS, states_free=runs.nx > 0, **stop)
+            if not np.isfinite(solution.evaluation.cost):
+                break
+            p, x0 = solution.p, solution.x0
+            if last:
+                best = Result(solution, windows, objective(solution, windows), None, None, windows.n_data)
+            rms = np.sqrt(solution.evaluation.squares / (windows.n_data / runs.system.ny))
+            now = np.where(np.isnan(known), np.maximum(rms, 1e-7 * scale), known)
+            ratio = np.log(now / sigma)
+            sigma = now
+            if np.all(np.abs(ratio - np.mean(ratio)) < 0.02):
+                break
+    return best
+
+
+def drawn(
+    runs: FreeRuns,
+    records: Sequence[Trajectory],
+    parameters: Sequence[Parameter],
+    count: int,
+    x0: FloatArray,
+    rng: np.random.Generator,
+) -> list[FloatArray]:
+    """Return so many starts: the declared one, and for each other the best of some drawn within the bounds."""
+    plain = np.array([parameter.value for parameter in parameters])
+    sigma = np.maximum(np.std(np.vstack([record.y for record in records]), axis=0), 1e-12)
+    windows = _windows(runs, records, _path(records)[0], sigma)
+    nothing = np.zeros(0, dtype=np.intp)
+    found = [plain]
+    for _ in range(count - 1):
+        draws = [np.array([_draw(parameter, rng) for parameter in parameters]) for _ in range(DRAWS)]
+        costs = [windows.trial(p, x0, columns=nothing).cost for p in draws]
+        found.append(draws[int(np.argmin(costs))])
+    return found
+
+
+def _draw(parameter: Parameter, rng: np.random.Generator) -> float:
+    """Return a value within the bounds: spread over all of them where both are given, else around the declared one."""
+    low, high, value = parameter.minimum, parameter.maximum, parameter.value
+    if low > 0 and np.isfinite(high):
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    if parameter.positive:
+        return float(np.clip(value * np.exp(rng.normal()), low, high))
+    if np.isfinite(low) and np.isfinite(high):
+        return float(rng.uniform(low, high))
+    return float(np.clip(value + max(abs(value), 1e-3) * rng.normal(), low, high))
+
+
+def estimated_starts(
+    runs: FreeRuns, records: Sequence[Trajectory], p: FloatArray, x0: FloatArray, sigma: FloatArray
+) -> FloatArray:
+    """Return the starts of the states (records, nx) that suit given parameters best."""
+    return minimise_states(_windows(runs, records, None, sigma), p, x0) if runs.nx and records else x0

@@ -1,0 +1,142 @@
+"""Calibrated values handed on: an SSV, and a copy of the FMU or the SSP that starts from them.
+
+A binary holds the start values that it was compiled with, and tools differ in whether they set those of the
+description. The copy of an FMU therefore names in :data:`STARTS` what was changed: sysid sets those values itself.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+from harness.data.whole_files import whole_file
+from harness.errors import InputError
+from harness.export.describe import xml_text
+from harness.export.ssp_elements import SPACES, base_unit, child, unit_definitions
+from harness.fmi.archive import STARTS
+from harness.parts.files import describe_fmu
+
+if TYPE_CHECKING:
+    from harness.calibration.calibration import Calibration
+
+__all__ = ["write_model", "write_ssv"]
+
+DESCRIPTION, STRUCTURE = "modelDescription.xml", "SystemStructure.ssd"
+VALUES = "resources/calibrated.ssv"
+
+
+def write_ssv(found: Calibration, path: str | Path) -> Path:
+    """Write calibrated values, and those that were given, as a parameter set of SSP 1.0 in SI units.
+
+    Names are those of the FMU's variables; of a system ``component.parameter``, for a binding of the whole system.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    path = Path(path)
+    with whole_file(path) as scratch:
+        scratch.write_text(_values(found), encoding="utf-8")
+    return path
+
+
+def _values(found: Calibration) -> str:
+    """Return the parameter set."""
+    for prefix, space in SPACES.items():
+        ElementTree.register_namespace(prefix, space)
+    root = child(None, "ssv:ParameterSet", version="1.0", name="calibrated")
+    listed = child(root, "ssv:Parameters")
+    for name, value in {**found.given, **found.parameters}.items():
+        unit = found.units.get(name)
+        stated = {} if unit is None or unit == "1" or base_unit(unit) is None else {"unit": unit}
+        child(child(listed, "ssv:Parameter", name=name), "ssv:Real", value=repr(float(value)), **stated)
+    unit_definitions(root, "ssv:Units")
+    return xml_text(root)
+
+
+def write_model(found: Calibration, path: str | Path) -> Path:
+    """Write a copy of the model with the calibrated values as its start values.
+
+    Parameters
+    ----------
+    found : Calibration
+    path : path
+        ``.fmu`` for an FMU, ``.ssp`` for an SSP package.
+
+    Raises
+    ------
+    InputError
+        If the name does not suit the model, the model is no package, or the file cannot be written.
+    """
+    path = Path(path)
+    wanted = ".fmu" if found.kind == "fmu" else ".ssp"
+    if path.suffix != wanted:
+        raise InputError(
+            "copy of the model", expected=f"a name that ends in {wanted}", got=str(path), remedy="rename it"
+        )
+    if not found.model.is_file() or not zipfile.is_zipfile(found.model):
+        raise InputError(
+            "copy of the model", expected="a package (.fmu, .ssp)", got=str(found.model), remedy="write an SSV (--ssv)"
+        )
+    if found.kind == "fmu":
+        added = {STARTS: json.dumps({"names": sorted({**found.given, **found.parameters})}).encode()}
+        _copied(found.model, path, DESCRIPTION, lambda root: _with_starts(root, found), added)
+    else:
+        _copied(found.model, path, STRUCTURE, _with_binding, {VALUES: _values(found).encode()})
+    return path
+
+
+def _copied(source: Path, target: Path, name: str, change: Callable[[Any], None], added: dict[str, bytes]) -> None:
+    """Copy an archive, one XML file changed and some files added."""
+    from lxml import etree
+
+    parser = etree.XMLParser(resolve_entities=False, no_network=True)
+    with whole_file(target) as scratch:
+        with zipfile.ZipFile(source) as old, zipfile.ZipFile(scratch, "w", zipfile.ZIP_DEFLATED) as new:
+            for entry in old.infolist():
+                content = old.read(entry)
+                if entry.filename in added:
+                    continue
+                if entry.filename == name:
+                    root = etree.fromstring(content, parser)
+                    change(root)
+                    content = etree.tostring(root.getroottree(), encoding="UTF-8", xml_declaration=True)
+                new.writestr(entry, content)
+            for place, content in added.items():
+                new.writestr(place, content)
+
+
+def _with_starts(root: Any, found: Calibration) -> None:
+    """Set the start attributes, in the units of the FMU."""
+    rows = {row["name"]: row for row in describe_fmu(found.model)["variables"]}
+    variables = {node.get("name"): node for node in root.find("ModelVariables")}
+    for name, value in {**found.given, **found.parameters}.items():
+        row, node = rows[name], variables.get(name)
+        if node is None:
+            raise InputError(
+                f"start value of {name!r}",
+                expected="a name that is there once",
+                got="one made up for it",
+                remedy="write an SSV",
+            )
+        typed = node if node.tag != "ScalarVariable" else node[0]
+        typed.set("start", repr((float(value) - (row["offset"] or 0.0)) / (row["scale"] or 1.0)))
+
+
+def _with_binding(root: Any) -> None:
+    """Add a binding to the whole system, after those that it has: it goes before all others."""
+    system = next(node for node in root if isinstance(node.tag, str) and node.tag.endswith("}System"))
+    space = system.tag[: system.tag.index("}") + 1]
+    bindings = system.find(f"{space}ParameterBindings")
+    if bindings is None:
+        bindings = system.makeelement(f"{space}ParameterBindings")
+        first = [f"{space}{name}" for name in ("Connectors", "ElementGeometry")]
+        system.insert(sum(node.tag in first for node in system), bindings)
+    place = bindings.makeelement(f"{space}ParameterBinding")
+    place.set("source", VALUES)
+    bindings.append(place)

@@ -1,0 +1,126 @@
+"""``sysid identify --free``: the parameters of an FMU or a system of FMUs, fitted to data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from harness import api
+from harness.cli.terminal import noted, print_json, print_rows, progress_bar, say, text_pairs
+from harness.errors import InputError
+
+if TYPE_CHECKING:
+    from harness.calibration import Calibration
+
+__all__ = ["Bounds", "Copies", "Free", "Initial", "Ssv", "Start", "Starts", "calibrated"]
+
+Free = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--free",
+        metavar="NAME,...",
+        help="of --model FILE.fmu or FILE.ssp: parameters to fit (of a system COMPONENT.NAME), repeatable",
+    ),
+]
+Bounds = Annotated[
+    list[str] | None, typer.Option("--bound", metavar="NAME=LOW:HIGH", help="of a free parameter, in SI, repeatable")
+]
+Start = Annotated[
+    list[str] | None,
+    typer.Option("--start", metavar="NAME=VALUE", help="with --free: start value in SI, repeatable"),
+]
+Starts = Annotated[int, typer.Option(min=1, help="with --free: starts of the search; the first is as declared")]
+Initial = Annotated[
+    str, typer.Option(help="with --free: start values of states in each record: estimated, or those of the file")
+]
+Ssv = Annotated[Path | None, typer.Option(metavar="FILE", help="with --free: write the values as an SSV")]
+Copies = Annotated[
+    Path | None,
+    typer.Option(
+        "--fmu-out", "--ssp-out", metavar="FILE", help="with --free: write a copy of the model that starts from them"
+    ),
+]
+
+
+def calibrated(
+    dataset: str,
+    *,
+    free: list[str],
+    bound: list[str] | None,
+    start: list[str] | None,
+    out: Path | None,
+    ssv: Path | None,
+    copy: Path | None,
+    as_json: bool,
+    **asked: Any,
+) -> Calibration:
+    """Fit, and print what was found."""
+    names = [name.strip() for text in free for name in _names(text)]
+    with progress_bar("calibrating") as bar:
+        task = bar.add_task("reading", total=None)
+        found = api.calibrate(
+            dataset,
+            free=[name for name in names if name],
+            bounds={name: _bound(name, text) for name, text in text_pairs(bound, "--bound").items()},
+            start={name: _number(name, text, "--start") for name, text in text_pairs(start, "--start").items()},
+            out=out,
+            ssv=ssv,
+            model_out=copy,
+            progress=lambda share, what: bar.update(task, completed=share, total=1.0, description=what),
+            **asked,
+        )
+    for text in found.notes:
+        noted(text)
+    if as_json:
+        print_json(found.to_dict())
+        return found
+    print_rows(found.parameter_rows())
+    print_rows(found.error_rows())
+    for text in found.remarks():
+        say(text)
+    for path in (out, ssv, copy):
+        if path is not None:
+            say(f"wrote {path}")
+    return found
+
+
+def _names(text: str) -> list[str]:
+    """Return names that commas separate; a comma in brackets belongs to a name."""
+    found, depth = [""], 0
+    for letter in text:
+        depth += (letter in "[(") - (letter in ")]")
+        if letter == "," and depth == 0:
+            found.append("")
+        else:
+            found[-1] += letter
+    return found
+
+
+def _number(name: str, text: str, flag: str) -> float:
+    """Read a number."""
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            f"{flag[2:]} of {name}", expected="a number in SI", got=repr(text), remedy=f"{flag} {name}=1.5", place=flag
+        ) from None
+
+
+def _bound(name: str, text: str) -> tuple[float, float]:
+    """Read ``LOW:HIGH``; an empty side is open."""
+    low, colon, high = text.partition(":")
+    pair = (
+        _number(name, low, "--bound") if low.strip() else float("-inf"),
+        _number(name, high, "--bound") if high.strip() else float("inf"),
+    )
+    if not colon or not pair[0] < pair[1]:
+        raise InputError(
+            f"bound of {name}",
+            expected="LOW:HIGH with LOW below HIGH",
+            got=repr(text),
+            remedy=f"--bound {name}=0.1:10",
+            place="--bound",
+        )
+    return pair
