@@ -15,7 +15,7 @@ from urllib.parse import unquote, urlparse
 from harness.errors import InputError
 from harness.fmi.archive import check_entries, has_document_type
 
-__all__ = ["FolderPackage", "Package", "Readable", "ZipPackage", "parsed"]
+__all__ = ["LARGEST_TEXT", "FolderPackage", "Package", "Readable", "ZipPackage", "parsed"]
 
 LARGEST_TEXT = 64 << 20  # bytes of an XML file
 DESCRIPTIONS = (".ssd", ".ssv", ".ssm", ".ssb")
