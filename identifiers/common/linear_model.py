@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from harness.errors import InputError
+from harness.models.spread import Matrices, Spread, gains, steps
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
@@ -36,6 +37,8 @@ class LinearModel:
         Samples of a record that the memory of the model reaches back.
     notes : dict
         Condition numbers, singular values, what the fit wants to say.
+    spread : Spread, optional
+        Neighbours of the model, from which every interval follows (:mod:`harness.models.spread`).
     """
 
     spec: PlantSpec
@@ -48,6 +51,7 @@ class LinearModel:
     output_offset: FloatArray
     burn_in: int = 0
     notes: dict[str, Any] = field(default_factory=dict)
+    spread: Spread | None = None
 
     def __post_init__(self) -> None:
         nx = np.shape(self.a_matrix)[0]
@@ -72,6 +76,11 @@ class LinearModel:
                 )
             array.flags.writeable = False
             object.__setattr__(self, name, array)
+
+    @property
+    def matrices(self) -> Matrices:
+        """A, B, C, D."""
+        return self.a_matrix, self.b_matrix, self.c_matrix, self.d_matrix
 
     @property
     def eigenvalues(self) -> npt.NDArray[np.complex128]:
@@ -149,6 +158,7 @@ class LinearModel:
             d_matrix=self.d_matrix * y[:, None] / u,
             filter_gain=self.filter_gain / y,
             output_offset=self.output_offset * y,
+            spread=None if self.spread is None else self.spread.scaled(u, y),
         )
 
     def centred(self) -> LinearModel:
@@ -158,22 +168,11 @@ class LinearModel:
 
     def impulse_response(self, length: int) -> FloatArray:
         """Return the Markov parameters ``D, C B, C A B, ...``, shape (length, ny, nu)."""
-        found = np.empty((length, self.spec.ny, self.spec.nu))
-        state = self.b_matrix
-        for k in range(length):
-            found[k] = self.c_matrix @ state if k else self.d_matrix
-            state = self.a_matrix @ state if k else state
-        return found
+        return steps(self.matrices, length, "impulse")
 
     def frequency_response(self, frequency: FloatArray) -> npt.NDArray[np.complex128]:
         """Return ``C (z I - A)^-1 B + D`` at frequencies [Hz], shape (F, ny, nu)."""
-        z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.spec.sample_time)
-        nx = self.a_matrix.shape[0]
-        inner = np.linalg.solve(
-            z[:, None, None] * np.eye(nx) - self.a_matrix,
-            np.broadcast_to(self.b_matrix.astype(complex), (z.size, nx, self.spec.nu)),
-        )
-        return np.asarray(self.c_matrix @ inner + self.d_matrix, dtype=np.complex128)
+        return gains(self.matrices, frequency, self.spec.sample_time)
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready description."""
@@ -184,6 +183,7 @@ class LinearModel:
             **{name: getattr(self, name).tolist() for name in arrays},
             "burn_in": self.burn_in,
             "notes": self.notes,
+            **({} if self.spread is None else {"spread": self.spread.to_dict(self)}),
         }
 
     @classmethod
@@ -196,4 +196,7 @@ class LinearModel:
         arrays = {name: np.array(content[name], dtype=float) for name in names}
         for name, shape in shapes.items():
             arrays[name] = arrays[name].reshape(shape)
-        return cls(spec, **arrays, burn_in=int(content["burn_in"]), notes=dict(content.get("notes", {})))
+        kept = content.get("spread")
+        middle = (arrays["a_matrix"], arrays["b_matrix"], arrays["c_matrix"], arrays["d_matrix"])
+        spread = None if kept is None else Spread.from_dict(kept, middle)
+        return cls(spec, **arrays, burn_in=int(content["burn_in"]), notes=dict(content.get("notes", {})), spread=spread)

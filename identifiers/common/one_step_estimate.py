@@ -11,10 +11,11 @@ from harness.errors import FitError
 from harness.models.estimate import Estimate, RankDecision
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.excitation import Columns
+from identifiers.common.neighbours import GROUPS
 from identifiers.common.records import lagged
 from identifiers.common.regression import Solution
 
-__all__ = ["jackknife_estimate", "least_squares_estimate", "lifted_estimate", "quotient"]
+__all__ = ["foretold_output", "jackknife_estimate", "least_squares_estimate", "lifted_estimate", "quotient"]
 
 LEVEL = 0.95
 LARGEST = 200
@@ -27,8 +28,6 @@ EXACT = 1e-9
 """Residuals below this share of the outputs are rounding."""
 DEPENDENT = 1e-10
 """Singular values of scaled columns below this share of the largest: functions that the data do not tell apart."""
-GROUPS = 20
-"""Groups of the jackknife: each a stretch of 5 % of the equations, long beside the memory of the noise."""
 
 
 def least_squares_estimate(
@@ -70,7 +69,7 @@ def least_squares_estimate(
     covariance = np.asarray(
         np.kron(_residual_covariance(records, solution, lags, offset), inverse @ inverse.T), dtype=np.float64
     )
-    if (output := _foretold(records, theta, lags, offset)) is not None:
+    if (output := foretold_output(records, theta, lags, offset)) is not None:
         why = f"the residuals of {output} are correlated in time, as noise on measured outputs leaves them"
         return _record(spec, lags, solution, theta, covariance, None, f"no interval: {why}; use method iv")
     half = float(t.ppf(0.5 + LEVEL / 2, free)) * np.sqrt(np.diag(covariance))
@@ -218,7 +217,7 @@ def _residual_covariance(records: Sequence[Trajectory], solution: Solution, lags
     return found
 
 
-def _foretold(records: Sequence[Trajectory], theta: FloatArray, lags: int, offset: bool) -> str | None:
+def foretold_output(records: Sequence[Trajectory], theta: FloatArray, lags: int, offset: bool) -> str | None:
     """Return the output whose residuals those one sample before foretell most, None where chance explains all."""
     from scipy.stats import chi2
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import combinations_with_replacement
 from typing import Any
@@ -14,10 +14,12 @@ import numpy.typing as npt
 from harness.errors import FitError, InputError
 from harness.judgement import refuse_law
 from harness.models.lqr import spectral_radius
+from harness.models.spread import Matrices, Spread
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.excitation import Columns, refuse_feedback
+from identifiers.common.neighbours import coefficients_without, spread_of
 from identifiers.common.normal import NormalEquations
 from identifiers.common.one_step_estimate import lifted_estimate
 from identifiers.common.records import moving, real_signals, usable
@@ -29,6 +31,11 @@ from identifiers.sparse.stlsq import eliminate
 __all__ = ["Dictionary", "Edmdc", "KoopmanModel", "register_functions", "registered"]
 
 _BLOCK = 50_000
+BIAS_OF_FUNCTIONS = (
+    "functions of noisy outputs are no exact regressors, and a dictionary that is not closed errs by itself: "
+    "neither is in the spread"
+)
+"""What is said beside every spread of a lifted model."""
 _USERS: dict[str, Callable[[FloatArray], FloatArray]] = {}
 
 
@@ -173,6 +180,15 @@ class KoopmanModel:
     dictionary: Dictionary
     delays: int
     notes: dict[str, Any] = field(default_factory=dict)
+    spread: Spread | None = None
+
+    @property
+    def matrices(self) -> Matrices:
+        """A, B, C, D between inputs and outputs in free run, where the lifted state moves linearly."""
+        ny = self.spec.ny
+        c = np.zeros((ny, self.lifted))
+        c[:, :ny] = np.diag(np.asarray(self.dictionary.scale)[:ny])
+        return self.a_matrix, self.b_matrix, c, np.zeros((ny, self.spec.nu))
 
     @property
     def burn_in(self) -> int:
@@ -237,6 +253,7 @@ class KoopmanModel:
             },
             "delays": self.delays,
             "notes": self.notes,
+            **({} if self.spread is None else {"spread": self.spread.to_dict(self)}),
         }
 
     @classmethod
@@ -257,7 +274,9 @@ class KoopmanModel:
             registered(name)
         a = np.array(content["a_matrix"], dtype=float)
         b = np.array(content["b_matrix"], dtype=float).reshape(a.shape[0], spec.nu)
-        return cls(spec, a, b, dictionary, int(content["delays"]), dict(content.get("notes", {})))
+        model = cls(spec, a, b, dictionary, int(content["delays"]), dict(content.get("notes", {})))
+        kept = content.get("spread")
+        return model if kept is None else replace(model, spread=Spread.from_dict(kept, model.matrices))
 
 
 @dataclass(frozen=True)
@@ -368,7 +387,10 @@ class Edmdc:
             estimate := lifted_estimate(dictionary.names(_names(spec, self.delays), size), spec, solution)
         ) is not None:
             notes["estimate"] = estimate.to_dict()
-        return KoopmanModel(spec, theta[:, :size], theta[:, size:], dictionary, self.delays, notes)
+        model = KoopmanModel(spec, theta[:, :size], theta[:, size:], dictionary, self.delays, notes)
+        if self.threshold > 0 or "stabilized" in notes:
+            return model
+        return _with_spread(model, coefficients_without(blocks, solution))
 
     def _sparse(
         self, blocks: Callable[[], Iterator[tuple[FloatArray, FloatArray]]], p: int, m: int
@@ -377,6 +399,16 @@ class Edmdc:
         sums = NormalEquations.of(((phi.T, target.T) for phi, target in blocks()), p, m)
         coefficients, support = eliminate(sums, self.threshold)
         return coefficients.T, int(support.sum())
+
+
+def _with_spread(model: KoopmanModel, found: tuple[FloatArray, float] | None) -> KoopmanModel:
+    """Return the model with what the regression finds without one stretch of the records each."""
+    if found is None:
+        return model
+    size, (_, _, c, d) = model.lifted, model.matrices
+    near = [(one[:size].T, one[size:].T, c, d) for one in found[0]]
+    spread = spread_of(near, factor=found[1], warning=BIAS_OF_FUNCTIONS)
+    return replace(model, spread=spread)
 
 
 def _names(spec: PlantSpec, delays: int) -> list[str]:

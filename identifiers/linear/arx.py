@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,17 +11,19 @@ import numpy.typing as npt
 
 from harness.errors import FitError
 from harness.judgement import refuse_law
+from harness.models.estimate import Estimate
 from harness.models.lqr import spectral_radius
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.excitation import Columns, refuse_feedback
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.one_step_estimate import least_squares_estimate
+from identifiers.common.neighbours import BIAS, LARGEST, coefficients_without, spread_of
+from identifiers.common.one_step_estimate import foretold_output, least_squares_estimate
 from identifiers.common.records import lagged, lagged_blocks, moving, real_signals, snapshot_sums, usable
 from identifiers.common.regression import Solution, solve
 from identifiers.common.scaling import lively, sizes
 from identifiers.common.stability import nearest_stable, stable_lags
 
-__all__ = ["Arx", "design", "lag_model", "one_step", "solution_notes"]
+__all__ = ["Arx", "design", "lag_model", "one_step", "solution_notes", "with_lag_neighbours"]
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 # An order is kept only if it lowers the validated error by this much: below it the gain is chance.
@@ -97,8 +99,8 @@ class Arx:
             coefficients = nearest_stable(solution.coefficients, factor, own, stable_lags, weights)
             coefficients = _widened(coefficients, spec, order, delay)
             notes = {**notes, **solution_notes(solution), "stabilized": True}
-            model = lag_model(spec, coefficients, order, self.offset, notes)
-        return model
+            return lag_model(spec, coefficients, order, self.offset, notes)
+        return with_lag_neighbours(model, records, solution, order, self.offset, delay=delay, estimate=estimate)
 
     def _chosen(self, records: list[Trajectory], what: str) -> tuple[int, int, dict[str, Any]]:
         """Return order and delay that predict the last third of the records best, and the ladder of errors."""
@@ -208,12 +210,61 @@ def one_step(
     first = lags * spec.ny
     names = names[:first] + names[first + (delay - 1) * spec.nu :]
     return solve(
-        lambda: ((_delayed(phi, spec, lags, delay), y) for phi, y in lagged_blocks(records, lags, offset=offset)),
+        lambda: _one_step_blocks(records, lags, offset, delay),
         what,
         ridge=ridge,
         names=names,
         sums=snapshot_sums(records, offset=offset) if lags == 1 else None,
     )
+
+
+def with_lag_neighbours(
+    model: LinearModel,
+    records: Sequence[Trajectory],
+    solution: Solution,
+    lags: int,
+    offset: bool,
+    *,
+    delay: int = 1,
+    estimate: Estimate | None = None,
+) -> LinearModel:
+    """Return the model of :func:`lag_model` with what the regression finds without one stretch of the records each.
+
+    Parameters
+    ----------
+    model : LinearModel
+    records : sequence of Trajectory
+    solution : Solution
+        Of :func:`one_step`.
+    lags : int
+    offset : bool
+    delay : int
+    estimate : Estimate, optional
+        Of :func:`identifiers.common.one_step_estimate.least_squares_estimate`, where there is one: it has looked at
+        the residuals already.
+    """
+    found = None
+    if len(model.a_matrix) <= LARGEST:
+        found = coefficients_without(lambda: _one_step_blocks(records, lags, offset, delay), solution)
+    if found is None:
+        return model
+    spec = records[0].spec
+    if estimate is None:
+        theta = _widened(solution.coefficients, spec, lags, delay)
+        biased = foretold_output(records, theta, lags, offset) is not None
+    else:
+        biased = estimate.covariance is not None and estimate.intervals is None
+    near = [lag_model(spec, _widened(one, spec, lags, delay), lags, offset).matrices for one in found[0]]
+    return replace(model, spread=spread_of(near, factor=found[1], warning=BIAS if biased else ""))
+
+
+def _one_step_blocks(
+    records: Sequence[Trajectory], lags: int, offset: bool, delay: int
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield the regressors without inputs that are too late to count, and the next outputs."""
+    spec = records[0].spec
+    for phi, y in lagged_blocks(records, lags, offset=offset):
+        yield _delayed(phi, spec, lags, delay), y
 
 
 def solution_notes(solution: Solution) -> dict[str, Any]:

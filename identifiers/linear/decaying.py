@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from harness.signals import FloatArray, Trajectory
+from identifiers.common.normal import NormalEquations
 from identifiers.common.scaling import sizes
 from identifiers.linear.markov import normal_equations
 
-__all__ = ["LARGEST", "Decaying", "decaying_response"]
+__all__ = ["LARGEST", "Decaying", "Prior", "decaying_response"]
 
 LARGEST = 600
 """Unknowns of one output (lags times inputs) up to which the prior is tried: an eigenvalue problem each time."""
@@ -35,12 +36,46 @@ class Decaying:
         Of the prior's variance, from sample to sample.
     draws : array (20, length, ny, nu)
         Errors that the response may have, drawn from the posterior.
+    prior : Prior
     """
 
     response: FloatArray
     level: FloatArray
     decay: float
     draws: FloatArray
+    prior: Prior
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """The prior that the data chose, in coordinates in which it and all rows of the data are diagonal.
+
+    Parameters
+    ----------
+    back : array (count, count)
+        From those coordinates to lags times inputs, scaled.
+    weight : array (ny,)
+    unit : array (count,)
+        Sizes of the inputs.
+    noise : array (ny,)
+    """
+
+    back: FloatArray
+    weight: FloatArray
+    unit: FloatArray
+    noise: FloatArray
+
+    def coefficients(self, sums: NormalEquations, *, offset: bool) -> FloatArray:
+        """Return the coefficients (count, ny) under this prior that other rows give."""
+        gram, right, _ = _without_constant(sums, self.unit.size, offset)
+        inner = self.back.T @ (gram / np.outer(self.unit, self.unit)) @ self.back
+        seen = self.back.T @ (right / self.unit[:, None] / self.noise)
+        found = [
+            np.linalg.solve(inner + np.eye(len(inner)) / weight, seen[:, column])
+            for column, weight in enumerate(self.weight)
+        ]
+        theta: FloatArray = self.back @ np.column_stack(found) / self.unit[:, None] * self.noise
+        return theta
 
 
 def decaying_response(
@@ -68,13 +103,8 @@ def decaying_response(
     """
     nu, ny = trajectories[0].spec.nu, trajectories[0].spec.ny
     sums = normal_equations(trajectories, length, offset=offset)
-    gram, right = sums.gram, sums.right
     count = length * nu
-    shift = np.zeros((count, 1))
-    if offset:  # the constant is solved for
-        shift = gram[:count, -1:] / gram[-1, -1]
-        right = right[:count] - shift * sums.right[-1]
-        gram = gram[:count, :count] - shift * gram[-1, :count]
+    gram, right, shift = _without_constant(sums, count, offset)
     unit = np.tile(sizes([record.u for record in trajectories]), length)
     noise = rms * np.sqrt(sums.rows / max(sums.rows - count, 1))
     gram, right = gram / np.outer(unit, unit), right / unit[:, None] / noise
@@ -109,4 +139,14 @@ def decaying_response(
         level,
         decay,
         drawn.reshape(_DRAWS, length, nu, ny).transpose(0, 1, 3, 2),
+        Prior(back, weight, unit, noise),
     )
+
+
+def _without_constant(sums: NormalEquations, count: int, offset: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return Gram matrix and right-hand side with the constant solved for, and its share in each column (count, 1)."""
+    gram, right = sums.gram, sums.right
+    if not offset:
+        return gram, right, np.zeros((count, 1))
+    shift = gram[:count, -1:] / gram[-1, -1]
+    return gram[:count, :count] - shift * gram[-1, :count], right[:count] - shift * sums.right[-1], shift

@@ -62,6 +62,9 @@ class Directions:
             d_matrix=self.back.T @ model.d_matrix,
             filter_gain=model.filter_gain @ self.weights.T,
             output_offset=self.level + self.back.T @ model.output_offset,
+            spread=None
+            if model.spread is None
+            else replace(model.spread, c=self.back.T @ model.spread.c, d=self.back.T @ model.spread.d),
         )
 
 

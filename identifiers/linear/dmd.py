@@ -11,16 +11,18 @@ import numpy as np
 from harness.errors import FitError
 from harness.judgement import refuse_law
 from harness.models.lqr import spectral_radius
+from harness.models.spread import Matrices
 from harness.scoring import predict
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from identifiers.common.excitation import Columns, refuse_feedback
 from identifiers.common.linear_model import LinearModel
+from identifiers.common.neighbours import spread_of, stacked, triangles_without
 from identifiers.common.one_step_estimate import least_squares_estimate
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.regression import Solution, solve
 from identifiers.common.scaling import Scaling, lively, noise_levels, sizes
 from identifiers.common.stability import clip_eigenvalues, nearest_stable, stable_lags
-from identifiers.linear.arx import lag_model, one_step, solution_notes
+from identifiers.linear.arx import lag_model, one_step, solution_notes, with_lag_neighbours
 
 __all__ = ["Dmdc"]
 
@@ -30,6 +32,8 @@ _BLOCK = 16_384
 _MOST = 60
 # A smaller rank is taken if its validated error is within this factor of the least.
 _NEAR = 1.02
+# Columns of the pairs beyond which no fit without a stretch is made: sixty triangles of that size.
+_WIDE = 100
 # Errors below this fraction of the outputs are rounding, not information about the rank.
 _EXACT = 1e-9
 
@@ -115,7 +119,10 @@ class Dmdc:
         total = self.total
         if total == "auto":
             total, notes["total_error"] = self._total_is_better(records, spec, rank, what)
-        model = self._reduced(records, spec, rank, bool(total), what)
+        model = self._reduced(_Snapshots.of(records, self.offset), spec, rank, bool(total), what)
+        if "stabilized" not in model.notes:
+            near = self._without_stretches(records, spec, rank, bool(total), what)
+            model = replace(model, spread=spread_of(near))
         return replace(model.in_units(scaling), notes={**notes, **model.notes, "rank": rank, "total": bool(total)})
 
     def _check(self, what: str) -> None:
@@ -153,8 +160,8 @@ class Dmdc:
             factor = solution.factor * solution.scale
             project = clip_eigenvalues if self.delays == 1 else stable_lags
             coefficients = nearest_stable(coefficients, factor, self.delays * spec.ny, project, weights)
-            model = lag_model(spec, coefficients, self.delays, self.offset, {**notes, "stabilized": True})
-        return model
+            return lag_model(spec, coefficients, self.delays, self.offset, {**notes, "stabilized": True})
+        return with_lag_neighbours(model, records, solution, self.delays, self.offset, estimate=estimate)
 
     def _total_is_better(
         self, records: Sequence[Trajectory], spec: PlantSpec, rank: int, what: str
@@ -163,16 +170,25 @@ class Dmdc:
         fit, held = _split(records)
         found = {}
         for name, total in (("plain", False), ("total", True)):
-            model = self._reduced(fit, spec, rank, total, what)
+            model = self._reduced(_Snapshots.of(fit, self.offset), spec, rank, total, what)
             found[name] = _ahead(model, held)
         return found["total"] < found["plain"], found
 
-    def _reduced(
+    def _without_stretches(
         self, records: Sequence[Trajectory], spec: PlantSpec, rank: int, total: bool, what: str
-    ) -> LinearModel:
+    ) -> list[Matrices]:
+        """Return A, B, C, D of the fits without one stretch of the pairs each; none of many outputs."""
+        if 2 * spec.ny + spec.nu > _WIDE:
+            return []
+        asks_nothing = replace(self, least_excitation=0.0, stable=False)
+        return [
+            asks_nothing._reduced(part, spec, rank, total, what).matrices
+            for part in _Snapshots.without_stretches(records, self.offset)
+        ]
+
+    def _reduced(self, snapshots: _Snapshots, spec: PlantSpec, rank: int, total: bool, what: str) -> LinearModel:
         """Fit on the leading directions of the outputs."""
         ny, nu = spec.ny, spec.nu
-        snapshots = _Snapshots.of(records, self.offset)
         before, exact, after = snapshots.before, snapshots.exact, snapshots.after
         weight = np.ones(ny)
         if total:
@@ -234,13 +250,18 @@ class _Snapshots:
         if rows <= 2 * width:
             both = np.vstack(list(_pairs(records, offset, rows)))
         else:
-            triangle: FloatArray | None = None
+            both = np.zeros((0, width))
             for block in _pairs(records, offset, max(_BLOCK, 4 * width)):
-                stacked = block if triangle is None else np.vstack([triangle, block])
-                triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
-            assert triangle is not None
-            both = triangle
+                both = stacked(both, block)
         return cls(both[:, :ny], both[:, ny : width - ny], both[:, width - ny :], rows)
+
+    @classmethod
+    def without_stretches(cls, records: Sequence[Trajectory], offset: bool) -> list[_Snapshots]:
+        """Return the pairs but those of one stretch of the records each."""
+        ny, nu = records[0].spec.ny, records[0].spec.nu
+        rows, width = sum(len(record) - 1 for record in records), 2 * ny + nu + int(offset)
+        found = triangles_without(_pairs(records, offset, max(_BLOCK, 4 * width)), rows, width)
+        return [cls(both[:, :ny], both[:, ny : width - ny], both[:, width - ny :], kept) for both, kept in found]
 
 
 def _pairs(records: Sequence[Trajectory], offset: bool, size: int) -> Iterator[FloatArray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -11,18 +12,21 @@ import numpy as np
 from harness.errors import FitError
 from harness.judgement import feedback_of, refuse_law
 from harness.models.lqr import spectral_radius
+from harness.models.spread import Matrices
 from harness.scoring import simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags
 from identifiers.common.filters import stationary_gain
 from identifiers.common.linear_model import LinearModel
+from identifiers.common.neighbours import coefficients_without, spread_of
+from identifiers.common.normal import scaled_equations, solved
 from identifiers.common.records import lagged_blocks, moving, real_signals, usable
-from identifiers.common.regression import solve
+from identifiers.common.regression import Solution, solve
 from identifiers.common.scaling import Scaling, sizes
 from identifiers.common.stability import clip_eigenvalues
 from identifiers.linear.decaying import LARGEST, Decaying, decaying_response
 from identifiers.linear.hankel import Hankel, leading_triplets
-from identifiers.linear.markov import markov_parameters
+from identifiers.linear.markov import markov_parameters, sums_without
 from identifiers.linear.state_space_estimate import state_space_estimate
 
 __all__ = ["HoKalman", "markov_parameters", "observer_markov", "realize"]
@@ -34,6 +38,8 @@ _CLEAR = 1e3
 _QUIET = 1e-6
 # Memories of the observer that are tried.
 OBSERVERS = (2, 4, 6, 8, 12, 20, 30)
+# Unknowns of one output beyond which no fit without a stretch is made: a system of equations for each.
+_MOST_UNKNOWNS = 300
 # An observer must have so many equations for each parameter, and beat the direct estimate by more than chance does.
 _ROWS, _NEAR = 10, 1.01
 
@@ -250,10 +256,48 @@ class HoKalman:
             gain = stationary_gain(a, c)
         d = response.input[0] if self.direct else np.zeros((spec.ny, spec.nu))
         model = LinearModel(spec, a, b, c, d, gain, np.zeros(a.shape[0]), response.level, notes=notes)
+        if "stabilized" not in notes:
+            near = self._without_stretches(records, response, scaling, len(a))
+            model = replace(model, spread=spread_of(near, warning=notes.get("warning", "")))
         model = model.in_units(scaling)
         rule = "given" if self.order is not None else "Hankel singular values above the noise"
         estimate = state_space_estimate(model, notes["hankel_singular_values"], rule)
         return model if estimate is None else replace(model, notes={**notes, "estimate": estimate.to_dict()})
+
+    def _without_stretches(
+        self, records: Sequence[Trajectory], response: _Response, scaling: Scaling, order: int
+    ) -> list[Matrices]:
+        """Return A, B, C, D of the fits without one stretch of the records each, order and prior held; scaled."""
+        spec = records[0].spec
+        near = []
+        for markov in self._responses_without(records, response):
+            scaled_response = markov * scaling.inputs / scaling.outputs[:, None]
+            a, b, c, _ = realize(scaled_response[1:], order=order, rows=self.rows)
+            near.append((a, b, c, scaled_response[0] if self.direct else np.zeros((spec.ny, spec.nu))))
+        return near
+
+    def _responses_without(self, records: Sequence[Trajectory], response: _Response) -> list[FloatArray]:
+        """Return the Markov parameters (M, ny, nu) without one stretch of the records each."""
+        ny, nu = records[0].spec.ny, records[0].spec.nu
+        if isinstance(self.observer, int):
+            memory, offset, direct = self.observer, self.offset, self.direct
+            found = coefficients_without(
+                lambda: lagged_blocks(records, memory, offset=offset, direct=direct),
+                _observer(records, memory, offset=offset, direct=direct),
+            )
+            near = [] if found is None else [one.T for one in found[0]]
+            return [_expanded(one, memory, self.markov, ny, nu, direct)[0] for one in near]
+        if self.markov * nu > _MOST_UNKNOWNS:
+            return []
+        responses = []
+        for sums in sums_without(records, self.markov, offset=self.offset):
+            if response.decaying is not None:
+                theta = response.decaying.prior.coefficients(sums, offset=self.offset)
+            else:
+                gram, right, size = scaled_equations(sums)
+                theta = solved(gram, right) / size[:, None]
+            responses.append(theta[: self.markov * nu].reshape(self.markov, nu, ny).transpose(0, 2, 1))
+        return responses
 
     def _response(self, records: Sequence[Trajectory], what: str) -> _Response:
         """Return the Markov parameters, directly or through an observer."""
@@ -359,8 +403,33 @@ def observer_markov(
             remedy="use a richer input (PRBS, more lines), or an observer of shorter memory",
         )
 
-    solution = solve(lambda: lagged_blocks(records, lags, offset=offset, direct=direct), what, least_norm=True)
+    solution = _observer(records, lags, offset=offset, direct=direct)
     theta = solution.coefficients.T
+    response, innovation = _expanded(theta, lags, length, ny, nu, direct)
+    if not (np.abs(response) < 1e12).all() or not np.isfinite(innovation).all():
+        raise FitError(
+            f"{what}: the observer's model grows without bound",
+            expected="Markov parameters that stay finite",
+            got=f"above 1e12 within {length} samples",
+            remedy="use direct=True if an output depends on the input of the same sample, or another observer",
+        )
+    level = np.zeros(ny)
+    if offset:
+        remaining = np.eye(ny) - theta[:, : lags * ny].reshape(ny, lags, ny).sum(axis=1)
+        level = np.linalg.lstsq(remaining, theta[:, -1], rcond=1e-10)[0]
+    return response, innovation, level, solution.residual_rms
+
+
+def _observer(records: Sequence[Trajectory], lags: int, *, offset: bool, direct: bool) -> Solution:
+    """Return the regression of the outputs on the memory of an observer."""
+    blocks = partial(lagged_blocks, records, lags, offset=offset, direct=direct)
+    return solve(blocks, "ho-kalman", least_norm=True)
+
+
+def _expanded(
+    theta: FloatArray, lags: int, length: int, ny: int, nu: int, direct: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Return the responses to input and innovation (length, ny, nu or ny) of an observer's coefficients (ny, p)."""
     seen = theta[:, : lags * ny].reshape(ny, lags, ny).transpose(1, 0, 2)
     pushed = theta[:, lags * ny : lags * (ny + nu)].reshape(ny, lags, nu).transpose(1, 0, 2)
     response, innovation = np.zeros((length, ny, nu)), np.zeros((length, ny, ny))
@@ -373,18 +442,7 @@ def observer_markov(
                 response[k], innovation[k] = pushed[k - 1], seen[k - 1]
             response[k] += np.einsum("iab,ibc->ac", seen[:few], response[k - 1 :: -1][:few])
             innovation[k] += np.einsum("iab,ibc->ac", seen[:few], innovation[k - 1 :: -1][:few])
-    if not (np.abs(response) < 1e12).all() or not np.isfinite(innovation).all():
-        raise FitError(
-            f"{what}: the observer's model grows without bound",
-            expected="Markov parameters that stay finite",
-            got=f"above 1e12 within {length} samples",
-            remedy="use direct=True if an output depends on the input of the same sample, or another observer",
-        )
-    level = np.zeros(ny)
-    if offset:
-        remaining = np.eye(ny) - seen.sum(axis=0)
-        level = np.linalg.lstsq(remaining, theta[:, -1], rcond=1e-10)[0]
-    return response, innovation, level, solution.residual_rms
+    return response, innovation
 
 
 def _input_matrix(a: FloatArray, c: FloatArray, markov: FloatArray) -> FloatArray:

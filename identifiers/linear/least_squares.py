@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,12 +15,13 @@ from harness.models.lqr import spectral_radius
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import Columns, refuse_collinear, refuse_feedback
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.one_step_estimate import GROUPS, jackknife_estimate, least_squares_estimate
+from identifiers.common.neighbours import GROUPS, along_covariance, spread_of
+from identifiers.common.one_step_estimate import jackknife_estimate, least_squares_estimate
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.regression import Solution
 from identifiers.common.scaling import sizes
 from identifiers.common.stability import clip_eigenvalues, nearest_stable
-from identifiers.linear.arx import Arx, design, one_step, solution_notes
+from identifiers.linear.arx import Arx, design, lag_model, one_step, solution_notes, with_lag_neighbours
 from identifiers.linear.norms import largest_components
 
 __all__ = ["Arx", "LinearModel", "StateLeastSquares"]
@@ -103,19 +104,17 @@ class StateLeastSquares:
             coefficients = nearest_stable(coefficients, factor, spec.ny, clip_eigenvalues, weights)
         elif estimate is not None:  # of the nearest stable model the spread of the fit says nothing
             notes["estimate"] = estimate.to_dict()
-        theta = coefficients.T
-        ny, nu = spec.ny, spec.nu
-        return LinearModel(
-            spec,
-            theta[:, :ny],
-            theta[:, ny : ny + nu],
-            np.eye(ny),
-            np.zeros((ny, nu)),
-            np.eye(ny),
-            theta[:, ny + nu] if self.offset else np.zeros(ny),
-            np.zeros(ny),
-            notes=notes,
-        )
+        model = lag_model(spec, coefficients, 1, self.offset, notes)
+        if "stabilized" in notes:
+            return model
+        if self.method == "ls":
+            return with_lag_neighbours(model, records, solution, 1, self.offset, estimate=estimate)
+        if estimate is None or estimate.covariance is None:
+            return model
+        found, share = along_covariance(coefficients.T.ravel(), estimate.covariance)
+        near = [lag_model(spec, one.reshape(spec.ny, -1).T, 1, self.offset).matrices for one in found]
+        groups = float((self.intervals or GROUPS) - 1)
+        return replace(model, spread=spread_of(near, factor=share, freedom=groups, method=estimate.method))
 
     def _estimate(
         self, records: list[Trajectory], solution: Solution, coefficients: FloatArray, what: str

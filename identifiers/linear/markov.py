@@ -10,10 +10,11 @@ import numpy.typing as npt
 
 from harness.errors import FitError
 from harness.signals import FloatArray, Trajectory
+from identifiers.common.neighbours import edges
 from identifiers.common.normal import NormalEquations
 from identifiers.common.records import usable
 
-__all__ = ["markov_parameters", "normal_equations"]
+__all__ = ["markov_parameters", "normal_equations", "sums_without"]
 
 # Up to so many unknowns the dense normal equations are as fast as conjugate gradients.
 _DENSE = 40
@@ -98,6 +99,36 @@ def normal_equations(records: Sequence[Trajectory], length: int, *, offset: bool
     for record in records:
         _accumulate(record, length, offset, gram, right, square)
     return NormalEquations(gram, right, square, sum(len(record) - length + 1 for record in records))
+
+
+def sums_without(records: Sequence[Trajectory], length: int, *, offset: bool) -> list[NormalEquations]:
+    """Return the normal equations of all windows but those of one stretch each; none of too few windows.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    length : int
+    offset : bool
+        As of :func:`normal_equations`.
+    """
+    records = [record for record in records if len(record) >= length]
+    windows = [len(record) - length + 1 for record in records]
+    bounds = edges(sum(windows))
+    nu, ny = records[0].spec.nu, records[0].spec.ny
+    size = length * nu + int(offset)
+    parts = []
+    for low, high in bounds:
+        gram, right, square, place = np.zeros((size, size)), np.zeros((size, ny)), np.zeros(ny), 0
+        for record, count in zip(records, windows, strict=True):
+            first, last = max(low - place, 0), min(high - place, count)
+            if first < last:
+                _accumulate(record[first : last + length - 1], length, offset, gram, right, square)
+            place += count
+        parts.append(NormalEquations(gram, right, square, high - low))
+    if not parts or sum(windows) - max(part.rows for part in parts) < size:
+        return []
+    ones = np.ones(len(parts), dtype=int)
+    return [NormalEquations.sum(parts, ones - (np.arange(len(parts)) == group)) for group in range(len(parts))]
 
 
 def _accumulate(

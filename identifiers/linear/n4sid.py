@@ -9,19 +9,21 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from harness.errors import FitError
-from harness.judgement import feedback_of, refuse_law
+from harness.judgement import Feedback, feedback_of, refuse_law
 from harness.models.lqr import spectral_radius
+from harness.models.spread import Matrices
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.excitation import excited_lags, refuse_feedback_of_records
 from identifiers.common.filters import stationary_gain
 from identifiers.common.linear_model import LinearModel
+from identifiers.common.neighbours import spread_of, stacked, triangles_without
 from identifiers.common.observers import innovation_form
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.ridge import ridge_by_cross_validation
-from identifiers.common.scaling import scaled
+from identifiers.common.scaling import Scaling, scaled
 from identifiers.common.stability import clip_eigenvalues
-from identifiers.linear.directions import lively_directions
+from identifiers.linear.directions import Directions, lively_directions
 from identifiers.linear.state_space_estimate import state_space_estimate
 
 __all__ = ["Subspace"]
@@ -49,6 +51,8 @@ _ROUNDING = 1e-7
 _RANK = 1e-10
 # Samples of the past in which a law of feedback is looked for, as in the test for feedback itself.
 _LAW = 4
+# Columns of the windows beyond which no fit without a stretch is made: sixty triangles of that size.
+_WIDE = 700
 # Share of the mean power that breaks ties between directions of equal canonical correlation.
 _TIE = 1e-6
 
@@ -118,22 +122,45 @@ class Subspace:
     def fit(self, trajectories: Sequence[Trajectory], *, rng: np.random.Generator) -> LinearModel:
         """Return the model in innovation form."""
         if self.past is not None:
-            return self._of_past(trajectories, self.past)
+            return self._finished(self._of_past(trajectories, self.past))
         best = self._of_past(trajectories, PASTS[0])
         for past in PASTS[1:]:
             try:
                 longer = self._of_past(trajectories, past)
             except FitError:  # records too short, or inputs too poor, for so much: what there is stands
                 break
-            error = best.notes["fit_error"]
-            if longer.notes["fit_error"] > _LONGER * error or error < _ROUNDING:
+            if longer.error > _LONGER * best.error or best.error < _ROUNDING:
                 break
             best = longer
-        return best
+        return self._finished(best)
 
-    def _of_past(self, trajectories: Sequence[Trajectory], past: int) -> LinearModel:
-        """Return the model of one length of the past."""
+    def _of_past(self, trajectories: Sequence[Trajectory], past: int) -> _Found:
+        """Return what is found with one length of the past, of scaled records."""
         what = "n4sid"
+        window = self._window(past, what)
+        data = self._prepared(trajectories, window, what)
+        methods, wanted = _candidates(self.method, data.feedback.found), window
+        lags = excited_lags(data.records, 2 * window)
+        if lags < 2 * wanted:
+            methods, window = self._narrowed(methods, lags, window, what)
+        orders = [self.order] if self.order else list(range(1, min(_MOST, window - 1, lags // 2) + 1))
+        found = self._models(data.records, window, methods, orders, what)
+        ladders = {
+            name: {len(model.a_matrix): _error(model, data.records, window, data.feedback.found) for model, _ in models}
+            for name, models in found.items()
+        }
+        if self.order is None:
+            ladders = self._left_out(ladders, data.records, window, data.feedback.found, what)
+        chosen = {name: _order(ladder) for name, ladder in ladders.items()}
+        method = _best({name: ladder[chosen[name]] for name, ladder in ladders.items()})
+        order = chosen[method]
+        if self.order is None and lags < 2 * wanted and order == orders[-1]:
+            order = _enough(ladders[method], order, lags, what)
+        model, values = next(candidate for candidate in found[method] if len(candidate[0].a_matrix) == order)
+        return _Found(data, model, values, method, window, ladders[method])
+
+    def _window(self, past: int, what: str) -> int:
+        """Return the length of past and future for these options; refuse those that make no sense."""
         if self.method not in ("auto", *get_args(Method)) or past < 2 or (self.order or 1) < 1:
             raise FitError(
                 f"{what}: options",
@@ -141,7 +168,10 @@ class Subspace:
                 got=f"method={self.method}, past={past}, order={self.order}",
                 remedy="correct the options",
             )
-        window = past if self.order is None else max(past, self.order + 1)
+        return past if self.order is None else max(past, self.order + 1)
+
+    def _prepared(self, trajectories: Sequence[Trajectory], window: int, what: str) -> _Prepared:
+        """Return the records in scaled directions; refuse those from which nothing can be learned."""
         records, spec = usable(trajectories, samples=2 * window + 2, what=what)
         real_signals(spec, what)
         moving(records, what)
@@ -153,40 +183,47 @@ class Subspace:
         feedback = feedback_of(records)
         if feedback.found:
             refuse_feedback_of_records(records, _LAW, self.least_excitation, what)
-        methods = _candidates(self.method, feedback.found)
-        wanted, lags = window, excited_lags(records, 2 * window)
-        if lags < 2 * wanted:
-            methods, window = self._narrowed(methods, lags, window, what)
-        orders = [self.order] if self.order else list(range(1, min(_MOST, window - 1, lags // 2) + 1))
-        found = self._models(records, window, methods, orders, what)
-        ladders = {
-            name: {model.a_matrix.shape[0]: _error(model, records, window, feedback.found) for model, _ in models}
-            for name, models in found.items()
+        return _Prepared(records, measured, directions, scaling, feedback)
+
+    def _finished(self, found: _Found) -> LinearModel:
+        """Return the model in the units of the channels, with its spread and its record."""
+        data, order = found.data, len(found.model.a_matrix)
+        notes: dict[str, Any] = {
+            "method": found.method,
+            "feedback_share": data.feedback.share,
+            "order": order,
+            "past": found.window,
+            "fit_error": found.error,
         }
         if self.order is None:
-            ladders = self._left_out(ladders, records, window, feedback.found, what)
-        chosen = {name: _order(ladder) for name, ladder in ladders.items()}
-        method = _best({name: ladder[chosen[name]] for name, ladder in ladders.items()})
-        order = chosen[method]
-        if self.order is None and lags < 2 * wanted and order == orders[-1]:
-            order = _enough(ladders[method], order, lags, what)
-        model, values = next(candidate for candidate in found[method] if candidate[0].a_matrix.shape[0] == order)
-        notes: dict[str, Any] = {"method": method, "feedback_share": feedback.share, "order": order, "past": window}
-        notes["fit_error"] = ladders[method][order]
-        if self.order is None:
-            notes["order_error"] = {str(size): error for size, error in ladders[method].items()}
-        if feedback.found and method not in _ANY_LOOP:
+            notes["order_error"] = {str(size): error for size, error in found.ladder.items()}
+        if data.feedback.found and found.method not in _ANY_LOOP:
             notes["warning"] = "past outputs foretell the input (feedback): use method parsim or pbsid"
-        notes |= {"singular_values": values[:20].tolist(), "output_directions": records[0].spec.ny}
+        values = found.values[:20].tolist()
+        notes |= {"singular_values": values, "output_directions": data.records[0].spec.ny}
+        model = found.model
         if self.stable and spectral_radius(model.a_matrix) >= 1.0:
             model = replace(model, a_matrix=clip_eigenvalues(model.a_matrix))
             notes["stabilized"] = True
-        model = replace(model.in_units(scaling), notes=notes)
-        if directions:
-            model = directions.expanded(model, measured)
+        else:
+            near = self._without_stretches(found)
+            model = replace(model, spread=spread_of(near, warning=notes.get("warning", "")))
+        model = data.in_units(replace(model, notes=notes))
         rule = "given" if self.order is not None else "held-out prediction errors"
-        estimate = state_space_estimate(model, notes["singular_values"], rule)
+        estimate = state_space_estimate(model, values, rule)
         return model if estimate is None else replace(model, notes={**notes, "estimate": estimate.to_dict()})
+
+    def _without_stretches(self, found: _Found) -> list[Matrices]:
+        """Return A, B, C, D of the fits without one stretch of the windows each, method and order held."""
+        records, order = found.data.records, len(found.model.a_matrix)
+        near = []
+        try:
+            for part in _Stacked.without_stretches(records, found.window):
+                model, _ = self._of_method(records, part, found.method, [order], "n4sid")[0]
+                near.append(model.matrices)
+        except FitError:  # without a stretch the rest does not determine the order: no spread is known
+            return []
+        return near if all(len(one[0]) == len(near[0][0]) for one in near) else []
 
     def _narrowed(
         self, methods: tuple[Method, ...], lags: int, window: int, what: str
@@ -226,7 +263,6 @@ class Subspace:
                 got=str(max(map(len, records))),
                 remedy="give the order, or a smaller past",
             )
-        orders = list(range(1, min(_MOST, window - 1) + 1))
         orders = list(range(1, max(max(ladder) for ladder in ladders.values()) + 1))
         both: dict[Method, dict[int, float]] = {}
         for method, models in self._models(fit, window, tuple(ladders), orders, what).items():
@@ -274,6 +310,39 @@ class Subspace:
                 remedy="lower the order",
             )
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """Records in scaled directions of the outputs, and the way back to the units of ``measured``."""
+
+    records: Sequence[Trajectory]
+    measured: Trajectory
+    directions: Directions | None
+    scaling: Scaling
+    feedback: Feedback
+
+    def in_units(self, model: LinearModel) -> LinearModel:
+        """Return the model, and its neighbours, for the records as they were measured."""
+        model = model.in_units(self.scaling)
+        return self.directions.expanded(model, self.measured) if self.directions else model
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A model of prepared records: singular values, method, window, and the errors of all orders of the method."""
+
+    data: _Prepared
+    model: LinearModel
+    values: FloatArray
+    method: Method
+    window: int
+    ladder: Mapping[int, float]
+
+    @property
+    def error(self) -> float:
+        """That of the order chosen."""
+        return self.ladder[len(self.model.a_matrix)]
 
 
 def _unexcited(what: str, needed: str, lags: int) -> FitError:
@@ -365,13 +434,26 @@ class _Stacked:
                 got=str(rows),
                 remedy="record longer, or use a smaller past",
             )
-        triangle: FloatArray | None = None
+        triangle = np.zeros((0, width + 1))
         for block in _windows(records, window):
-            stacked = block if triangle is None else np.vstack([triangle, block])
-            triangle = np.asarray(np.linalg.qr(stacked, mode="r"))
-        assert triangle is not None
+            triangle = stacked(triangle, block)
+        return cls._of(triangle, window, nu, ny, rows)
+
+    @classmethod
+    def _of(cls, triangle: FloatArray, window: int, nu: int, ny: int, rows: int) -> _Stacked:
         # the constant's column is the first: its row holds the means of the others, and the rest is centred
         return cls(triangle[1:, 1:], window, nu, ny, triangle[0, 1:] / triangle[0, 0], rows)
+
+    @classmethod
+    def without_stretches(cls, records: Sequence[Trajectory], window: int) -> list[_Stacked]:
+        """Return the triangles of all windows but those of one stretch of the records each."""
+        nu, ny = records[0].spec.nu, records[0].spec.ny
+        width = 2 * window * (nu + ny) + 1
+        rows = sum(max(0, len(record) - 2 * window + 1) for record in records)
+        if width > _WIDE:
+            return []
+        found = triangles_without(_windows(records, window), rows, width)
+        return [cls._of(triangle, window, nu, ny, kept) for triangle, kept in found]
 
     def u(self, first: int, last: int) -> FloatArray:
         """Return the inputs of samples first .. last - 1."""

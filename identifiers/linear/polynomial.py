@@ -61,9 +61,9 @@ class Polynomials:
         return np.concatenate([self.a, self.b.ravel(), self.c, self.d, self.f, [self.level]])
 
     @property
-    def radii(self) -> tuple[float, float]:
-        """Largest moduli of the roots of F and of C."""
-        return _radius(self.f), _radius(self.c)
+    def radii(self) -> tuple[float, float, float]:
+        """Largest moduli of the roots of F, of C and of D."""
+        return _radius(self.f), _radius(self.c), _radius(self.d)
 
     @property
     def slowest(self) -> float:

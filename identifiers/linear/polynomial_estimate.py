@@ -41,6 +41,8 @@ class Fitted:
         Samples beyond the number of unknowns.
     stabilized : bool
         Searched again among stable models.
+    moves : array (G, k), optional
+        How the parameter vector moves without one stretch of the records each.
     """
 
     model: Polynomials
@@ -51,6 +53,7 @@ class Fitted:
     arrived: bool
     free: int
     stabilized: bool = False
+    moves: FloatArray | None = None
 
     @property
     def errors(self) -> list[float]:

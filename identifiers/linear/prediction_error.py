@@ -13,10 +13,12 @@ from harness.judgement import feedback_of, refuse_undetermined
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.linear_model import LinearModel
+from identifiers.common.neighbours import spread_of, steps_without
 from identifiers.common.observers import innovation_form
 from identifiers.common.records import moving, real_signals, usable
 from identifiers.common.scaling import scaled
 from identifiers.common.stability import RADIUS
+from identifiers.linear.ho_kalman import realize
 from identifiers.linear.polynomial import Orders, Part, Polynomials, block_form, errors_and_gradients
 from identifiers.linear.polynomial_estimate import Fitted, prediction_error_estimate, whiteness
 
@@ -27,8 +29,14 @@ LADDER = (1, 2, 3, 4, 6)
 _GAIN = 0.98
 # Errors below this fraction of the outputs are rounding: no reason for another order.
 _ROUNDING = 1e-7
+# Memory of the long regression that a start is realized from, at least.
+_MEMORY = 12
 # Relative gain of the loss below which the search has arrived, and rounds after which it gives up.
 _ARRIVED, _ROUNDS = 1e-9, 60
+# Time constants of C and D that a record holds at least.
+_MEMORIES = 5.0
+# Probability of keeping a noise model where the noise is white; starts nearer than this are one.
+_CHANCE, _SAME = 0.01, 1e-3
 # Refinements of a starting model by filtering with its own denominator.
 _STEIGLITZ = 12
 # Gradients that depend on others up to this share of the largest singular value: what numpy.linalg.pinv leaves out.
@@ -117,7 +125,8 @@ class PredictionError:
         # about a biased answer, or one on the edge of what is allowed, the spread of the fit says nothing
         if estimate is not None and "warning" not in notes and "stabilized" not in notes:
             notes["estimate"] = estimate.to_dict()
-        return replace(model.in_units(scaling), notes=notes)
+        model = replace(model, notes=notes)
+        return (model if "stabilized" in notes else self._with_spread(model, fits)).in_units(scaling)
 
     def _chosen(self, records: Sequence[Trajectory], what: str) -> tuple[int, dict[str, float]]:
         """Return the order that does best on the last third of the records."""
@@ -158,7 +167,24 @@ class PredictionError:
             "standard_errors": [fit.errors for fit in fits],
             **moved,
         }
-        return innovation_form(spec, a, b, c, d, k, np.zeros(len(a)), level_of, notes=notes), fits
+        model = innovation_form(spec, a, b, c, d, k, np.zeros(len(a)), level_of, notes=notes)
+        return model, fits
+
+    def _with_spread(self, model: LinearModel, fits: Sequence[Fitted]) -> LinearModel:
+        """Return the model with the fits without one stretch of the records each, one step of the search away."""
+        moves = [fit.moves for fit in fits]
+        count = min(0 if own is None else len(own) for own in moves)
+        near, nu = [], model.spec.nu
+        for group in range(count):
+            others = [
+                Polynomials.of(fit.model.vector + own[group], fit.model.orders, nu)
+                for fit, own in zip(fits, moves, strict=True)
+                if own is not None
+            ]
+            a, b, c, d, _, _ = block_form(others, nu)
+            more = len(model.a_matrix) - len(a)  # states that hold the last innovation, which no input reaches
+            near.append((np.pad(a, (0, more)), np.pad(b, ((0, more), (0, 0))), np.pad(c, ((0, 0), (0, more))), d))
+        return replace(model, spread=spread_of(near, warning=str(model.notes.get("warning", ""))))
 
     def _orders(self, n: int) -> Orders:
         """Return the degrees of a structure."""
@@ -182,7 +208,10 @@ class PredictionError:
                 remedy="record longer, or lower the order",
             )
         starts = _starting_models(parts, orders, self.offset)
-        cost, model, miss, gradients, arrived = _best([_search(first, parts, self.offset) for first in starts])
+        end = _best([_search(first, parts, self.offset) for first in starts])
+        if orders.nf and (orders.nc or orders.nd):
+            end = _needed(end, orders, parts, self.offset)
+        cost, model, miss, gradients, arrived = end
         stabilized = self.stable and model.slowest >= 1.0
         if stabilized:
             starts = [_settled(first) for first in (model, *starts)]
@@ -197,34 +226,97 @@ class PredictionError:
         inverse[np.ix_(kept, kept)] = (right[good].T / values[good] ** 2) @ right[good]
         covariance = cost / spare * (inverse / np.outer(length, length))[:count, :count]
         residuals = np.split(miss, np.cumsum([part.y.size for part in parts])[:-1])
-        return Fitted(
-            model, covariance, float(np.sqrt(cost / rows)), whiteness(residuals), values, arrived, spare, stabilized
-        )
+        rms, moves = float(np.sqrt(cost / rows)), steps_without(gradients, miss)
+        own = None if moves is None else moves[:, :count]
+        return Fitted(model, covariance, rms, whiteness(residuals), values, arrived, spare, stabilized, own)
 
 
 def _starting_models(parts: Sequence[Part], orders: Orders, offset: bool) -> list[Polynomials]:
-    """Return where the search begins."""
+    """Return where the search begins: several, of which the best end is taken."""
     level = float(np.concatenate([part.y for part in parts]).mean()) if offset else 0.0
-    nu = parts[0].u.shape[1]
+    nu, none = parts[0].u.shape[1], np.zeros(0)
+    realized = _realized(parts, orders, level)
     if orders.nf == 0:
-        return [_hannan(parts, orders, level)]
-    firsts = []
-    for refine in (True, False):
-        f, b = _steiglitz(parts, orders, level, refine)
-        c, d = np.zeros(orders.nc), np.zeros(orders.nd)
-        first = Polynomials(orders, np.zeros(0), b.reshape(nu, orders.nb), c, d, _inside(f), level)
-        if orders.nc or orders.nd:
-            quiet = replace(first, orders=replace(orders, nc=0, nd=0), c=np.zeros(0), d=np.zeros(0))
-            blank = [(np.zeros(quiet.orders.start_x), np.zeros(quiet.orders.start_z)) for _ in parts]
-            residual = errors_and_gradients(quiet, blank, parts)[0]
-            noise = _hannan(
-                [Part(np.zeros((residual.size, 0)), residual)],
-                Orders(na=orders.nd, nc=orders.nc, delay=orders.delay),
-                0.0,
-            )
-            first = replace(first, c=noise.c, d=_inside(noise.a))
-        firsts.append(first)
-    return firsts
+        firsts = [_hannan(parts, orders, level)]
+        for f, b in realized:  # white noise on the output: C is A
+            c = np.zeros(orders.nc)
+            c[: min(f.size, orders.nc)] = _inside(f)[: orders.nc]
+            firsts.append(Polynomials(orders, f, b, _inside(c), none, none, level))
+        return firsts
+    quiet = replace(orders, nc=0, nd=0)
+    found = [_steiglitz(parts, orders, level, refine) for refine in (True, False)] + realized
+    firsts = [Polynomials(quiet, none, b.reshape(nu, orders.nb), none, none, _inside(f), level) for f, b in found]
+    if not (orders.nc or orders.nd):
+        return firsts
+    # The best model with white noise on the output comes first: with a noise model it can only become better.
+    _, best, _, _, _ = _best([_search(first, parts, offset) for first in firsts])
+    return [_with_noise(first, orders, parts) for first in _distinct([best, *firsts])]
+
+
+def _distinct(models: Sequence[Polynomials]) -> list[Polynomials]:
+    """Return the models without those that begin where an earlier one does."""
+    kept: list[Polynomials] = []
+    for model in models:
+        if all(np.abs(model.f - other.f).max(initial=0.0) > _SAME for other in kept):
+            kept.append(model)
+    return kept
+
+
+def _with_noise(quiet: Polynomials, orders: Orders, parts: Sequence[Part]) -> Polynomials:
+    """Return an output-error model with the C and D that its residuals tell (Hannan & Rissanen 1982)."""
+    blank = [(np.zeros(quiet.orders.start_x), np.zeros(quiet.orders.start_z)) for _ in parts]
+    residual, gradients = errors_and_gradients(quiet, blank, parts)
+    starts = gradients[:, quiet.vector.size :]
+    if starts.shape[1]:  # what happened before the records is not noise
+        residual = residual - starts @ np.linalg.lstsq(starts, residual, rcond=1e-9)[0]
+    pieces = np.split(residual, np.cumsum([part.y.size for part in parts])[:-1])
+    noise = _hannan(
+        [Part(np.zeros((piece.size, 0)), piece) for piece in pieces],
+        Orders(na=orders.nd, nc=orders.nc, delay=orders.delay),
+        0.0,
+    )
+    return replace(quiet, orders=orders, c=noise.c, d=_inside(noise.a))
+
+
+def _realized(parts: Sequence[Part], orders: Orders, level: float) -> list[tuple[FloatArray, FloatArray]]:
+    """Return F and B (nu, nb) of the system of this order that a long one-step regression shows (OKID, Ho-Kalman).
+
+    Steiglitz and McBride's iteration may end anywhere where sampling is fast; a realization of the response does not
+    depend on a start. Empty where the records are too short for it, or do not excite so much.
+    """
+    n, delay = max(orders.nf, orders.na), orders.delay
+    nu = parts[0].u.shape[1]
+    lags = int(min(max(4 * n, _MEMORY), min(part.y.size for part in parts) // (4 * (nu + 1))))
+    if not n or lags <= n:
+        return []
+    blocks = [_long_rows(part, lags, level) for part in parts]
+    x, y = np.concatenate([rows for rows, _ in blocks]), np.concatenate([target for _, target in blocks])
+    theta = np.linalg.lstsq(x, y, rcond=1e-10)[0]
+    seen, pushed = theta[:lags], theta[lags:].reshape(lags + 1, nu)
+    length = 4 * lags
+    markov = np.zeros((length, nu))
+    for k in range(length):
+        markov[k] = pushed[k] if k <= lags else 0.0
+        few = min(k, lags)
+        markov[k] += seen[:few] @ markov[k - 1 :: -1][:few] if few else 0.0
+    if not (np.abs(markov) < 1e9).all():
+        return []
+    try:
+        a = realize(markov[1:, None, :], order=n)[0]
+    except FitError:
+        return []
+    f = np.real(np.poly(np.linalg.eigvals(a)))
+    settled = np.concatenate([[1.0], _inside(f[1:])])
+    b = np.array([np.convolve(settled, markov[: delay + orders.nb, i])[delay : delay + orders.nb] for i in range(nu)])
+    return [(settled[1:], b)]
+
+
+def _long_rows(part: Part, lags: int, level: float) -> tuple[FloatArray, FloatArray]:
+    """Return the rows ``[y[k-1], ..., y[k-p], u[k], u[k-1], ..., u[k-p]]`` and ``y[k]`` of one record."""
+    y, index = part.y - level, np.arange(lags, part.y.size)
+    columns = [y[index - j] for j in range(1, lags + 1)]
+    columns += [part.u[index - j, i] for j in range(lags + 1) for i in range(part.u.shape[1])]
+    return np.column_stack(columns), y[lags:]
 
 
 def _steiglitz(parts: Sequence[Part], orders: Orders, level: float, refine: bool) -> tuple[FloatArray, FloatArray]:
@@ -299,20 +391,42 @@ def _best(ends: Sequence[_End]) -> _End:
     return min(ends, key=lambda end: end[0])
 
 
+def _needed(end: _End, orders: Orders, parts: Sequence[Part], offset: bool) -> _End:
+    """Return the end of a search with a noise model, or the same without one where its gain is chance.
+
+    Without noise that is coloured C and D may be any common factor: at the edge of the unit circle it follows the
+    record's slow chances by its free start, and foretells nothing.
+    """
+    from scipy.stats import chi2
+
+    none, model = np.zeros(0), end[1]
+    quiet = replace(model, orders=replace(orders, nc=0, nd=0), c=none, d=none)
+    plain = _search(quiet, parts, offset)
+    rows, free = sum(part.y.size for part in parts), orders.nc + orders.nd + len(parts) * orders.start_z
+    if rows * np.log(plain[0] / max(end[0], 1e-300)) > chi2.ppf(1.0 - _CHANCE, free):
+        return end
+    blank = replace(plain[1], orders=orders, c=np.zeros(orders.nc), d=np.zeros(orders.nd))
+    return _search(blank, parts, offset, rounds=0)
+
+
 def _settled(model: Polynomials) -> Polynomials:
     """Return the model with its poles inside the unit circle: a start among the stable ones."""
     return replace(model, a=_inside(model.a), d=_inside(model.d), f=_inside(model.f))
 
 
-def _search(first: Polynomials, parts: Sequence[Part], offset: bool, radius: float = np.inf) -> _End:
+def _search(
+    first: Polynomials, parts: Sequence[Part], offset: bool, radius: float = np.inf, rounds: int = _ROUNDS
+) -> _End:
     """Return the least sum of squares that is reached, where, errors and gradients there, and whether it has arrived.
 
-    No model with a pole beyond the radius is taken.
+    No model with a pole beyond the radius is taken, and no noise model that remembers the start through the record:
+    with the free start it would fit the record's slow chances.
     """
     orders, nu = first.orders, parts[0].u.shape[1]
     count, nx, nz = first.vector.size, orders.start_x, orders.start_z
     # An integrator is a root at 1: over a record its free run may grow by so much.
-    furthest = 1.0 + 1.0 / max(part.y.size for part in parts)
+    longest = max(part.y.size for part in parts)
+    furthest, forgotten = 1.0 + 1.0 / longest, max(1.0 - _MEMORIES / longest, 0.5)
 
     def split(vector: FloatArray) -> tuple[Polynomials, Starts]:
         states = vector[count:].reshape(len(parts), nx + nz)
@@ -320,8 +434,8 @@ def _search(first: Polynomials, parts: Sequence[Part], offset: bool, radius: flo
 
     def evaluated(vector: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         model, starts = split(vector)
-        of_f, of_c = model.radii
-        if of_f > furthest or of_c >= 1.0 or model.slowest > radius:
+        of_f, of_c, of_d = model.radii
+        if of_f > furthest or max(of_c, of_d) > forgotten or model.slowest > radius:
             return np.inf, np.zeros(0), np.zeros((0, 0))
         with np.errstate(over="ignore", invalid="ignore"):
             miss, gradients = errors_and_gradients(model, starts, parts)
@@ -330,15 +444,17 @@ def _search(first: Polynomials, parts: Sequence[Part], offset: bool, radius: flo
         cost = float(miss @ miss)
         return (cost if np.isfinite(cost) else np.inf), miss, gradients
 
+    if max(first.radii[1:]) > forgotten:
+        first = replace(first, c=_inside(first.c, forgotten), d=_inside(first.d, forgotten))
     vector = np.concatenate([first.vector, np.zeros(len(parts) * (nx + nz))])
     cost, miss, gradients = evaluated(vector)
     # The initial states are linear in the errors: solve for them first.
     if gradients.shape[1] > count:
         vector[count:] -= np.linalg.lstsq(gradients[:, count:], miss, rcond=1e-9)[0]
         cost, miss, gradients = evaluated(vector)
-    damping, arrived = 1e-3, False
+    damping, arrived = 1e-3, rounds == 0
     power = float(np.sum(np.concatenate([part.y for part in parts]) ** 2))
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         length = np.linalg.norm(gradients, axis=0)
         length = np.where(length > 0, length, 1.0)
         scaled_gradients = gradients / length

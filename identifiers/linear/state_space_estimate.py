@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from harness.models.estimate import Estimate, RankDecision
+from harness.models.spread import Matrices, covariance_of, matched_poles, quantile
+from harness.signals import FloatArray
 from identifiers.common.linear_model import LinearModel
-from identifiers.common.one_step_estimate import LARGEST, quotient
+from identifiers.common.one_step_estimate import LARGEST, LEVEL, quotient
 
 __all__ = ["state_space_estimate"]
 
@@ -19,8 +21,8 @@ INTEGRATES = 1e-6
 def state_space_estimate(model: LinearModel, singular_values: Sequence[float], rule: str) -> Estimate | None:
     """Return poles (modulus, angle) and static gains of a model, and its order as the rank that was decided.
 
-    No intervals: what a subspace method leaves uncertain is known for many samples only, and depends on its window and
-    on the order, which was chosen from the same data (Bauer 2005, Automatica 41:359).
+    Intervals follow from the model's spread, the fits without one stretch of the records each, to first order; that the
+    order was chosen from the same data is not in them.
 
     Parameters
     ----------
@@ -47,31 +49,54 @@ def state_space_estimate(model: LinearModel, singular_values: Sequence[float], r
     >>> print(found.rank)
     rank 1 of 2 (given)
     """
-    spec, a = model.spec, np.asarray(model.a_matrix)
-    n = len(a)
-    poles = np.linalg.eigvals(a) if n else np.zeros(0, dtype=complex)
-    poles = poles[poles.imag >= 0]
-    poles = poles[np.lexsort((poles.imag, -np.abs(poles)))]
-    names, units, values = [], [], []
-    for number, pole in enumerate(poles, 1):
+    spec, n = model.spec, len(model.a_matrix)
+    poles = np.linalg.eigvals(model.a_matrix).astype(np.complex128)
+    upper = poles[poles.imag >= 0]
+    upper = upper[np.lexsort((upper.imag, -np.abs(upper)))]
+    names, units = [], []
+    for number in range(1, len(upper) + 1):
         names += [f"pole {number}, modulus", f"pole {number}, angle"]
         units += ["1", "rad"]
-        values += [abs(pole), abs(np.angle(pole))]
-    if not n or np.abs(np.linalg.eigvals(a) - 1.0).min() > INTEGRATES:
-        gain = np.asarray(model.c_matrix) @ np.linalg.solve(np.eye(n) - a, np.asarray(model.b_matrix)) + model.d_matrix
-        for row, output in enumerate(spec.outputs):
-            for column, given in enumerate(spec.inputs):
-                names.append(f"{output.name} per {given.name}, static")
-                units.append(quotient(output.unit, given.unit))
-                values.append(gain[row, column])
+    settles = not n or bool(np.abs(poles - 1.0).min() > INTEGRATES)
+    for output in spec.outputs if settles else ():
+        for given in spec.inputs:
+            names.append(f"{output.name} per {given.name}, static")
+            units.append(quotient(output.unit, given.unit))
+
+    def values_of(matrices: Matrices) -> FloatArray:
+        found = matched_poles(upper, matrices[0]) if n else upper
+        told = np.column_stack([np.abs(found), np.abs(np.angle(found))]).ravel()
+        return np.concatenate([told, _static(matrices)]) if settles else told
+
+    values = values_of(model.matrices)
     if len(values) > LARGEST:
         return None
     seen = [value for value in singular_values if value > 0]
+    covariance = intervals = None
+    method = "no interval: too few rows to leave stretches out, or the model was moved"
+    if model.spread is not None:
+        covariance = covariance_of(model, values_of)
+        half = quantile(model.spread, LEVEL) * np.sqrt(np.diag(covariance))
+        method = model.spread.method
+        if model.spread.warning:
+            method = f"no interval: {model.spread.warning}"
+        elif np.isfinite(half).all():
+            intervals = np.column_stack([values - half, values + half])
     return Estimate(
         tuple(names),
         tuple(units),
-        np.array(values, dtype=float),
-        method="no interval: the covariance of a subspace method is known for many samples only",
-        rank=RankDecision(n, max(len(singular_values), n), rule=rule),
-        condition=float(seen[0] / seen[min(n, len(seen)) - 1]) if seen and n else float("nan"),
+        values,
+        covariance,
+        intervals,
+        LEVEL,
+        method,
+        RankDecision(n, max(len(singular_values), n), rule=rule),
+        float(seen[0] / seen[min(n, len(seen)) - 1]) if seen and n else float("nan"),
     )
+
+
+def _static(matrices: Matrices) -> FloatArray:
+    """Return the static gains, output by output."""
+    a, b, c, d = matrices
+    found: FloatArray = (c @ np.linalg.solve(np.eye(len(a)) - a, b) + d).ravel()
+    return found
