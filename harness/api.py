@@ -37,14 +37,17 @@ if TYPE_CHECKING:
     from harness.diagnosis.planned import Planned
     from harness.fleet import FleetResult
     from harness.learned import LearnedResidual
+    from harness.modal import Criteria, Modes
     from harness.models.predictive import ProbabilityScore
     from harness.scoring import Score
+    from harness.vetting import Agreement, Vetting
 
 __all__ = [
     "DEFAULT_IDENTIFIER",
     "LISTED",
     "FittedModel",
     "Identified",
+    "agreement",
     "bench",
     "calibrate",
     "check",
@@ -70,6 +73,7 @@ __all__ = [
     "simulate",
     "spectrum",
     "table",
+    "vet",
 ]
 
 
@@ -1127,6 +1131,77 @@ def order(
     return found
 
 
+def modes(
+    dataset: Any,
+    *,
+    identifier: str | None = None,
+    orders: Sequence[int] | None = None,
+    criteria: Criteria | None = None,
+    window: int | None = None,
+    options: Mapping[str, Any] | None = None,
+    model: str | None = None,
+    undriven: Sequence[str] = (),
+    out: str | Path | None = None,
+    seed: int = 0,
+    force: bool = False,
+    note: Callable[[str], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **signals: Unpack[Signals],
+) -> Modes:
+    """Return the modes of vibration that a data set determines; see :func:`harness.modal.identify_modes`.
+
+    Parameters
+    ----------
+    dataset : path or table
+        As for ``identify``. A table whose ``input`` is ``["none"]`` is the answer to unknown excitation.
+    identifier, orders, criteria, window, options, seed, progress
+        As for :func:`harness.modal.identify_modes`.
+    model, undriven
+        As for ``identify``.
+    out : path, optional
+        Folder to write: the page ``modes.html``, ``modes.json``, and the pictures as SVG.
+    force : bool
+        Overwrite what is in ``out``.
+    note : callable, optional
+        Called with what is odd about the records (:func:`check_data`).
+    **signals : Signals
+        As for :func:`identify`.
+
+    Raises
+    ------
+    InputError
+        If the data or the options cannot be used.
+    """
+    from harness.data import load_dataset
+    from harness.modal import identify_modes
+
+    folder = None if out is None else Path(out)
+    if folder is not None and folder.exists() and not force:
+        raise InputError(
+            "the output exists", expected="a new folder", got="an existing one", remedy="--force", file=folder
+        )
+    data = load_dataset(registry.dataset_path(dataset), model=model, undriven=undriven, **signals).dataset
+    _note_oddities(data, note)
+    found = identify_modes(
+        data.estimation,
+        name=data.name,
+        identifier=identifier,
+        orders=orders,
+        criteria=criteria,
+        window=window,
+        options=options,
+        seed=seed,
+        progress=progress,
+    )
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        _write_json(folder / "modes.json", found.to_dict())
+        _write_text(folder / "modes.html", found.html())
+        for name, plot in (("stabilisation", found.plot), ("shapes", found.plot_shapes), ("motion", found.plot_motion)):
+            _draw(plot, folder / f"{name}.svg")
+    return found
+
+
 def check_data(
     dataset: Any,
     *,
@@ -1205,6 +1280,87 @@ def check(name: str) -> list[CheckResult]:
     from harness.supervision.guarded import guarded
 
     return cast("list[CheckResult]", guarded(_checked, name, what=name))
+
+
+def vet(
+    path: str | Path,
+    *,
+    options: Mapping[str, Any] | None = None,
+    limit: float = 10.0,
+    out: str | Path | None = None,
+    force: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> Vetting:
+    """Say what there is to know about an FMU before it is handed on (``sysid check X.fmu``).
+
+    Parameters
+    ----------
+    path, options, limit, progress
+        See :func:`harness.vetting.vet`.
+    out : path, optional
+        HTML page to write.
+    force : bool
+        Overwrite ``out`` if it exists.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or an option does not fit it.
+    """
+    from harness import vetting
+
+    if out is not None:
+        _refuse_overwrite(Path(out), force=force)
+    found = vetting.vet(path, options=options, limit=limit, progress=progress)
+    _write_page(out, found)
+    return found
+
+
+def agreement(
+    run: str | Path,
+    reference: str | Path,
+    *,
+    out: str | Path | None = None,
+    force: bool = False,
+    **asked: Any,
+) -> Agreement:
+    """Compare the run of an FMU, or a table of a run, with a reference (``sysid check X.fmu --reference ref.csv``).
+
+    Parameters
+    ----------
+    run, reference
+        See :func:`harness.vetting.agreement`.
+    out : path, optional
+        HTML page to write.
+    force : bool
+        Overwrite ``out`` if it exists.
+    **asked
+        ``tubes``, ``inputs``, ``options``, ``start``, ``stop``, ``step``, ``limit`` of
+        :func:`harness.vetting.agreement`.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, or a tube names no channel.
+    PlantError
+        If the FMU breaks at its start.
+    """
+    from harness import vetting
+
+    if out is not None:
+        _refuse_overwrite(Path(out), force=force)
+    found = vetting.agreement(run, reference, **asked)
+    _write_page(out, found)
+    return found
+
+
+def _write_page(out: str | Path | None, found: Vetting | Agreement) -> None:
+    """Write what was found as a page of its own, if one was asked for."""
+    from harness.data.whole_files import whole_file
+
+    if out is not None:
+        with whole_file(out) as scratch:
+            scratch.write_text(found.html(), encoding="utf-8")
 
 
 def _checked(name: str, *, progress: Callable[..., None]) -> list[CheckResult]:
@@ -1387,8 +1543,12 @@ def _write_json(path: Path, content: dict[str, Any]) -> None:
     """Write JSON so that a half-written file is never left behind."""
     import json
 
+    _write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def _write_text(path: Path, text: str) -> None:
+    """Write a text so that a half-written file is never left behind."""
     from harness.data.whole_files import whole_file
 
-    text = json.dumps(content, indent=1, allow_nan=False)
     with whole_file(path) as scratch:
-        scratch.write_text(text + "\n", encoding="utf-8")
+        scratch.write_text(text, encoding="utf-8")

@@ -17,9 +17,11 @@ import typer
 from harness import __version__, api
 from harness.cli.loop import close_loop, isolability, learn_residual
 from harness.cli.models import check_data, compare, export, identify, order, spectrum
-from harness.cli.options import AsJson, Force, Junit, ModelName, judged
+from harness.cli.options import AsJson, Force, ModelName
 from harness.cli.runs import bench, query, simulate, table
+from harness.cli.structures import modes
 from harness.cli.terminal import fail, print_fmu, print_json, print_parts, print_rows, print_system, print_written, say
+from harness.cli.vetting import check
 from harness.errors import HarnessError, InputError
 from harness.parts.files import is_system
 from harness.supervision.interrupts import INTERRUPTED, Interrupts
@@ -38,7 +40,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-for _command in (simulate, bench, table, query, identify, compare, spectrum, order, isolability, export):
+for _command in (simulate, bench, table, query, identify, compare, spectrum, order, modes, isolability, export, check):
     app.command()(_command)
 app.command(name="check-data")(check_data)
 app.command(name="close-loop")(close_loop)
@@ -90,24 +92,6 @@ def list_command(
         print_json(parts)
         return
     print_parts(parts)
-
-
-@app.command()
-def check(
-    name: Annotated[str, typer.Argument(metavar="NAME_OR_FILE", help="id of a plug-in, or FILE.py:NAME")],
-    junit: Junit = None,
-    as_json: AsJson = False,
-) -> None:
-    """Hold a plug-in to its contract; exit status 1 if it breaks it."""
-    results = api.check(name)
-    if as_json:
-        print_json([{"name": r.name, "passed": r.passed, "reason": r.reason} for r in results])
-    else:
-        for result in results:
-            say(f"{'pass' if result.passed else 'FAIL'}  {result.name}{': ' + result.reason if result.reason else ''}")
-    from harness.scoring.acceptance import Check
-
-    judged("check", [Check(name, result.name, result.passed, result.reason or "") for result in results], junit)
 
 
 @app.command(name="study", hidden=True, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})

@@ -1,0 +1,115 @@
+"""``sysid check``: a plug-in held to its contract, an FMU vetted, a run held against a reference."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from harness import api
+from harness.cli.options import AsJson, Force, Junit, OptionPairs, judged
+from harness.cli.terminal import noted, option_pairs, print_json, print_rows, progress_bar, say, text_pairs
+from harness.errors import InputError
+
+__all__ = ["check"]
+
+
+def check(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME_OR_FILE", help="id of a plug-in, FILE.py:NAME, FILE.fmu; a run as FILE.csv")
+    ],
+    reference: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="of an FMU or a run: a table that it must agree with, time first"),
+    ] = None,
+    tube: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=WIDTH[@TIME]",
+            help="half width around the reference: 0.01, 0.5% of the range, 0.01+0.5%, and @0.02 s in time; "
+            "* is every other channel (default 0.2%), repeatable",
+        ),
+    ] = None,
+    inputs: Annotated[Path | None, typer.Option(metavar="FILE", help="with --reference: a table of inputs")] = None,
+    start: Annotated[float | None, typer.Option(help="with --reference: first instant of the run [s]")] = None,
+    stop: Annotated[float | None, typer.Option(help="with --reference: last instant of the run [s]")] = None,
+    step: Annotated[float | None, typer.Option(help="with --reference: step of the run [s]")] = None,
+    option: OptionPairs = None,
+    limit: Annotated[float, typer.Option(help="of an FMU: longest time for one call [s]")] = 10.0,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="of an FMU or a run: page.html")] = None,
+    junit: Junit = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Hold a plug-in to its contract, vet an FMU, or hold a run against a reference; status 1 if something fails."""
+    if reference is not None:
+        with progress_bar("checking") as bar:
+            bar.add_task(name, total=None)
+            agreed = api.agreement(
+                name,
+                reference,
+                tubes=text_pairs(tube, "--tube"),
+                inputs=inputs,
+                options=option_pairs(option, "--option"),
+                start=start,
+                stop=stop,
+                step=step,
+                limit=limit,
+                out=out,
+                force=force,
+            )
+        for text in agreed.notes:
+            noted(text)
+        if as_json:
+            print_json(agreed.to_dict())
+        else:
+            print_rows(agreed.rows())
+            _written(out)
+        judged("check", agreed.checks(), junit)
+        return
+    asked = {"--tube": tube, "--inputs": inputs, "--start": start, "--stop": stop, "--step": step}
+    if any(value is not None for value in asked.values()):
+        raise InputError(
+            ", ".join(flag for flag, value in asked.items() if value is not None),
+            expected="--reference FILE beside it",
+            got="none",
+            remedy="name the reference",
+        )
+    if name.endswith(".fmu"):
+        with progress_bar("checking") as bar:
+            task = bar.add_task(name, total=None)
+            vetted = api.vet(
+                name,
+                options=option_pairs(option, "--option"),
+                limit=limit,
+                out=out,
+                force=force,
+                progress=lambda share, what: bar.update(task, completed=share, total=1.0, description=what),
+            )
+        if as_json:
+            print_json(vetted.to_dict())
+        else:
+            say(str(vetted))
+            _written(out)
+        judged("check", vetted.checks(), junit)
+        return
+    if option or out is not None:
+        raise InputError(
+            "--option and --out", expected="an FMU, or a run with --reference", got=name, remedy="leave them out"
+        )
+    results = api.check(name)
+    if as_json:
+        print_json([{"name": r.name, "passed": r.passed, "reason": r.reason} for r in results])
+    else:
+        for result in results:
+            say(f"{'pass' if result.passed else 'FAIL'}  {result.name}{': ' + result.reason if result.reason else ''}")
+    from harness.scoring.acceptance import Check
+
+    judged("check", [Check(name, result.name, result.passed, result.reason or "") for result in results], junit)
+
+
+def _written(out: Path | None) -> None:
+    """Say which page was written."""
+    if out is not None:
+        say(f"wrote {out}")

@@ -1,0 +1,155 @@
+"""What is done with an FMU inside a process of its own, by :func:`harness.supervision.guarded.guarded`.
+
+Each function is called by its name with the plant's options, and returns plain numbers.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness.conformance.excitation import inputs_for
+from harness.signals import FloatArray
+from harness.supervision.guarded import alive
+
+__all__ = ["apart", "direct", "instances", "serialised", "slopes", "speed"]
+
+WARM = 10
+"""Instances before anything is counted: libraries and caches fill up."""
+NUDGE = 1e-4
+"""Step of differences, relative to the input or [1]."""
+
+
+def _made(options: Mapping[str, Any]) -> Any:
+    from harness import registry
+
+    alive()
+    return registry.create("plants", "fmu", **options)
+
+
+def _begun(plant: Any) -> FloatArray:
+    alive()
+    return np.asarray(plant.reset(rng=np.random.default_rng(0)))
+
+
+def speed(options: Mapping[str, Any], samples: int, *, progress: Callable[..., None]) -> dict[str, float]:
+    """Return what instantiating, initialising and a sample take [s]."""
+    begun = time.perf_counter()
+    with _made(options) as plant:
+        made = time.perf_counter() - begun
+        begun = time.perf_counter()
+        _begun(plant)
+        initialised = time.perf_counter() - begun
+        u = inputs_for(plant.spec, samples)
+        plant.rollout(u[: max(1, samples // 10)])
+        begun, spent = time.perf_counter(), time.process_time()
+        plant.rollout(u)
+        wall, cpu = time.perf_counter() - begun, time.process_time() - spent
+        threads = threading.active_count() - 1
+        kernel = len(os.listdir("/proc/self/task")) if Path("/proc/self/task").is_dir() else 0
+    return {
+        "make": made,
+        "initialise": initialised,
+        "sample": wall / samples,
+        "cpu": cpu / samples,
+        "threads": float(max(kernel, threads)),
+        "sample_time": plant.spec.sample_time,
+    }
+
+
+def apart(options: Mapping[str, Any], samples: int, *, progress: Callable[..., None]) -> float:
+    """Return by how much an instance moves otherwise while a second one runs beside it under other inputs."""
+    with _made(options) as plant:
+        u = inputs_for(plant.spec, samples)
+        alone = np.vstack([_begun(plant), [plant.step(row) for row in u]])
+    with _made(options) as first, _made(options) as second:
+        rows = [_begun(first)]
+        _begun(second)
+        other = inputs_for(second.spec, samples, seed=2)
+        for mine, theirs in zip(u, other, strict=True):
+            alive()
+            second.step(theirs)
+            rows.append(first.step(mine))
+    return float(np.abs(np.array(rows) - alone).max(initial=0.0))
+
+
+def direct(options: Mapping[str, Any], *, progress: Callable[..., None]) -> tuple[bool, list[str]]:
+    """Return whether direct feedthrough is declared, and the outputs that move with an input while no time passes."""
+    with _made(options) as plant:
+        _begun(plant)
+        pair = inputs_for(plant.spec, 9)[[0, -1]]
+        plant.rollout(pair[:1])
+        before, after = np.array(plant.output(pair[0])), np.array(plant.output(pair[1]))
+        moved = np.abs(after - before) > 1e-9 * np.maximum(np.abs(before), 1e-6)
+        names = [channel.name for channel, yes in zip(plant.spec.outputs, moved, strict=True) if yes]
+        return bool(plant.spec.feedthrough), names
+
+
+def slopes(options: Mapping[str, Any], *, progress: Callable[..., None]) -> float:
+    """Return the largest difference of d outputs / d inputs between the FMU's own and differences, over the largest."""
+    with _made(options) as plant:
+        _begun(plant)
+        u = inputs_for(plant.spec, 9)[-1]
+        plant.rollout(u[None])
+        plant.output(u)
+        names = [[channel.name for channel in group] for group in (plant.spec.outputs, plant.spec.inputs)]
+        own = np.asarray(plant.directional_derivative(*names))
+        found = np.empty_like(own)
+        for column in range(len(u)):
+            h = NUDGE * max(1.0, abs(u[column]))
+            up, down = u.copy(), u.copy()
+            up[column] += h
+            down[column] -= h
+            found[:, column] = (np.array(plant.output(up)) - np.array(plant.output(down))) / (2 * h)
+        return float(np.abs(own - found).max(initial=0.0) / max(np.abs(found).max(initial=0.0), 1e-12))
+
+
+def serialised(options: Mapping[str, Any], samples: int, *, progress: Callable[..., None]) -> tuple[int, float]:
+    """Return the bytes of a serialised state, and by how much the continuation from it differs."""
+    with _made(options) as plant:
+        u = inputs_for(plant.spec, samples)
+        _begun(plant)
+        plant.rollout(u[: samples // 2])
+        kept = plant.serialize_state()
+        plant.deserialize_state(kept)
+        first = plant.rollout(u[samples // 2 :])
+        plant.deserialize_state(kept)
+        again = plant.rollout(u[samples // 2 :])
+        return len(kept), float(np.abs(first - again).max(initial=0.0))
+
+
+def instances(options: Mapping[str, Any], count: int, *, progress: Callable[..., None]) -> dict[str, float]:
+    """Return what so many instances, one after the other, leave behind: memory [KiB], descriptors, threads, each."""
+    memory, files, threads = [], [], []
+    for number in range(WARM + count):
+        with _made(options) as plant:
+            _begun(plant)
+            plant.rollout(inputs_for(plant.spec, 3))
+        if number >= WARM:
+            memory.append(_resident())
+            files.append(len(os.listdir("/proc/self/fd")) if Path("/proc/self/fd").is_dir() else 0)
+            threads.append(len(os.listdir("/proc/self/task")) if Path("/proc/self/task").is_dir() else 0)
+    # the median of the increments: an arena that grows once is no leak
+    half = len(memory) // 2
+    late, early = float(np.median(memory[half:])), float(np.median(memory[:half]))
+    return {
+        "memory": (late - early) / max(1.0, len(memory) / 2),
+        "files": (files[-1] - files[0]) / max(1, count - 1),
+        "threads": (threads[-1] - threads[0]) / max(1, count - 1),
+        "known": float(memory[0] > 0),
+    }
+
+
+def _resident() -> float:
+    """Return the memory of this process [KiB]; 0 where the system does not tell."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0.0
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1024

@@ -1,0 +1,294 @@
+"""What an FMU does when it runs: each check in a process of its own, so that none can end another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from harness import registry
+from harness.conformance.excitation import inputs_for
+from harness.cosim.convergence import halved
+from harness.errors import HarnessError, PlantError
+from harness.signals import FloatArray, Trajectory
+from harness.supervision.guarded import guarded
+from harness.vetting import inside
+from harness.vetting.findings import Finding
+
+__all__ = ["Subject", "excited", "ran"]
+
+SAMPLES = 200
+"""Samples of a run."""
+HALVINGS = 3
+"""Halvings of the step: two ratios of changes show whether an order is one."""
+CHANGES = 1e-2
+"""Share of an output's range that half the step may change (as plants.fmu.probe has it)."""
+LEAK = 32.0
+"""KiB that an instance may leave behind: the allocator's own unrest is below a third of it."""
+INSTANCES = 60
+"""Instances that are made and freed one after the other."""
+RETURNS = 1e-3
+"""Relative error of a directional derivative: differences are sure to about 1e-6."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """An FMU under test: ``options`` of the plant, ``limit`` [s] for a call, ``slow`` lets it take its time."""
+
+    path: Path
+    content: Mapping[str, Any]
+    options: Mapping[str, Any]
+    limit: float
+
+    def plant(self, **more: Any) -> Any:
+        """Return the FMU in a process of its own."""
+        return registry.create("plants", "isolated", plant="fmu", timeout=self.limit, **{**self.options, **more})
+
+    def inside(self, work: Callable[..., Any], *arguments: Any, **more: Any) -> Any:
+        """Return what a function of :mod:`harness.vetting.inside` finds."""
+        options = {**self.options, **more}
+        return guarded(work, options, *arguments, what=self.path.name, silence=self.limit)
+
+    @property
+    def abilities(self) -> Mapping[str, Any]:
+        """What the interface in use offers."""
+        kinds = self.content["kinds"]
+        chosen = {"cs": "co-simulation", "me": "model exchange"}.get(str(self.options.get("kind")))
+        found: Mapping[str, Any] = kinds[chosen] if chosen in kinds else next(iter(kinds.values()))
+        return found
+
+
+def excited(subject: Subject) -> tuple[list[Finding], Trajectory | None]:
+    """Return the findings of the first run, and the run; None if there is nothing more to try."""
+    tried = f"{SAMPLES} samples under changing inputs"
+    try:
+        with subject.plant() as plant:
+            record = _run(plant, inputs_for(plant.spec, SAMPLES))
+            said = list(dict.fromkeys(plant.warnings))
+    except PlantError as error:
+        return [Finding("runs", False, tried, f"{error.status}: {error}")], None
+    found = [Finding("runs", True, tried, f"outputs up to {np.abs(record.y).max(initial=0.0):.3g}, all finite")]
+    if not np.ptp(record.y, axis=0).any() and record.spec.ny:
+        found.append(Finding("moves", None, tried, "no output changes"))
+    if said:
+        found.append(Finding("warnings", None, "what the FMU plant remarks", "; ".join(said)))
+    return found, record
+
+
+def ran(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Return the findings of all other runs."""
+    checks = (
+        _own_experiment,
+        _again,
+        _probed,
+        _parameters,
+        _halving,
+        _beside,
+        _direct,
+        _slopes,
+        _serialised,
+        _events,
+        _speed,
+        _leaks,
+    )
+    found: list[Finding] = []
+    for check in checks:
+        try:
+            found += check(subject, record)
+        except HarnessError as error:
+            name = check.__name__.strip("_").replace("_", " ")
+            found.append(Finding(name, False, "a further run", f"{error.status}: {error}"))
+    return found
+
+
+def _run(plant: Any, u: FloatArray) -> Trajectory:
+    """Return the record of a run."""
+    y = [plant.reset(rng=np.random.default_rng(0))]
+    rows = np.vstack([y[0], plant.rollout(u[:-1])])
+    return Trajectory(np.arange(len(u)) * plant.spec.sample_time, u, rows, plant.spec)
+
+
+def _difference(one: FloatArray, other: FloatArray) -> float:
+    return float(np.abs(one - other).max(initial=0.0)) if one.shape == other.shape else float("inf")
+
+
+def _own_experiment(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Run the default experiment to its end."""
+    tried = "its default experiment, inputs at their start values"
+    more = {key: value for key, value in subject.options.items() if key not in ("path", "sample_time", "start_time")}
+    tolerance = more.pop("tolerance", None)
+    run = registry.load("tools", "fmu-as-is")(subject.path, timeout=subject.limit, tolerance=tolerance, **more)
+    if run.ended is not None:
+        whole = run.ended.status == "terminated"
+        return [Finding("own experiment", None if whole else False, tried, f"{run.ended.status}: {run.ended}")]
+    said = [text for text in run.notes if "tolerance" in text]
+    came = f"{len(run.trajectory)} samples to t = {run.trajectory.t[-1]:g} s" + "".join(f"; {text}" for text in said)
+    return [Finding("own experiment", False if said else True, tried, came)]
+
+
+def _again(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Run once more in another process."""
+    with subject.plant() as plant:
+        off = _difference(_run(plant, record.u).y, record.y)
+    came = "bit for bit the same" if off == 0.0 else f"differs by {off:.3g}"
+    return [Finding("determinism", off == 0.0, "the same run in a fresh process", came, off)]
+
+
+def _probed(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Return what the probe of benchmarks finds about reset and states."""
+    options = {key: value for key, value in subject.options.items() if key != "path"}
+    result = registry.load("tools", "fmu-probe")(subject.path, samples=SAMPLES, timeout=subject.limit, **options)
+    tried = {
+        "reset": "a second run after reset",
+        "restore": "the state taken half way, a run on, the state set back, the run on again",
+        "tolerance": "a tolerance 100 times smaller",
+    }
+    names = {"restore": "get and set state"}
+    return [
+        Finding(names.get(one.check, one.check), one.passed, tried[one.check], one.note, one.figure)
+        for one in result.findings
+        if one.check in tried
+    ]
+
+
+def _parameters(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Set every parameter to the value that it has."""
+    from harness.calibration.variables import contents_of
+
+    variables = contents_of(subject.path).variables.values()
+    own = {one.key: one.start for one in variables if one.parameter and one.settable and one.start is not None}
+    tried = f"{len(own)} real parameters set to their own start values"
+    if not own:
+        return [Finding("parameters", None, "real parameters with start values", "there are none")]
+    try:
+        with subject.plant() as plant:
+            plant.preset(own)
+            off = _difference(_run(plant, record.u).y, record.y)
+    except PlantError as error:
+        return [Finding("parameters", False, tried, f"{error.status}: {error}")]
+    size = max(float(np.ptp(record.y, axis=0).max(initial=0.0)), 1e-300)
+    # a description holds decimal numbers, the binary those that it computed: the last digits may differ
+    passed = off <= 1e-6 * size
+    return [
+        Finding("parameters", passed, tried, "the same run" if off == 0.0 else f"the run differs by {off:.3g}", off)
+    ]
+
+
+def _halving(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Halve the communication step three times."""
+    dt = record.spec.sample_time
+    if subject.abilities.get("fixed internal step"):
+        return [Finding("step halving", None, "half the step", "the FMU has a fixed internal step")]
+    if "variable step" not in subject.abilities:
+        return []  # model exchange: the solver chooses
+
+    def run(h: float | None) -> Trajectory:
+        times = round(dt / (h or dt))
+        with subject.plant(sample_time=dt / times) as plant:
+            return _run(plant, np.repeat(record.u, times, axis=0)[: (len(record) - 1) * times + 1])
+
+    found = halved(run, HALVINGS, dt)
+    shares = found.shares.max(axis=1, initial=0.0)
+    worst = int(np.argmax(found.shares[0])) if found.shares.size else 0
+    orders = found.orders[:, worst] if found.orders.size else np.zeros(0)
+    known = orders[np.isfinite(orders)]
+    came = f"the first half changes {found.outputs[worst]} by {100 * shares[0]:.2g} % of its range"
+    if shares[0] <= 1e-9:
+        came = "nothing changes: the FMU steps inside as it likes"
+    elif len(known):
+        came += f", then by {100 * shares[1]:.2g} % and {100 * shares[2]:.2g} %: order {np.median(known):.1f}"
+    return [
+        Finding(
+            "step halving",
+            bool(shares[0] < CHANGES),
+            f"steps of {dt:g} s, a half, a quarter, an eighth",
+            came,
+            float(shares[0]),
+        )
+    ]
+
+
+def _beside(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Run two instances in one process."""
+    tried = "two instances in one process, stepped in turn under different inputs"
+    if subject.abilities.get("once per process"):
+        return [Finding("two at once", None, tried, "the FMU declares that there may be only one")]
+    off = subject.inside(inside.apart, SAMPLES // 2)
+    came = "each as if it were alone" if off == 0.0 else f"the second changes the first by {off:.3g}"
+    return [Finding("two at once", off == 0.0, tried, came, off)]
+
+
+def _direct(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Change the inputs while no time passes."""
+    if not record.spec.nu:
+        return []
+    declared, moved = subject.inside(inside.direct)
+    tried = "the inputs changed while no time passes"
+    if moved and not declared:
+        return [Finding("dependencies", False, tried, f"{', '.join(moved)} change at once, which is not declared")]
+    came = f"{', '.join(moved)} change at once, as declared" if moved else "no output changes"
+    return [Finding("dependencies", True if moved or not declared else None, tried, came)]
+
+
+def _slopes(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Compare directional derivatives with differences."""
+    tried = "d outputs / d inputs against differences"
+    reals = all(channel.kind == "real" for channel in (*record.spec.inputs, *record.spec.outputs))
+    if not subject.abilities.get("directional derivatives"):
+        return [Finding("derivatives", None, tried, "the FMU offers none")]
+    if not (record.spec.nu and record.spec.ny and reals):
+        return [Finding("derivatives", None, tried, "no real inputs and outputs to compare")]
+    off = subject.inside(inside.slopes)
+    return [Finding("derivatives", off < RETURNS, tried, f"off by {off:.2g} of the largest", off)]
+
+
+def _serialised(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Write the state as bytes and read it."""
+    tried = "the state written as bytes half way, read back, the run on"
+    if not (subject.abilities.get("serialise state") and subject.abilities.get("get and set state")):
+        return [Finding("serialised state", None, tried, "the FMU offers none")]
+    size, off = subject.inside(inside.serialised, SAMPLES)
+    came = f"{size} bytes, " + ("the same run" if off == 0.0 else f"the run differs by {off:.3g}")
+    return [Finding("serialised state", off == 0.0, tried, came, off)]
+
+
+def _events(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Handle events outside, where the FMU lets us."""
+    count = subject.content["event_indicators"] or 0
+    if not subject.abilities.get("event mode"):
+        return [Finding("events", None, "what the description says", f"{count} event indicators, no event mode")]
+    with subject.plant(event_mode=True) as plant:
+        off = _difference(_run(plant, record.u).y, record.y)
+    size = max(float(np.ptp(record.y, axis=0).max(initial=0.0)), 1e-300)
+    came = "the same run" if off == 0.0 else f"the run differs by {off:.3g}"
+    return [Finding("events", off <= 1e-3 * size, "events handled outside (event mode) and inside", came, off)]
+
+
+def _speed(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Take the time."""
+    found = subject.inside(inside.speed, SAMPLES)
+    times = found["sample_time"] / max(found["sample"], 1e-9)
+    came = (
+        f"{1e3 * found['make']:.0f} ms to load and instantiate, {1e3 * found['initialise']:.1f} ms to initialise, "
+        f"{1e6 * found['sample']:.1f} us a sample: {times:.3g} times real time; {found['threads']:.0f} threads"
+    )
+    return [Finding("timing", None, f"{SAMPLES} samples in one call", came, found["sample"])]
+
+
+def _leaks(subject: Subject, record: Trajectory) -> list[Finding]:
+    """Make and free many instances."""
+    tried = f"{INSTANCES} instances made, run and freed one after the other"
+    if subject.abilities.get("once per process"):
+        return [Finding("leaks", None, tried, "the FMU declares that there may be only one")]
+    found = subject.inside(inside.instances, INSTANCES)
+    left = [f"{found['memory']:.1f} KiB"] if found["memory"] > LEAK else []
+    left += [f"{found[what]:.2g} {what}" for what in ("files", "threads") if found[what] > 0.1]
+    came = (
+        f"each leaves {' and '.join(left)}" if left else f"nothing is left ({max(found['memory'], 0.0):.1f} KiB each)"
+    )
+    if not found["known"]:
+        return [Finding("leaks", None, tried, "the system does not tell the memory of a process")]
+    return [Finding("leaks", not left, tried, came, found["memory"])]

@@ -1,0 +1,99 @@
+"""Everything about an FMU in one go: read it, run it, and stop where there is nothing more to learn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from harness.errors import HarnessError, InputError
+from harness.parts.files import describe_fmu
+from harness.vetting.described import NUMBERS, described
+from harness.vetting.findings import Finding, Vetting
+from harness.vetting.runs import Subject, excited, ran
+
+__all__ = ["vet"]
+
+STEPS = 500
+"""Samples of a default experiment that suggests no step."""
+STEP = 0.01
+"""Sample time [s] where nothing is suggested at all."""
+SHOWN = 50
+"""Local variables that are looked at where an FMU declares no outputs."""
+
+
+def vet(
+    path: str | Path,
+    *,
+    options: Mapping[str, Any] | None = None,
+    limit: float = 10.0,
+    progress: Callable[[float, str], None] | None = None,
+) -> Vetting:
+    """Say what there is to know about an FMU before it is handed on.
+
+    Parameters
+    ----------
+    path : path
+        The FMU.
+    options : mapping, optional
+        Of the plant: ``sample_time``, ``parameters``, ``kind``, ...
+    limit : float
+        Longest time [s] for one call of the FMU. One that crashes or hangs costs one line and ends the checks.
+    progress : callable, optional
+        Called as ``progress(share, what)``.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or an option does not fit.
+
+    Examples
+    --------
+    >>> from plants.mockups import mockup
+    >>> found = vet(mockup("mass_spring"))
+    >>> found.passed, [one.name for one in found.findings if one.passed is None]
+    (True, ['co-simulation', 'texts', 'derivatives', 'events', 'timing'])
+    """
+    path = Path(path)
+    tell = progress or (lambda share, what: None)
+    if not path.is_file():
+        raise InputError("no such FMU", expected="an FMU file", got="no file", remedy="check the path", file=path)
+    if not limit > 0:
+        raise InputError("limit", expected="a positive number of seconds", got=str(limit), remedy="correct it")
+    try:
+        content = describe_fmu(path)
+    except HarnessError as error:
+        return Vetting(path, path.name, (Finding("model description", False, "the file read as an FMU", str(error)),))
+    title = f"{path.name}: {content['model']}, FMI {content['fmi']}, {content['tool'] or 'tool not told'}"
+    found = described(path, content)
+    tell(0.1, "runs")
+    subject = Subject(path, content, {"path": str(path), **_chosen(content), **(options or {})}, limit)
+    try:
+        first, record = excited(subject)
+    except InputError as error:
+        if options:
+            raise
+        first, record = [Finding("runs", False, "the FMU loaded and run", str(error))], None
+    found += first
+    if record is not None:
+        tell(0.3, "runs again")
+        found += ran(subject, record)
+    return Vetting(path, title, tuple(found), record)
+
+
+def _chosen(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that suit an FMU: its own step, its outputs or, without any, what moves inside."""
+    experiment = content["experiment"]
+    start, stop, step = experiment["startTime"] or 0.0, experiment["stopTime"], experiment["stepSize"]
+    if step is None or not 0 < step < float("inf"):
+        ends = stop is not None and start < stop < float("inf")
+        step = float(f"{(stop - start) / STEPS:.6g}") if ends else STEP
+    chosen: dict[str, Any] = {"sample_time": step, "start_time": start}
+    if not any(row["causality"] == "output" for row in content["variables"]):
+        moving = [
+            row["name"]
+            for row in content["variables"]
+            if row["causality"] == "local" and row["variability"] == "continuous" and row["type"] in NUMBERS
+        ]
+        chosen["outputs"] = moving[:SHOWN]
+    return chosen
