@@ -1,4 +1,4 @@
-"""ODE plants by name: pendulum, cart-pole, random linear systems; any other model through :class:`OdePlant`."""
+"""ODE plants by name: pendulum, cart-pole, chain of masses, linear systems; any other model as :class:`OdePlant`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from harness.errors import InputError
 from plants.checking import checked_options, positive
 from plants.equations.ode_plant import OdePlant
 
-__all__ = ["OdePlant", "cart_pole_ode", "linear_ode", "named", "pendulum_ode"]
+__all__ = ["OdePlant", "cart_pole_ode", "chain_ode", "linear_ode", "named", "pendulum_ode"]
 
 
 def pendulum_ode(**options: Any) -> OdePlant:
@@ -43,6 +43,37 @@ def cart_pole_ode(**options: Any) -> OdePlant:
     u [N] -> x [m], theta [rad] every 0.01 s
     """
     return named("cart-pole-ode", {"model": "cart-pole", "u_limit": 10.0}, options)
+
+
+def chain_ode(
+    *,
+    masses: int = 3,
+    mass: float = 1.0,
+    stiffness: float = 1000.0,
+    damping: float = 0.4,
+    coupling: float = 1.0,
+    **options: Any,
+) -> OdePlant:
+    """Chain of masses between two walls as an ODE, a force on each: a structure whose modes are known exactly.
+
+    With ``process_noise`` a random force acts on every mass: what wind and traffic do to a structure.
+
+    Parameters
+    ----------
+    masses, mass, stiffness, damping, coupling
+        Of the model ``mass-chain``; :func:`harness.physics.models.chain.chain_modes` has its modes.
+    **options
+        Of :class:`OdePlant`.
+
+    Examples
+    --------
+    >>> print(chain_ode(masses=2).spec)
+    u1 [N], u2 [N] -> q1 [m], q2 [m] every 0.02 s
+    """
+    from harness.physics.models.chain import mass_chain
+
+    model = mass_chain(masses, mass, stiffness, damping, coupling)
+    return named("chain-ode", {"model": model, "sample_time": 0.02, "u_limit": 10.0}, options)
 
 
 def linear_ode(

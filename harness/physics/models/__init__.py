@@ -1,7 +1,7 @@
 """The catalogue of nominal models.
 
-``catalogue`` has the mechanical ones, ``flight`` and ``tanks`` others. Add a model as a function that returns a
-mechanism or an ODE, with its entry point in ``pyproject.toml``.
+``catalogue`` has most of the mechanical ones, ``chain``, ``flight`` and ``tanks`` others. Add a model as a function that
+returns a mechanism or an ODE, with its entry point in ``pyproject.toml``.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         drive,
         linear,
         load_model,
+        mass_chain,
         oscillator,
         pendulum,
         perching_glider,
@@ -33,6 +34,7 @@ __all__ = [
     "drive",
     "linear",
     "load_model",
+    "mass_chain",
     "oscillator",
     "pendulum",
     "perching_glider",

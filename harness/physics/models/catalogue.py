@@ -19,6 +19,7 @@ from harness.physics.compiled.system import System
 from harness.physics.definition.mechanism import Mechanism
 from harness.physics.definition.ode import Ode
 from harness.physics.definition.parameters import Parameter
+from harness.physics.models.chain import mass_chain
 from harness.physics.models.flight import perching_glider, planar_quadrotor
 from harness.physics.models.plug_ins import model_names, model_of
 from harness.physics.models.tanks import two_tanks
@@ -31,6 +32,7 @@ __all__ = [
     "drive",
     "linear",
     "load_model",
+    "mass_chain",
     "oscillator",
     "pendulum",
     "perching_glider",
@@ -253,6 +255,7 @@ BUILT_IN = {
     "acrobot": acrobot,
     "drive": drive,
     "oscillator": oscillator,
+    "mass-chain": mass_chain,
     "planar-quadrotor": planar_quadrotor,
     "perching-glider": perching_glider,
     "two-tanks": two_tanks,

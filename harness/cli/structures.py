@@ -1,0 +1,101 @@
+"""The command of ``sysid`` that reads the modes of a structure from records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from harness import api
+from harness.cli.options import (
+    AsJson,
+    Columns,
+    DatasetName,
+    Force,
+    Inputs,
+    ModelName,
+    OptionPairs,
+    Outputs,
+    Runs,
+    SampleTime,
+    Seed,
+    Trust,
+    Undriven,
+    Units,
+    signals_of,
+)
+from harness.cli.terminal import completed, noted, option_pairs, print_json, print_rows, progress_bar, say, whole_range
+
+__all__ = ["modes"]
+
+
+def modes(
+    dataset: DatasetName,
+    identifier: Annotated[
+        str | None,
+        typer.Option(
+            help="n4sid, ho-kalman, dmdc or another with an order; default a subspace fit with its covariance",
+            autocompletion=completed("identifiers"),
+        ),
+    ] = None,
+    order: Annotated[
+        str | None,
+        typer.Option(metavar="A..B", help="numbers of states, two a mode; default 2..40, as far as the data reach"),
+    ] = None,
+    frequency: Annotated[
+        float | None, typer.Option(help="stable: change of frequency from order to order, as a share; default 0.01")
+    ] = None,
+    damping: Annotated[
+        float | None, typer.Option(help="stable: change of damping, as a share; default 0.1, or its deviation")
+    ] = None,
+    mac: Annotated[float | None, typer.Option(help="stable: least agreement of shapes (MAC); default 0.95")] = None,
+    window: Annotated[int | None, typer.Option(help="samples of past and future in the subspace fit")] = None,
+    option: OptionPairs = None,
+    model: ModelName = None,
+    undriven: Undriven = None,
+    input: Inputs = None,
+    output: Outputs = None,
+    column: Columns = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    run: Runs = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="folder for the page and the pictures")] = None,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+    force: Force = False,
+    trust: Trust = None,
+) -> None:
+    """Show frequencies, damping and shapes of a structure with 95 % intervals, and what the data leave open."""
+    from harness.modal import Criteria
+
+    first, last = whole_range(order, "--order") if order is not None else (0, 0)
+    asked: dict[str, Any] = {"frequency": frequency, "damping": damping, "mac": mac}
+    with progress_bar("modes") as bar:
+        task = bar.add_task("modes", total=None)
+        found = api.modes(
+            dataset,
+            identifier=identifier,
+            orders=None if order is None else range(first, last + 1, 2),
+            criteria=Criteria(**{name: value for name, value in asked.items() if value is not None}),
+            window=window,
+            options=option_pairs(option, "--option"),
+            model=model,
+            undriven=undriven or (),
+            out=out,
+            seed=seed,
+            force=force,
+            note=noted,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+            **signals_of(input, output, column, unit, sample_time, run),
+        )
+    if as_json:
+        print_json(found.to_dict())
+        return
+    print_rows(found.rows())
+    if not found.modes:
+        say("no mode is determined by these data")
+    for text in found.words():
+        say(text)
+    if out is not None:
+        say(f"wrote {out}")

@@ -1,0 +1,551 @@
+"""Modes of a structure from its records, and what the records do not determine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from harness.display import table
+from harness.errors import FitError, InputError
+from harness.judgement import feedback_of
+from harness.modal.fits import fitted, jackknifed
+from harness.modal.poles import ComplexArray, Mode, Pole, mac, poles_of
+from harness.modal.stabilisation import Criteria, Track, tracks_of
+from harness.modal.subspace import FEWEST, Ladder, ladder_of
+from harness.signals import FloatArray, PlantSpec, Trajectory
+
+__all__ = ["Modes", "Undetermined", "identify_modes"]
+
+LEVEL = 0.95
+"""Probability of every interval."""
+VAGUE = 0.05
+"""Half width of the interval over the frequency from which a mode counts as not determined: neighbours overlap."""
+STRONG = 0.01
+"""Share of the motion from which a mode is listed although its damping cannot be told from 0: it is no noise."""
+FAINT = 1e-3
+"""Power of an input at a frequency, over its largest, below which the input does not count as exciting there."""
+STEP = 2
+"""Orders rise by a pair of poles."""
+MOST = 40
+"""The largest order by default: twenty modes."""
+
+
+Reason = Literal["frequency", "damping", "growing", "double"]
+REASONS: Mapping[Reason, str] = {
+    "frequency": f"the frequency is known no better than within {100 * VAGUE:.0f} % (95 %)",
+    "damping": f"the damping cannot be told from 0, and less than {100 * STRONG:.0f} % of the motion is in it: noise "
+    "looks like it",
+    "growing": "the motion grows: an unstable system, or a trend in the records",
+    "double": "it cannot be told apart from a mode beside it that is known better",
+}
+"""Why something is not determined, in words."""
+
+
+@dataclass(frozen=True, eq=False)
+class Undetermined:
+    """Something that looks like a mode in some fits, and why the data do not determine it.
+
+    Parameters
+    ----------
+    band : (float, float)
+        Where it was found [Hz].
+    reason : {"frequency", "damping", "growing", "double"}
+        What is not known; :data:`REASONS` says it in words.
+    """
+
+    band: tuple[float, float]
+    reason: Reason
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """What :func:`identify_modes` returns.
+
+    Parameters
+    ----------
+    name : str
+        Of the data set.
+    spec : PlantSpec
+    method : str
+        Id of the identifier, or ``ssi``.
+    modes : tuple of Mode
+        By frequency.
+    undetermined : tuple of Undetermined
+    notes : tuple of str
+        What the data cannot tell, in sentences.
+    criteria : Criteria
+    ladder : mapping
+        Poles by order, all of them.
+    tracks : tuple of Track
+        The poles sorted into modes.
+    time : array (K,)
+        [s], of the first record.
+    coordinates : array (K, M)
+        Complex coordinate of each mode: ``2 Re(shape q)`` is its part of the outputs.
+    scaled : bool
+        True where the outputs have several units: shapes are then over the standard deviation of each.
+    """
+
+    name: str
+    spec: PlantSpec
+    method: str
+    modes: tuple[Mode, ...]
+    undetermined: tuple[Undetermined, ...]
+    notes: tuple[str, ...]
+    criteria: Criteria
+    ladder: Mapping[int, Sequence[Pole]]
+    tracks: tuple[Track, ...]
+    time: FloatArray
+    coordinates: ComplexArray
+    scaled: bool
+
+    @property
+    def frequencies(self) -> FloatArray:
+        """Natural frequencies (M,) [Hz]."""
+        return np.array([mode.frequency for mode in self.modes])
+
+    @property
+    def damping(self) -> FloatArray:
+        """Damping ratios (M,); NaN where the data do not determine one."""
+        return np.array([mode.damping if mode.damping_determined else np.nan for mode in self.modes])
+
+    @property
+    def shapes(self) -> ComplexArray:
+        """Mode shapes (M, ny), each of length 1."""
+        return np.array([mode.shape for mode in self.modes]).reshape(len(self.modes), self.spec.ny)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one row for each mode, for a table; what is not determined is said in words."""
+        return [
+            {
+                "mode": number,
+                "frequency [Hz]": f"{mode.frequency:.6g}",
+                "95 % [Hz]": _interval(mode.frequency_interval, 1.0),
+                "damping [%]": f"{100 * mode.damping:.3g}" if mode.damping_determined else "not determined",
+                "95 % [%]": _interval(mode.damping_interval, 100.0)
+                if mode.damping_determined
+                else f"below {100 * mode.damping_interval[1]:.2g}",
+                "share": f"{100 * mode.share:.2g} %",
+                "orders": f"{mode.orders[0]}..{mode.orders[-1]} ({len(mode.orders)})",
+                "shape": self.shape_text(mode),
+            }
+            for number, mode in enumerate(self.modes, start=1)
+        ]
+
+    def shape_text(self, mode: Mode) -> str:
+        """Return a shape in words: size and phase of each output that sees the mode."""
+        said = []
+        for k, channel in enumerate(self.spec.outputs):
+            size, turn = abs(mode.shape[k]), float(np.degrees(np.angle(mode.shape[k])))
+            if not mode.seen[k]:
+                said.append(f"{channel.name} not seen (below {mode.bound[k]:.2g})")
+            elif abs(turn) < STANDING or abs(abs(turn) - 180.0) < STANDING:
+                said.append(f"{channel.name} {'-' if abs(turn) > 90 else '+'}{size:.3f}")
+            else:
+                said.append(f"{channel.name} {size:.3f} at {turn:.0f} deg")
+        return ", ".join(said)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description; numbers that the data do not determine are None."""
+        outputs = tuple(channel.name for channel in self.spec.outputs)
+        return {
+            "name": self.name,
+            "method": self.method,
+            "driven": bool(self.spec.nu),
+            "level": LEVEL,
+            "criteria": vars(self.criteria),
+            "orders": list(self.ladder),
+            "modes": [mode.to_dict(outputs) for mode in self.modes],
+            "undetermined": [{"band": list(one.band), "reason": REASONS[one.reason]} for one in self.undetermined],
+            "notes": list(self.notes),
+            "poles": [
+                {"order": pole.order, "frequency": pole.frequency, "damping": pole.damping, "stable": kept}
+                for track in self.tracks
+                for pole, kept in zip(track.poles, track.stable, strict=True)
+            ],
+        }
+
+    def __repr__(self) -> str:
+        told = ", ".join(f"{mode.frequency:.4g}" for mode in self.modes)
+        return f"<Modes of {self.name}: {f'{told} Hz' if told else 'none determined'}>"
+
+    def _repr_html_(self) -> str:
+        rows = self.rows()
+        shown = table(list(rows[0]), [tuple(row.values()) for row in rows]) if rows else "<p>no mode determined</p>"
+        return shown + "".join(f"<p>{text}</p>" for text in self.words())
+
+    def words(self) -> list[str]:
+        """Return what the data do not determine, in sentences."""
+        said = []
+        for reason, text in REASONS.items():
+            near = [f"{sum(one.band) / 2:.3g}" for one in self.undetermined if one.reason == reason]
+            if near:
+                said.append(f"not determined near {', '.join(near)} Hz: {text}")
+        return [*said, *self.notes]
+
+    def html(self) -> str:
+        """Return a page of the table and all pictures, which needs no other file."""
+        from harness.modal.pictures import page_of
+
+        return page_of(self)
+
+    def plot(self) -> Any:
+        """Draw the stabilisation diagram; returns the matplotlib figure."""
+        from harness.modal.pictures import stabilisation_diagram
+
+        return stabilisation_diagram(self)
+
+    def plot_shapes(self) -> Any:
+        """Draw the modes in space (shapes, with intervals) and in time (coordinates); returns the figure."""
+        from harness.modal.pictures import shapes_and_coordinates
+
+        return shapes_and_coordinates(self)
+
+    def plot_motion(self) -> Any:
+        """Draw what each mode does at every output over some of its periods; returns the figure."""
+        from harness.modal.pictures import space_and_time
+
+        return space_and_time(self)
+
+
+STANDING = 10.0
+"""Phase [deg] within which a part of a shape counts as in step or in opposition, for words only."""
+
+
+def identify_modes(
+    records: Sequence[Trajectory],
+    *,
+    name: str = "data",
+    identifier: str | None = None,
+    orders: Sequence[int] | None = None,
+    criteria: Criteria | None = None,
+    window: int | None = None,
+    options: Mapping[str, Any] | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Modes:
+    """Return the modes that records determine: frequencies, damping ratios and shapes with 95 % intervals.
+
+    Records without inputs are taken as the answer to unknown white excitation (operational modal analysis), others as
+    driven by their inputs.
+
+    Parameters
+    ----------
+    records : sequence of Trajectory
+    name : str
+        For titles.
+    identifier : str, optional
+        Id of an identifier of linear models, whose poles are taken: their intervals come from leaving out stretches.
+        By default a subspace fit with its covariance (:mod:`harness.modal.subspace`).
+    orders : sequence of int, optional
+        Numbers of states, two for each mode; by default 2, 4, ... 40, as far as the data reach.
+    criteria : Criteria, optional
+        Of stabilisation.
+    window : int, optional
+        Samples of past and future in the subspace fit.
+    options : mapping, optional
+        Of the identifier.
+    seed : int
+        For identifiers that draw random numbers.
+    progress : callable, optional
+        Called with orders done and their number.
+
+    Raises
+    ------
+    InputError
+        If an option cannot be used.
+    FitError
+        If the records are too short, or no order can be fitted.
+
+    Examples
+    --------
+    >>> from scipy.signal import lfilter
+    >>> from harness.signals import Channel
+    >>> e = np.random.default_rng(0).normal(size=20_000)
+    >>> y = lfilter([1.0], [1.0, -2 * 0.98 * np.cos(0.3), 0.98**2], e)
+    >>> spec = PlantSpec((), (Channel("y", "m/s2"),), 0.01)
+    >>> record = Trajectory(np.arange(20_000) * 0.01, np.zeros((20_000, 0)), y[:, None], spec)
+    >>> identify_modes([record], name="hum", orders=range(2, 11, 2))
+    <Modes of hum: 4.779 Hz>
+    """
+    criteria = criteria or Criteria()
+    records = _moved([record.measured() for record in records])
+    spec = records[0].spec
+    _refuse(spec, orders, window, options, identifier)
+    shown = ladder_of(records, window)
+    size = _sizes(records) if len({channel.unit for channel in spec.outputs}) > 1 else None
+    wanted = sorted(set(orders)) if orders is not None else range(STEP, min(MOST, shown.most) + 1, STEP)
+    systems: dict[int, tuple[FloatArray, FloatArray]] = {}
+    ladder: dict[int, Sequence[Pole]] = {}
+    refused: FitError | None = None
+    for done, order in enumerate(wanted):
+        if progress is not None:
+            progress(done, len(wanted))
+        if identifier is None:
+            if order > shown.most:
+                break
+            systems[order], ladder[order] = shown.matrices(order), shown.poles(order, size)
+            continue
+        try:
+            a, c = fitted(identifier, order, options or {}, records, seed)
+        except FitError as error:
+            refused = refused or error
+            continue
+        systems[len(a)] = a, c
+        ladder[len(a)] = poles_of(a, c if size is None else c / size[:, None], spec.sample_time)
+    if not ladder:
+        raise refused or FitError(
+            "modes: orders",
+            expected=f"up to {shown.most}, the rank of the data",
+            got=f"from {min(wanted, default=0)}",
+            remedy="lower the orders, or give a larger window",
+        )
+    tracks = tracks_of(ladder, criteria)
+    taken, passing = _chosen(tracks, criteria, list(ladder))
+    if identifier is not None and taken:
+        taken = _with_deviations(taken, identifier, options or {}, records, seed)
+    modes: list[Mode] = []
+    missed: list[Undetermined] = []
+    waves: dict[Pole, ComplexArray] = {}
+    for track, pole in taken:
+        share, waves[pole] = _part(shown, records, *systems[pole.order], pole)
+        found = _mode(track, pole, share)
+        if isinstance(found, Mode):
+            modes.append(found)
+        else:
+            missed.append(found)
+    modes, doubles = _told_apart(modes, criteria)
+    missed += doubles
+    notes = _notes(records, shown, identifier, passing, modes)
+    coordinates = np.stack([waves[mode.pole] for mode in modes], axis=1) if modes else np.zeros((0, 0), complex)
+    time = records[0].t[shown.window : shown.window + len(coordinates)]
+    return Modes(
+        name,
+        spec,
+        identifier or "ssi",
+        tuple(modes),
+        tuple(sorted(missed, key=lambda one: one.band)),
+        tuple(notes),
+        criteria,
+        ladder,
+        tuple(tracks),
+        time,
+        coordinates,
+        size is not None,
+    )
+
+
+def _refuse(
+    spec: PlantSpec,
+    orders: Sequence[int] | None,
+    window: int | None,
+    options: Mapping[str, Any] | None,
+    identifier: str | None,
+) -> None:
+    """Refuse options that make no sense, and channels that are no signals."""
+    if orders is not None and (not orders or min(orders) < 2):
+        raise InputError(
+            "orders", expected="from 2 on: two states make a mode", got=str(list(orders)), remedy="correct them"
+        )
+    if window is not None and window < 2:
+        raise InputError("window", expected="at least 2 samples", got=str(window), remedy="correct it")
+    if options and identifier is None:
+        raise InputError(
+            "options",
+            expected="none without --identifier",
+            got=", ".join(options),
+            remedy="name the identifier that they are for",
+        )
+    for channel in (*spec.inputs, *spec.outputs):
+        if channel.kind == "category":
+            raise InputError(
+                f"modes of {channel.name!r}", expected="numbers", got="a category", remedy="leave the channel out"
+            )
+
+
+def _moved(records: Sequence[Trajectory]) -> list[Trajectory]:
+    """Return the records without inputs that never move: nothing is known of what drove them."""
+    spec = records[0].spec
+    moves = np.ptp(np.concatenate([record.u for record in records]), axis=0) > 0
+    if moves.all():
+        return list(records)
+    kept = tuple(channel for channel, moving in zip(spec.inputs, moves, strict=True) if moving)
+    spec = replace(spec, inputs=kept)
+    return [replace(record, u=record.u[:, moves], spec=spec) for record in records]
+
+
+def _sizes(records: Sequence[Trajectory]) -> FloatArray:
+    """Return the standard deviations of the outputs (ny,)."""
+    size = np.concatenate([record.y for record in records]).std(axis=0)
+    return np.where(size > 0, size, 1.0)
+
+
+def _chosen(tracks: Sequence[Track], criteria: Criteria, orders: Sequence[int]) -> tuple[list[tuple[Track, Pole]], int]:
+    """Return the tracks that are modes, each with the pole that stands for it, and how many tracks are none."""
+    if len(orders) == 1:  # nothing to compare with: what is not known well is refused later
+        return [(track, track.poles[0]) for track in tracks if track.poles[0].damping > 0], 0
+    kept = [track for track in tracks if track.holds(criteria, orders)]
+    return [(track, track.best) for track in kept], len(tracks) - len(kept)
+
+
+def _with_deviations(
+    taken: list[tuple[Track, Pole]],
+    identifier: str,
+    options: Mapping[str, Any],
+    records: Sequence[Trajectory],
+    seed: int,
+) -> list[tuple[Track, Pole]]:
+    """Return modes with deviations; one order that has all of them is refitted if there is one."""
+    common = set.intersection(*({pole.order for pole in track.poles} for track, _ in taken))
+    if common:
+        order = min(common)
+        taken = [(track, next(pole for pole in track.poles if pole.order == order)) for track, _ in taken]
+    found: list[tuple[Track, Pole]] = []
+    for order in sorted({pole.order for _, pole in taken}):
+        tracks = [track for track, pole in taken if pole.order == order]
+        poles = [pole for _, pole in taken if pole.order == order]
+        found += zip(tracks, jackknifed(identifier, poles, options, records, seed), strict=True)
+    return found
+
+
+def _part(
+    shown: Ladder, records: Sequence[Trajectory], a: FloatArray, c: FloatArray, pole: Pole
+) -> tuple[float, ComplexArray]:
+    """Return the share of the motion that a mode carries, and its coordinate in the first record."""
+    values, right = np.linalg.eig(a)
+    place = int(np.argmin(np.abs(values - pole.value)))
+    row, shape = np.linalg.pinv(right)[place], c @ right[:, place]
+    scale = complex(np.vdot(pole.shape, shape) / np.vdot(pole.shape, pole.shape))
+    size = _sizes(records)
+    common = power = 0.0
+    first: ComplexArray = np.zeros(0, complex)
+    for number, record in enumerate(records):
+        wave = shown.states(record, a, c) @ row
+        part = 2.0 * np.real(wave[:, None] * shape) / size
+        moved = record.y[shown.window : shown.window + len(wave)] / size
+        moved = moved - moved.mean(axis=0) if len(moved) else moved
+        common += float(np.sum(part * moved))
+        power += float(np.sum(moved**2))
+        if number == 0:
+            first = np.asarray(wave * scale, dtype=np.complex128)
+    return max(common, 0.0) / max(power, 1e-300), first
+
+
+def _told_apart(modes: Sequence[Mode], criteria: Criteria) -> tuple[list[Mode], list[Undetermined]]:
+    """Return modes by frequency, without those that may be one that is known better (same shape, in the interval)."""
+    kept: list[Mode] = []
+    doubles: list[Undetermined] = []
+    for mode in sorted(modes, key=lambda one: one.frequency_interval[1] - one.frequency_interval[0]):
+        low, high = mode.frequency_interval
+        if any(low <= one.frequency <= high and mac(one.shape, mode.shape) >= criteria.mac for one in kept):
+            doubles.append(Undetermined((mode.frequency, mode.frequency), "double"))
+        else:
+            kept.append(mode)
+    return sorted(kept, key=lambda one: one.frequency), doubles
+
+
+def _mode(track: Track, pole: Pole, share: float) -> Mode | Undetermined:
+    """Return a mode with its intervals, or why it is none."""
+    from scipy.stats import t
+
+    wide = float(t.ppf(0.5 + LEVEL / 2, pole.freedom))
+    ends = [one.frequency for one in track.poles]
+    half = wide * pole.frequency_deviation
+    spread = wide * pole.damping_deviation
+    known = np.isfinite(half)
+    band = (min(ends), max(ends))
+    if known and half > VAGUE * pole.frequency:
+        return Undetermined(band, "frequency")
+    damped = not known or pole.damping > spread
+    if pole.damping + (spread if known else 0.0) < 0:
+        return Undetermined(band, "growing")
+    if not damped and share < STRONG:
+        return Undetermined(band, "damping")
+    if pole.shape_deviation is None:
+        bound, seen = np.full(len(pole.shape), np.nan), np.ones(len(pole.shape), bool)
+    else:
+        chance = wide * np.abs(pole.shape_deviation)
+        bound, seen = np.abs(pole.shape) + chance, np.abs(pole.shape) > chance
+    return Mode(
+        pole,
+        tuple(one.order for one in track.poles),
+        (pole.frequency - half, pole.frequency + half),
+        (pole.damping - spread, pole.damping + spread),
+        bool(damped),
+        seen,
+        bound,
+        share,
+    )
+
+
+def _notes(
+    records: Sequence[Trajectory], shown: Ladder, identifier: str | None, passing: int, modes: Sequence[Mode]
+) -> list[str]:
+    """Return what the data cannot tell, in sentences."""
+    spec = records[0].spec
+    notes = []
+    if identifier is None and not shown.known:
+        notes.append(
+            f"no intervals: the records make {len(shown.shifted)} stretches of several windows, fewer than "
+            f"{FEWEST + 1}; record longer, or give a smaller window"
+        )
+    if identifier is not None:
+        notes.append(
+            "the intervals hold what chance does to this identifier, not what it leaves out: dmdc takes noise of the "
+            "outputs for motion"
+        )
+    if identifier is not None and any(not np.isfinite(mode.pole.frequency_deviation) for mode in modes):
+        notes.append("a mode without an interval was not found again when a stretch was left out")
+    if spec.nu:
+        low, high = _excited(records)
+        notes.append(
+            f"the inputs hold power from {low:.3g} to {high:.3g} Hz: a mode outside, or one that no input reaches, is "
+            "found only if something else moves it"
+        )
+        if identifier is None and feedback_of(records).found:
+            notes.append(
+                "past outputs foretell the input (feedback): frequencies and damping here are biased by noise; "
+                "use identifier n4sid, which allows for it"
+            )
+    else:
+        notes.append(
+            "no input: shapes have no scale, a mode that the surroundings do not excite or no sensor sees is not here, "
+            "and a resonance or a tone of the excitation passes for a mode"
+        )
+        tones = [f"{mode.frequency:.4g}" for mode in modes if mode.damping_interval[1] < TONE]
+        if tones:
+            notes.append(f"at {', '.join(tones)} Hz nothing is damped: a tone of a machine rather than a mode")
+    if passing:
+        notes.append(f"{passing} rows of poles changed with the order and count as no modes (grey in the diagram)")
+    return notes
+
+
+TONE = 5e-4
+"""Damping ratio below which a mode without input is taken for a steady tone: no structure has so little."""
+
+
+def _excited(records: Sequence[Trajectory]) -> tuple[float, float]:
+    """Return between which frequencies [Hz] any of the inputs has power."""
+    from scipy.signal import welch
+
+    longest = max(records, key=len)
+    low, high = np.inf, 0.0
+    for column in longest.u.T:
+        length = min(max(len(column) // 8, 64), len(column))
+        frequency, power = welch(column, 1.0 / longest.spec.sample_time, nperseg=length)
+        held = frequency[power > FAINT * power.max()] if power.max() > 0 else frequency[:0]
+        if held.size:
+            low, high = min(low, float(held[0])), max(high, float(held[-1]))
+    return (low, high) if high > 0 else (0.0, 0.0)
+
+
+def _interval(ends: tuple[float, float], scale: float) -> str:
+    """Return an interval in words."""
+    if not np.isfinite(ends[0]):
+        return "none"
+    low, high = scale * ends[0], scale * ends[1]
+    digits = max(2, int(np.ceil(np.log10(max(abs(low), abs(high), 1e-300) / max(high - low, 1e-300)))) + 2)
+    return f"{low:.{digits}g} .. {high:.{digits}g}"

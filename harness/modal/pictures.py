@@ -1,0 +1,169 @@
+"""Pictures of modes: stabilisation diagram, shapes over the outputs, coordinates over time; and the page of them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from harness.display import STYLE, page
+from harness.plots import inlined, plain_texts
+
+if TYPE_CHECKING:
+    from harness.modal.modes import Modes
+    from harness.modal.poles import Mode
+
+__all__ = ["page_of", "shapes_and_coordinates", "space_and_time", "stabilisation_diagram"]
+
+PERIODS = 12.0
+"""Periods of a mode that its space-time picture shows: enough to see it swing, few enough to see its shape."""
+DRAWN = 1000
+"""Stretches of a drawn line, the largest of each shown: two of each column of pixels would not be seen."""
+MOST = 8
+"""Modes that are drawn; the table has all of them."""
+
+
+def stabilisation_diagram(modes: Modes) -> Any:
+    """Draw the poles of every order over frequency, and damping over frequency with intervals.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 6.6), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1])
+    values = {mode.pole.value for mode in modes.modes}
+    loose: list[tuple[float, int]] = []
+    stable: list[tuple[float, int]] = []
+    taken: list[tuple[float, int]] = []
+    for track in modes.tracks:
+        is_mode = any(pole.value in values for pole in track.poles)
+        for pole, kept in zip(track.poles, track.stable, strict=True):
+            point = (pole.frequency, pole.order)
+            (taken if is_mode and kept else stable if kept else loose).append(point)
+    for points, style in (
+        (loose, {"marker": ".", "color": "#b0b0b0", "s": 14, "label": "changes with the order"}),
+        (stable, {"marker": "o", "facecolors": "none", "edgecolors": "#4477aa", "s": 18, "label": "stable"}),
+        (taken, {"marker": "o", "color": "#228833", "s": 20, "label": "stable, of a mode"}),
+    ):
+        if points:
+            x, y = zip(*points, strict=True)
+            upper.scatter(x, y, **style)
+    for mode in modes.modes:
+        upper.axvline(mode.frequency, color="#228833", linewidth=0.6, alpha=0.6)
+    upper.set_ylabel("order (states)")
+    upper.set_title(f"stable: {modes.criteria.text}", fontsize=8)
+    upper.legend(fontsize=8, loc="upper right")
+    for mode in modes.modes:
+        low, high = (100 * end for end in mode.damping_interval)
+        color = "#228833" if mode.damping_determined else "#cc3311"
+        if np.isfinite(low):
+            lower.plot([mode.frequency] * 2, [max(low, 0.0), high], color=color, linewidth=1.2)
+        if mode.damping_determined:
+            lower.plot(mode.frequency, 100 * mode.damping, "o", ms=4, color=color)
+    lower.set_ylim(bottom=0.0)
+    lower.set_ylabel("damping [%], 95 %")
+    lower.set_xlabel("frequency [Hz]")
+    lower.set_xlim(0.0, 0.5 / modes.spec.sample_time)
+    for axis in (upper, lower):
+        axis.grid(alpha=0.3)
+    return plain_texts(figure)
+
+
+def shapes_and_coordinates(modes: Modes) -> Any:
+    """Draw every mode in space (size with its interval, real and imaginary part) and in time (its coordinate).
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    drawn = modes.modes[:MOST]
+    figure = Figure(figsize=(9, max(1.7 * len(drawn), 2.0)), layout="constrained")
+    if not drawn:
+        figure.text(0.5, 0.5, "no mode determined", ha="center")
+        return figure
+    axes = figure.subplots(len(drawn), 2, squeeze=False, width_ratios=[1, 1.6], sharex="col")
+    names = [channel.name for channel in modes.spec.outputs]
+    for row, mode in enumerate(drawn):
+        _shape(axes[row, 0], mode, names)
+        axis = axes[row, 1]
+        wave = modes.coordinates[:, row]
+        edges = np.linspace(0, len(wave), min(len(wave), DRAWN) + 1).astype(int)[:-1]
+        size = np.maximum.reduceat(2 * np.abs(wave), edges)
+        axis.fill_between(modes.time[edges], -size, size, color="#4477aa", linewidth=0.3)
+        axis.set_title(f"its part of the motion: {100 * mode.share:.2g} %", fontsize=8)
+        axis.tick_params(labelsize=7)
+    axes[-1, 1].set_xlabel("time [s] (size of the coordinate, to both sides)", fontsize=8)
+    return plain_texts(figure)
+
+
+def space_and_time(modes: Modes) -> Any:
+    """Draw what each mode does at every output over some of its periods, where its coordinate is largest.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.figure import Figure
+
+    drawn = modes.modes[:MOST]
+    rows = max(-(-len(drawn) // 2), 1)
+    figure = Figure(figsize=(9, 2.1 * rows), layout="constrained")
+    axes = figure.subplots(rows, 2, squeeze=False).ravel()
+    names = [channel.name for channel in modes.spec.outputs]
+    for number, (axis, mode) in enumerate(zip(axes, drawn, strict=False)):
+        wave = modes.coordinates[:, number]
+        length = int(np.clip(PERIODS / mode.frequency / modes.spec.sample_time, 4, len(wave)))
+        power = np.convolve(np.abs(wave) ** 2, np.ones(length), mode="valid")
+        start = int(np.argmax(power))
+        picked = slice(start, start + length)
+        shown = 2 * np.real(np.outer(np.where(mode.seen, mode.shape, 0.0), wave[picked]))
+        most = float(np.abs(shown).max()) or 1.0
+        axis.pcolormesh(
+            modes.time[picked], np.arange(len(names)), shown, cmap="RdBu_r", vmin=-most, vmax=most, shading="nearest"
+        )
+        axis.set_yticks(np.arange(len(names)), names, fontsize=7)
+        axis.set_title(f"{number + 1}: {mode.frequency:.4g} Hz, up to {most:.2g}", fontsize=8)
+        axis.tick_params(labelsize=7)
+        axis.set_xlabel("time [s]", fontsize=7)
+    for axis in axes[len(drawn) :]:
+        axis.set_axis_off()
+    return plain_texts(figure)
+
+
+def page_of(modes: Modes) -> str:
+    """Return a page of the table, what is not determined, and all pictures."""
+    figures = [
+        (stabilisation_diagram(modes), "stabilisation diagram"),
+        (shapes_and_coordinates(modes), "modes in space and time"),
+    ]
+    if modes.modes:
+        figures.append((space_and_time(modes), "space-time pictures"))
+    shown = page(f"Modes of {modes.name}", modes._repr_html_(), *(inlined(*figure) for figure in figures))
+    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><style>{STYLE}</style>'
+    return f'<!DOCTYPE html><html lang="en"><head>{head}<title>Modes</title></head><body>{shown}</body></html>'
+
+
+def _shape(axis: Any, mode: Mode, names: list[str]) -> None:
+    """Draw one shape over the outputs."""
+    place = np.arange(len(names))
+    spread = mode.pole.shape_deviation
+    kept = mode.seen
+    for values, deviation, color, shift in (
+        (mode.shape.real, None if spread is None else spread.real, "#4477aa", 0.0),
+        (mode.shape.imag, None if spread is None else spread.imag, "#ee7733", 0.12),
+    ):
+        axis.plot(place, np.where(kept, values, 0.0), color=color, linewidth=0.8, alpha=0.6)
+        error = None if deviation is None else 2 * deviation[kept]
+        axis.errorbar(place[kept] + shift, values[kept], yerr=error, fmt="o", ms=3, color=color, linewidth=1)
+    if not kept.all():
+        axis.errorbar(place[~kept], 0 * place[~kept], yerr=mode.bound[~kept], fmt="x", ms=4, color="#888888")
+    axis.axhline(0.0, color="#888888", linewidth=0.5)
+    axis.set_ylim(-1.05, 1.05)
+    axis.set_xticks(place, names, fontsize=7)
+    axis.tick_params(labelsize=7)
+    axis.set_title(f"{mode.frequency:.4g} Hz (blue: real, orange: imaginary, x: not seen)", fontsize=8)
