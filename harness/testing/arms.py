@@ -77,6 +77,7 @@ def arms(draw: Any, joints: tuple[int, int] = (1, 4), *, square: bool | None = N
         arm,
         rng.uniform(0.1, 1.0, arm.n),
         rng.uniform(0.1, 1.0, arm.n),
+        np.zeros(arm.n),
         tuple(Channel(f"tau{k + 1}", "N" if one else "N m") for k, one in enumerate(slides)),
         tuple(Channel(f"q{k + 1}", "m" if one else "rad") for k, one in enumerate(slides)),
     )

@@ -87,6 +87,14 @@ class ArmDynamics:
 
         return urdf_with(self.arm, self.inertial, damping=self.damping, friction=self.friction)
 
+    def to_mjcf(self) -> str:
+        """Return the MJCF with these bodies, damping, friction and rotors."""
+        from harness.physics.arms.mjcf_write import mjcf_with
+
+        return mjcf_with(
+            self.arm, self.inertial, damping=self.damping, friction=self.friction, motor_inertia=self.motor_inertia
+        )
+
     def initial_state(self, data: Trajectory) -> FloatArray:
         """Return the state (2 n,) at the start, rates from a cubic through the first samples where none is measured."""
         same_language(self.spec, data)

@@ -279,6 +279,8 @@ class Equations:
             from harness.physics.arms.arm import REST
 
             known = known + self.arm.friction * np.tanh(moved.v / REST)
+        if not self.motor_inertia:
+            known = known + self.arm.motor_inertia * moved.a
         return np.asarray(moved.mean_u - known)
 
     def weighted(
@@ -331,7 +333,7 @@ class Equations:
         table = self.arm.arm.parameters.reshape(-1, 10).copy()
         table[self.bodies] = x[: 10 * len(self.bodies)].reshape(-1, 10)
         n, remaining = self.arm.n, x[10 * len(self.bodies) :]
-        found = {"damping": self.arm.damping, "friction": self.arm.friction, "motor_inertia": np.zeros(n)}
+        found = {"damping": self.arm.damping, "friction": self.arm.friction, "motor_inertia": self.arm.motor_inertia}
         found |= {kind: remaining[place * n : place * n + n] for place, kind in enumerate(self.kinds)}
         return table.ravel(), found
 

@@ -111,7 +111,7 @@ def ports_of(model: str, options: Mapping[str, Any], *, analogy: bool = False) -
     Parameters
     ----------
     model : str
-        Built-in name, ``FILE.py:NAME`` or ``FILE.fmu``.
+        Built-in name, an arm (``FILE.urdf``, ``FILE.xml``), ``FILE.py:NAME`` or ``FILE.fmu``.
     options : mapping
         Options of the model's definition.
     analogy : bool
@@ -150,7 +150,7 @@ def located_model(model: str, folder: Path) -> str:
     'pendulum'
     """
     name, colon, attribute = model.rpartition(":") if ".py:" in model else (model, "", "")
-    if not name.endswith((".py", ".fmu", ".urdf")):
+    if not name.endswith((".py", ".fmu", ".urdf", ".xml", ".mjcf")):
         return model
     beside = folder / name
     return f"{beside if beside.is_file() else Path(name)}{colon}{attribute}"

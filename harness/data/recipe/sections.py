@@ -53,7 +53,7 @@ class NominalSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     """
 
     model: str
-    """Built-in name, `FILE.fmu`, `FILE.urdf` or `FILE.py:NAME` (Python and FMUs run only where the
+    """Built-in name, `FILE.fmu`, `FILE.urdf`, `FILE.xml` (MJCF) or `FILE.py:NAME` (Python and FMUs run only where the
     command line names them too, or after `--trust FILE`)."""
     analogy: bool = False
     """The equations are meant, not the units."""

@@ -1,10 +1,10 @@
-"""An arm as a nominal model: what its URDF says about the torque of every joint along a motion."""
+"""An arm as a nominal model: what its URDF or MJCF says about the torque of every joint along a motion."""
 
 from __future__ import annotations
 
 import importlib.util
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,8 +14,10 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.physics.arms.inertia import triangle_excess
+from harness.physics.arms.mjcf import Stated, load_mjcf
+from harness.physics.arms.mjcf_spec import parsed
 from harness.physics.arms.rigid_tree import Arm
-from harness.physics.arms.urdf import dynamics_of, load_urdf, refuse_dependent
+from harness.physics.arms.urdf import dynamics_of, load_urdf, refuse_dependent, rotors_of
 from harness.signals import Channel, FloatArray
 
 __all__ = ["ARMS", "GRAVITY", "ArmModel", "is_arm", "load_arm"]
@@ -23,30 +25,38 @@ __all__ = ["ARMS", "GRAVITY", "ArmModel", "is_arm", "load_arm"]
 GRAVITY = (0.0, 0.0, -9.81)
 ARMS = {"iiwa": ("kuka_iiwa", "model.urdf")}
 """Arms by name: their URDF comes with the package ``pybullet_data``."""
+FILES = (".urdf", ".xml", ".mjcf")
+"""Endings of files that hold an arm."""
 REST = 1e-2
-"""Width of the sign of the dry friction that a URDF states [rad/s or m/s]."""
+"""Width of the sign of the dry friction that a file states [rad/s or m/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class ArmModel:
-    """Inverse dynamics of an arm: ``tau = ID(q, v, a) + damping v + friction sgn(v)``.
+    """Inverse dynamics of an arm: ``tau = ID(q, v, a) + motor_inertia a + damping v + friction sgn(v)``.
 
     Attributes
     ----------
     name : str
         Of the robot.
     arm : Arm
-        Joints and bodies of the URDF.
-    damping, friction : array (n,)
-        Of ``<dynamics>``: N m s/rad and N m (N s/m and N on a sliding joint); 0 where the file states none.
+        Joints and bodies of the file.
+    damping, friction, motor_inertia : array (n,)
+        Of a URDF's ``<dynamics>`` and ``<transmission>``, or of an MJCF's joints (``damping``, ``frictionloss``,
+        ``armature``): N m s/rad, N m and kg m^2 behind the gear (N s/m, N and kg on a sliding joint); 0 where the
+        file states none.
     inputs, outputs : tuple of Channel
         ``tau1`` ... and ``q1`` ..., in the order of the joints; rates follow the positions if they are measured.
     inertia : {"fixed", "calibrated"}
-        Whether the inertial parameters of the URDF are believed, or fitted to the data.
+        Whether the inertial parameters of the file are believed, or fitted to the data.
     path : Path or None
-        The file.
+        The URDF; None for an arm of another file.
+    mjcf : Path or None
+        The MJCF; None for an arm of another file.
     notes : tuple of str
-        What its user should know of the file: links without mass or inertia, gears.
+        What its user should know of the file: links without mass or inertia, gears, what an arm does not hold.
+    idle : tuple of str
+        Joints that move and have no motor, where the file states the motors of others.
 
     Examples
     --------
@@ -61,11 +71,14 @@ class ArmModel:
     arm: Arm
     damping: FloatArray
     friction: FloatArray
+    motor_inertia: FloatArray
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
     inertia: Literal["fixed", "calibrated"] = "fixed"
     path: Path | None = None
+    mjcf: Path | None = None
     notes: tuple[str, ...] = ()
+    idle: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.name}: {self.n} joints, inertial parameters {self.inertia}"
@@ -108,14 +121,16 @@ class ArmModel:
         gravity : (x, y, z)
             m/s^2 in the frame of the base.
         parameters : array (10 * bodies,), optional
-            Inertial parameters in the order of :attr:`Arm.parameters`; the torques are linear in them.
+            Inertial parameters in the order of :attr:`Arm.parameters`; the torques are linear in them. By default those
+            of the file, and the rotors that it states.
         """
         rows = [np.ascontiguousarray(np.asarray(values, dtype=float).T) for values in (q, v, a)]
         given = self.arm.parameters if parameters is None else np.asarray(parameters, dtype=float)
-        return np.array(self._function(*rows, np.array(gravity), given), dtype=float).T
+        bodies = np.array(self._function(*rows, np.array(gravity), given), dtype=float).T
+        return bodies if parameters is not None else bodies + self.motor_inertia * np.asarray(a, dtype=float)
 
     def damped(self, v: FloatArray) -> FloatArray:
-        """Return the torque (N, n) against damping and friction that the URDF states."""
+        """Return the torque (N, n) against damping and friction that the file states."""
         return np.asarray(self.damping * v + self.friction * np.tanh(v / REST))
 
     def with_outputs(self, chosen: Sequence[str | tuple[str, int] | tuple[str, int, str]]) -> ArmModel:
@@ -158,21 +173,21 @@ def is_arm(name: str) -> bool:
 
     Examples
     --------
-    >>> is_arm("iiwa"), is_arm("robots/mine.urdf"), is_arm("pendulum")
-    (True, True, False)
+    >>> is_arm("iiwa"), is_arm("robots/mine.urdf"), is_arm("robots/mine.xml"), is_arm("pendulum")
+    (True, True, True, False)
     """
-    return name in ARMS or name.endswith(".urdf")
+    return name in ARMS or name.endswith(FILES)
 
 
 def load_arm(name: str | Path, *, inertia: str = "fixed", locked: Sequence[str] = ()) -> ArmModel:
-    """Return an arm by name or from a URDF file.
+    """Return an arm by name, or from a URDF or MJCF file.
 
     Parameters
     ----------
     name : str or path
-        A name of :data:`ARMS`, or a URDF file.
+        A name of :data:`ARMS`, a URDF file, or an MJCF file (which needs the package ``mujoco``).
     inertia : {"fixed", "calibrated"}
-        ``fixed``: masses, centres and inertias are those of the URDF, so that a payload or a wrong torque constant can
+        ``fixed``: masses, centres and inertias are those of the file, so that a payload or a wrong torque constant can
         be seen. ``calibrated``: they are fitted to the data; then only what no inertial parameter can mimic is seen.
     locked : sequence of str
         Names of joints that do not move and are not in the log.
@@ -180,12 +195,14 @@ def load_arm(name: str | Path, *, inertia: str = "fixed", locked: Sequence[str] 
     Raises
     ------
     InputError
-        If the file cannot be read, an option is wrong, or PyBullet's data are not installed.
+        If the file cannot be read, an option is wrong, or PyBullet's data or MuJoCo are not installed.
     """
     if inertia not in ("fixed", "calibrated"):
         raise InputError("option inertia", expected="fixed or calibrated", got=repr(inertia), remedy="choose one")
     path = _installed(str(name)) if str(name) in ARMS else Path(name)
-    arm = load_urdf(path)
+    of_mujoco = parsed(path)[0].tag == "mujoco"
+    stated = load_mjcf(path, locked=locked) if of_mujoco else _stated_by_urdf(path, locked)
+    arm = stated.arm
     names = [joint.name for joint in arm.joints]
     for joint_name in locked:
         if joint_name not in names:
@@ -195,30 +212,44 @@ def load_arm(name: str | Path, *, inertia: str = "fixed", locked: Sequence[str] 
     arm = Arm(arm.name, tuple(replace(joint, kind="fixed") if joint.name in locked else joint for joint in arm.joints))
     if not arm.n:
         raise InputError(
-            "arm without joints", expected="a joint that moves", got="none", remedy="choose another URDF", file=path
+            "arm without joints", expected="a joint that moves", got="none", remedy="choose another file", file=path
         )
-    root = ElementTree.parse(path).getroot()
-    refuse_dependent(root, locked, path)
-    dynamics = dynamics_of(root, path)
     inputs, outputs = [], []
     for number, joint in enumerate(arm.moving, start=1):
         slides = joint.kind == "prismatic"
         inputs.append(Channel(f"tau{number}", "N" if slides else "N m"))
         outputs.append(Channel(f"q{number}", "m" if slides else "rad"))
+    acting = np.array([stated.at_joints.get(joint.name, (0.0, 0.0, 0.0)) for joint in arm.moving])
     return ArmModel(
         name=str(name) if str(name) in ARMS else arm.name,
         arm=arm,
-        damping=np.array([dynamics.get(joint.name, (0.0, 0.0))[0] for joint in arm.moving]),
-        friction=np.array([dynamics.get(joint.name, (0.0, 0.0))[1] for joint in arm.moving]),
+        damping=acting[:, 0],
+        friction=acting[:, 1],
+        motor_inertia=acting[:, 2],
         inputs=tuple(inputs),
         outputs=tuple(outputs),
         inertia=inertia,  # type: ignore[arg-type]
-        path=path,
-        notes=tuple(_notes(arm, root)),
+        path=None if of_mujoco else path,
+        mjcf=path if of_mujoco else None,
+        notes=stated.notes,
+        idle=tuple(joint.name for joint in arm.moving if stated.driven and joint.name not in stated.driven),
     )
 
 
-def _notes(arm: Arm, root: ElementTree.Element) -> list[str]:
+def _stated_by_urdf(path: Path, locked: Sequence[str]) -> Stated:
+    """Return what a URDF states; joints that are locked are still as they are there."""
+    arm, root = load_urdf(path), ElementTree.parse(path).getroot()
+    refuse_dependent(root, locked, path)
+    dynamics, rotors = dynamics_of(root, path), rotors_of(root, path)
+    at_joints = {
+        joint.name: (*dynamics.get(joint.name, (0.0, 0.0)), rotors.get(joint.name, 0.0)) for joint in arm.joints
+    }
+    still = tuple(replace(joint, kind="fixed") if joint.name in locked else joint for joint in arm.joints)
+    driven = {_name(joint, "name") for drive in root.findall("transmission") for joint in drive.findall("joint")}
+    return Stated(arm, at_joints, tuple(_notes(Arm(arm.name, still), root, rotors)), frozenset(driven))
+
+
+def _notes(arm: Arm, root: ElementTree.Element, rotors: Mapping[str, float]) -> list[str]:
     """Return what a reader of the URDF should know of its bodies and drives."""
     links = {joint.get("name"): _name(joint.find("child"), "link") for joint in root.findall("joint")}
     notes = []
@@ -242,9 +273,10 @@ def _notes(arm: Arm, root: ElementTree.Element) -> list[str]:
             ratio = (element.text or "").strip()
             if ratio not in ("", "1", "1.0"):
                 name = _name(drive.find("joint"), "name")
+                absent = "" if name in rotors else ", and the inertia of its rotor is not in the URDF"
                 notes.append(
                     f"the URDF states a gear ratio of {ratio} at joint {name}: torques and positions are taken on the "
-                    "side of the joint, and the inertia of its rotor is not in the URDF"
+                    f"side of the joint{absent}"
                 )
     return list(dict.fromkeys(notes))
 

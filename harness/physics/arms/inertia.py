@@ -6,6 +6,8 @@ inertia xx xy xz yy yz zz about the frame of the joint.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from harness.errors import InputError
@@ -14,11 +16,13 @@ from harness.signals import FloatArray
 __all__ = [
     "TEN",
     "UNITS",
+    "about_the_centre",
     "divergence",
     "from_log_cholesky",
     "from_pseudo_inertia",
     "is_consistent",
     "pseudo_inertia",
+    "refuse_inconsistent",
     "to_log_cholesky",
     "triangle_excess",
 ]
@@ -90,6 +94,41 @@ def is_consistent(parameters: FloatArray, *, tolerance: float = 0.0) -> bool:
     """
     values = np.linalg.eigvalsh(pseudo_inertia(parameters))
     return bool(np.all(values[..., 0] > -tolerance * np.abs(values[..., -1])))
+
+
+def refuse_inconsistent(names: Sequence[str], parameters: FloatArray) -> None:
+    """Refuse a body (one row of (bodies, 10)) that no density makes, by the name of its joint; none at all may be.
+
+    Raises
+    ------
+    InputError
+        With the joint, and what to do.
+    """
+    for name, row in zip(names, parameters, strict=True):
+        if row.any() and not is_consistent(row, tolerance=1e-9):
+            raise InputError(
+                f"inertial parameters behind joint {name}",
+                expected="a positive definite pseudo-inertia",
+                got=f"mass {row[0]:.4g} kg and moments that no density makes",
+                remedy="identify with method sdp or log-cholesky",
+            )
+
+
+def about_the_centre(parameters: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Return mass, centre of mass (3,) and the inertia about it (3, 3) of a body (10,) with mass.
+
+    Examples
+    --------
+    >>> mass, centre, inertia = about_the_centre(np.array([2.0, 1.0, 0, 0, 0.1, 0, 0, 0.6, 0, 0.6]))
+    >>> mass, centre.tolist(), inertia.diagonal().round(12).tolist()
+    (2.0, [0.5, 0.0, 0.0], [0.1, 0.1, 0.1])
+    """
+    row = _ten(parameters)
+    mass, centre = float(row[0]), row[1:4] / row[0]
+    about_frame = np.zeros((3, 3))
+    about_frame[_UPPER] = row[4:]
+    about_frame = about_frame + about_frame.T - np.diag(np.diag(about_frame))
+    return mass, centre, about_frame - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
 
 
 def triangle_excess(inertia: FloatArray) -> float:

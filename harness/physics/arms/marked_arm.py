@@ -44,7 +44,7 @@ class MarkedArm:
     --------
     >>> from harness.physics.arms.rigid_tree import pendulum_for_the_example
     >>> zero = np.zeros(1)
-    >>> arm = ArmModel("hinge", pendulum_for_the_example(), zero, zero, (Channel("tau1", "N m"),),
+    >>> arm = ArmModel("hinge", pendulum_for_the_example(), zero, zero, zero, (Channel("tau1", "N m"),),
     ...     (Channel("q1", "rad"),))
     >>> marked = MarkedArm(arm, (0.5, 0.0, 0.0))
     >>> marked.parameters

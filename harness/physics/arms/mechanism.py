@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,16 +27,18 @@ SQUARE = 1e-9
 
 
 class ArmMechanism(Mechanism):
-    """An arm read from a URDF, in the coordinates q1, q2, ... and the torques tau1, tau2, ... of its moving joints.
+    """An arm read from a file, in the coordinates q1, q2, ... and the torques tau1, tau2, ... of its moving joints.
 
     Parameters are ten for every body (``m1``, ``hx1`` ... ``Izz1``, by number of its joint), damping and dry friction
-    of every moving joint (``damping1``, ``friction1``). Gravity pulls along -z of the base.
+    of every moving joint (``damping1``, ``friction1``), and the inertia of the rotors that the file states
+    (``motor_inertia1``). Gravity pulls along -z of the base.
 
     Parameters
     ----------
     arm : ArmModel
     passive : sequence of str, optional
-        Joints without a motor, by name. By default those that no ``<transmission>`` of the file names, if it has any.
+        Joints without a motor, by name. By default those that no ``<transmission>`` (or actuator of an MJCF) names, if
+        the file has any.
 
     Attributes
     ----------
@@ -58,7 +59,7 @@ class ArmMechanism(Mechanism):
     >>> from harness.physics.arms.rigid_tree import pendulum_for_the_example
     >>> hinge = pendulum_for_the_example()
     >>> zero = np.zeros(1)
-    >>> arm = ArmModel("hinge", hinge, zero, zero, (Channel("tau1", "N m"),), (Channel("q1", "rad"),))
+    >>> arm = ArmModel("hinge", hinge, zero, zero, zero, (Channel("tau1", "N m"),), (Channel("q1", "rad"),))
     >>> lumped(ArmMechanism(arm)).names
     ('Iyy1', 'hx1', 'hz1', 'damping1', 'friction1')
     """
@@ -69,6 +70,7 @@ class ArmMechanism(Mechanism):
         driven = [channel.name for channel, joint in zip(arm.inputs, moving, strict=True) if joint.name not in idle]
         inertial = [f"{name}{body + 1}" for body in range(len(joints)) for name in TEN]
         at_joints = [f"{kind}{joint + 1}" for kind in ("damping", "friction") for joint in range(arm.n)]
+        at_joints += [f"motor_inertia{joint + 1}" for joint in _geared(arm)]
         positions = [channel.name for channel in arm.positions]
         units = {channel.name: channel.unit for channel in (*arm.positions, *arm.inputs)}
         super().__init__(
@@ -92,6 +94,8 @@ class ArmMechanism(Mechanism):
         ]
         if self.symbolic:
             self.T, self.V = _energies(joints, self.q, self.v, self.p[: len(inertial)], sp.Rational(repr(self.g)))
+            for row in _geared(arm):
+                self.T += drag[f"motor_inertia{row + 1}"] * self.v[row] ** 2 / 2
 
     def system(self) -> System:
         """Return the equations of motion: recursive Newton-Euler, so that a large arm costs no more than its joints."""
@@ -103,8 +107,10 @@ class ArmMechanism(Mechanism):
         symbols, torques = arm.arm.symbolic_torques(p[:count])
         pull = self.g * ca.vertcat(direction[0], 0, direction[1])
         matrix = ca.substitute(ca.jacobian(torques, symbols[2]), symbols[0], q)
+        for place, row in enumerate(_geared(arm)):
+            matrix[row, row] += p[count + 2 * n + place]
         bias = ca.substitute(torques, ca.vertcat(*symbols), ca.vertcat(q, v, ca.SX.zeros(n), pull))
-        damping, friction = p[count : count + n], p[count + n :]
+        damping, friction = p[count : count + n], p[count + n : count + 2 * n]
         drag = damping * v + friction * ca.tanh(v / REST)
         known = [str(symbol) for symbol in self.u]
         push = ca.SX.zeros(n)
@@ -147,20 +153,22 @@ class ArmMechanism(Mechanism):
     def _known(self, inertial: Sequence[str], at_joints: Sequence[str]) -> dict[str, Parameter]:
         """Return unit, value and bounds of every parameter: masses, damping and friction are not negative."""
         arm, n = self.arm, self.arm.n
-        values = [*arm.arm.parameters, *arm.damping, *arm.friction]
+        geared = _geared(arm)
+        values = [*arm.arm.parameters, *arm.damping, *arm.friction, *arm.motor_inertia[geared]]
         turns = [channel.unit == "rad" for channel in arm.positions]
         units = [*UNITS * len(arm.arm.joints)]
         units += ["N m s/rad" if turn else "N s/m" for turn in turns] + ["N m" if turn else "N" for turn in turns]
+        units += ["kg m^2" if turns[joint] else "kg" for joint in geared]
         found = {}
         for row, (name, unit, value) in enumerate(zip((*inertial, *at_joints), units, values, strict=True)):
             positive = value > 0 and (row >= len(inertial) or row % 10 in (0, 4, 7, 9))
             found[name] = Parameter(name, unit, float(value), 0.0 if positive else -np.inf)
-        assert len(found) == len(inertial) + 2 * n
+        assert len(found) == len(inertial) + 2 * n + len(geared)
         return found
 
 
 def arm_mechanism(name: str, *, passive: Sequence[str] | None = None, locked: Sequence[str] = ()) -> ArmMechanism:
-    """Return the mechanism of an arm by name (``iiwa``) or URDF file.
+    """Return the mechanism of an arm by name (``iiwa``), URDF or MJCF file.
 
     Parameters
     ----------
@@ -173,18 +181,16 @@ def arm_mechanism(name: str, *, passive: Sequence[str] | None = None, locked: Se
     return ArmMechanism(load_arm(name, locked=locked), passive=passive)
 
 
+def _geared(arm: ArmModel) -> list[int]:
+    """Return the numbers of the joints whose motor's rotor the file states."""
+    return np.flatnonzero(arm.motor_inertia).tolist()
+
+
 def _passive(arm: ArmModel, given: Sequence[str] | None) -> set[str]:
     """Return the names of the joints without a motor."""
     names = [joint.name for joint in arm.arm.moving]
     if given is None:
-        if arm.path is None:
-            return set()
-        driven = {
-            joint.get("name", "")
-            for element in ElementTree.parse(arm.path).getroot().findall("transmission")
-            for joint in element.findall("joint")
-        }
-        return set(names) - driven if driven else set()
+        return set(arm.idle)
     unknown = sorted(set(given) - set(names))
     if unknown:
         raise InputError(

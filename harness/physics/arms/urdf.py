@@ -15,7 +15,7 @@ from harness.physics.arms.joints import MOVING, Joint
 from harness.physics.arms.rigid_tree import Arm
 from harness.signals import FloatArray
 
-__all__ = ["dynamics_of", "inertial_of", "load_urdf", "pose_of", "refuse_dependent", "vector_of"]
+__all__ = ["dynamics_of", "inertial_of", "load_urdf", "pose_of", "refuse_dependent", "rotors_of", "vector_of"]
 
 
 def load_urdf(path: str | Path) -> Arm:
@@ -171,6 +171,44 @@ def dynamics_of(root: ElementTree.Element, file: Path | None) -> dict[str, tuple
                 )
         result[joint.get("name", "")] = (values[0], values[1])
     return result
+
+
+def rotors_of(root: ElementTree.Element, file: Path | None) -> dict[str, float]:
+    """Return the inertia of rotors behind their gears [kg m^2] by joint, of drives that state one.
+
+    ``<rotor_inertia value>`` and ``<gear_ratio value>`` of a ``<transmission>``, in any namespace (Drake's URDFs have
+    them); a ratio that is not stated there is that of ``<mechanicalReduction>``, or 1.
+
+    Raises
+    ------
+    InputError
+        If one is no number >= 0.
+
+    Examples
+    --------
+    >>> rotors_of(ElementTree.fromstring('<robot><transmission><joint name="j"/><actuator name="m">'
+    ...     '<rotor_inertia value="2e-5"/><gear_ratio value="100"/></actuator></transmission></robot>'), None)
+    {'j': 0.2}
+    """
+    found = {}
+    for drive in root.findall("transmission"):
+        parts = {element.tag.rpartition("}")[2]: element for element in drive.iter()}
+        if "rotor_inertia" not in parts or "joint" not in parts:
+            continue
+        name = parts["joint"].get("name", "")
+        place = f"transmission of joint {name}"
+        reduction = parts.get("mechanicalReduction")
+        geared = (reduction.text or "1") if reduction is not None else "1"
+        stated = ElementTree.Element("ratio", value=geared) if "gear_ratio" not in parts else parts["gear_ratio"]
+        inertia = _number(parts["rotor_inertia"], "value", 0.0, file, place)
+        ratio = _number(stated, "value", 1.0, file, place)
+        if not 0 <= inertia * ratio**2 < math.inf:
+            raise InputError(
+                "rotor inertia", expected="a number >= 0", got=f"{inertia:g}", remedy="correct it", file=file,
+                place=place,
+            )  # fmt: skip
+        found[name] = inertia * ratio**2
+    return found
 
 
 def refuse_dependent(root: ElementTree.Element, locked: Collection[str], file: Path | None) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from harness.errors import InputError
-from harness.physics.arms.inertia import is_consistent
+from harness.physics.arms.inertia import about_the_centre, refuse_inconsistent
 from harness.signals import FloatArray
 
 if TYPE_CHECKING:
@@ -43,14 +43,7 @@ def urdf_with(
     if model.path is None:
         raise InputError("URDF of an arm", expected="an arm read from a file", got="none", remedy="use load_arm")
     table = np.asarray(parameters, dtype=float).reshape(len(model.arm.joints), 10)
-    for joint, row in zip(model.arm.joints, table, strict=True):
-        if row.any() and not is_consistent(row, tolerance=1e-9):
-            raise InputError(
-                f"inertial parameters behind joint {joint.name}",
-                expected="a positive definite pseudo-inertia",
-                got=f"mass {row[0]:.4g} kg and moments that no density makes",
-                remedy="identify with method sdp or log-cholesky",
-            )
+    refuse_inconsistent([joint.name for joint in model.arm.joints], table)
     tree = ElementTree.parse(model.path)
     root = tree.getroot()
     links = {link.get("name"): link for link in root.findall("link")}
@@ -69,11 +62,7 @@ def urdf_with(
 
 def _write_body(link: ElementTree.Element, row: FloatArray) -> None:
     """Put mass, centre and inertia about the centre into a link."""
-    mass, centre = float(row[0]), row[1:4] / row[0]
-    about_frame = np.zeros((3, 3))
-    about_frame[np.triu_indices(3)] = row[4:]
-    about_frame = about_frame + about_frame.T - np.diag(np.diag(about_frame))
-    inertia = about_frame - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    mass, centre, inertia = about_the_centre(row)
     inertial = _child(link, "inertial")
     origin = _child(inertial, "origin")
     origin.set("xyz", " ".join(repr(float(component)) for component in centre))

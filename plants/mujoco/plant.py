@@ -1,0 +1,392 @@
+"""Any MJCF or URDF in MuJoCo as a plant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from math import hypot, isfinite
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy import ndarray
+
+from harness.errors import InputError, PlantError
+from harness.physics.arms.mjcf_spec import mujoco
+from harness.protocols import Ability
+from harness.signals import FloatArray, PlantSpec
+from plants.checking import checked_inputs, finite, initial_values, refuse_input
+from plants.mujoco.settings import Cone, Integrator, Settings, Solver, built, times
+from plants.mujoco.signals import Outputs, inputs_of, outputs_of, states_of
+
+__all__ = ["MujocoPlant"]
+
+
+class MujocoPlant:
+    """A robot in MuJoCo: an MJCF, or a URDF, by its path.
+
+    The file says everything that no option says: timestep, integrator, solver, friction, actuators with their gears
+    and delays, tendons, equality constraints, contact. Euler and the implicit integrators are of first order, ``rk4``
+    of fourth order where nothing sticks or touches. Where a run diverges MuJoCo would begin anew in silence: here it
+    ends with an error. Sensors are read after the step (MuJoCo's own are one step late).
+
+    A URDF is read as MuJoCo reads it (``<mimic>`` becomes a soft equality constraint, floating and planar joints are
+    joints), and with the rotors that a ``<transmission>`` states; its shapes are left out unless ``shapes`` is true.
+
+    Parameters
+    ----------
+    model : str or Path
+        A file, or the text of one. It may name files of its own folder only, or what is trusted.
+    sample_time, timestep : float, optional
+        Seconds between samples (default: ``substeps`` engine steps), and the engine's step (default: the file's; with
+        ``sample_time`` and ``substeps``, their ratio).
+    substeps : int, optional
+        Engine steps for each sample.
+    outputs : sequence of str
+        Among ``q``, ``qd`` (all positions and rates), ``sensors`` (all of the file), names of sensors, names of states.
+    actuators : sequence of str, optional
+        Actuators that are inputs, by name; default all. The others hold their control of ``keyframe``, or 0.
+    forces : sequence of str, optional
+        Joints on which a torque [N m] or a force [N] is a further input; by default all of a model without actuators.
+    joint_names, input_names : sequence of str, optional
+        Names of the positions of joints that turn or slide (default ``q1``, ...; rates are called ``q1_rate``) and of
+        the inputs (``tau1`` for a motor without gear, ``target1`` and ``rate1`` for servos, else the actuator's name).
+    input_limit : float or sequence, optional
+        Declared range of the inputs; by default the range of the control, to which MuJoCo clamps it.
+    keyframe : str, optional
+        Name of the keyframe from which runs start; default the reference position. None with ``locked``: a keyframe
+        is of all joints.
+    integrator : {"euler", "rk4", "implicit", "implicitfast"}, optional
+    solver : {"pgs", "cg", "newton"}, optional
+    cone : {"pyramidal", "elliptic"}, optional
+    iterations : int, optional
+        Most iterations of the solver of constraints.
+    tolerance : float, optional
+        At which it stops.
+    gravity : float or (x, y, z), optional
+        Along -z, or as a vector [m/s^2].
+    contact, joint_limits : bool
+        False turns them off.
+    joint_damping, joint_friction, armature : float or sequence, optional
+        Viscous [N m s/rad], dry [N m] and rotor inertia [kg m^2] of the joints that turn or slide.
+    friction_time : float, optional
+        Time constant [s] with which dry friction takes hold of a joint (MuJoCo's ``solreffriction``, 0.02 s unless the
+        file says otherwise): a joint that should stick creeps, the less the shorter; at least two engine steps.
+    locked : sequence of str
+        Names of joints that are made rigid.
+    shapes : bool, optional
+        False leaves out the shapes of bodies whose inertia is stated, and meshes with them. Default: true for an MJCF,
+        false for a URDF.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used, an option does not fit it, or ``mujoco`` is not installed.
+
+    Examples
+    --------
+    >>> import importlib.util
+    >>> if importlib.util.find_spec("mujoco"):
+    ...     text = '''<mujoco><worldbody><body name="rod"><joint name="hinge" axis="0 1 0"/>
+    ...         <inertial pos="0 0 -0.5" mass="1" diaginertia="0.1 0.1 0.1"/></body></worldbody>
+    ...         <actuator><motor joint="hinge"/></actuator></mujoco>'''
+    ...     with MujocoPlant(text, outputs=["q"], sample_time=0.01) as plant:
+    ...         assert str(plant.spec) == "tau1 [N m] -> q1 [rad] every 0.01 s"
+    """
+
+    def __init__(
+        self,
+        model: str | Path,
+        *,
+        sample_time: float | None = None,
+        timestep: float | None = None,
+        substeps: int | None = None,
+        outputs: Sequence[str] = ("q", "qd"),
+        actuators: Sequence[str] | None = None,
+        forces: Sequence[str] | None = None,
+        joint_names: Sequence[str] | None = None,
+        input_names: Sequence[str] | None = None,
+        input_limit: float | Sequence[float] | None = None,
+        keyframe: str | None = None,
+        integrator: Integrator | None = None,
+        solver: Solver | None = None,
+        cone: Cone | None = None,
+        iterations: int | None = None,
+        tolerance: float | None = None,
+        gravity: float | Sequence[float] | None = None,
+        contact: bool = True,
+        joint_limits: bool = True,
+        joint_damping: float | Sequence[float] | None = None,
+        joint_friction: float | Sequence[float] | None = None,
+        armature: float | Sequence[float] | None = None,
+        friction_time: float | None = None,
+        locked: Sequence[str] = (),
+        shapes: bool | None = None,
+    ) -> None:
+        engine = mujoco()
+        sampled, step, self._substeps = times(model, sample_time, timestep, substeps)
+        given = Settings(
+            timestep=step,
+            integrator=integrator,
+            solver=solver,
+            cone=cone,
+            iterations=iterations,
+            tolerance=tolerance,
+            gravity=gravity,
+            contact=bool(contact),
+            joint_limits=bool(joint_limits),
+            joint_damping=joint_damping,
+            joint_friction=joint_friction,
+            armature=armature,
+            friction_time=friction_time,
+            locked=tuple(locked),
+            shapes=shapes,
+        )
+        self._model = built(model, given)
+        self._data = engine.MjData(self._model)
+        self._key = _keyframe(self._model, keyframe)
+        states = states_of(self._model, joint_names)
+        if not states.positions:
+            raise InputError("a model without joints", expected="a joint", got="none", remedy="give another file")
+        every = inputs_of(
+            self._model, states, actuators=actuators, forces=forces, called=input_names, limits=input_limit
+        )
+        measured = outputs_of(self._model, states, outputs)
+        accelerations = measured.stage >= int(engine.mjtStage.mjSTAGE_ACC)
+        self._spec = PlantSpec(every.channels, measured.channels, sampled, states.channels, feedthrough=accelerations)
+        self._shape = (len(every.channels),)
+        self._kept = int(engine.mjtState.mjSTATE_INTEGRATION)
+        self._size = engine.mj_stateSize(self._model, self._kept)
+        self._inputs, self._outputs = every, measured
+        self._closed = False
+        self._bind()
+        self.true_parameters: dict[str, float] = {}
+
+    @property
+    def spec(self) -> PlantSpec:
+        """Channels and sample time."""
+        return self._spec
+
+    @property
+    def abilities(self) -> frozenset[Ability]:
+        """Snapshots (bit for bit), batch, truth; feedthrough where a sensor of accelerations or forces is read."""
+        found: set[Ability] = {"snapshots", "batch", "truth", "batch-truth"}
+        return frozenset(found | {"feedthrough"} if self.spec.feedthrough else found)
+
+    @property
+    def declared(self) -> dict[str, Any]:
+        """What is simulated, by name: the settings of the engine, and what acts at the joints."""
+        engine, option, model = mujoco(), self._model.opt, self._model
+        off = int(option.disableflags)
+        return {
+            "timestep": float(option.timestep),
+            "substeps": self._substeps,
+            "integrator": engine.mjtIntegrator(int(option.integrator)).name.removeprefix("mjINT_").lower(),
+            "solver": engine.mjtSolver(int(option.solver)).name.removeprefix("mjSOL_").lower(),
+            "cone": engine.mjtCone(int(option.cone)).name.removeprefix("mjCONE_").lower(),
+            "iterations": int(option.iterations),
+            "tolerance": float(option.tolerance),
+            "gravity": tuple(option.gravity.tolist()),
+            "contact": not off & int(engine.mjtDisableBit.mjDSBL_CONTACT),
+            "joint_limits": not off & int(engine.mjtDisableBit.mjDSBL_LIMIT),
+            "joint_damping": tuple(model.dof_damping.tolist()),
+            "joint_friction": tuple(model.dof_frictionloss.tolist()),
+            "armature": tuple(model.dof_armature.tolist()),
+            "friction_time": tuple(model.dof_solref[:, 0].tolist()),
+            "mujoco": engine.__version__,
+        }
+
+    @property
+    def warnings(self) -> dict[str, int]:
+        """How often MuJoCo warned in this run, by its name of the warning."""
+        kinds = mujoco().mjtWarning
+        named = {name: int(value) for name, value in kinds.__members__.items() if name.startswith("mjWARN_")}
+        counts = {name: int(self._data.warning[number].number) for name, number in named.items()}
+        return {name.removeprefix("mjWARN_").lower(): count for name, count in counts.items() if count}
+
+    def reset(self, *, rng: np.random.Generator, x0: Mapping[str, float] | None = None) -> FloatArray:
+        """Start anew from the keyframe or reference position, or from named states; returns ``y[0]`` (ny,).
+
+        ``rng`` is not used: MuJoCo draws nothing.
+        """
+        self._need_open()
+        engine, model, data = mujoco(), self._model, self._data
+        if self._key is None:
+            engine.mj_resetData(model, data)
+        else:
+            engine.mj_resetDataKeyframe(model, data, self._key)
+        start = initial_values(x0, self.spec.states, [*data.qpos, *data.qvel, *data.act])
+        data.qpos[:], data.qvel[:] = start[: model.nq], start[model.nq : model.nq + model.nv]
+        data.act[:] = start[model.nq + model.nv :]
+        if self._outputs.stage:
+            engine.mj_forward(model, data)
+        return self._read()
+
+    def step(self, u: FloatArray) -> FloatArray:
+        """Hold ``u`` (nu,) for one sample time; returns the next output (ny,).
+
+        Raises
+        ------
+        InputError
+            If ``u`` has the wrong shape or is not finite.
+        PlantError
+            If the run diverges, or the plant is closed.
+        """
+        if self._closed:
+            self._need_open()
+        if not (isinstance(u, ndarray) and u.shape == self._shape and isfinite(hypot(*u.tolist()))):
+            refuse_input(u, self._spec)
+        self._advance(u)
+        y = self._read()
+        if not finite(y):
+            self._diverged()
+        return y
+
+    def rollout(self, inputs: FloatArray) -> FloatArray:
+        """Apply ``inputs`` (N, nu) from the present state; row k of the result (N, ny) is what ``step`` returned."""
+        self._need_open()
+        rows = checked_inputs(inputs, self.spec)
+        outputs = np.empty((len(rows), self.spec.ny))
+        advance, read = self._advance, self._read
+        for k, row in enumerate(rows):
+            advance(row)
+            outputs[k] = read()
+        self._need_finite(outputs)
+        return outputs
+
+    def rollout_truth(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what ``rollout`` returns (N, ny), and the true states (N, nx) at the same instants."""
+        self._need_open()
+        rows = checked_inputs(inputs, self.spec)
+        outputs, states = np.empty((len(rows), self.spec.ny)), np.empty((len(rows), len(self.spec.states)))
+        for k, row in enumerate(rows):
+            self._advance(row)
+            outputs[k] = self._read()
+            states[k] = self._state()
+        self._need_finite(outputs)
+        return outputs, states
+
+    def output(self, u: FloatArray) -> FloatArray:
+        """Return the output (ny,) with ``u`` applied, while no time passes."""
+        self._need_open()
+        if not (isinstance(u, ndarray) and u.shape == self._shape and isfinite(hypot(*u.tolist()))):
+            refuse_input(u, self._spec)
+        before = self.get_state()
+        self._put(u)
+        mujoco().mj_forward(self._model, self._data)
+        y = self._read()
+        self.set_state(before)
+        return y
+
+    def truth(self) -> FloatArray:
+        """Return positions, rates and activations (nx,)."""
+        self._need_open()
+        return self._state()
+
+    def get_state(self) -> FloatArray:
+        """Return the engine's whole state: time, positions, rates, activations, delays, warm start of the solver."""
+        self._need_open()
+        state = np.empty(self._size)
+        mujoco().mj_getState(self._model, self._data, state, self._kept)
+        return state
+
+    def set_state(self, state: FloatArray) -> None:
+        """Go back to a state of this same plant object; the continuation repeats bit for bit."""
+        self._need_open()
+        mujoco().mj_setState(self._model, self._data, state, self._kept)
+
+    def close(self) -> None:
+        """Release the engine; may be called twice."""
+        if not self._closed:
+            self._closed = True
+            del self._read, self._advance, self._put
+            self._data = self._model = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _bind(self) -> None:
+        """Keep at hand the functions that set the inputs, move on and read: a step costs little more than they do."""
+        engine, model, data, count = mujoco(), self._model, self._data, self._substeps
+        controls, forces = _places(self._inputs.controls), _places(self._inputs.forces)
+        first, nu = len(self._inputs.controls), len(self._inputs.channels)
+        ctrl, pushed, step = data.ctrl, data.qfrc_applied, engine.mj_step
+
+        def put(u: FloatArray) -> None:
+            if first:
+                ctrl[controls] = u[:first]
+            if first < nu:
+                pushed[forces] = u[first:]
+
+        whole = first == nu == model.nu and self._inputs.controls == tuple(range(nu))
+        forward = engine.mj_forward if self._outputs.stage else None
+
+        def advance_controls(u: FloatArray) -> None:
+            ctrl[:] = u
+            step(model, data, count)
+
+        def advance(u: FloatArray) -> None:
+            put(u)
+            step(model, data, count)
+            if forward is not None:
+                forward(model, data)
+
+        self._put = put
+        self._advance: Callable[[FloatArray], None] = advance_controls if whole and forward is None else advance
+        self._read = _reader(data, self._outputs)
+
+    def _state(self) -> FloatArray:
+        data = self._data
+        return np.concatenate([data.qpos, data.qvel, data.act])
+
+    def _need_open(self) -> None:
+        """Refuse the use of a closed plant."""
+        if self._closed:
+            raise PlantError("the plant is closed: make a new one", status="terminated")
+
+    def _need_finite(self, outputs: FloatArray) -> None:
+        if not np.isfinite(outputs).all():
+            self._diverged()
+
+    def _diverged(self) -> None:
+        """Say when a run diverged, and what helps."""
+        warned = ", ".join(self.warnings) or "an output"
+        raise PlantError(
+            f"MuJoCo diverged before t = {self._data.time:g} s ({warned} not finite): use a smaller timestep (more "
+            "substeps), or integrator = implicitfast",
+            status="diverged",
+        )
+
+
+def _keyframe(model: Any, name: str | None) -> int | None:
+    """Return the number of a keyframe."""
+    if name is None:
+        return None
+    names = [model.key(k).name for k in range(model.nkey)]
+    if name not in names:
+        raise InputError(
+            "option keyframe", expected=f"one of {', '.join(names) or 'none'}", got=repr(name), remedy="correct it"
+        )
+    return names.index(name)
+
+
+def _places(numbers: Sequence[int]) -> Any:
+    """Return consecutive places as a slice, which is faster, others as an array."""
+    first = numbers[0] if numbers else 0
+    consecutive = tuple(numbers) == tuple(range(first, first + len(numbers)))
+    return slice(first, first + len(numbers)) if consecutive else np.array(numbers, dtype=int)
+
+
+def _reader(data: Any, outputs: Outputs) -> Callable[[], FloatArray]:
+    """Return a function that reads the outputs (ny,)."""
+    parts = [(getattr(data, name), _places(places)) for name, places in outputs.parts]
+    views = [source[places] for source, places in parts if isinstance(places, slice)]
+    if len(views) < len(parts):
+        return lambda: np.concatenate([source[places] for source, places in parts])
+    if len(views) == 1:
+        copy: Callable[[], FloatArray] = views[0].copy
+        return copy
+    together, row = np.concatenate, tuple(views)
+    return lambda: together(row)
