@@ -1,4 +1,4 @@
-"""What a fitted linear model is worth for control on the true plant, for a row of the table."""
+"""What a fitted model, linear or lifted, is worth for control on the true plant, for a row of the table."""
 
 from __future__ import annotations
 
@@ -48,15 +48,16 @@ def score_control(
     """
     from harness.scoring import control_score
 
-    if not all(hasattr(model, f"{name}_matrix") for name in "abcd"):
-        row.control_status = "not a linear model"
+    design = _for_control(model)
+    if design is None:
+        row.control_status = f"not for control: {type(model).__name__} is linear in no coordinates that it names"
         return
     plant, spread = _linearised(task, runs)
     if isinstance(plant, str):
         row.control_status = plant
         return
     try:
-        score = control_score(model, plant)
+        score = control_score(design, plant)
     except InputError as error:
         row.control_status = str(error)
         return
@@ -64,7 +65,20 @@ def score_control(
     row.control_status = score.status
     row.model_order, row.controllable, row.observable = score.order, score.controllable, score.observable
     row.stabilisable, row.detectable = score.stabilisable, score.detectable
-    row.control_regret = _regret(identifier, model, plant, spread, rng)
+    row.control_regret = _regret(identifier, design, plant, spread, rng)
+
+
+def _for_control(model: Any) -> Any:
+    """Return what a regulator can be designed on: a linear model, or a lifted one in its lifted coordinates."""
+    from harness.models.lifted import Lifted, deviations
+    from harness.scoring.control import LinearPlantModel
+
+    if all(hasattr(model, f"{name}_matrix") for name in "abcd"):
+        return model
+    if not isinstance(model, Lifted):
+        return None
+    a, b, c, _ = deviations(model)
+    return LinearPlantModel(a, b, c, np.asarray(model.matrices[3], dtype=float))
 
 
 def _linearised(task: Task, runs: Sequence[Trajectory]) -> tuple[LinearPlantModel | str, FloatArray]:

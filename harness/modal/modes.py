@@ -398,10 +398,13 @@ def _with_deviations(
     records: Sequence[Trajectory],
     seed: int,
 ) -> list[tuple[Track, Pole]]:
-    """Return modes with deviations; one order that has all of them is refitted if there is one."""
+    """Return modes with deviations; of the orders that have all of them the middle one is refitted.
+
+    A smaller one may be too small for the weaker modes, and bend the others.
+    """
     common = set.intersection(*({pole.order for pole in track.poles} for track, _ in taken))
     if common:
-        order = min(common)
+        order = sorted(common)[len(common) // 2]
         taken = [(track, next(pole for pole in track.poles if pole.order == order)) for track, _ in taken]
     found: list[tuple[Track, Pole]] = []
     for order in sorted({pole.order for _, pole in taken}):

@@ -16,7 +16,7 @@ seeds = [0]
 plants = [{id = "pendulum-ode", options = {sample_time = 0.05, outputs = [["theta", 0], ["theta", 1]]}}]
 scenarios = [{id = "multisine", options = {duration = 10.0, amplitude = 0.2, band = [0.05, 3.0], noise = 0.001}}]
 SCORE
-identifiers = [{id = "least-squares"}, {id = "arx", options = {order = 3}}, {id = "stlsq"}]
+identifiers = [{id = "least-squares"}, {id = "arx", options = {order = 3}}, {id = "stlsq"}, {id = "edmdc", options = {degree = 3}}]
 [[groups]]
 plants = [{id = "cart-pole-ode", options = {sample_time = 0.02}}]
 scenarios = [{id = "cart-pole-lqr", options = {duration = 8.0, noise = 0.0002}}]
@@ -46,7 +46,11 @@ def test_columns_of_control_are_filled_on_true_plants(tmp_path: Path) -> None:
     assert 0 < states.control_regret < 1000
     assert lags.control_regret is None, "its states are not measured"
     other = rows["pendulum-ode", "stlsq"]
-    assert (other.control_score, other.control_status) == (None, "not a linear model")
+    assert (other.control_score, other.control_status[:28]) == (None, "not for control: SparseModel")
+    lifted = rows["pendulum-ode", "edmdc"]
+    assert lifted.control_status == "ok"
+    assert 1.0 - 1e-6 <= lifted.control_score < 1.5
+    assert lifted.model_order == 9, "monomials of two states up to degree 3, without the constant"
     text = render(result, "markdown")
     assert "| control score | control regret | model for control |" in text
     assert "2 controllable and 2 observable of 2" in text

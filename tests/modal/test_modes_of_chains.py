@@ -43,7 +43,9 @@ def record(
     inputs = () if force_at is None else (plant.spec.inputs[force_at],)
     outputs = tuple(plant.spec.outputs[k] for k in sensors)
     driven = u[warm:, :0] if force_at is None else u[:, [force_at]]
-    return Trajectory(DT * np.arange(count), driven, np.asarray(y, dtype=np.float64), PlantSpec(inputs, outputs, DT))
+    return Trajectory(
+        DT * np.arange(count, dtype=np.float64), driven, np.asarray(y, dtype=np.float64), PlantSpec(inputs, outputs, DT)
+    )
 
 
 def found_near(modes: Modes, frequency: float, within: float = 0.03) -> bool:
@@ -131,7 +133,7 @@ def test_damping_that_a_short_record_leaves_open_is_no_number() -> None:
 def test_noise_alone_has_no_mode_of_which_both_numbers_are_printed(seed: int) -> None:
     rng = np.random.default_rng(seed)
     spec = PlantSpec((), (Channel("a", "m/s2"), Channel("b", "m/s2")), 0.01)
-    noise = Trajectory(0.01 * np.arange(4000), np.zeros((4000, 0)), rng.normal(size=(4000, 2)), spec)
+    noise = Trajectory(0.01 * np.arange(4000, dtype=np.float64), np.zeros((4000, 0)), rng.normal(size=(4000, 2)), spec)
     found = identify_modes([noise], orders=range(2, 21, 2))
     assert not [mode for mode in found.modes if mode.share > 0.05]
 
@@ -161,7 +163,11 @@ def test_a_free_decay_shows_its_modes() -> None:
     y: FloatArray = np.vstack([start, plant.rollout(np.zeros((1499, 3)))])
     y += 1e-4 * np.random.default_rng(1).normal(size=y.shape)
     found = identify_modes(
-        [Trajectory(DT * np.arange(1500), np.zeros((1500, 3)), np.asarray(y, dtype=np.float64), plant.spec)]
+        [
+            Trajectory(
+                DT * np.arange(1500, dtype=np.float64), np.zeros((1500, 3)), np.asarray(y, dtype=np.float64), plant.spec
+            )
+        ]
     )
     assert found.spec.nu == 0, "inputs that never move say nothing"
     frequency, ratio, _ = chain_modes()
