@@ -145,12 +145,18 @@ def print_parts(parts: Mapping[str, Sequence[Mapping[str, str]]]) -> None:
         console.print(shown)
 
 
+PROGRESS = "SYSID_HARNESS_PROGRESS"
+"""Environment variable with the seconds between two lines of progress, for a program that reads them."""
+
+
 class Lines:
     """Progress where standard error is no terminal: one line every few seconds."""
 
     def __init__(self, title: str) -> None:
         self.title = title
-        self.next = time.monotonic() + 5.0
+        given = os.environ.get(PROGRESS, "")
+        self.every = float(given) if given.replace(".", "", 1).isdecimal() else 5.0
+        self.next = time.monotonic() + self.every
 
     def add_task(self, description: str, total: float | None = None) -> TaskID:
         """Return the only task there is."""
@@ -163,7 +169,7 @@ class Lines:
         stop_if_asked()
         if time.monotonic() < self.next:
             return
-        self.next = time.monotonic() + 5.0
+        self.next = time.monotonic() + self.every
         share = f"{100 * completed:.0f} %" if total is None else f"{completed:.0f} of {total:.0f}"
         print(f"{self.title}: {share}{f', {description}' if description else ''}", file=sys.stderr, flush=True)
 
