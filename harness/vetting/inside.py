@@ -6,6 +6,8 @@ Each function is called by its name with the plant's options, and returns plain 
 from __future__ import annotations
 
 import os
+import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -15,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from harness.conformance.excitation import inputs_for
+from harness.parts.files import describe_fmu
 from harness.signals import FloatArray
 from harness.supervision.guarded import alive
 
@@ -29,8 +32,26 @@ NUDGE = 1e-4
 def _made(options: Mapping[str, Any]) -> Any:
     from harness import registry
 
+    _quiet()
     alive()
     return registry.create("plants", "fmu", **options)
+
+
+_SAID: list[Path] = []
+"""Where this process writes what the FMU prints, once that is caught."""
+
+
+def _quiet() -> Path:
+    """Send what is printed in this process, also by machine code, to a file of its own."""
+    if not _SAID:
+        descriptor, name = tempfile.mkstemp(prefix="sysid-said-")
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        for target in (1, 2):
+            os.dup2(descriptor, target)
+        os.close(descriptor)
+        _SAID.append(Path(name))
+    return _SAID[0]
 
 
 def _begun(plant: Any) -> FloatArray:
@@ -60,23 +81,80 @@ def speed(options: Mapping[str, Any], samples: int, *, progress: Callable[..., N
         "cpu": cpu / samples,
         "threads": float(max(kernel, threads)),
         "sample_time": plant.spec.sample_time,
+        "said": float(_quiet().stat().st_size),
     }
 
 
 def apart(options: Mapping[str, Any], samples: int, *, progress: Callable[..., None]) -> float:
-    """Return by how much an instance moves otherwise while a second one runs beside it under other inputs."""
-    with _made(options) as plant:
-        u = inputs_for(plant.spec, samples)
-        alone = np.vstack([_begun(plant), [plant.step(row) for row in u]])
-    with _made(options) as first, _made(options) as second:
-        rows = [_begun(first)]
-        _begun(second)
-        other = inputs_for(second.spec, samples, seed=2)
-        for mine, theirs in zip(u, other, strict=True):
+    """Return by how much an instance moves otherwise while one of the same library runs beside it.
+
+    The plants of this project load a copy of the library each, which would hide what instances share: so this is done
+    with fmpy, for co-simulation of FMI 2.0 and 3.0.
+    """
+    import fmpy
+
+    _quiet()
+    alive()
+    path = str(options["path"])
+    with tempfile.TemporaryDirectory(prefix="sysid-beside-") as folder:
+        fmpy.extract(path, folder)
+        twin = _Twin(path, folder, options)
+        alone = twin.moved([1], samples)
+        beside = twin.moved([1, 2], samples)
+    return float(np.abs(beside - alone).max(initial=0.0))
+
+
+class _Twin:
+    """Instances of one loaded library."""
+
+    def __init__(self, path: str, folder: str, options: Mapping[str, Any]) -> None:
+        import fmpy
+
+        self._folder = folder
+        self._description = fmpy.read_model_description(path, validate=False)
+        self._three = str(self._description.fmiVersion).startswith("3")
+        self._dt, self._t0 = float(options["sample_time"]), float(options.get("start_time") or 0.0)
+        rows = {row["name"]: row for row in describe_fmu(path)["variables"]}
+        self._given = {
+            name: (value - (rows[name]["offset"] or 0.0)) / (rows[name]["scale"] or 1.0)
+            if isinstance(value, int | float) and not isinstance(value, bool) and rows[name]["scale"] is not None
+            else value
+            for name, value in {**(options.get("parameters") or {}), **(options.get("start") or {})}.items()
+        }
+        reals = [v for v in self._description.modelVariables if v.type in ("Real", "Float64") and not v.dimensions]
+        self._ins, self._outs = (
+            [v.valueReference for v in reals if v.causality == kind] for kind in ("input", "output")
+        )
+
+    def moved(self, seeds: list[int], samples: int) -> FloatArray:
+        """Return the outputs (samples, ny) of the first of some instances, each under inputs of its own."""
+        made = [self._begun() for _ in seeds]
+        inputs = [np.random.default_rng(seed).uniform(-0.1, 0.1, (samples, len(self._ins))) for seed in seeds]
+        rows = []
+        for k in range(samples):
             alive()
-            second.step(theirs)
-            rows.append(first.step(mine))
-    return float(np.abs(np.array(rows) - alone).max(initial=0.0))
+            for fmu, u in zip(reversed(made), reversed(inputs), strict=True):  # the first one last
+                if self._ins:
+                    (fmu.setFloat64 if self._three else fmu.setReal)(self._ins, u[k].tolist())
+                fmu.doStep(currentCommunicationPoint=self._t0 + k * self._dt, communicationStepSize=self._dt)
+            get = made[0].getFloat64 if self._three else made[0].getReal
+            rows.append(list(get(self._outs)) if self._outs else [])
+        for fmu in made:
+            fmu.terminate()
+            fmu.freeInstance()
+        return np.array(rows, dtype=float).reshape(samples, len(self._outs))
+
+    def _begun(self) -> Any:
+        """Return an initialised instance."""
+        from fmpy.simulation import apply_start_values, instantiate_fmu
+
+        fmu = instantiate_fmu(self._folder, self._description, "CoSimulation")
+        if not self._three:
+            fmu.setupExperiment(startTime=self._t0)
+        apply_start_values(fmu, self._description, self._given)
+        fmu.enterInitializationMode(**({"startTime": self._t0} if self._three else {}))
+        fmu.exitInitializationMode()
+        return fmu
 
 
 def direct(options: Mapping[str, Any], *, progress: Callable[..., None]) -> tuple[bool, list[str]]:

@@ -144,25 +144,28 @@ class Agreement:
         return "\n".join([*lines, f"{inside} of {len(self.channels) + len(self.lacking)} channels inside their tubes"])
 
     def plot(self) -> Any:
-        """Draw every channel with its tube; what lies outside is red. Returns the matplotlib figure."""
+        """Draw every channel with its tube, and less the reference; what lies outside is red. Returns the figure."""
         from matplotlib.figure import Figure
 
         from harness.plots import plain_texts
 
         shown = sorted(self.channels, key=lambda one: one.passed)[:MOST]
-        figure = Figure(figsize=(8, 2.0 * max(len(shown), 1) + 0.4), layout="constrained")
-        for axis, one in zip(figure.subplots(max(len(shown), 1), 1, squeeze=False)[:, 0], shown, strict=False):
-            axis.fill_between(one.t, one.low, one.high, color="#bbccee", linewidth=0, label="tube")
-            axis.plot(*one.reference, color="#888888", linewidth=0.8, label="reference")
-            axis.plot(one.t, one.y, color="#4477aa", linewidth=0.9, label="run")
-            out = (one.y < one.low) | (one.y > one.high)
-            if out.any():
-                axis.plot(one.t[out], one.y[out], ".", color="#cc3311", markersize=3, label="outside")
-            if one.first is not None and len(one.t):
-                axis.axvline(one.t[one.first], color="#cc3311", linewidth=0.7, linestyle="--")
-            axis.set_ylabel(one.name)
-            axis.set_xlabel("time [s]")
-            axis.legend(loc="best", fontsize=7)
+        count = max(len(shown), 1)
+        figure = Figure(figsize=(9, 2.1 * count + 0.4), layout="constrained")
+        for pair, one in zip(figure.subplots(count, 2, squeeze=False), shown, strict=False):
+            middle = np.interp(one.t, *one.reference)
+            out = ~((one.y >= one.low) & (one.y <= one.high))
+            for axis, base in zip(pair, (np.zeros_like(one.t), middle), strict=True):
+                axis.fill_between(one.t, one.low - base, one.high - base, color="#bbccee", linewidth=0, label="tube")
+                axis.plot(one.t, middle - base, color="#888888", linewidth=0.8, label="reference")
+                axis.plot(one.t, one.y - base, color="#4477aa", linewidth=0.9, label="run")
+                axis.plot(one.t[out], (one.y - base)[out], ".", color="#cc3311", markersize=3)
+                if one.first is not None and len(one.t):
+                    axis.axvline(one.t[one.first], color="#cc3311", linewidth=0.7, linestyle="--", label="leaves it")
+                axis.set_xlabel("time [s]")
+            pair[0].set_ylabel(one.name)
+            pair[1].set_ylabel("less the reference")
+            pair[0].legend(loc="best", fontsize=7)
         return plain_texts(figure)
 
     def html(self) -> str:

@@ -18,7 +18,7 @@ from harness.supervision.guarded import guarded
 from harness.vetting import inside
 from harness.vetting.findings import Finding
 
-__all__ = ["Subject", "excited", "ran"]
+__all__ = ["CHECKS", "Subject", "excited", "ran"]
 
 SAMPLES = 200
 """Samples of a run."""
@@ -80,26 +80,11 @@ def excited(subject: Subject) -> tuple[list[Finding], Trajectory | None]:
 
 def ran(subject: Subject, record: Trajectory) -> list[Finding]:
     """Return the findings of all other runs."""
-    checks = (
-        _own_experiment,
-        _again,
-        _probed,
-        _parameters,
-        _halving,
-        _beside,
-        _direct,
-        _slopes,
-        _serialised,
-        _events,
-        _speed,
-        _leaks,
-    )
     found: list[Finding] = []
-    for check in checks:
+    for name, check in CHECKS.items():
         try:
             found += check(subject, record)
         except HarnessError as error:
-            name = check.__name__.strip("_").replace("_", " ")
             found.append(Finding(name, False, "a further run", f"{error.status}: {error}"))
     return found
 
@@ -213,7 +198,9 @@ def _halving(subject: Subject, record: Trajectory) -> list[Finding]:
 
 def _beside(subject: Subject, record: Trajectory) -> list[Finding]:
     """Run two instances in one process."""
-    tried = "two instances in one process, stepped in turn under different inputs"
+    tried = "two instances of one loaded library, stepped in turn under different inputs"
+    if "variable step" not in subject.abilities or str(subject.content["fmi"]).startswith("1"):
+        return [Finding("two at once", None, tried, "tried for co-simulation of FMI 2.0 and 3.0 only")]
     if subject.abilities.get("once per process"):
         return [Finding("two at once", None, tried, "the FMU declares that there may be only one")]
     off = subject.inside(inside.apart, SAMPLES // 2)
@@ -275,7 +262,12 @@ def _speed(subject: Subject, record: Trajectory) -> list[Finding]:
         f"{1e3 * found['make']:.0f} ms to load and instantiate, {1e3 * found['initialise']:.1f} ms to initialise, "
         f"{1e6 * found['sample']:.1f} us a sample: {times:.3g} times real time; {found['threads']:.0f} threads"
     )
-    return [Finding("timing", None, f"{SAMPLES} samples in one call", came, found["sample"])]
+    said, tried = found["said"], "what it prints by itself"
+    printed = "nothing" if not said else f"{said:.0f} bytes over {SAMPLES} samples: a host cannot turn that off"
+    return [
+        Finding("timing", None, f"{SAMPLES} samples in one call", came, found["sample"]),
+        Finding("output", None if said else True, tried, printed, said),
+    ]
 
 
 def _leaks(subject: Subject, record: Trajectory) -> list[Finding]:
@@ -292,3 +284,20 @@ def _leaks(subject: Subject, record: Trajectory) -> list[Finding]:
     if not found["known"]:
         return [Finding("leaks", None, tried, "the system does not tell the memory of a process")]
     return [Finding("leaks", not left, tried, came, found["memory"])]
+
+
+CHECKS: Mapping[str, Callable[[Subject, Trajectory], list[Finding]]] = {
+    "own experiment": _own_experiment,
+    "determinism": _again,
+    "reset": _probed,
+    "parameters": _parameters,
+    "step halving": _halving,
+    "two at once": _beside,
+    "dependencies": _direct,
+    "derivatives": _slopes,
+    "serialised state": _serialised,
+    "events": _events,
+    "timing": _speed,
+    "leaks": _leaks,
+}
+"""What is tried after the first run, in this order."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +69,33 @@ def vet(
     title = f"{path.name}: {content['model']}, FMI {content['fmi']}, {content['tool'] or 'tool not told'}"
     found = described(path, content)
     tell(0.1, "runs")
-    subject = Subject(path, content, {"path": str(path), **_chosen(content), **(options or {})}, limit)
+    with _unheard():
+        return _run(path, title, content, found, options or {}, limit, tell)
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """Keep what plants log out of the terminal: the findings say it."""
+    logger = logging.getLogger("plants")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+
+
+def _run(
+    path: Path,
+    title: str,
+    content: Mapping[str, Any],
+    found: list[Finding],
+    options: Mapping[str, Any],
+    limit: float,
+    tell: Callable[[float, str], None],
+) -> Vetting:
+    """Run what can be run, and return all findings."""
+    subject = Subject(path, content, {"path": str(path), **_chosen(content), **options}, limit)
     try:
         first, record = excited(subject)
     except InputError as error:
