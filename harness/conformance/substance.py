@@ -35,16 +35,24 @@ def beats_trivial(subject: Subject) -> None:
     frequent category: a hidden Markov model of few states loses to the likeliest successor and is sound. And every
     output of some system with several must be predicted better than by its mean, else columns are exchanged.
     """
-    ratios, several = [], []
+    ratios: list[float] = []
+    several: list[float] = []
     # White inputs, where they are taken: held ones hide that a model is a sample late. Angles sampled finely without
     # noise go on almost as they went, which no forest of 240 samples beats: there the mean is what must be beaten.
     white = any(kind.startswith("linear") for kind in subject.kinds)
-    for workload in subject.survey():
-        model = subject.model(workload)
+    among = [w for w in subject.surveyed() if w.kind.startswith("linear") or not white or w.probe.spec.ny > 1]
+    wide = any(w.probe.spec.ny > 1 for w in among)
+    for workload in among:
+        if min(ratios, default=np.inf) < MARGIN and (not wide or min(several, default=np.inf) < MARGIN):
+            break  # shown once is shown
+        try:
+            model = subject.model(workload)
+        except HarnessError:
+            continue
         if workload.kind.startswith("linear") or not white:
-            ratios.append(_against_trivial(model, workload, mean_only=not white))
+            ratios.append(_against_trivial(model, workload, subject.predicted(workload), mean_only=not white))
         if workload.probe.spec.ny > 1:
-            several.append(_against_trivial(model, workload, mean_only=True))
+            several.append(_against_trivial(model, workload, subject.predicted(workload), mean_only=True))
     demand(ratios, "every system of the survey is refused")
     demand(
         min(ratios) < MARGIN,
@@ -61,7 +69,10 @@ def beats_trivial(subject: Subject) -> None:
 def inputs_matter(subject: Subject) -> None:
     """Demand that every input changes the simulated outputs of some model."""
     seen: dict[int, bool] = {}
+    most = max(workload.probe.spec.nu for workload in subject.surveyed())
     for workload in subject.survey():
+        if sum(seen.values()) == most:
+            break
         model, data = subject.model(workload), workload.probe.measured()
         for column in range(data.spec.nu):
             seen[column] = seen.get(column, False) or _reacts(model, data, column)
@@ -94,8 +105,10 @@ def initial_state_matters(subject: Subject) -> None:
     as wrong at first as the signal is large. Blamed if more than half of them are, and start alike whatever the outputs
     were (a start that is only a poor guess is no breach, nor are models that soon forget it).
     """
-    verdicts = []
+    verdicts: list[bool] = []
     for workload in subject.survey():
+        if verdicts.count(False) >= len(subject.surveyed()) / 2:
+            break
         model, data = subject.model(workload), workload.second.measured()
         wrong = _late_start(model, data)
         if wrong:
@@ -111,13 +124,13 @@ def initial_state_matters(subject: Subject) -> None:
     )
 
 
-def _against_trivial(model: Any, workload: Workload, *, mean_only: bool = False) -> float:
+def _against_trivial(model: Any, workload: Workload, predicted: FloatArray, *, mean_only: bool) -> float:
     """Return the largest ratio over the outputs of a model's one-step error to the least trivial one."""
     data = workload.probe.measured()
     skip = int(model.burn_in) + 2
     if len(data) - skip < 10:
         return np.inf
-    own = _rms(data, one_step(model, data), skip)
+    own = _rms(data, predicted, skip)
     spec = data.spec
     if any(channel.kind == "category" for channel in spec.outputs):
         candidates = [_most_frequent(workload, data)]
@@ -212,8 +225,8 @@ def _late_start(model: Any, data: Trajectory) -> bool | None:
 
 def stands_alone(subject: Subject) -> None:
     """Demand that a model predicts the same after the identifier was fitted to other data."""
-    found = [w for w in subject.survey()]
-    for workload, other in zip(found, found[1:] + found[:1], strict=True):
+    drawn = subject.surveyed()
+    for workload, other in zip(drawn, drawn[1:] + drawn[:1], strict=True):
         if workload.probe.spec != other.probe.spec or workload is other:
             continue
         identifier = subject.factory()
