@@ -269,7 +269,7 @@ def identify_modes(
     >>> spec = PlantSpec((), (Channel("y", "m/s2"),), 0.01)
     >>> record = Trajectory(np.arange(20_000) * 0.01, np.zeros((20_000, 0)), y[:, None], spec)
     >>> identify_modes([record], name="hum", orders=range(2, 11, 2))
-    <Modes of hum: 4.779 Hz>
+    <Modes of hum: 4.768 Hz>
     """
     criteria = criteria or Criteria()
     records = _moved([record.measured() for record in records])

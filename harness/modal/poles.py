@@ -178,7 +178,7 @@ def poles_of(a: FloatArray, c: FloatArray, sample_time: float, spread: Spread | 
     >>> turn = np.exp(-0.01) * np.array([[np.cos(0.5), np.sin(0.5)], [-np.sin(0.5), np.cos(0.5)]])
     >>> (pole,) = poles_of(turn, np.array([[1.0, 0.0], [0.0, 2.0]]), 0.1)
     >>> round(pole.frequency, 4), round(pole.damping, 4), pole.shape.round(6)
-    (0.7959, 0.02, array([0.-0.5j, 1.+0.j ]))
+    (0.7959, 0.02, array([0.      -0.447214j, 0.894427+0.j      ]))
     """
     values, right = np.linalg.eig(a)
     left = np.linalg.pinv(right)

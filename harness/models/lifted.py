@@ -127,7 +127,8 @@ class _Plan:
         """What inputs (N nu) and the state now (nz) do to the weighted outputs, the end and the weighted inputs."""
         n, nz, nu = self.horizon, *self.b.shape
         driven, free = np.zeros((nz, n * nu)), np.eye(nz)
-        rows_u, rows_x = [], []
+        rows_u: list[FloatArray] = []
+        rows_x: list[FloatArray] = []
         for k in range(n):
             driven = self.a @ driven
             driven[:, k * nu : (k + 1) * nu] += self.b
@@ -135,7 +136,7 @@ class _Plan:
             root = self.output_root @ self.c if k < n - 1 else self.end_root
             rows_u.append(root @ driven)
             rows_x.append(root @ free)
-        rows_u.append(np.kron(np.eye(n), self.input_root))
+        rows_u.append(np.asarray(np.kron(np.eye(n), self.input_root), dtype=np.float64))
         rows_x.append(np.zeros((n * nu, nz)))
         return np.vstack(rows_u), np.vstack(rows_x)
 
