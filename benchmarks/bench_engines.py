@@ -2,7 +2,8 @@
 
 Run ``python benchmarks/bench_engines.py``. Claims: PyBullet iiwa at most 1.10 times the raw calls (set torques, step,
 read the joints) made by hand on the same arm with its shapes loaded, as ``loadURDF`` does; pymunk cart-pole at most 1.5
-times (set the force, step, read two coordinates). Both sides are checked to move alike. The plant leaves out collision
+times (set the force, step, read two coordinates); MuJoCo at most 1.10 times (set the controls, ``mj_step``, read the
+positions and rates). Both sides are checked to move alike. The plant leaves out collision
 shapes where nothing can be touched; the second figure of an arm is against hand-written calls on that lighter world.
 """
 
@@ -17,6 +18,8 @@ from scipy.integrate import solve_ivp
 from plants.bullet.engine import bullet, data_file, explicit_urdf
 from plants.bullet.robots import ArmPlant, iiwa, one_joint_arm
 from plants.bullet.world import World
+from plants.mujoco.plant import MujocoPlant
+from plants.mujoco.robots import one_joint_arm as arm_mujoco
 from plants.pymunk.cart_pole import PymunkCartPole
 
 pybullet = bullet()
@@ -94,6 +97,33 @@ def cart_pole(plant: PymunkCartPole, inputs: np.ndarray) -> None:
     report(f"cart-pole-pymunk, {substeps} substeps", *best(ours, raw), 1.5)
 
 
+def robot(name: str, plant: MujocoPlant, inputs: np.ndarray) -> None:
+    """Compare a robot in MuJoCo with the engine's calls made by hand on its own model."""
+    import mujoco
+
+    model, substeps, ends = plant._model, plant.declared["substeps"], {}
+    data, first = mujoco.MjData(model), len(plant._inputs.controls)
+
+    def ours() -> None:
+        plant.reset(rng=np.random.default_rng(0))
+        for u in inputs:
+            y = plant.step(u)
+        ends["ours"] = y.tolist()
+
+    def raw() -> None:
+        mujoco.mj_resetData(model, data)
+        held = data.ctrl if first else data.qfrc_applied
+        for u in inputs:
+            held[:] = u
+            mujoco.mj_step(model, data, substeps)
+            q, v = data.qpos.copy(), data.qvel.copy()
+        ends["raw"] = [*q, *v]
+
+    mine, stock = best(ours, raw)
+    assert ends["ours"] == ends["raw"], "both must move alike, bit for bit"
+    report(f"{name}, {substeps} substeps", mine, stock, 1.10)
+
+
 def report(name: str, ours: float, raw: float, limit: float) -> None:
     ratio = ours / raw
     verdict = "reached" if ratio <= limit else "MISSED"
@@ -138,6 +168,18 @@ def main() -> None:
     for substeps in (20, 1):
         with PymunkCartPole(substeps=substeps, sample_time=0.0005 * substeps) as cart:
             cart_pole(cart, rng.normal(size=(STEPS, 1)))
+    small = rng.normal(size=(STEPS, 1))
+    for given in (
+        {},
+        {"substeps": 1, "sample_time": 0.001},
+        {"substeps": 1, "sample_time": 0.001, "integrator": "euler"},
+    ):
+        with arm_mujoco(outputs=("q", "qd"), **given) as one:
+            robot(f"arm-mujoco, {one.declared['integrator']}", one, small)
+    for substeps in (4, 1):
+        urdf = data_file("kuka_iiwa", "model.urdf")
+        with MujocoPlant(urdf, sample_time=0.001 * substeps, substeps=substeps) as seven:
+            robot("mjcf: iiwa", seven, torques * 0.01)
     print("largest error of a 5 s swing from 1 rad, undamped [rad], by engine step:")
     for substeps in (2, 4, 20, 100):
         print(

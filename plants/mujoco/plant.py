@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Mapping, Sequence
 from math import hypot, isfinite
 from pathlib import Path
@@ -14,11 +15,14 @@ from harness.errors import InputError, PlantError
 from harness.physics.arms.mjcf_spec import mujoco
 from harness.protocols import Ability
 from harness.signals import FloatArray, PlantSpec
-from plants.checking import checked_inputs, finite, initial_values, refuse_input
+from plants.checking import checked_inputs, initial_values, refuse_input
 from plants.mujoco.settings import Cone, Integrator, Settings, Solver, built, times
-from plants.mujoco.signals import Outputs, inputs_of, outputs_of, states_of
+from plants.mujoco.signals import Inputs, Outputs, inputs_of, outputs_of, states_of
 
 __all__ = ["MujocoPlant"]
+
+BLOCK = 4000
+"""Engine steps that a roll-out takes at once: their states are held in memory."""
 
 
 class MujocoPlant:
@@ -157,7 +161,10 @@ class MujocoPlant:
         self._kept = int(engine.mjtState.mjSTATE_INTEGRATION)
         self._size = engine.mj_stateSize(self._model, self._kept)
         self._inputs, self._outputs = every, measured
+        self._columns = [states.channels.index(channel) for channel in measured.channels] if not measured.stage else []
+        self._block = max(1, BLOCK // self._substeps)
         self._closed = False
+        self._step: Callable[[FloatArray], FloatArray]
         self._bind()
         self.true_parameters: dict[str, float] = {}
 
@@ -231,39 +238,15 @@ class MujocoPlant:
         PlantError
             If the run diverges, or the plant is closed.
         """
-        if self._closed:
-            self._need_open()
-        if not (isinstance(u, ndarray) and u.shape == self._shape and isfinite(hypot(*u.tolist()))):
-            refuse_input(u, self._spec)
-        self._advance(u)
-        y = self._read()
-        if not finite(y):
-            self._diverged()
-        return y
+        return self._step(u)
 
     def rollout(self, inputs: FloatArray) -> FloatArray:
         """Apply ``inputs`` (N, nu) from the present state; row k of the result (N, ny) is what ``step`` returned."""
-        self._need_open()
-        rows = checked_inputs(inputs, self.spec)
-        outputs = np.empty((len(rows), self.spec.ny))
-        advance, read = self._advance, self._read
-        for k, row in enumerate(rows):
-            advance(row)
-            outputs[k] = read()
-        self._need_finite(outputs)
-        return outputs
+        return self._rolled(inputs)[0]
 
     def rollout_truth(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what ``rollout`` returns (N, ny), and the true states (N, nx) at the same instants."""
-        self._need_open()
-        rows = checked_inputs(inputs, self.spec)
-        outputs, states = np.empty((len(rows), self.spec.ny)), np.empty((len(rows), len(self.spec.states)))
-        for k, row in enumerate(rows):
-            self._advance(row)
-            outputs[k] = self._read()
-            states[k] = self._state()
-        self._need_finite(outputs)
-        return outputs, states
+        return self._rolled(inputs)
 
     def output(self, u: FloatArray) -> FloatArray:
         """Return the output (ny,) with ``u`` applied, while no time passes."""
@@ -299,6 +282,7 @@ class MujocoPlant:
         if not self._closed:
             self._closed = True
             del self._read, self._advance, self._put
+            self._step = self._refused
             self._data = self._model = None
 
     def __enter__(self) -> Self:
@@ -320,12 +304,8 @@ class MujocoPlant:
             if first < nu:
                 pushed[forces] = u[first:]
 
-        whole = first == nu == model.nu and self._inputs.controls == tuple(range(nu))
+        whole = self._inputs.controls == tuple(range(model.nu)) and first == nu
         forward = engine.mj_forward if self._outputs.stage else None
-
-        def advance_controls(u: FloatArray) -> None:
-            ctrl[:] = u
-            step(model, data, count)
 
         def advance(u: FloatArray) -> None:
             put(u)
@@ -334,8 +314,75 @@ class MujocoPlant:
                 forward(model, data)
 
         self._put = put
-        self._advance: Callable[[FloatArray], None] = advance_controls if whole and forward is None else advance
+        self._advance: Callable[[FloatArray], None] = advance
         self._read = _reader(data, self._outputs)
+        read, shape = self._read, self._shape
+        plain = None if forward is not None else ctrl if whole else pushed if _every_dof(self._inputs, model) else None
+        go = self._advance
+
+        def stepped(u: FloatArray) -> FloatArray:
+            if not (isinstance(u, ndarray) and u.shape == shape and isfinite(hypot(*u.tolist()))):
+                refuse_input(u, self._spec)
+            if plain is None:
+                go(u)
+            else:
+                plain[:] = u
+                step(model, data, count)
+            y = read()
+            if not isfinite(hypot(*y.tolist())):  # hypot scales: it overflows only where a value is near to
+                self._diverged()
+            return y
+
+        self._step = stepped
+
+    def _refused(self, u: FloatArray) -> FloatArray:
+        """Refuse a step of a closed plant."""
+        self._need_open()
+        return u
+
+    def _rolled(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return outputs and states after each row of inputs: in MuJoCo's own loop unless a sensor is read."""
+        self._need_open()
+        rows = checked_inputs(inputs, self.spec)
+        outputs, states = np.empty((len(rows), self.spec.ny)), np.empty((len(rows), len(self.spec.states)))
+        if not self._outputs.stage:
+            for first in range(0, len(rows), self._block):
+                block = slice(first, first + self._block)
+                states[block] = self._block_of(rows[block])
+            outputs = states[:, self._columns]
+        else:
+            for k, row in enumerate(rows):
+                self._advance(row)
+                outputs[k] = self._read()
+                states[k] = self._state()
+        if not (np.isfinite(outputs).all() and np.isfinite(states).all()) or self._lost():
+            self._diverged()
+        return outputs, states
+
+    def _block_of(self, rows: FloatArray) -> FloatArray:
+        """Return the states (n, nx) after each of some rows of inputs (n, nu), not those of the engine's steps between."""
+        engine, model, data = mujoco(), self._model, self._data
+        kinds, first = engine.mjtState, len(self._inputs.controls)
+        held = np.tile(np.concatenate([data.ctrl, data.qfrc_applied]), (len(rows), 1))
+        held[:, list(self._inputs.controls)] = rows[:, :first]
+        held[:, [model.nu + dof for dof in self._inputs.forces]] = rows[:, first:]
+        whole = int(kinds.mjSTATE_FULLPHYSICS)
+        start = np.empty(engine.mj_stateSize(model, whole))
+        engine.mj_getState(model, data, start, whole)
+        found, _ = importlib.import_module("mujoco.rollout").rollout(
+            model,
+            data,
+            start[None],
+            np.repeat(held, self._substeps, axis=0)[None],
+            control_spec=int(kinds.mjSTATE_CTRL) | int(kinds.mjSTATE_QFRC_APPLIED),
+            initial_warmstart=np.array(data.qacc_warmstart)[None],
+        )
+        size = model.nq + model.nv + model.na
+        return np.asarray(found[0, self._substeps - 1 :: self._substeps, 1 : 1 + size])  # the time stands first
+
+    def _lost(self) -> bool:
+        """Return whether MuJoCo gave up a run: its own loop then repeats the last state."""
+        return any(name in self.warnings for name in ("badqpos", "badqvel", "badqacc"))
 
     def _state(self) -> FloatArray:
         data = self._data
@@ -346,10 +393,6 @@ class MujocoPlant:
         if self._closed:
             raise PlantError("the plant is closed: make a new one", status="terminated")
 
-    def _need_finite(self, outputs: FloatArray) -> None:
-        if not np.isfinite(outputs).all():
-            self._diverged()
-
     def _diverged(self) -> None:
         """Say when a run diverged, and what helps."""
         warned = ", ".join(self.warnings) or "an output"
@@ -358,6 +401,11 @@ class MujocoPlant:
             "substeps), or integrator = implicitfast",
             status="diverged",
         )
+
+
+def _every_dof(inputs: Inputs, model: Any) -> bool:
+    """Return whether the inputs are forces on all degrees of freedom, in MuJoCo's order, and nothing else."""
+    return not inputs.controls and inputs.forces == tuple(range(model.nv))
 
 
 def _keyframe(model: Any, name: str | None) -> int | None:
@@ -382,11 +430,28 @@ def _places(numbers: Sequence[int]) -> Any:
 def _reader(data: Any, outputs: Outputs) -> Callable[[], FloatArray]:
     """Return a function that reads the outputs (ny,)."""
     parts = [(getattr(data, name), _places(places)) for name, places in outputs.parts]
-    views = [source[places] for source, places in parts if isinstance(places, slice)]
-    if len(views) < len(parts):
-        return lambda: np.concatenate([source[places] for source, places in parts])
-    if len(views) == 1:
-        copy: Callable[[], FloatArray] = views[0].copy
+    if len(parts) == 1 and isinstance(parts[0][1], slice):
+        copy: Callable[[], FloatArray] = parts[0][0][parts[0][1]].copy
         return copy
-    together, row = np.concatenate, tuple(views)
-    return lambda: together(row)
+    row, first = np.empty(len(outputs.channels)), 0
+    pairs = []
+    for (source, places), (_, numbers) in zip(parts, outputs.parts, strict=True):
+        pairs.append((row[first : first + len(numbers)], source, places))
+        first += len(numbers)
+    if len(pairs) == 2 and all(isinstance(places, slice) for *_, places in pairs):
+        (head, source, at), (tail, other, where) = pairs
+        one, two, whole = source[at], other[where], row.copy
+
+        def both() -> FloatArray:
+            head[:] = one
+            tail[:] = two
+            return whole()
+
+        return both
+
+    def every() -> FloatArray:
+        for into, source, places in pairs:
+            into[:] = source[places]
+        return row.copy()
+
+    return every
