@@ -14,13 +14,18 @@ import numpy as np
 from harness import registry
 from harness.comparison.residuals import LAGS, Correlation, correlations
 from harness.comparison.spectra import Spectrum, spectrum
+from harness.comparison.uncertain import bode_lines, is_linear, pole_figure, pole_rows, step_figure
 from harness.display import STYLE, table
 from harness.errors import HarnessError, InputError
+from harness.models.determined import bands_of, bands_words
 from harness.plots import inlined
 from harness.protocols import Model
 from harness.scoring import Score, equation_error, predict, simulation_error
-from harness.signals import Dataset, FloatArray, Use, residual
+from harness.signals import Dataset, Use, residual
 from harness.trust import registered_only
+
+MOST_POLES = 40
+"""Poles in the table of a page."""
 
 __all__ = ["Compared", "Comparison", "compare", "free_run_errors", "read_model"]
 
@@ -111,18 +116,49 @@ class Comparison:
     def _repr_html_(self) -> str:
         return self._table()
 
+    def linear(self) -> dict[str, Model]:
+        """Return the models that have a frequency response, by name."""
+        return {compared.name: compared.model for compared in self.models if is_linear(compared.model)}
+
+    def _poles(self) -> str:
+        """Return the table of poles, and what is to be said of models."""
+        linear = self.linear()
+        if not linear:
+            return ""
+        rows = [row for name, model in linear.items() for row in pole_rows(name, model)]
+        said = []
+        for name, model in linear.items():
+            if bands := bands_of(model):
+                said.append(f"{name} is determined by its data: {bands_words(bands)}.")
+            spread = getattr(model, "spread", None)
+            if spread is None:
+                said.append(f"{name} knows no intervals.")
+            elif spread.warning:
+                said.append(f"{name}: {spread.warning}.")
+        words = "".join(f"<p>{escape(line)}</p>" for line in said)
+        titles = ["model", "modulus of the pole", "frequency [Hz]", "damping"]
+        return f"<div>{table(titles, rows[:MOST_POLES])}</div>{words}"
+
     def html(self) -> str:
         """Return the page: table, residual correlations, Bode diagrams with the bands of the data."""
+        linear = self.linear()
         figures = [
             inlined(_residual_figure(self), "correlations of the residuals"),
             *([inlined(_bode_figure(self), "frequency responses")] if self.spectrum else []),
+            *(
+                [inlined(step_figure(linear), "step responses"), inlined(pole_figure(linear), "poles")]
+                if linear
+                else []
+            ),
         ]
         names = ", ".join(escape(compared.name) for compared in self.models)
         return (
             f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
             f"<title>{names}</title><style>{STYLE}</style><h1>{names} on {escape(self.dataset.name)}</h1>"
-            f"<div>{self._table()}</div><p>Residuals are those of one-step predictions; the shaded regions hold 99 % "
-            f"of the lags of a white residual that is independent of the input.</p>{''.join(figures)}</html>"
+            f"<div>{self._table()}</div>{self._poles()}<p>Residuals are those of one-step predictions; the shaded "
+            "regions hold 99 % of the lags of a white residual that is independent of the input. Bands and ellipses of "
+            "models hold the truth with 95 % if their structure does; dotted: frequencies that their data do not "
+            f"determine.</p>{''.join(figures)}</html>"
         )
 
 
@@ -240,24 +276,7 @@ def _bode_figure(found: Comparison) -> Any:
     assert found.spectrum is not None
     figure = found.spectrum.plot()
     f = found.spectrum.frequency[1:]
-    for compared in found.models:
-        answer = _response(compared.model, f, found.dataset.spec.sample_time)
-        if answer is not None:
-            for row in range(answer.shape[1]):
-                for column in range(answer.shape[2]):
-                    figure.axes[0].loglog(f, np.abs(answer[:, row, column]), "--", linewidth=1.2, label=compared.name)
-                    figure.axes[1].semilogx(
-                        f, np.degrees(np.unwrap(np.angle(answer[:, row, column]))), "--", linewidth=1.2
-                    )
+    for name, model in found.linear().items():
+        bode_lines(figure.axes[:2], name, model, f)
     figure.axes[0].legend(fontsize=8)
     return figure
-
-
-def _response(model: Model, frequency: FloatArray, sample_time: float) -> Any:
-    """Return the frequency response (F, ny, nu) of a linear model; None of any other."""
-    parts = [getattr(model, name, None) for name in ("a_matrix", "b_matrix", "c_matrix", "d_matrix")]
-    if any(part is None for part in parts):
-        return None
-    a, b, c, d = (np.asarray(part, dtype=float) for part in parts)
-    z = np.exp(2j * np.pi * frequency * sample_time)
-    return np.array([c @ np.linalg.solve(point * np.eye(len(a)) - a, b) + d for point in z])

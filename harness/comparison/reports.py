@@ -160,33 +160,50 @@ def _answers(one: Mapping[str, Any], two: Mapping[str, Any]) -> list[Difference]
         for key in ("verdict", "adequacy")
         if one.get(key) != two.get(key)
     ]
+    found += [*_effects(one, two), *_parameters(one, two), *_errors(one, two)]
+    if one.get("converged") != two.get("converged"):
+        found.append(Difference("answer", "fits converged", str(one.get("converged")), str(two.get("converged"))))
+    return found
+
+
+def _effects(one: Mapping[str, Any], two: Mapping[str, Any]) -> list[Difference]:
+    """Return the difference in the effects that were found, and whether the data tell them apart."""
     effects = [[f"{e['name']}@{e['at']}" for e in data.get("effects", ())] for data in (one, two)]
-    if sorted(effects[0]) != sorted(effects[1]):
-        tied = [{f"{t['name']}@{t['at']}" for tie in data.get("tie_sets", ()) for t in tie} for data in (one, two)]
-        named = all(name in tied[1] for name in effects[0]) or all(name in tied[0] for name in effects[1])
-        meaning = "one report ties both names: the data cannot tell them apart" if named else ""
-        found.append(
-            Difference("answer", "effects", " + ".join(effects[0]) or "none", " + ".join(effects[1]) or "none", meaning)
-        )
-    parameters = [data.get("parameters", {}).get("after", {}) for data in (one, two)]
-    for name in dict.fromkeys([*parameters[0], *parameters[1]]):
-        pair = [side.get(name) for side in parameters]
+    if sorted(effects[0]) == sorted(effects[1]):
+        return []
+    tied = [{f"{t['name']}@{t['at']}" for tie in data.get("tie_sets", ()) for t in tie} for data in (one, two)]
+    named = all(name in tied[1] for name in effects[0]) or all(name in tied[0] for name in effects[1])
+    meaning = "one report ties both names: the data cannot tell them apart" if named else ""
+    shown = [" + ".join(names) or "none" for names in effects]
+    return [Difference("answer", "effects", shown[0], shown[1], meaning)]
+
+
+def _parameters(one: Mapping[str, Any], two: Mapping[str, Any]) -> list[Difference]:
+    """Return the parameters that differ, and whether their intervals meet."""
+    found = []
+    sides = [data.get("parameters", {}).get("after", {}) for data in (one, two)]
+    for name in dict.fromkeys([*sides[0], *sides[1]]):
+        pair = [side.get(name) for side in sides]
         if pair[0] is None or pair[1] is None:
             shown = ["-" if own is None else _parameter(own) for own in pair]
             found.append(Difference("answer", f"parameter {name}", *shown))
         elif not _same(pair[0]["value"], pair[1]["value"]):
-            meaning = _overlap(pair[0], pair[1])
-            found.append(Difference("answer", f"parameter {name}", _parameter(pair[0]), _parameter(pair[1]), meaning))
-    errors = [
+            first, second = (_parameter(own) for own in pair)
+            found.append(Difference("answer", f"parameter {name}", first, second, _overlap(pair[0], pair[1])))
+    return found
+
+
+def _errors(one: Mapping[str, Any], two: Mapping[str, Any]) -> list[Difference]:
+    """Return the outputs whose validated error differs."""
+    found = []
+    sides = [
         data.get("errors", {}).get("after", {}).get("simulation_error", {}).get("validation", {}) for data in (one, two)
     ]
-    for name in dict.fromkeys([*errors[0], *errors[1]]):
-        scores = [side.get(name, {}) for side in errors]
+    for name in dict.fromkeys([*sides[0], *sides[1]]):
+        scores = [side.get(name, {}) for side in sides]
         if not _same(scores[0].get("rms"), scores[1].get("rms")):
-            shown = [f"{s.get('rms')} {s.get('unit', '')}".strip() for s in scores]
+            shown = [f"{score.get('rms')} {score.get('unit', '')}".strip() for score in scores]
             found.append(Difference("answer", f"simulation error of {name}", *shown))
-    if one.get("converged") != two.get("converged"):
-        found.append(Difference("answer", "fits converged", str(one.get("converged")), str(two.get("converged"))))
     return found
 
 

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from harness.errors import InputError
+from harness.models.spread import quantile, step_deviation
 from harness.signals import FloatArray, PlantSpec
 
-__all__ = ["Response", "response"]
+__all__ = ["Response", "length", "response"]
 
 DECAYED = 1e-2
 """What is left of the slowest mode where a response ends by itself: then nothing more is seen in a picture."""
@@ -30,12 +31,18 @@ class Response:
     y : array (N, ny, nu)
         ``y[k, i, j]``: output i after input j.
     spec : PlantSpec
+    deviation : array (N, ny, nu), optional
+        Standard deviation of ``y``, where the model knows its own.
+    reach : float
+        Standard deviations to either side of an interval of 95 %.
     """
 
     kind: str
     t: FloatArray
     y: FloatArray
     spec: PlantSpec
+    deviation: FloatArray | None = None
+    reach: float = 1.96
 
     def plot(self) -> Any:
         """Return a matplotlib figure: a panel for each output and input."""
@@ -47,6 +54,9 @@ class Response:
         for i, output in enumerate(self.spec.outputs):
             for j, given in enumerate(self.spec.inputs):
                 axes[i, j].step(self.t, self.y[:, i, j], where="post")
+                if self.deviation is not None:
+                    low, high = (self.y[:, i, j] + sign * self.reach * self.deviation[:, i, j] for sign in (-1, 1))
+                    axes[i, j].fill_between(self.t, low, high, step="post", alpha=0.25)
                 axes[i, j].set_title(f"{output} after a unit {self.kind} of {given}", fontsize=9)
         for axis in axes[-1]:
             axis.set_xlabel("time [s]", fontsize=9)
@@ -87,14 +97,18 @@ def response(model: Any, kind: str, duration: float | None = None) -> Response:
         )
     if duration is not None and not (np.isfinite(duration) and duration > 0):
         raise InputError("duration", expected="seconds, more than 0", got=repr(duration), remedy="correct it")
-    count = _length(model) if duration is None else 1 + round(duration / spec.sample_time)
+    count = length(model) if duration is None else 1 + round(duration / spec.sample_time)
     pulse: FloatArray = np.asarray(model.impulse_response(count))
     y = pulse if kind == "impulse" else np.cumsum(pulse, axis=0)
-    return Response(kind, spec.sample_time * np.arange(count, dtype=np.float64), y, spec)
+    t = spec.sample_time * np.arange(count, dtype=np.float64)
+    spread = getattr(model, "spread", None)
+    if spread is None:
+        return Response(kind, t, y, spec)
+    return Response(kind, t, y, spec, step_deviation(model, count, kind), quantile(spread))
 
 
-def _length(model: Any) -> int:
-    """Return the samples until the slowest mode has decayed."""
+def length(model: Any) -> int:
+    """Return the samples until the slowest mode of a linear model has decayed."""
     radius = float(np.abs(np.linalg.eigvals(np.asarray(model.a_matrix))).max(initial=0.0))
     few, many = SAMPLES
     if radius >= 1.0:

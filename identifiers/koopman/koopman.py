@@ -13,13 +13,14 @@ import numpy.typing as npt
 
 from harness.errors import FitError, InputError
 from harness.judgement import refuse_law
+from harness.models.determined import KEY, determined_bands
 from harness.models.lqr import spectral_radius
 from harness.models.spread import Matrices, Spread
 from harness.scoring import same_language
 from harness.signals import FloatArray, PlantSpec, Trajectory
 from harness.specs import spec_from_dict, spec_to_dict
 from identifiers.common.excitation import Columns, refuse_feedback
-from identifiers.common.neighbours import coefficients_without, spread_of
+from identifiers.common.neighbours import LARGEST, coefficients_without, spread_of
 from identifiers.common.normal import NormalEquations
 from identifiers.common.one_step_estimate import lifted_estimate
 from identifiers.common.records import moving, real_signals, usable
@@ -388,6 +389,8 @@ class Edmdc:
         ) is not None:
             notes["estimate"] = estimate.to_dict()
         model = KoopmanModel(spec, theta[:, :size], theta[:, size:], dictionary, self.delays, notes)
+        if size <= LARGEST:
+            notes[KEY] = determined_bands(model.matrices, records)
         if self.threshold > 0 or "stabilized" in notes:
             return model
         return _with_spread(model, coefficients_without(blocks, solution))

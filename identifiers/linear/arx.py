@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from harness.errors import FitError
 from harness.judgement import refuse_law
+from harness.models.determined import KEY, determined_bands
 from harness.models.estimate import Estimate
 from harness.models.lqr import spectral_radius
 from harness.signals import FloatArray, PlantSpec, Trajectory
@@ -100,6 +101,7 @@ class Arx:
             coefficients = _widened(coefficients, spec, order, delay)
             notes = {**notes, **solution_notes(solution), "stabilized": True}
             return lag_model(spec, coefficients, order, self.offset, notes)
+        model = replace(model, notes={**model.notes, KEY: determined_bands(model.matrices, records)})
         return with_lag_neighbours(model, records, solution, order, self.offset, delay=delay, estimate=estimate)
 
     def _chosen(self, records: list[Trajectory], what: str) -> tuple[int, int, dict[str, Any]]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.errors import FitError
 from harness.judgement import refuse_law
+from harness.models.determined import KEY, determined_bands
 from harness.models.lqr import spectral_radius
 from harness.models.spread import Matrices
 from harness.scoring import predict
@@ -123,7 +124,9 @@ class Dmdc:
         if "stabilized" not in model.notes:
             near = self._without_stretches(records, spec, rank, bool(total), what)
             model = replace(model, spread=spread_of(near))
-        return replace(model.in_units(scaling), notes={**notes, **model.notes, "rank": rank, "total": bool(total)})
+        bands = determined_bands(model.matrices, records)
+        said = {**notes, **model.notes, "rank": rank, "total": bool(total), KEY: bands}
+        return replace(model.in_units(scaling), notes=said)
 
     def _check(self, what: str) -> None:
         """Refuse options that make no sense."""
@@ -161,6 +164,7 @@ class Dmdc:
             project = clip_eigenvalues if self.delays == 1 else stable_lags
             coefficients = nearest_stable(coefficients, factor, self.delays * spec.ny, project, weights)
             return lag_model(spec, coefficients, self.delays, self.offset, {**notes, "stabilized": True})
+        model = replace(model, notes={**model.notes, KEY: determined_bands(model.matrices, records)})
         return with_lag_neighbours(model, records, solution, self.delays, self.offset, estimate=estimate)
 
     def _total_is_better(

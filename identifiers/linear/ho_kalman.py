@@ -11,6 +11,7 @@ import numpy as np
 
 from harness.errors import FitError
 from harness.judgement import feedback_of, refuse_law
+from harness.models.determined import KEY, determined_bands
 from harness.models.lqr import spectral_radius
 from harness.models.spread import Matrices
 from harness.scoring import simulation_error
@@ -260,9 +261,10 @@ class HoKalman:
             near = self._without_stretches(records, response, scaling, len(a))
             model = replace(model, spread=spread_of(near, warning=notes.get("warning", "")))
         model = model.in_units(scaling)
+        notes[KEY] = determined_bands(model.matrices, records)
         rule = "given" if self.order is not None else "Hankel singular values above the noise"
         estimate = state_space_estimate(model, notes["hankel_singular_values"], rule)
-        return model if estimate is None else replace(model, notes={**notes, "estimate": estimate.to_dict()})
+        return replace(model, notes=notes if estimate is None else {**notes, "estimate": estimate.to_dict()})
 
     def _without_stretches(
         self, records: Sequence[Trajectory], response: _Response, scaling: Scaling, order: int

@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.errors import FitError
 from harness.judgement import refuse_law
+from harness.models.determined import KEY, determined_bands
 from harness.models.estimate import Estimate
 from harness.models.lqr import spectral_radius
 from harness.signals import FloatArray, Trajectory
@@ -105,6 +106,7 @@ class StateLeastSquares:
         elif estimate is not None:  # of the nearest stable model the spread of the fit says nothing
             notes["estimate"] = estimate.to_dict()
         model = lag_model(spec, coefficients, 1, self.offset, notes)
+        notes[KEY] = determined_bands(model.matrices, records)
         if "stabilized" in notes:
             return model
         if self.method == "ls":

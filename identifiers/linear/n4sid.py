@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.errors import FitError
 from harness.judgement import Feedback, feedback_of, refuse_law
+from harness.models.determined import KEY, determined_bands
 from harness.models.lqr import spectral_radius
 from harness.models.spread import Matrices
 from harness.scoring import equation_error, simulation_error
@@ -176,7 +177,7 @@ class Subspace:
         real_signals(spec, what)
         moving(records, what)
         refuse_law(records, what, self.least_excitation)
-        measured = records[0]
+        measured = records
         if directions := lively_directions(records):
             records = directions.compressed(records)
         records, scaling = scaled(records)
@@ -209,9 +210,10 @@ class Subspace:
             near = self._without_stretches(found)
             model = replace(model, spread=spread_of(near, warning=notes.get("warning", "")))
         model = data.in_units(replace(model, notes=notes))
+        notes[KEY] = determined_bands(model.matrices, data.measured)
         rule = "given" if self.order is not None else "held-out prediction errors"
         estimate = state_space_estimate(model, values, rule)
-        return model if estimate is None else replace(model, notes={**notes, "estimate": estimate.to_dict()})
+        return replace(model, notes=notes if estimate is None else {**notes, "estimate": estimate.to_dict()})
 
     def _without_stretches(self, found: _Found) -> list[Matrices]:
         """Return A, B, C, D of the fits without one stretch of the windows each, method and order held."""
@@ -317,7 +319,7 @@ class _Prepared:
     """Records in scaled directions of the outputs, and the way back to the units of ``measured``."""
 
     records: Sequence[Trajectory]
-    measured: Trajectory
+    measured: Sequence[Trajectory]
     directions: Directions | None
     scaling: Scaling
     feedback: Feedback
@@ -325,7 +327,7 @@ class _Prepared:
     def in_units(self, model: LinearModel) -> LinearModel:
         """Return the model, and its neighbours, for the records as they were measured."""
         model = model.in_units(self.scaling)
-        return self.directions.expanded(model, self.measured) if self.directions else model
+        return self.directions.expanded(model, self.measured[0]) if self.directions else model
 
 
 @dataclass(frozen=True, eq=False)

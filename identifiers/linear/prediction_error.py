@@ -10,6 +10,7 @@ import numpy as np
 
 from harness.errors import FitError
 from harness.judgement import feedback_of, refuse_undetermined
+from harness.models.determined import KEY, determined_bands
 from harness.scoring import equation_error, simulation_error
 from harness.signals import FloatArray, Trajectory
 from identifiers.common.linear_model import LinearModel
@@ -109,6 +110,7 @@ class PredictionError:
             raise FitError(f"{what}: no input", expected="an input", got="none", remedy="use dmdc for free motion")
         moving(records, what)
         refuse_undetermined(records, what, self.least_excitation)
+        measured = records
         records, scaling = scaled(records)
         notes: dict[str, Any] = {"structure": self.structure}
         order = self.order
@@ -125,6 +127,7 @@ class PredictionError:
         # about a biased answer, or one on the edge of what is allowed, the spread of the fit says nothing
         if estimate is not None and "warning" not in notes and "stabilized" not in notes:
             notes["estimate"] = estimate.to_dict()
+        notes[KEY] = determined_bands(model.in_units(scaling).matrices, measured)
         model = replace(model, notes=notes)
         return (model if "stabilized" in notes else self._with_spread(model, fits)).in_units(scaling)
 

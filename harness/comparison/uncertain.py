@@ -1,0 +1,158 @@
+"""Frequency responses, step responses and poles of linear models, each with its interval and where it is determined."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from harness.models.determined import bands_of, outside
+from harness.models.spread import (
+    gain_and_phase_deviation,
+    gains,
+    pole_covariance,
+    quantile,
+    response_covariance,
+    step_deviation,
+    steps,
+)
+from harness.signals import FloatArray, PlantSpec
+
+__all__ = ["bode_lines", "is_linear", "pole_figure", "pole_rows", "step_figure"]
+
+ELLIPSE = np.linspace(0.0, 2 * np.pi, 73)
+SHOWN = 400
+"""Samples of a step response that are drawn at most."""
+
+
+def is_linear(model: Any) -> bool:
+    """Return True for a model with A, B, C, D and inputs."""
+    return hasattr(model, "matrices") and model.spec.nu > 0
+
+
+def bode_lines(axes: Any, name: str, model: Any, frequency: FloatArray) -> None:
+    """Draw gain and phase of a linear model with 95 % bands; dotted where its data do not determine it.
+
+    Parameters
+    ----------
+    axes : sequence of matplotlib axes
+        Gain and phase.
+    name : str
+    model : LinearModel
+    frequency : array (F,)
+        [Hz]
+    """
+    spec: PlantSpec = model.spec
+    response = gains(model.matrices, frequency, spec.sample_time)
+    bands = bands_of(model) or {}
+    deviations = None
+    if getattr(model, "spread", None) is not None:
+        deviations = gain_and_phase_deviation(response, response_covariance(model, frequency))
+    for row, output in enumerate(spec.outputs):
+        for column, given in enumerate(spec.inputs):
+            one = response[:, row, column]
+            own = bands.get(f"{output.name} per {given.name}")
+            blind = np.zeros(len(frequency), dtype=bool) if own is None else outside(own, frequency)
+            phase = np.degrees(np.unwrap(np.angle(one)))
+            label = name if spec.nu * spec.ny == 1 else f"{name}: {output.name} / {given.name}"
+            colour = _drawn(axes[0].loglog, frequency, np.abs(one), blind, label, None)
+            _drawn(axes[1].semilogx, frequency, phase, blind, "", colour)
+            if deviations is None:
+                continue
+            wide = quantile(model.spread)
+            gain, turn = (wide * part[:, row, column] for part in deviations)
+            size = np.abs(one)
+            axes[0].fill_between(frequency, np.maximum(size - gain, size * 1e-3), size + gain, alpha=0.2, color=colour)
+            turn = np.degrees(np.minimum(turn, np.pi))
+            axes[1].fill_between(frequency, phase - turn, phase + turn, alpha=0.2, color=colour)
+
+
+def _drawn(
+    draw: Any, x: FloatArray, y: FloatArray, blind: npt.NDArray[np.bool_], label: str, colour: str | None
+) -> str:
+    """Draw a line, dashed where it is determined and dotted where not; returns its colour."""
+    told = np.where(blind, np.nan, y)
+    (line,) = draw(x, told, "--", linewidth=1.3, label=label or None, color=colour)
+    found: str = line.get_color()
+    if blind.any():
+        draw(x, np.where(blind, y, np.nan), ":", linewidth=1.0, color=found)
+    return found
+
+
+def step_figure(models: Mapping[str, Any]) -> Any:
+    """Draw the answers to a unit step of each input, with 95 % bands."""
+    from matplotlib.figure import Figure
+
+    from harness.comparison.responses import length
+
+    spec: PlantSpec = next(iter(models.values())).spec
+    figure = Figure(figsize=(5.0 * spec.nu, 2.4 * spec.ny + 0.5), layout="constrained")
+    axes = figure.subplots(spec.ny, spec.nu, squeeze=False, sharex=True)
+    count = min(max(length(model) for model in models.values()), SHOWN)
+    t = spec.sample_time * np.arange(count)
+    for name, model in models.items():
+        y = steps(model.matrices, count)
+        spread = getattr(model, "spread", None)
+        half = quantile(spread) * step_deviation(model, count) if spread is not None else None
+        for row in range(spec.ny):
+            for column in range(spec.nu):
+                (line,) = axes[row, column].plot(t, y[:, row, column], linewidth=1.2, label=name)
+                if half is not None:
+                    low, high = (y + sign * half for sign in (-1, 1))
+                    axes[row, column].fill_between(
+                        t, low[:, row, column], high[:, row, column], alpha=0.2, color=line.get_color()
+                    )
+    for row, output in enumerate(spec.outputs):
+        for column, given in enumerate(spec.inputs):
+            axes[row, column].set_title(f"{output.name} after a unit step of {given.name}", fontsize=9)
+    axes[0, 0].legend(fontsize=8)
+    for axis in axes[-1]:
+        axis.set_xlabel("time [s]", fontsize=9)
+    return figure
+
+
+def pole_figure(models: Mapping[str, Any]) -> Any:
+    """Draw the poles in the z plane with the unit circle, and the ellipses that hold each with 95 %."""
+    from matplotlib.figure import Figure
+    from scipy.stats import chi2
+
+    figure = Figure(figsize=(5.2, 5.0), layout="constrained")
+    axis = figure.subplots()
+    axis.plot(np.cos(ELLIPSE), np.sin(ELLIPSE), color="#888888", linewidth=0.8)
+    size = np.sqrt(chi2.ppf(0.95, 2))
+    for name, model in models.items():
+        if getattr(model, "spread", None) is None:
+            poles, covariance = np.linalg.eigvals(model.matrices[0]), None
+        else:
+            poles, covariance = pole_covariance(model)
+        (line,) = axis.plot(poles.real, poles.imag, "x", markersize=6, label=name)
+        for k, pole in enumerate(poles if covariance is not None else ()):
+            assert covariance is not None
+            values, vectors = np.linalg.eigh(covariance[k])
+            round_it = vectors * np.sqrt(np.maximum(values, 0.0)) @ np.stack([np.cos(ELLIPSE), np.sin(ELLIPSE)])
+            axis.plot(
+                pole.real + size * round_it[0], pole.imag + size * round_it[1], linewidth=0.9, color=line.get_color()
+            )
+    axis.set(aspect="equal", xlim=(-1.3, 1.3), ylim=(-1.3, 1.3), xlabel="real part of z", ylabel="imaginary part of z")
+    axis.legend(fontsize=8, loc="upper left")
+    return figure
+
+
+def pole_rows(name: str, model: Any) -> list[tuple[str, str, str, str]]:
+    """Return a row of a table for each pole in the upper half plane: model, modulus, frequency and damping."""
+    poles = np.asarray(np.linalg.eigvals(model.matrices[0]), dtype=np.complex128)
+    deviation = None
+    if getattr(model, "spread", None) is not None:
+        poles, covariance = pole_covariance(model)
+        deviation = gain_and_phase_deviation(poles, covariance)
+    rows = []
+    for k, pole in enumerate(poles):
+        if pole.imag < 0 or abs(pole) == 0:
+            continue
+        rate = np.log(complex(pole)) / model.spec.sample_time
+        hertz = f"{abs(rate) / (2 * np.pi):.4g}"
+        half = "" if deviation is None else f" ± {quantile(model.spread) * deviation[0][k]:.2g}"
+        rows.append((name, f"{abs(pole):.5g}{half}", hertz, f"{-rate.real / max(abs(rate), 1e-300):.3g}"))
+    return rows
