@@ -16,13 +16,15 @@ from numpy import ndarray
 from harness.errors import InputError, PlantError
 from harness.protocols import Ability
 from harness.signals import Channel, FloatArray, PlantSpec
-from plants.bullet.engine import explicit_urdf, moving_joints, stated_dynamics, stiffest_rate
+from plants.bullet.engine import explicit_urdf, moving_joints, stated_dynamics, stated_limits, stiffest_rate
 from plants.bullet.outputs import BASE_STATES, Camera, Keypoints, channels, reader
 from plants.bullet.world import Control, Saved, Settings, World
 from plants.checking import checked_inputs, initial_values, per_item, positive, refuse_input
 
 __all__ = ["ArmPlant"]
 
+MOTOR_FORCE = 300.0
+"""Greatest force [N m] of Bullet's motors at a joint whose file states no effort."""
 GREATEST_DAMPED_STEP = 0.9
 """Joint damping times step over inertia beyond which a plant is refused: Bullet's damping is explicit."""
 
@@ -53,9 +55,12 @@ class ArmPlant:
     input_joints : sequence of int, optional
         Which joints are driven, counted from 0; default all.
     input_limit : float or sequence, optional
-        Declared range of the inputs, which scenarios use; nothing is clipped.
-    motor_force : float or sequence
-        Greatest force of the motors of driven joints under velocity and position control [N m].
+        Declared range of the inputs, which scenarios use; nothing is clipped. Default: the file's ``<limit>``, its
+        ``effort`` under torque control and its ``velocity`` under velocity control, where it states one for every
+        driven joint.
+    motor_force : float or sequence, optional
+        Greatest force of the motors of driven joints under velocity and position control [N m]; default the file's
+        ``effort``, and 300 where it states none.
     home : float or sequence
         Initial joint positions [rad].
     joint_damping, joint_friction : float or sequence, optional
@@ -116,7 +121,7 @@ class ArmPlant:
         input_names: Sequence[str] | None = None,
         input_joints: Sequence[int] | None = None,
         input_limit: float | Sequence[float] | None = None,
-        motor_force: float | Sequence[float] = 300.0,
+        motor_force: float | Sequence[float] | None = None,
         home: float | Sequence[float] = 0.0,
         joint_damping: float | Sequence[float] | None = None,
         joint_friction: float | Sequence[float] | None = None,
@@ -146,7 +151,7 @@ class ArmPlant:
         tensors = inertia == "file"
         moving = moving_joints(explicit_urdf(urdf, locked=locked, tensors=tensors))
         n = len(moving)
-        stated = stated_dynamics(urdf, locked)
+        stated, (effort, velocity) = stated_dynamics(urdf, locked), stated_limits(urdf, locked)
         tip = end_effector or next(str(child.get("link")) for child in moving[-1].iter("child"))
         damping = per_item("joint_damping", stated[0] if joint_damping is None else joint_damping, n, "joints")
         friction = per_item("joint_friction", stated[1] if joint_friction is None else joint_friction, n, "joints")
@@ -162,12 +167,16 @@ class ArmPlant:
         driven = _driven(input_joints, n)
         if control != "torque":
             _refuse_friction_beside_motors(control, [friction[joint] for joint in driven])
+        known = {"torque": effort, "velocity": velocity, "position": [math.inf] * n}[control]
+        ranges = [known[joint] for joint in driven] if input_limit is None else input_limit
+        usual = [effort[joint] if math.isfinite(effort[joint]) else MOTOR_FORCE for joint in driven]
+        motors = usual if motor_force is None else motor_force
         settings = Settings(
             step=positive("sample_time", sample_time) / substeps,
             substeps=int(substeps),
             control=control,
             driven=tuple(driven),
-            motor_force=tuple(per_item("motor_force", motor_force, len(driven), "inputs")),
+            motor_force=tuple(per_item("motor_force", motors, len(driven), "inputs")),
             joint_damping=tuple(damping),
             joint_friction=tuple(friction),
             joint_limits=bool(joint_limits),
@@ -187,7 +196,8 @@ class ArmPlant:
         clip = settings.velocity_clip
         joints = tuple(Channel(name, _unit(joint)) for name, joint in zip(names, moving, strict=True))
         rates = tuple(Channel(f"{c.name}_rate", f"{c.unit}/s", -clip, clip) for c in joints)
-        limits = None if input_limit is None else per_item("input_limit", input_limit, len(driven), "inputs")
+        unlimited = input_limit is None and not np.isfinite(ranges).all()
+        limits = None if unlimited else per_item("input_limit", ranges, len(driven), "inputs")
         inputs = _input_channels(called, [_input_unit(control, joints[joint].unit) for joint in driven], limits)
         measured = channels(outputs, joints, rates, keypoints, floating=not fixed_base, table=table is not None)
         states = joints + rates + (() if fixed_base else BASE_STATES)

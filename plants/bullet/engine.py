@@ -6,8 +6,9 @@ What Bullet 3.2 does behind the back, each measured and each handled here:
 * ``changeDynamics(jointDamping=0)`` is ignored and limits once read from a file cannot be taken away again, so both
   are written into the URDF before it is read.
 * Velocity motors are on by default; every joint's motor is set to the declared friction (0 by default).
-* An inertia tensor that no body has becomes 0; joints that are floating or planar, and ``<mimic>``, are left out: all
-  are refused by name. ``<dynamics>`` is read by :func:`stated_dynamics`: Bullet forgets its friction.
+* An inertia tensor that no body has becomes 0; joints that are floating or planar, ``<mimic>``, and the rotors of a
+  ``<transmission>`` are left out: all are refused by name. ``<dynamics>`` and effort and velocity of ``<limit>`` are
+  read by :func:`stated_dynamics` and :func:`stated_limits`: Bullet forgets the friction, and enforces neither limit.
 * Links have 0.04 linear and angular damping; rates are clipped at 100 rad/s.
 * Joint damping is an explicit torque computed once for each ``stepSimulation``, whatever ``numSubSteps`` says: with
   damping the substeps are separate calls. The motor's greatest impulse is computed from the whole time step: with
@@ -33,7 +34,7 @@ import numpy as np
 from harness.errors import InputError, PlantError, PluginError
 from harness.physics.arms.inertia import triangle_excess
 from harness.physics.arms.joints import MOVING
-from harness.physics.arms.urdf import dynamics_of, inertial_of, refuse_dependent
+from harness.physics.arms.urdf import dynamics_of, inertial_of, limits_of, refuse_dependent, rotors_of
 from harness.signals import FloatArray
 
 __all__ = [
@@ -45,6 +46,7 @@ __all__ = [
     "moving_joints",
     "quiet",
     "stated_dynamics",
+    "stated_limits",
     "stiffest_rate",
 ]
 
@@ -138,7 +140,7 @@ def explicit_urdf(
     ------
     InputError
         If it cannot be read, has no moving joint, has no such link, or holds what Bullet would leave out in silence:
-        joints of other kinds, joints that follow others, impossible inertias.
+        joints of other kinds, joints that follow others, impossible inertias, rotors behind a gear.
     """
     root, folder = _parsed(source)
     joints = {str(joint.get("name")): joint for joint in root.iter("joint")}
@@ -201,6 +203,22 @@ def stated_dynamics(source: str | Path, locked: Sequence[str] = ()) -> tuple[lis
     return [damping for damping, _ in both], [friction for _, friction in both]
 
 
+def stated_limits(source: str | Path, locked: Sequence[str] = ()) -> tuple[list[float], list[float]]:
+    """Return the limits of force [N m or N] and rate of the joints that move; infinite where a URDF states none.
+
+    Parameters
+    ----------
+    source : str or Path
+        A file, or the text of one.
+    locked : sequence of str
+        Joints that are made rigid.
+    """
+    root, folder = _parsed(source)
+    stated = limits_of(root, None if folder is None else Path(source))
+    both = [stated[str(joint.get("name"))] for joint in moving_joints(root) if joint.get("name") not in locked]
+    return [effort for effort, _ in both], [velocity for _, velocity in both]
+
+
 def _refuse_left_out(root: ET.Element, file: Path | None, locked: Sequence[str], *, tensors: bool) -> None:
     """Refuse by name what Bullet would leave out of a URDF without a word."""
     refuse_dependent(root, locked, file)
@@ -214,6 +232,16 @@ def _refuse_left_out(root: ET.Element, file: Path | None, locked: Sequence[str],
                 remedy="split it into such joints, lock it, or for a free base use fixed_base = false",
                 file=file,
                 place=f"joint {name}",
+            )
+    for name, rotor in rotors_of(root, file).items():
+        if rotor > 0 and name not in locked:
+            raise InputError(
+                "a rotor behind a gear, for which Bullet has no place",
+                expected="no rotor inertia",
+                got=f"{rotor:g} kg m^2 at the joint",
+                remedy="simulate the URDF in MuJoCo (plant mjcf), or remove <rotor_inertia>",
+                file=file,
+                place=f"transmission of joint {name}",
             )
     for link in root.findall("link"):
         mass, _, inertia = inertial_of(link, file)

@@ -41,8 +41,8 @@ class MujocoPlant:
     model : str or Path
         A file, or the text of one. It may name files of its own folder only, or what is trusted.
     sample_time, timestep : float, optional
-        Seconds between samples (default: ``substeps`` engine steps), and the engine's step (default: the file's; with
-        ``sample_time`` and ``substeps``, their ratio).
+        Seconds between samples (default: ``substeps`` engine steps), and the engine's step (default: the file's, or the
+        next smaller one that divides ``sample_time``; with ``sample_time`` and ``substeps``, their ratio).
     substeps : int, optional
         Engine steps for each sample.
     outputs : sequence of str
@@ -360,7 +360,7 @@ class MujocoPlant:
         return outputs, states
 
     def _block_of(self, rows: FloatArray) -> FloatArray:
-        """Return the states (n, nx) after each of some rows of inputs (n, nu), not those of the engine's steps between."""
+        """Return the states (n, nx) after each of some rows of inputs (n, nu), not after the steps between."""
         engine, model, data = mujoco(), self._model, self._data
         kinds, first = engine.mjtState, len(self._inputs.controls)
         held = np.tile(np.concatenate([data.ctrl, data.qfrc_applied]), (len(rows), 1))

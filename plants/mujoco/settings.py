@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,7 +94,8 @@ def times(
 ) -> tuple[Any, ...]:
     """Return sample time [s], engine step [s] and steps a sample from those of them that are given.
 
-    The step is the file's if neither it nor both others are given; one step a sample if only the step is known.
+    The step is the file's if neither it nor both others are given, or the next smaller one that divides the sample
+    time; one step a sample if only the step is known.
 
     Raises
     ------
@@ -111,6 +113,9 @@ def times(
     if sample_time is None:
         count = 1 if substeps is None else int(substeps)
         return step * count, step, count
+    if timestep is None:
+        count = math.ceil(sample_time / step * (1 - WHOLE))
+        return float(sample_time), sample_time / count, count
     count = round(sample_time / step)
     if count < 1 or abs(count * step - sample_time) > WHOLE * sample_time or (substeps or count) != count:
         raise InputError(

@@ -137,7 +137,9 @@ def inputs_of(
     for name in pushed:
         place = simple.index(name)
         unit = "N m" if states.positions[_position(model, states, place)].unit == "rad" else "N"
-        channels.append(Channel(f"tau{place + 1}", unit))
+        joint = states.scalar[place]  # the range is a URDF's effort, or actuatorfrcrange
+        low, high = model.jnt_actfrcrange[joint] if model.jnt_actfrclimited[joint] else (-np.inf, np.inf)
+        channels.append(Channel(f"tau{place + 1}", unit, float(low), float(high)))
     if called is not None and len(called) != len(channels):
         raise InputError(
             "option input_names",

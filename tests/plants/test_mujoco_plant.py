@@ -160,17 +160,21 @@ def test_times_are_those_that_are_given() -> None:
         MujocoPlant(HOPPER, sample_time=0.01) as sampled,
         MujocoPlant(HOPPER, sample_time=0.01, substeps=20) as fine,
         MujocoPlant(HOPPER, substeps=3, timestep=0.001) as both,
+        MujocoPlant(HOPPER, sample_time=0.003) as divided,
     ):
         found = [
-            (p.spec.sample_time, p.declared["timestep"], p.declared["substeps"]) for p in (alone, sampled, fine, both)
+            (p.spec.sample_time, p.declared["timestep"], p.declared["substeps"])
+            for p in (alone, sampled, fine, both, divided)
         ]
-    assert np.allclose(found, [(0.002, 0.002, 1), (0.01, 0.002, 5), (0.01, 0.0005, 20), (0.003, 0.001, 3)])
+    assert np.allclose(
+        found, [(0.002, 0.002, 1), (0.01, 0.002, 5), (0.01, 0.0005, 20), (0.003, 0.001, 3), (0.003, 0.0015, 2)]
+    )
 
 
 @pytest.mark.parametrize(
     ("options", "word"),
     [
-        ({"sample_time": 0.003}, "substeps"),
+        ({"sample_time": 0.003, "timestep": 0.002}, "substeps"),
         ({"sample_time": 0.01, "timestep": 0.001, "substeps": 3}, "substeps"),
         ({"substeps": 0}, "integer"),
         ({"integrator": "midpoint"}, "implicitfast"),

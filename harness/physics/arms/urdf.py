@@ -15,7 +15,16 @@ from harness.physics.arms.joints import MOVING, Joint
 from harness.physics.arms.rigid_tree import Arm
 from harness.signals import FloatArray
 
-__all__ = ["dynamics_of", "inertial_of", "load_urdf", "pose_of", "refuse_dependent", "rotors_of", "vector_of"]
+__all__ = [
+    "dynamics_of",
+    "inertial_of",
+    "limits_of",
+    "load_urdf",
+    "pose_of",
+    "refuse_dependent",
+    "rotors_of",
+    "vector_of",
+]
 
 
 def load_urdf(path: str | Path) -> Arm:
@@ -171,6 +180,25 @@ def dynamics_of(root: ElementTree.Element, file: Path | None) -> dict[str, tuple
                 )
         result[joint.get("name", "")] = (values[0], values[1])
     return result
+
+
+def limits_of(root: ElementTree.Element, file: Path | None) -> dict[str, tuple[float, float]]:
+    """Return the limits of force [N m or N] and rate [rad/s or m/s] of every joint by name, infinite where none is.
+
+    Exporters write 0 where they know none, which would let nothing move: it is none.
+
+    Examples
+    --------
+    >>> robot = ElementTree.fromstring('<robot><joint name="j"><limit effort="30" velocity="0"/></joint></robot>')
+    >>> limits_of(robot, None)
+    {'j': (30.0, inf)}
+    """
+    found = {}
+    for joint in root.findall("joint"):
+        name, element = joint.get("name", ""), joint.find("limit")
+        values = [_number(element, key, math.inf, file, f"joint {name}") for key in ("effort", "velocity")]
+        found[name] = tuple(value if value > 0 else math.inf for value in values)
+    return {name: (effort, velocity) for name, (effort, velocity) in found.items()}
 
 
 def rotors_of(root: ElementTree.Element, file: Path | None) -> dict[str, float]:
