@@ -104,8 +104,16 @@ def calibrate(
         before = np.array([_own(contents, one) for one in parameters])
         sigma = np.maximum(np.std(np.vstack([one.y for one in records["estimation"]]), axis=0), 1e-12)
         was = {use: _errors(runs, own, before, x0[use], sigma) for use, own in records.items()}
-        guesses = drawn(runs, records["estimation"], parameters, starts, x0["estimation"], stream("calibrate", seed))
-        fit, alike = best_fit(runs, records["estimation"], guesses, x0["estimation"], data.noise, tell)
+        guesses = drawn(
+            runs,
+            records["estimation"],
+            parameters,
+            starts,
+            x0["estimation"],
+            [one.shown is None for one in told],
+            stream("calibrate", seed),
+        )
+        fit, alike = best_fit(runs, records["estimation"], guesses, data.noise, tell)
         p = np.array([fit.parameters[one.name] for one in parameters])
         estimate = output_error_estimate(cast(Any, runs.system), fit, nothing=NOTHING, rule="differences of runs")
         now = {use: _errors(runs, own, p, x0[use], sigma) for use, own in records.items()}

@@ -32,6 +32,8 @@ SAME = 1e-2
 """Sums of squares that differ by less than this part are those of the same minimum."""
 EQUAL = 1e-6
 """Errors below this part of the deviation of the records are none, whatever their ratio."""
+SLEEP = 1e-12
+"""Share of the largest information on a start of a state below which one counts as telling nothing."""
 DRAWS = 4
 """Draws for each start: the one that fits the first beginning best is followed."""
 
@@ -39,8 +41,7 @@ DRAWS = 4
 def best_fit(
     runs: FreeRuns,
     records: Sequence[Trajectory],
-    guesses: Sequence[FloatArray],
-    x0: FloatArray,
+    guesses: Sequence[tuple[FloatArray, FloatArray]],
     noise: Mapping[str, float],
     progress: Callable[[float, str], None],
 ) -> tuple[OutputErrorFit, tuple[int, int]]:
@@ -50,9 +51,8 @@ def best_fit(
     ----------
     runs : FreeRuns
     records : sequence of Trajectory
-    guesses : sequence of array (np,)
-    x0 : array (records, nx)
-        Where the states start, first guess.
+    guesses : sequence of (array (np,), array (records, nx))
+        Where parameters and states start.
     noise : mapping
         Standard deviation of the sensor by output, where it is known.
     progress : callable
@@ -64,20 +64,22 @@ def best_fit(
         If the model breaks from every start, or there are fewer readings than unknowns.
     """
     count = sum(record.y.size for record in records)
-    if count <= runs.np + x0.size:
+    unknown = runs.np + guesses[0][1].size
+    if count <= unknown:
         raise FitError(
             "too few readings",
-            expected=f"more than {runs.np + x0.size}, the parameters and starts to be found",
+            expected=f"more than {unknown}, the parameters and starts to be found",
             got=str(count),
             remedy="record longer, or free less",
         )
     scale = np.maximum(np.std(np.vstack([record.y for record in records]), axis=0), 1e-12)
     results = []
-    for number, guess in enumerate(guesses):
+    for number, (p, x0) in enumerate(guesses):
         progress(number / len(guesses), f"start {number + 1} of {len(guesses)}")
-        results.append(_followed(runs, records, guess, x0, noise, _path(records)))
-        if number == 0 and len(_path(records)) > 1:  # the beginning may tell less than nothing
-            results.append(_followed(runs, records, guess, x0, noise, [None]))
+        results.append(_followed(runs, records, p, x0, noise, _path(records), together=number > 0))
+        # the beginning may tell less than nothing, and starts that suit wrong parameters lead astray
+        if number == 0 or results[-1] is None or _asleep(results[-1]):
+            results.append(_followed(runs, records, p, x0, noise, [None], together=True))
     finite = [result for result in results if result is not None]
     if not finite:
         raise FitError(
@@ -92,6 +94,14 @@ def best_fit(
     runs.central = True
     fit = finish(runs.system, best, np.ones(runs.np, dtype=bool), None, len(results), "zoh")  # type: ignore[arg-type]
     return fit, (alike, len(results))
+
+
+def _asleep(result: Result) -> bool:
+    """Return True if a start of a state ended where it moves nothing, as a level below the floor of its tank."""
+    solution = result.solution
+    gram = solution.evaluation.gram[:, solution.p.size :, solution.p.size :]
+    told = np.diagonal(gram, axis1=1, axis2=2)
+    return bool(told.size and (told <= SLEEP * told.max()).any())
 
 
 def _path(records: Sequence[Trajectory]) -> list[int | None]:
@@ -113,8 +123,13 @@ def _followed(
     x0: FloatArray,
     noise: Mapping[str, float],
     path: Sequence[int | None],
+    *,
+    together: bool = False,
 ) -> Result | None:
-    """Return where one start leads; None where the model breaks."""
+    """Return where one start leads; None where the model breaks.
+
+    ``together``: the starts of the states are not suited to the first parameters before all are searched together.
+    """
     scale = np.maximum(np.std(np.vstack([record.y for record in records]), axis=0), 1e-12)
     known = np.array([noise.get(channel.name, np.nan) for channel in runs.system.outputs])
     sigma = np.where(np.isnan(known), 0.1 * scale, known)
@@ -124,7 +139,7 @@ def _followed(
         last = length is None
         for weighing in range(WEIGHINGS if last else 1):
             windows = _windows(runs, records, length, sigma)
-            if runs.nx and weighing == 0:
+            if runs.nx and weighing == 0 and not together:
                 x0 = minimise_states(windows, p, x0, 8, decrease=0.1)
             stop = {} if last else {"decrease": PREPARED}
             solution = minimise(windows, p, x0, free, ITERATIONS, states_free=runs.nx > 0, **stop)
@@ -148,17 +163,27 @@ def drawn(
     parameters: Sequence[Parameter],
     count: int,
     x0: FloatArray,
+    hidden: Sequence[bool],
     rng: np.random.Generator,
-) -> list[FloatArray]:
-    """Return so many starts: the declared one, and for each other the best of some drawn within the bounds."""
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Return so many starts: the declared one, and for each other the best of some drawn within the bounds.
+
+    Starts of states that no output shows (``hidden``) are drawn by a factor, too.
+    """
     plain = np.array([parameter.value for parameter in parameters])
     sigma = np.maximum(np.std(np.vstack([record.y for record in records]), axis=0), 1e-12)
     windows = _windows(runs, records, _path(records)[0], sigma)
     nothing = np.zeros(0, dtype=np.intp)
-    found = [plain]
+    found = [(plain, x0)]
     for _ in range(count - 1):
-        draws = [np.array([_draw(parameter, rng) for parameter in parameters]) for _ in range(DRAWS)]
-        costs = [windows.trial(p, x0, columns=nothing).cost for p in draws]
+        draws = [
+            (
+                np.array([_draw(parameter, rng) for parameter in parameters]),
+                np.where(np.array(hidden, dtype=bool), x0 * np.exp(rng.normal(size=x0.shape)), x0),
+            )
+            for _ in range(DRAWS)
+        ]
+        costs = [windows.trial(*draw, columns=nothing).cost for draw in draws]
         found.append(draws[int(np.argmin(costs))])
     return found
 
