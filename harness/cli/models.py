@@ -273,7 +273,7 @@ def spectrum(
 
 def export(
     source: Annotated[str, typer.Argument(metavar="DIR_OR_MODEL", help="folder of close-loop, or a model")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="model.fmu; model.ssp for a repaired FMU")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="model.fmu; model.ssp of a repaired FMU; arm.urdf, arm.xml")],
     fmi: Annotated[str, typer.Option(help="2, 3 or both (then model.fmu is FMI 2.0, model-fmi3.fmu FMI 3.0)")] = "both",
     as_json: AsJson = False,
     force: Force = False,

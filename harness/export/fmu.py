@@ -24,7 +24,7 @@ MODEL = "model.json"
 
 
 def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"] = "both") -> list[Path]:
-    """Write a model as co-simulation FMUs.
+    """Write a model as co-simulation FMUs; an identified arm as its URDF or MJCF.
 
     Parameters
     ----------
@@ -33,7 +33,8 @@ def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"
         name of a built-in model (``sysid list models``; its nominal parameters, sample time 0.01 s).
     out : path
         ``model.fmu``. With ``fmi="both"`` this is FMI 2.0 and ``model-fmi3.fmu`` beside it is FMI 3.0. For a loop
-        closed around an FMU ``model.ssp``: a package of that FMU and of one with the effects.
+        closed around an FMU ``model.ssp``: a package of that FMU and of one with the effects. For an arm
+        ``arm.urdf`` or ``arm.xml``, as the file that it was read from.
     fmi : {"2", "3", "both"}
         Version.
 
@@ -48,9 +49,9 @@ def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"
         If the source is missing or is neither a grey-box nor a linear model, or there is no C compiler.
     """
     target = Path(out)
-    package = _package(source, target, fmi)
-    if package is not None:
-        return [package]
+    other = _other_kind(source, target, fmi)
+    if other is not None:
+        return [other]
     if target.suffix != ".fmu":
         raise InputError("output", expected="a name that ends in .fmu", got=str(out), remedy="rename it")
     write = _load(source)
@@ -59,8 +60,8 @@ def export(source: str | Path, *, out: str | Path, fmi: Literal["2", "3", "both"
     return [write(path, version=version) for version, path in names.get(fmi, both)]
 
 
-def _package(source: str | Path, target: Path, fmi: str) -> Path | None:
-    """Write a repaired FMU as a package; None if the source is another kind of model."""
+def _other_kind(source: str | Path, target: Path, fmi: str) -> Path | None:
+    """Write a repaired FMU as a package, an arm as its own kind of file; None for any other kind of model."""
     path = Path(source)
     path = path / MODEL if path.is_dir() else path
     if not path.is_file():
@@ -69,9 +70,13 @@ def _package(source: str | Path, target: Path, fmi: str) -> Path | None:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, UnicodeDecodeError):
         return None
-    if not isinstance(content, dict) or content.get("kind") != "fmu":
+    if not isinstance(content, dict) or content.get("kind") not in ("fmu", "arm"):
         return None
     registered_only(content, file=path)
+    if content["kind"] == "arm":
+        from harness.export.robot import write_robot
+
+        return write_robot(content, target)
     if target.suffix != ".ssp":
         raise InputError(
             "output",

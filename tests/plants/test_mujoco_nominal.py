@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 
 from harness.errors import InputError
+from harness.export import export
+from harness.export.robot import repaired_mjcf
 from harness.physics.arms.arm import ArmModel, load_arm
 from harness.physics.arms.mechanism import arm_mechanism
 from harness.physics.arms.mjcf_write import mjcf_with
@@ -205,3 +208,50 @@ def test_what_cannot_be_found_in_the_text_or_has_no_mjcf_is_refused(tmp_path: Pa
     with pytest.raises(InputError, match="density"):
         mjcf_with(load_arm(written(tmp_path, ONE)), np.array([-1.0, *np.zeros(9)]))
     assert re.search("armature", mjcf_with(load_arm(written(tmp_path, ONE)), motor_inertia=np.array([0.5])))
+
+
+def effect(name: str, at: str, **values: float) -> dict[str, object]:
+    """Return an effect as a report has it."""
+    return {"name": name, "at": at, "parameters": {key: {"value": value} for key, value in values.items()}}
+
+
+def test_what_a_loop_found_is_in_the_repaired_mjcf_and_what_has_no_place_there_is_said(tmp_path: Path) -> None:
+    arm = load_arm(written(tmp_path, TWO))
+    found = [
+        effect("coulomb_friction", "q1", Fc=0.4, w=0.001),
+        effect("viscous_friction", "q2", b=-0.05),
+        effect("rotor_inertia", "q1", J=0.02),
+        effect("payload", "flange", m=0.5, mx=0.1, mz=-0.05),
+        effect("link_inertia", "link of slide", I=0.7),
+        effect("cogging", "q1", c=0.1),
+    ]
+    text = repaired_mjcf(arm, found)
+    again = load_arm(written(tmp_path, text, "repaired.xml"))
+    assert np.allclose(again.friction, [0.4, 0.0])
+    assert np.allclose(again.damping, arm.damping + np.array([0.0, -0.05]))
+    assert np.allclose(again.motor_inertia, arm.motor_inertia + np.array([0.02, 0.0]))
+    assert "cannot hold: cogging at q1;" in text
+    names = [joint.name for joint in again.arm.joints]
+    assert np.allclose(again.arm.joints[names.index("slide")].inertia, 0.7 * np.eye(3))
+    load = again.arm.joints[names.index("payload")]
+    assert load.mass == 0.5
+    assert np.allclose(load.mass * load.offset, [0.1, 0.0, -0.05])
+
+
+def test_an_identified_arm_is_exported_as_the_file_that_it_was_read_from(tmp_path: Path) -> None:
+    path = written(tmp_path, ONE)
+    arm = load_arm(path)
+    content = {
+        "kind": "arm",
+        "model": str(path),
+        "inertial": (1.1 * arm.arm.parameters).tolist(),
+        "damping": [0.2],
+        "friction": [0.5],
+        "motor_inertia": [0.07],
+    }
+    stored = written(tmp_path, json.dumps(content), "model.json")
+    again = load_arm(export(stored, out=tmp_path / "found.xml")[0])
+    assert np.allclose(again.arm.parameters, 1.1 * arm.arm.parameters)
+    assert [*again.damping, *again.friction, *again.motor_inertia] == pytest.approx([0.2, 0.5, 0.07])
+    with pytest.raises(InputError, match=r"\.xml or \.mjcf.*--out found\.xml"):
+        export(stored, out=tmp_path / "found.urdf")
