@@ -228,6 +228,7 @@ def pages() -> dict[str, str]:
         "plants.md": parts("plants", "Plants", "How exact they are and what they can do: [plants](../plants.md)."),
         "scenarios.md": parts("scenarios", "Scenarios", "What excites a plant, sets its start and its sensors' noise."),
         "models.md": parts("models", "Models", "Nominal models by name: `--model NAME`."),
+        "analyses.md": parts("analyses", "Analyses", "`sysid analyse ANALYSIS SUBJECT -O option=value`."),
         "commands.md": commands(),
         "python.md": python(),
         "report.md": report(),

@@ -64,6 +64,7 @@ _HOMES = {
     "spectrum": "api",
     "order": "api",
     "modes": "api",
+    "analyse": "api",
     "check": "api",
     "vet": "api",
     "agreement": "api",

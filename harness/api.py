@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from harness.fleet import FleetResult
     from harness.learned import LearnedResidual
     from harness.modal import Criteria, Modes
+    from harness.models.analysis import Findings
     from harness.models.predictive import ProbabilityScore
     from harness.scoring import Score
     from harness.vetting import Agreement, Vetting
@@ -48,6 +49,7 @@ __all__ = [
     "FittedModel",
     "Identified",
     "agreement",
+    "analyse",
     "bench",
     "calibrate",
     "check",
@@ -1200,6 +1202,63 @@ def modes(
         for name, plot in (("stabilisation", found.plot), ("shapes", found.plot_shapes), ("motion", found.plot_motion)):
             _draw(plot, folder / f"{name}.svg")
     return found
+
+
+def analyse(
+    name: str,
+    subject: Any,
+    *,
+    options: Mapping[str, Any] | None = None,
+    subject_options: Mapping[str, Any] | None = None,
+    seed: int = 0,
+    **signals: Unpack[Signals],
+) -> Findings:
+    """Return what an analysis finds in a process, a plant, a model's equations or records.
+
+    Parameters
+    ----------
+    name : str
+        Id of an analysis (``sysid list analyses``), which says what it looks at.
+    subject : str, path, table or object
+        A plant's id or file, a ``model.json``, a model's name or URDF, or a data set; or the thing itself.
+    options : mapping, optional
+        Of the analysis.
+    subject_options : mapping, optional
+        Of the plant or the model that is looked at.
+    seed : int
+        For analyses that draw random numbers.
+    **signals : Signals
+        As for :func:`identify`, where records are looked at.
+
+    Raises
+    ------
+    InputError
+        If there is no such analysis, or the subject is none that it can look at.
+
+    Examples
+    --------
+    >>> analyse("bisimulation", "corridors-mdp", subject_options={"length": 4}).words[0]
+    '9 states in 5 classes that no experiment tells apart within 1e-09'
+    """
+    from harness.models.analysis import Analysis
+
+    made = cast(Analysis, registry.create("analyses", name, **dict(options or {})))
+    more = dict(subject_options or {})
+    rng = stream("analysis", name, seed)
+    if not isinstance(subject, str | Path) and made.takes != "data":
+        return made.of(subject, rng=rng)
+    if made.takes == "maker":
+        return made.of(lambda **other: make_plant(str(subject), {**more, **other}), rng=rng)
+    if made.takes == "definition":
+        return made.of(load_model(str(subject), **more), rng=rng)
+    if made.takes == "process" and str(subject).endswith(".json"):
+        return made.of(load_model(subject).model, rng=rng)
+    if made.takes == "process":
+        with make_plant(str(subject), more) as plant:
+            return made.of(plant, rng=rng)
+    from harness.data import load_dataset
+
+    return made.of(load_dataset(registry.dataset_path(subject), **signals).dataset, rng=rng)
 
 
 def check_data(

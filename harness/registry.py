@@ -22,10 +22,43 @@ from harness.errors import HarnessError, InputError, PluginError
 from harness.fingerprint import files_named, fingerprint
 from harness.options import instead, meant_options
 
-__all__ = ["KINDS", "Entry", "code_of", "create", "dataset_path", "entries", "entry", "load", "named_options"]
+__all__ = [
+    "KINDS",
+    "Entry",
+    "code_of",
+    "create",
+    "dataset_path",
+    "entries",
+    "entry",
+    "load",
+    "named_options",
+    "singular",
+]
 
 DISTRIBUTION = "sysid-harness"
-KINDS = ("plants", "identifiers", "scenarios", "effects", "models", "suites", "recordings", "model_readers", "tools")
+KINDS = (
+    "plants",
+    "identifiers",
+    "scenarios",
+    "effects",
+    "models",
+    "analyses",
+    "suites",
+    "recordings",
+    "model_readers",
+    "tools",
+)
+
+
+def singular(kind: str) -> str:
+    """Return the word for one part of a kind.
+
+    Examples
+    --------
+    >>> singular("plants"), singular("analyses")
+    ('plant', 'analysis')
+    """
+    return "analysis" if kind == "analyses" else kind[:-1].replace("_", " ")
 
 
 @dataclass(frozen=True)
@@ -136,7 +169,7 @@ def entry(kind: str, id: str) -> Entry:
     near = difflib.get_close_matches(id, known, n=3)
     hint = f"did you mean {' or '.join(near)}?" if near else f"run 'sysid list {kind}'"
     raise InputError(
-        f"unknown {kind[:-1].replace('_', ' ')}",
+        f"unknown {singular(kind)}",
         expected=f"one of {', '.join(sorted(known))}",
         got=repr(id),
         remedy=hint,
@@ -160,7 +193,7 @@ def load(kind: str, id: str) -> Any:
         raise
     except Exception as error:
         raise PluginError(
-            f"{kind[:-1]} {id!r} of {found.distribution} ({found.target}) does not load: "
+            f"{singular(kind)} {id!r} of {found.distribution} ({found.target}) does not load: "
             f"{type(error).__name__}: {error}; remedy: repair or uninstall {found.distribution}"
         ) from error
 
@@ -217,12 +250,12 @@ def create(kind: str, id: str, /, **options: Any) -> Any:
     if unknown or missing:
         remedy = instead(unknown, known) if unknown else f"give {', '.join(missing)}"
         raise InputError(
-            f"options of {kind[:-1]} {id!r}",
+            f"options of {singular(kind)} {id!r}",
             expected=f"options among ({', '.join(known)})" + (f" with {', '.join(missing)} given" if missing else ""),
             got=", ".join(f"{k}={v!r}" for k, v in options.items()) or "none",
             remedy=remedy,
         )
-    options = meant_options(f"{kind[:-1]} {id!r}", factory, options)
+    options = meant_options(f"{singular(kind)} {id!r}", factory, options)
     try:
         return factory(**options)
     except HarnessError:
@@ -230,12 +263,12 @@ def create(kind: str, id: str, /, **options: Any) -> Any:
     except Exception as error:
         if options and isinstance(error, TypeError | ValueError | AttributeError | LookupError):
             raise InputError(
-                f"options of {kind[:-1]} {id!r}",
+                f"options of {singular(kind)} {id!r}",
                 expected="values that it can work with",
                 got=", ".join(f"{k}={v!r}" for k, v in options.items()),
                 remedy="correct them (SYSID_HARNESS_DEBUG=1 shows what it stumbles over)",
             ) from error
         raise PluginError(
-            f"{kind[:-1]} {id!r} raised {type(error).__name__}: {error}; remedy: check its options or report it to "
-            f"{entry(kind, id).distribution}"
+            f"{singular(kind)} {id!r} raised {type(error).__name__}: {error}; "
+            f"remedy: check its options or report it to {entry(kind, id).distribution}"
         ) from error

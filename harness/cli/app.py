@@ -19,11 +19,12 @@ from harness.cli.loop import close_loop, isolability, learn_residual
 from harness.cli.models import check_data, compare, export, identify, order, spectrum
 from harness.cli.options import AsJson, Force, ModelName
 from harness.cli.runs import bench, query, simulate, table
-from harness.cli.structures import modes
+from harness.cli.structures import analyse, modes
 from harness.cli.terminal import fail, print_fmu, print_json, print_parts, print_rows, print_system, print_written, say
 from harness.cli.vetting import check
 from harness.errors import HarnessError, InputError
 from harness.parts.files import is_system
+from harness.registry import singular
 from harness.supervision.interrupts import INTERRUPTED, Interrupts
 
 __all__ = ["app", "run"]
@@ -40,7 +41,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-for _command in (simulate, bench, table, query, identify, compare, spectrum, order, modes, isolability, export, check):
+_NAMED_ALIKE = (simulate, bench, table, query, identify, compare, spectrum, order, modes, analyse, isolability)
+for _command in (*_NAMED_ALIKE, export, check):
     app.command()(_command)
 app.command(name="check-data")(check_data)
 app.command(name="close-loop")(close_loop)
@@ -82,7 +84,7 @@ def list_command(
         if as_json:
             print_json(part)
             return
-        say(f"{part['id']} ({part['kind'][:-1]} of {part['distribution']}): {part['text']}")
+        say(f"{part['id']} ({singular(part['kind'])} of {part['distribution']}): {part['text']}")
         for title, fact in part["facts"].items():
             say(f"{title}: {fact}")
         print_rows(part["options"])

@@ -1,4 +1,4 @@
-"""The command of ``sysid`` that reads the modes of a structure from records."""
+"""The commands of ``sysid`` that look into a structure, a process or a model: modes, and registered analyses."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from harness.cli.options import (
 )
 from harness.cli.terminal import completed, noted, option_pairs, print_json, print_rows, progress_bar, say, whole_range
 
-__all__ = ["modes"]
+__all__ = ["analyse", "modes"]
 
 
 def modes(
@@ -99,3 +99,44 @@ def modes(
         say(text)
     if out is not None:
         say(f"wrote {out}")
+
+
+def analyse(
+    name: Annotated[
+        str,
+        typer.Argument(metavar="ANALYSIS", help="id (sysid list analyses)", autocompletion=completed("analyses")),
+    ],
+    subject: Annotated[
+        str,
+        typer.Argument(metavar="SUBJECT", help="what it looks at: a plant, model.json, a model or URDF, or a data set"),
+    ],
+    option: OptionPairs = None,
+    subject_option: Annotated[
+        list[str] | None,
+        typer.Option("--subject-option", "-P", metavar="k=v", help="option of the plant or model, repeatable"),
+    ] = None,
+    input: Inputs = None,
+    output: Outputs = None,
+    column: Columns = None,
+    unit: Units = None,
+    sample_time: SampleTime = None,
+    run: Runs = None,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+    trust: Trust = None,
+) -> None:
+    """Look into a finite process, a mechanism, a plant or records with a registered analysis."""
+    found = api.analyse(
+        name,
+        subject,
+        options=option_pairs(option, "--option"),
+        subject_options=option_pairs(subject_option, "--subject-option"),
+        seed=seed,
+        **signals_of(input, output, column, unit, sample_time, run),
+    )
+    if as_json:
+        print_json(found.to_dict())
+        return
+    print_rows([dict(row) for row in found.rows])
+    for text in found.words:
+        say(text)

@@ -12,9 +12,9 @@ from harness.errors import InputError
 
 __all__ = ["LISTED", "describe_part", "list_parts"]
 
-LISTED = ("plants", "identifiers", "scenarios", "effects", "models", "suites", "recordings")
+LISTED = ("plants", "identifiers", "scenarios", "effects", "models", "analyses", "suites", "recordings")
 """Kinds of parts that a person chooses among."""
-DESCRIBED = ("plants", "identifiers", "scenarios", "effects", "models")
+DESCRIBED = ("plants", "identifiers", "scenarios", "effects", "models", "analyses")
 """Kinds of parts that have a description of their own."""
 TOLD = ("", "Notes", "References")
 """Sections of a docstring that say what a part is; the empty name stands for what comes before the first heading."""
@@ -28,7 +28,7 @@ def list_parts(kind: str | None = None) -> dict[str, list[dict[str, str]]]:
     Parameters
     ----------
     kind : str, optional
-        One of plants, identifiers, scenarios, effects, models, suites, recordings; all of them if not given.
+        One of plants, identifiers, scenarios, effects, models, analyses, suites, recordings; all of them if not given.
 
     Raises
     ------

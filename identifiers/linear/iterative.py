@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from harness.errors import InputError
+from harness.errors import InputError, PlantError
+from harness.models.analysis import Findings, Takes
 from harness.protocols import Model
 from harness.signals import FloatArray
 
-__all__ = ["Learned", "TimeVarying", "learn_input", "linearised_along"]
+__all__ = ["IterativeLearning", "Learned", "LiftedMap", "TimeVarying", "learn_input", "linearised_along"]
+
+
+class LiftedMap(Protocol):
+    """What changes of all inputs of a run do to all its outputs."""
+
+    def lifted(self) -> FloatArray:
+        """Return the map (N ny, N nu)."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +117,7 @@ def learn_input(
     run: Callable[[FloatArray], FloatArray],
     reference: FloatArray,
     first: FloatArray,
-    model: Callable[[FloatArray], TimeVarying] | TimeVarying,
+    model: Callable[[FloatArray], LiftedMap] | LiftedMap,
     *,
     repetitions: int = 14,
     effort: float = 1e-4,
@@ -127,8 +137,8 @@ def learn_input(
     reference : array (N, ny)
     first : array (N, nu)
         Input of the first repetition.
-    model : TimeVarying or callable
-        The model along the trajectory, or ``model(u) -> TimeVarying`` for one along the trajectory of each input.
+    model : LiftedMap or callable
+        The model along the trajectory (a TimeVarying), or ``model(u) -> LiftedMap`` for one along that of each input.
     repetitions : int
         After the first.
     effort : float
@@ -159,3 +169,115 @@ def learn_input(
         damping = effort * float(np.trace(gram)) / len(gram)
         u = u + np.linalg.solve(gram + damping * np.eye(len(gram)), gain.T @ miss).reshape(u.shape)
     return Learned(best[1], tuple(errors))
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """The map that small changes of every input show on runs of a believed plant."""
+
+    gain: FloatArray
+
+    def lifted(self) -> FloatArray:
+        return self.gain
+
+
+@dataclass(frozen=True)
+class IterativeLearning:
+    """A motion learned by repeating it on a plant, corrected with a plant that is believed.
+
+    Norm-optimal iterative learning control (Amann, Owens & Rogers 1996, IEE Proc. D 143:217).
+    The first output is to rise to a height and come back, always from rest. The input is planned on the believed plant,
+    run on the true one, and corrected after every repetition (:func:`learn_input`).
+
+    Parameters
+    ----------
+    believed : mapping
+        Options of the believed plant that differ from those of the true one; needed, such as ``parameters``.
+    height : float
+        Of the motion, in the unit of the first output.
+    duration : float
+        [s].
+    repetitions : int
+        After the first.
+    effort : float
+        What changes of the input cost, relative to the mean square gain of the model.
+    """
+
+    takes: ClassVar[Takes] = "maker"
+    believed: dict[str, Any] = field(default_factory=dict)
+    height: float = 1.0
+    duration: float = 4.0
+    repetitions: int = 10
+    effort: float = 1e-4
+
+    def of(self, subject: Any, *, rng: np.random.Generator) -> Findings:
+        """Return the error at every repetition, beside that of the plan on the believed plant."""
+        if not self.believed or self.duration <= 0 or self.repetitions < 1:
+            raise InputError(
+                "iterative learning",
+                expected="believed options, duration > 0, repetitions >= 1",
+                got=f"believed={self.believed}, duration={self.duration}, repetitions={self.repetitions}",
+                remedy="say what is believed of the plant, such as -O believed.parameters={mgl = 0.8}",
+            )
+        with subject() as plant, subject(**self.believed) as belief:
+            spec = plant.spec
+            count = max(round(self.duration / spec.sample_time), 2)
+            if count > _LONGEST:
+                raise InputError(
+                    "iterative learning",
+                    expected=f"at most {_LONGEST} samples of motion",
+                    got=str(count),
+                    remedy="choose a larger sample_time or a shorter duration",
+                )
+            shape = np.sin(np.pi * np.clip(1.1 * np.arange(count) / (count - 1), 0.0, 1.0)) ** 2
+            wanted = self.height * shape[:, None]
+
+            def repeated(which: Any, u: FloatArray) -> FloatArray:
+                y = np.full((len(u), 1), np.inf)
+                y[0] = np.asarray(which.reset(rng=np.random.default_rng(0)))[:1]
+                try:
+                    for k in range(len(u) - 1):
+                        y[k + 1] = which.step(u[k])[:1]
+                except PlantError:
+                    return y
+                return y
+
+            def tried(u: FloatArray) -> _Tried:
+                here = repeated(belief, u)
+                gain = np.zeros((count, count * spec.nu))
+                for place in range(gain.shape[1]):
+                    push = np.zeros(gain.shape[1])
+                    push[place] = _PUSH
+                    gain[:, place] = ((repeated(belief, u + push.reshape(u.shape)) - here) / _PUSH)[:, 0]
+                return _Tried(gain)
+
+            start = np.zeros((count, spec.nu))
+            plan = learn_input(
+                lambda u: repeated(belief, u), wanted, start, tried, repetitions=_PLANNED, effort=self.effort
+            )
+            learned = learn_input(
+                lambda u: repeated(plant, u),
+                wanted,
+                plan.inputs,
+                tried(plan.inputs),
+                repetitions=self.repetitions,
+                effort=self.effort,
+            )
+        rows = [{"repetition": k, "error rms": error} for k, error in enumerate(learned.errors)]
+        unit = spec.outputs[0].unit
+        text = (
+            f"planned to {min(plan.errors):.3g} {unit} on the believed plant; {learned.errors[0]:.3g} {unit} at first "
+            f"on the true one, {min(learned.errors):.3g} {unit} at best of {len(learned.errors)} repetitions"
+        )
+        words = [text]
+        if min(learned.errors) > 0.5 * learned.errors[0]:
+            words.append("hardly better: the believed plant points the wrong way somewhere along the motion")
+        return Findings("iterative learning", rows, words, {"input": learned.inputs, "reference": wanted})
+
+
+_LONGEST = 200
+"""Samples of a motion: the model along it is tried input by input."""
+_PLANNED = 8
+"""Repetitions on the believed plant, which cost nothing."""
+_PUSH = 1e-4
+"""Change of an input by which the model along a motion is tried, in its unit."""

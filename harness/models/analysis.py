@@ -1,0 +1,69 @@
+"""What an analysis is: it looks at one thing (a plant, a model's equations, records) and says what it found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+
+import numpy as np
+
+from harness.display import page, table
+
+__all__ = ["Analysis", "Findings", "Takes"]
+
+Takes = Literal["process", "maker", "definition", "data"]
+"""What an analysis looks at: a finite process (a plant, or a fitted model), a maker of plants ``make(**options)``, the
+equations of a model (:class:`harness.physics.System`), or a data set."""
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What an analysis found.
+
+    Parameters
+    ----------
+    title : str
+    rows : sequence of mapping
+        A table: numbers and short texts by column.
+    words : sequence of str
+        What the table means, in sentences.
+    details : mapping
+        Arrays and numbers for Python and JSON.
+    """
+
+    title: str
+    rows: Sequence[Mapping[str, Any]]
+    words: Sequence[str] = ()
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready description."""
+        plain = {
+            name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in self.details.items()
+        }
+        return {"title": self.title, "rows": [dict(row) for row in self.rows], "words": list(self.words), **plain}
+
+    def __repr__(self) -> str:
+        return f"<Findings: {self.title}>"
+
+    def _repr_html_(self) -> str:
+        shown = table(list(self.rows[0]), [tuple(row.values()) for row in self.rows]) if self.rows else ""
+        return page(self.title, shown, *(f"<p>{text}</p>" for text in self.words))
+
+
+@runtime_checkable
+class Analysis(Protocol):
+    """Looks at one thing. Options are frozen; ``of`` changes nothing outside."""
+
+    takes: ClassVar[Takes]
+
+    def of(self, subject: Any, *, rng: np.random.Generator) -> Findings:
+        """Return what was found.
+
+        Raises
+        ------
+        InputError
+            If the subject is none that it can look at.
+        """
+        ...

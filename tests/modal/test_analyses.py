@@ -1,0 +1,118 @@
+"""`sysid analyse`: what was a function inside a module has an id, a command and a call."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from harness import api
+from harness.command import main
+from harness.errors import InputError
+from harness.models.analysis import Analysis
+from harness.registry import create, entries
+from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
+from identifiers.finite.mdp import MdpModel
+from identifiers.finite.smaller import Bisimulation
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(list(arguments))
+    return int(ended.value.code or 0)
+
+
+def test_every_analysis_is_listed_and_keeps_the_contract() -> None:
+    listed = {row["id"]: row["summary"] for row in api.list_parts("analyses")["analyses"]}
+    assert set(listed) == {"bisimulation", "belief-compression", "iterative-learning", "base-parameters"}
+    assert all(listed.values())
+    for entry in entries("analyses"):
+        assert isinstance(create("analyses", entry.id), Analysis)
+        with pytest.raises(InputError) as refused:
+            api.analyse(entry.id, object() if entry.id != "belief-compression" else "nowhere.csv")
+        assert "\n" not in str(refused.value)
+
+
+@settings(max_examples=20, deadline=None)
+@given(copies=st.integers(1, 4), states=st.integers(2, 4), seed=st.integers(0, 10_000))
+def test_copies_of_states_fall_into_one_class(copies: int, states: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    small, reward = rng.dirichlet(np.ones(states), size=(states, 2)), np.arange(states, dtype=float)
+    owner = np.repeat(np.arange(states), copies)
+    split = rng.dirichlet(np.ones(copies), size=(states * copies, 2, states))
+    table = (small[owner][..., None] * split).reshape(states * copies, 2, states * copies)
+    spec = PlantSpec((Channel("a", "1", 0, 1, "category"),), (Channel("s", "1", 0, len(owner) - 1, "category"),), 1.0)
+    found = Bisimulation(reward=reward[owner].tolist()).of(
+        MdpModel(spec, table, np.ones(table.shape[:2])), rng=np.random.default_rng(0)
+    )
+    assert found.details["labels"].tolist() == owner.tolist()
+    assert found.details["transition"] == pytest.approx(small, abs=1e-9)
+    assert sum(row["size"] for row in found.rows) == len(owner)
+
+
+def test_a_process_counted_from_data_and_a_wrong_reward(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    spec = PlantSpec((Channel("a", "1", 0, 1, "category"),), (Channel("s", "1", 0, 2, "category"),), 1.0)
+    table = np.array([[[0, 0.5, 0.5]] * 2, [[1, 0, 0]] * 2, [[1, 0, 0]] * 2], dtype=float)
+    (tmp_path / "model.json").write_text(json.dumps(MdpModel(spec, table, np.ones((3, 2))).to_dict()), encoding="utf-8")
+    asked = ["analyse", "bisimulation", str(tmp_path / "model.json")]
+    assert run(*asked, "-O", "reward=[0, 1, 1]", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["labels"] == [0, 1, 1]
+    assert run(*asked, "-O", "reward=[0, 1]") == 2
+    assert "expected shape (3, 2) or (3,)" in capsys.readouterr().err
+    assert run(*asked) == 2
+    assert "-O reward=" in capsys.readouterr().err
+    assert run("analyse", "bisimulations", "corridors-mdp") == 2
+    assert "did you mean bisimulation" in capsys.readouterr().err
+
+
+def test_corridors_that_are_alike_are_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("analyse", "bisimulation", "corridors-mdp", "-P", "length=4") == 0
+    assert "9 states in 5 classes" in capsys.readouterr().out
+    slippery = api.analyse("bisimulation", "corridors-mdp", subject_options={"length": 4, "slip": 0.2})
+    assert len(slippery.rows) == 9
+
+
+def test_beliefs_of_two_hidden_states_are_mixtures_of_two() -> None:
+    rng = np.random.default_rng(0)
+    stay, right = 0.95, 0.85
+    state, seen = 0, []
+    for _ in range(3000):
+        state = state if rng.random() < stay else 1 - state
+        seen.append(state if rng.random() < right else 1 - state)
+    spec = PlantSpec((), (Channel("o", "1", 0, 1, "category"),), 1.0)
+    record = Trajectory(np.arange(3000.0), np.zeros((3000, 0)), np.array(seen, dtype=float)[:, None], spec)
+    found = api.analyse("belief-compression", Dataset("hidden", (Run(record),)), options={"states": 2})
+    one, two = (row["divergence [nats]"] for row in found.rows)
+    assert two < 0.01 < one
+    assert found.details["enough"] == 2
+    assert found.details["basis"].sum(axis=1) == pytest.approx(1.0)
+
+
+def test_a_motion_is_learned_although_the_model_is_wrong() -> None:
+    found = api.analyse(
+        "iterative-learning",
+        "pendulum-ode",
+        subject_options={"sample_time": 0.1},
+        options={"believed": {"parameters": {"mgl": 0.8, "b": 0.1}}, "repetitions": 6},
+    )
+    errors = [row["error rms"] for row in found.rows]
+    assert errors[0] > 0.05
+    assert min(errors) < 0.02 * errors[0]
+    assert found.details["input"].shape == (40, 1)
+    with pytest.raises(InputError, match="believed"):
+        api.analyse("iterative-learning", "pendulum-ode")
+
+
+def test_base_parameters_say_what_is_tied_and_what_no_motion_shows() -> None:
+    found = api.analyse("base-parameters", "cart-pole")
+    assert [row["combination"] for row in found.rows] == ["mc + mp", "l**2*mp", "l*mp", "bx", "btheta"]
+    assert any("seen in combinations only: l, mc, mp" in text for text in found.words)
+    known = api.analyse("base-parameters", "cart-pole", options={"known": {"l": 0.5}})
+    assert len(known.rows) == 4
+    with pytest.raises(InputError, match="known parameters"):
+        api.analyse("base-parameters", "cart-pole", options={"known": {"mass": 1.0}})
+    assert "<table>" in found._repr_html_()
