@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,15 @@ def suite(tmp_path: Path) -> Path:
     path = tmp_path / "axis.toml"
     path.write_text(NOISE)
     return path
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of that suite, run once; who changes it takes a copy."""
+    folder = tmp_path_factory.mktemp("axes")
+    (folder / "axis.toml").write_text(NOISE)
+    bench(folder / "axis.toml", out=folder / "out", workers=1)
+    return folder / "out"
 
 
 def test_an_axis_makes_a_part_of_each_value(suite: Path) -> None:
@@ -61,9 +71,8 @@ def test_wrong_axes_are_refused(tmp_path: Path, axes: str, says: str) -> None:
         load_suite(path)
 
 
-def test_points_are_paired_and_the_floor_is_the_noise(suite: Path, tmp_path: Path) -> None:
-    result = bench(suite, out=tmp_path / "out", workers=1)
-    arx = {(row.axis_values[0], row.seed): row for row in result.rows if row.identifier == "arx"}
+def test_points_are_paired_and_the_floor_is_the_noise(ran: Path) -> None:
+    arx = {(row.axis_values[0], row.seed): row for row in table(ran).rows if row.identifier == "arx"}
     assert arx[0.0, 0].axes == ("scenarios.noise",)
     for seed in (0, 1):
         assert arx[0.0, seed].noise_floor is None
@@ -71,13 +80,11 @@ def test_points_are_paired_and_the_floor_is_the_noise(suite: Path, tmp_path: Pat
         assert high / low == pytest.approx(10.0, rel=0.3)  # the noise is the same, scaled; the outputs are nearly so
         for noise in (0.01, 0.1):
             assert arx[noise, seed].simulation_error > 0.9 * arx[noise, seed].noise_floor
-    page = (tmp_path / "out" / "report.html").read_text()
+    page = (ran / "report.html").read_text()
     assert "Along the axes" in page
 
 
-def test_shares_of_a_job_array_make_the_whole(suite: Path, tmp_path: Path) -> None:
-    whole = tmp_path / "whole"
-    bench(suite, out=whole, workers=1)
+def test_shares_of_a_job_array_make_the_whole(suite: Path, ran: Path, tmp_path: Path) -> None:
     parts = tmp_path / "parts"
     for shard in ("1/2", "2/2"):
         bench(suite, out=parts, workers=1, shard=shard)
@@ -85,7 +92,7 @@ def test_shares_of_a_job_array_make_the_whole(suite: Path, tmp_path: Path) -> No
             half = table(parts)
             assert (len(half.rows), half.planned) == (6, 12)
     assert len(table(parts).rows) == 12
-    assert (parts / "results.parquet").read_bytes() == (whole / "results.parquet").read_bytes()
+    assert (parts / "results.parquet").read_bytes() == (ran / "results.parquet").read_bytes()
     assert query(parts, "select count(*) as n from results").records() == [{"n": 12}]
     for wrong in ("0/2", "3/2", "2", "a/b"):
         with pytest.raises(InputError, match="i/n"):
@@ -116,9 +123,8 @@ def test_before_anything_has_run_a_plan_goes_by_what_the_suite_states(tmp_path: 
     assert "about 6 s, by the mean time of a cell that the suite states" in str(found)
 
 
-def test_rows_are_filtered_by_the_values_of_columns(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    out = tmp_path / "out"
-    bench(suite, out=out, workers=1, traces="none")
+def test_rows_are_filtered_by_the_values_of_columns(ran: Path, capsys: pytest.CaptureFixture) -> None:
+    out = ran
     found = query(out, filters={"identifier": "arx", "seed": 1})
     assert len(found) == 3
     assert {(row["identifier"], row["seed"]) for row in found.records()} == {("arx", 1)}
@@ -138,9 +144,8 @@ def test_rows_are_filtered_by_the_values_of_columns(suite: Path, tmp_path: Path,
     assert "log_score" not in printed, "a column without a value is not shown"
 
 
-def test_an_older_store_is_read_and_one_of_another_format_is_refused_by_name(suite: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    bench(suite, out=out, workers=1)
+def test_an_older_store_is_read_and_one_of_another_format_is_refused_by_name(ran: Path, tmp_path: Path) -> None:
+    out = shutil.copytree(ran, tmp_path / "out")
     from pyarrow import parquet
 
     # as a version before these columns and tables would have written it

@@ -16,7 +16,9 @@ seeds = [0]
 plants = [{id = "pendulum-ode", options = {sample_time = 0.05, outputs = [["theta", 0], ["theta", 1]]}}]
 scenarios = [{id = "multisine", options = {duration = 10.0, amplitude = 0.2, band = [0.05, 3.0], noise = 0.001}}]
 SCORE
-identifiers = [{id = "least-squares"}, {id = "arx", options = {order = 3}}, {id = "stlsq"}, {id = "edmdc", options = {degree = 3}}]
+identifiers = [
+  {id = "least-squares"}, {id = "arx", options = {order = 3}}, {id = "stlsq"}, {id = "edmdc", options = {degree = 3}},
+]
 [[groups]]
 plants = [{id = "cart-pole-ode", options = {sample_time = 0.02}}]
 scenarios = [{id = "cart-pole-lqr", options = {duration = 8.0, noise = 0.0002}}]

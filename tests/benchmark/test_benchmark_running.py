@@ -72,14 +72,14 @@ def test_every_way_to_break_is_a_row_and_costs_no_other_row(plugins: Path, tmp_p
     scenarios = [{{id = "prbs", options = {{samples = 100}}}}]
     identifiers = [{", ".join(parts)}]
     """
-    rows = by_label(bench(write_suite(tmp_path, groups, time_limit=4.0, seeds=[0]), out=tmp_path / "out", workers=2))
+    rows = by_label(bench(write_suite(tmp_path, groups, time_limit=3.0, seeds=[0]), out=tmp_path / "out", workers=2))
     assert len(rows) == len(parts)
     assert rows["test-fit"].status == rows["after"].status == "ok"
     assert rows["raise"].status == "crashed"
     assert "ZeroDivisionError: by intent" in rows["raise"].reason
     for how in ("hang", "hang-in-c"):
         assert rows[how].status == "timeout"
-        assert "4 s" in rows[how].reason
+        assert "3 s" in rows[how].reason
     assert (rows["segfault"].status, "SIGSEGV" in rows["segfault"].reason) == ("crashed", True)
     assert (rows["exit"].status, "7" in rows["exit"].reason) == ("crashed", True)
     assert (rows["sys-exit"].status, "leaving" in rows["sys-exit"].reason) == ("crashed", True)
@@ -101,7 +101,7 @@ def test_a_plant_that_breaks_is_a_row_for_each_identifier(plugins: Path, tmp_pat
     scenarios = [{{id = "prbs", options = {{samples = 100}}}}]
     identifiers = [{{id = "test-fit"}}, {{id = "test-online"}}]
     """
-    result = bench(write_suite(tmp_path, groups, time_limit=4.0, seeds=[0]), workers=1)
+    result = bench(write_suite(tmp_path, groups, time_limit=3.0, seeds=[0]), workers=1)
     assert [(row.plant, row.status) for row in result.rows] == [
         ("bad", status), ("bad", status), ("test-lag", "ok"), ("test-lag", "ok"),
     ]  # fmt: skip

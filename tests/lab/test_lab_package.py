@@ -36,8 +36,14 @@ def make(folder: Path, **options: object) -> Path:
     return generate(folder / "for-tools", truth=folder / "truth", **asked).truth  # type: ignore[arg-type]
 
 
-def test_the_records_are_those_of_the_study_and_tell_nothing(tmp_path: Path) -> None:
-    known = read_truth(make(tmp_path))
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the records asked for, made once and only read."""
+    return make(tmp_path_factory.mktemp("made")).parents[1]
+
+
+def test_the_records_are_those_of_the_study_and_tell_nothing(made: Path) -> None:
+    known = read_truth(made / "truth" / "truth.csv")
     tasks = [
         task
         for task in plan("all", base=BASES["judged"], plants=["pendulum"], cells=1, alarms=1)
@@ -46,14 +52,14 @@ def test_the_records_are_those_of_the_study_and_tell_nothing(tmp_path: Path) -> 
     assert set(known) == {record_name(task.key) for task in tasks[:6]}
     hidden = {effect.partition("@")[0] for row in known.values() for effect in row["truth"].split(" + ") if effect}
     assert hidden
-    for path in (tmp_path / "for-tools" / "records").rglob("*"):
+    for path in (made / "for-tools" / "records").rglob("*"):
         text = str(path) + (path.read_text(encoding="utf-8") if path.is_file() else "")
         assert not any(word in text for word in (*hidden, "confusion", "quarter", "nominal size", "truth"))
     task = next(task for task in tasks if task.effects)
-    loaded = load_dataset(tmp_path / "for-tools" / "records" / record_name(task.key) / "dataset.toml")
-    made = make_records(task, samples=SAMPLES)
-    assert [run.use for run in loaded.dataset] == [run.use for run in made.dataset]
-    for ours, theirs in zip(made.dataset, loaded.dataset, strict=True):
+    loaded = load_dataset(made / "for-tools" / "records" / record_name(task.key) / "dataset.toml")
+    again = make_records(task, samples=SAMPLES)
+    assert [run.use for run in loaded.dataset] == [run.use for run in again.dataset]
+    for ours, theirs in zip(again.dataset, loaded.dataset, strict=True):
         np.testing.assert_array_equal(ours.trajectory.y, theirs.trajectory.y)
         np.testing.assert_array_equal(ours.trajectory.u, theirs.trajectory.u)
 
@@ -77,8 +83,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
-def test_killed_and_resumed_the_records_are_the_same(tmp_path: Path) -> None:
-    make(tmp_path / "undisturbed")
+def test_killed_and_resumed_the_records_are_the_same(made: Path, tmp_path: Path) -> None:
     code = (
         "import sys; from sysid_lab.package import generate\n"
         f"generate(sys.argv[1], truth=sys.argv[2], samples={SAMPLES}, workers=1, **{ASKED!r})"
@@ -101,7 +106,7 @@ def test_killed_and_resumed_the_records_are_the_same(tmp_path: Path) -> None:
     seen: list[int] = []
     make(killed, resume=True, progress=lambda done, total, what: seen.append(done))
     assert seen[0] >= 2, "what was there is kept"
-    assert contents(killed) == contents(tmp_path / "undisturbed")
+    assert contents(killed) == contents(made)
 
 
 def test_a_record_that_breaks_is_said_by_name_and_costs_no_other(tmp_path: Path) -> None:
@@ -159,8 +164,8 @@ def test_our_own_rows_are_judged_as_they_were(tmp_path: Path) -> None:
         assert judged.word == row["outcome"], row["key"]
 
 
-def test_tools_stand_side_by_side(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    truth = make(tmp_path)
+def test_tools_stand_side_by_side(made: Path, tmp_path: Path) -> None:
+    truth = made / "truth" / "truth.csv"
     known = read_truth(truth)
     right, blind, alarmist = {}, {}, {}
     for record, row in known.items():

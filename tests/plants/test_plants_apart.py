@@ -37,7 +37,7 @@ gain_unit = "N m"
 
 @pytest.mark.parametrize(
     ("mode", "status", "words"),
-    [(1, "crashed", "SIGSEGV"), (3, "crashed", "exited with status 0"), (4, "timeout", "2 s")],
+    [(1, "crashed", "SIGSEGV"), (3, "crashed", "exited with status 0"), (4, "timeout", "1 s")],
 )
 def test_a_coupling_survives_its_fmus(
     odd_fmu: Callable[..., Path], tmp_path: Path, mode: int, status: str, words: str
@@ -45,7 +45,7 @@ def test_a_coupling_survives_its_fmus(
     shutil.copy(odd_fmu("hostile"), tmp_path / "hostile.fmu")
     path = tmp_path / "loop.toml"
     path.write_text(LOOP.replace("MODE", str(mode)))
-    with trusting(path), make_plant(str(path), {"timeout": 2.0}) as plant:
+    with trusting(path), make_plant(str(path), {"timeout": 1.0}) as plant:
         for _ in range(2):  # and once more, in a new process
             plant.reset(rng=RNG)
             with pytest.raises(PlantError, match=words) as caught:
@@ -73,7 +73,7 @@ def test_a_coupling_apart_gives_the_numbers_of_one_that_is_not(tmp_path: Path) -
 def test_a_nominal_fmu_ends_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int, status: str, words: str
 ) -> None:
-    monkeypatch.setattr("harness.supervision.guarded.SILENCE", 6.0)
+    monkeypatch.setattr("harness.supervision.guarded.SILENCE", 3.0)
     shutil.copytree(Path(__file__).parent / "fmus" / "hostile", tmp_path / "source")
     described = tmp_path / "source" / "modelDescription.xml"
     described.write_text(described.read_text().replace('<Integer start="0"/>', f'<Integer start="{mode}"/>'))
