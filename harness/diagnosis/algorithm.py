@@ -7,6 +7,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from harness.diagnosis.contested import at_optimum, carried, simple_fits_of, uncontested
 from harness.diagnosis.diagnosis import Diagnosis
 from harness.diagnosis.dictionary import laws_of
@@ -78,7 +80,8 @@ def diagnose(
         # fit
         dataset, doubts = kind.prepared(checked(dataset, system), system)
         laws = laws_of(dictionary)
-        form, cut = form_of(kind, system, dataset, policy, laws.dictionary)
+        thinned = kind.thinned(dataset)
+        form, cut = form_of(kind, system, thinned.dataset, policy, laws.dictionary)
         remembered = Remembered(form, folder)
         say("first fit of the nominal model", 0.02)
         nominal = nominal_fit(remembered, form, doubts)
@@ -94,11 +97,13 @@ def diagnose(
         rival = ""
         if not wrong:
             outcome, rival = uncontested(remembered, outcome, simple, candidates, policy, say, form.sizes)
-        add_rounding(remembered, outcome, dataset, candidates, policy)
+        add_rounding(remembered, outcome, dataset, candidates, policy, share=np.array(thinned.noise))
         # grade what is left
-        runs, leftover, moved = what_free_runs_say(kind, form, outcome, dataset, policy, say, simple)
+        runs, leftover, moved = what_free_runs_say(
+            kind, form, outcome, dataset, policy, say, simple, share=np.array(thinned.noise)
+        )
         widened(form, outcome)
-        misfit = misfit_reasons(form, outcome.model, runs, policy, wrong)
+        misfit = misfit_reasons(form, outcome.model, runs, policy, wrong, factor=thinned.factor)
         apart = form.apart(outcome.model)
         alarms = [doubt.words for doubt in doubts if not doubt.certain]
         alarms += [] if doubts else sizes_off(system, outcome.model)
@@ -118,10 +123,11 @@ def diagnose(
         doubtful=bool(doubts or far),
         alarms=tuple(alarms),
         rival=rival,
+        thinned=thinned,
     )
     if apart is not None and diagnosis.disagree:
         diagnosis.warnings.append(apart.words(outcome.model.values))
     if diagnosis.verdict == "unexplained":  # a column may be wrong though the model follows the records after a fashion
         with one_thread():
-            diagnosis.warnings += likely_mistakes(form, outcome.model, policy)
+            diagnosis.warnings += likely_mistakes(form, outcome.model, policy, thinned.factor)
     return diagnosis

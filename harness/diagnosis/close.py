@@ -167,7 +167,7 @@ def close_loop(
             if box:
                 repaired = _repaired_fmu(diagnosis, folder)
             else:
-                repaired = _repaired(diagnosis, name or system.name, options or {}, dataset.spec.sample_time)
+                repaired = _repaired(diagnosis, name or system.name, options or {})
             write_atomic(folder / MODEL, json.dumps(repaired, indent=1, allow_nan=False) + "\n")
             write_atomic(folder / JSON, json.dumps(data, indent=1, allow_nan=False) + "\n")
         if progress is not None:
@@ -236,14 +236,14 @@ def _options(loaded: LoadedDataset) -> dict[str, Any]:
     return model_options(loaded.nominal.model, loaded.nominal.options, *ports)
 
 
-def _repaired(diagnosis: Diagnosis, name: str, options: Mapping[str, Any], sample_time: float) -> dict[str, Any]:
-    """Return the repaired model as a grey box that ``sysid export`` reads, at the sample time of the records given."""
+def _repaired(diagnosis: Diagnosis, name: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the repaired model as a grey box that ``sysid export`` reads."""
     from harness.specs import spec_to_dict
 
     last = diagnosis.nominal if diagnosis.misfit else diagnosis.final
     return {
         "kind": "grey-box",
-        "spec": spec_to_dict(replace(diagnosis.dataset.spec, sample_time=sample_time)),  # records may have been thinned
+        "spec": spec_to_dict(diagnosis.dataset.spec),
         "model": name,
         "options": dict(options),
         "parameters": {key: float(value) for key, value in last.model.values(last.values).items()},

@@ -10,6 +10,7 @@ import numpy as np
 from harness.diagnosis.forms.apart import Apart
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.policy import PLAN_POLICY, Policy
+from harness.diagnosis.records.thinning import Thinned
 from harness.diagnosis.runs.compare import FreeRuns
 from harness.diagnosis.search.fit import Fit
 from harness.diagnosis.search.leftover import Leftover
@@ -43,6 +44,8 @@ class Diagnosis:
     """What a reader must know before anything else: a unit or a column that may be wrong. They are warnings too."""
     rival: str = ""
     """An effect that alone comes nearer to the validation records in free runs, and that the likelihood refuses."""
+    thinned: Thinned | None = None
+    """The data at the rate at which the likelihood looks at them."""
 
     @property
     def nominal(self) -> Fit:
@@ -53,6 +56,11 @@ class Diagnosis:
     def final(self) -> Fit:
         """The model with the accepted effects (the nominal one if none was accepted)."""
         return self.outcome.model
+
+    def sensor_noise(self, fit: Fit) -> FloatArray:
+        """Return the standard deviation of the noise of the readings, as they are in the data (ny,)."""
+        share = 1.0 if self.thinned is None else np.array(self.thinned.noise)
+        return np.asarray(fit.detail.points["estimation"].noise.r / share)
 
     @property
     def test(self) -> ScoreTest:

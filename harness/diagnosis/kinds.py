@@ -12,7 +12,7 @@ from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.records.columns_check import Doubt, check_columns
 from harness.diagnosis.records.horizon import Horizon, choose_horizon
 from harness.diagnosis.records.prepare import sizes_of
-from harness.diagnosis.records.thinning import thinned_dataset
+from harness.diagnosis.records.thinning import Thinned, thinned_dataset
 from harness.diagnosis.runs.form import FreeRunForm
 from harness.diagnosis.systems import AnySystem, by_equations
 from harness.effects.dictionary import Dictionary
@@ -27,6 +27,10 @@ class Kind(Protocol):
 
     def prepared(self, dataset: Dataset, system: AnySystem) -> tuple[Dataset, list[Doubt]]:
         """Return the data as they are judged, and why their columns are in doubt."""
+        ...
+
+    def thinned(self, dataset: Dataset) -> Thinned:
+        """Return the data at the rate at which the likelihood looks at them."""
         ...
 
     def horizon(self, system: AnySystem, values: Mapping[str, float], dataset: Dataset) -> Horizon:
@@ -56,7 +60,11 @@ class Equations:
                 "parameters alone with fit_output_error",
             )
         assert by_equations(system)
-        return thinned_dataset(dataset), check_columns(system, dataset)
+        return dataset, check_columns(system, dataset)
+
+    def thinned(self, dataset: Dataset) -> Thinned:
+        """See :class:`Kind`."""
+        return thinned_dataset(dataset)
 
     def horizon(self, system: AnySystem, values: Mapping[str, float], dataset: Dataset) -> Horizon:
         """See :class:`Kind`."""

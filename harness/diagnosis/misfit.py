@@ -27,7 +27,7 @@ SAMPLES = 1500
 
 
 def misfit_reasons(
-    form: WholeForm, final: Fit, runs: FreeRuns, policy: Policy, wrong: Sequence[str] = ()
+    form: WholeForm, final: Fit, runs: FreeRuns, policy: Policy, wrong: Sequence[str] = (), *, factor: int = 1
 ) -> tuple[str, ...]:
     """Return why the model does not fit the data, and what probably is wrong; empty if it fits.
 
@@ -40,11 +40,13 @@ def misfit_reasons(
     policy : Policy
     wrong : sequence of str
         Why nothing was looked for in the records: columns that are probably wrong, or noise.
+    factor : int
+        Samples of the data for each that the form judges.
     """
     if wrong:  # it says what is to be done
         return tuple(wrong)
     reasons = []
-    left, noisy = _left(form, final, runs)
+    left, noisy = _left(form, runs)
     if not left <= policy.misfit_nrmse**2 and not carried_away(form, final, runs, policy):
         if noisy:  # a fit to noise is none, and says nothing about the model
             return (noisy,)
@@ -64,7 +66,7 @@ def misfit_reasons(
     if bound and reasons:
         reasons.append(f"{', '.join(bound)} ended on a bound")
     if reasons:
-        reasons += likely_mistakes(form, final, policy)
+        reasons += likely_mistakes(form, final, policy, factor)
     return tuple(reasons)
 
 
@@ -106,15 +108,15 @@ def mostly_noise(form: WholeForm, nominal: Fit, policy: Policy) -> list[str]:
 
     They are where the motion is less than the share of what is read that a model which fits may leave.
     """
-    shares = _noise(form, nominal) / form.noise_model.output_scale**2
+    deviation = np.asarray(nominal.detail.points["estimation"].noise.r, dtype=float)
+    shares = _told_noise(deviation, form.records["estimation"]) / form.noise_model.output_scale**2
     noisy = shares.size > 0 and bool((1.0 - shares <= policy.misfit_nrmse**2).all())
     return [_noisy(form, shares)] if noisy else []
 
 
-def _noise(form: WholeForm, fit: Fit) -> FloatArray:
+def _told_noise(deviation: FloatArray, records: Sequence[Trajectory]) -> FloatArray:
     """Return the variance of the sensor noise (ny,): what a model leaves is noise only as far as neighbours differ."""
-    deviation = np.asarray(fit.detail.points["estimation"].noise.r, dtype=float)
-    return np.asarray(np.minimum(deviation, sensor_noise(form.records["estimation"])) ** 2)
+    return np.asarray(np.minimum(deviation, sensor_noise(records)) ** 2)
 
 
 def _noisy(form: WholeForm, shares: FloatArray) -> str:
@@ -126,7 +128,7 @@ def _noisy(form: WholeForm, shares: FloatArray) -> str:
     return f"the readings of {names} are mostly noise ({share}), or far too coarse in time: nothing can be told"
 
 
-def _left(form: WholeForm, final: Fit, runs: FreeRuns) -> tuple[float, str]:
+def _left(form: WholeForm, runs: FreeRuns) -> tuple[float, str]:
     """Return the share of the motion's variance that free runs leave, noise taken off, and whether readings are noise.
 
     Returns
@@ -138,7 +140,7 @@ def _left(form: WholeForm, final: Fit, runs: FreeRuns) -> tuple[float, str]:
     """
     if runs.after is None or not np.isfinite(runs.left):
         return runs.left, ""
-    noise = _noise(form, final)
+    noise = _told_noise(np.asarray(runs.output.weights, dtype=float), runs.output.records["estimation"])
     error = np.concatenate(list(runs.after.validation)) * runs.output.weights
     moved = np.maximum(runs.motion, 1e-300)
     left = np.maximum(np.mean(error**2, axis=0) - noise, 0.0) / moved
@@ -151,11 +153,14 @@ def _length(runs: FreeRuns) -> str:
     return "whole records" if runs.horizon.seconds is None else f"windows of {runs.horizon.seconds:g} s"
 
 
-def likely_mistakes(form: WholeForm, final: Fit, policy: Policy) -> list[str]:
-    """Return the mistakes whose repair makes the nominal model much likelier, all that do so about as well."""
+def likely_mistakes(form: WholeForm, final: Fit, policy: Policy, factor: int = 1) -> list[str]:
+    """Return the mistakes whose repair makes the nominal model much likelier, all that do so about as well.
+
+    ``factor`` samples of the data stand behind each that the form judges.
+    """
     least = final.log_likelihood("estimation") + policy.misfit_gain
     likelier = []
-    for text, dataset, scale in [*mistakes(form.dataset), *_shifted(form)]:
+    for text, dataset, scale in [*mistakes(form.dataset), *_shifted(form, factor)]:
         other = form.on(dataset)
         fit = other.fit((), other.first_starts(), None)
         if fit is not None and (value := fit.log_likelihood("estimation") + scale) > least:
@@ -180,7 +185,7 @@ def mistakes(dataset: Dataset) -> Iterator[tuple[str, Dataset, float]]:
             yield f"the signs of all {what}", _changed(dataset, kind, range(len(channels)), -1.0), 0.0
 
 
-def _shifted(form: WholeForm) -> Iterator[tuple[str, Dataset, float]]:
+def _shifted(form: WholeForm, factor: int) -> Iterator[tuple[str, Dataset, float]]:
     """Yield the data with each input moved by as many samples as make a part of a record likeliest."""
     dataset = form.dataset
     longest = max(dataset.estimation, key=len)
@@ -201,7 +206,8 @@ def _shifted(form: WholeForm) -> Iterator[tuple[str, Dataset, float]]:
             dataset, runs=tuple(replace(run, trajectory=_moved(run.trajectory, k, best)) for run in dataset.runs)
         )
         side, opposite = ("late", "early") if best > 0 else ("early", "late")
-        many = f"{abs(best)} sample{'s' if abs(best) > 1 else ''}"
+        size = abs(best) * factor
+        many = f"{size} sample{'s' if size > 1 else ''}"
         yield f"whether {channel.name} is recorded about {many} {side}, or the outputs {opposite}", moved, 0.0
 
 

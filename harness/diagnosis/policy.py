@@ -457,10 +457,30 @@ class DataPolicy:
         "three doublings of the noise and more hide what the model lacks",
     )
     per_period: int = _number(
-        40, "samples kept in one period of the fastest motion", "dry friction shows in tens of harmonics of the swing"
+        40,
+        "samples kept in one period of the fastest motion",
+        "dry friction shows in tens of harmonics of the swing",
     )
     fewest: int = _number(
         500, "samples that every thinned record must still have", "blocks of 25 samples for 20 standard errors"
+    )
+    corner: float = _number(
+        1e-4,
+        "chance that noise alone keeps the readings of a window off the cubic by more than allowed: then the reading "
+        "counts itself",
+        "one kept reading in ten thousand",
+    )
+    jump: float = _number(
+        0.1,
+        "share of the noise of a kept reading by which a jump of the acceleration may move it",
+        "a bias of a tenth changes the chance of a reading by half a percent; averages over wider windows made the "
+        "corners of an engine's friction Stribeck friction",
+        "seeds below 1000",
+    )
+    input_left: float = _number(
+        0.05,
+        "share of an input's variance that piecewise linear ones may leave",
+        "what a fit of 95 % leaves; the motion is exact all the same, a law of the input is not",
     )
     long: int = _number(
         40000,

@@ -25,7 +25,7 @@ from harness.effects.dictionary import Dictionary
 from harness.effects.effect import Placed
 from harness.errors import FitError
 from harness.physics.definition.parameters import FAR, said_far
-from harness.signals import Dataset
+from harness.signals import Dataset, FloatArray
 
 __all__ = [
     "Progress",
@@ -119,16 +119,19 @@ def what_free_runs_say(
     policy: Policy,
     say: Say,
     simple: SimpleFits | None = None,
+    *,
+    share: FloatArray,
 ) -> tuple[FreeRuns, Leftover, list[str]]:
     """Return free runs before and after, what is left of the final model, and warnings.
 
+    They are compared along all readings; the noise of those that the form judges is this ``share`` (ny,) of theirs.
     Accepted effects with which the model runs further from the data than the nominal one at its nearest are taken back,
     unless free runs would have them with other parameters.
     """
     horizon = kind.horizon(form.nominal, outcome.nominal.values, dataset)
 
     def run_freely() -> FreeRuns:
-        noise = outcome.model.detail.points["estimation"].noise.r
+        noise = outcome.model.detail.points["estimation"].noise.r / share
         output = kind.runs(form, dataset, noise, horizon)
         nearest = simple.nominal.values if simple is not None and form.latent and simple.nominal is not None else None
         return free_runs(output, horizon, outcome.nominal, outcome.model, nearest)

@@ -14,6 +14,7 @@ from harness.diagnosis.fmu.runs import FmuRuns
 from harness.diagnosis.forms.form import WholeForm
 from harness.diagnosis.records.columns_check import Doubt
 from harness.diagnosis.records.horizon import Horizon
+from harness.diagnosis.records.thinning import Thinned
 from harness.diagnosis.systems import AnySystem
 from harness.effects.dictionary import Dictionary
 from harness.errors import HarnessError
@@ -26,8 +27,12 @@ class BlackBox:
     """See :class:`harness.diagnosis.kinds.Kind`."""
 
     def prepared(self, dataset: Dataset, system: AnySystem) -> tuple[Dataset, list[Doubt]]:
-        """Return the data as they are: an FMU steps at the rate of its records."""
+        """Return the data, whose columns nothing doubts."""
         return dataset, []
+
+    def thinned(self, dataset: Dataset) -> Thinned:
+        """Return the data as they are: an FMU steps at the rate of its records."""
+        return Thinned.not_at_all(dataset)
 
     def horizon(self, system: AnySystem, values: Mapping[str, float], dataset: Dataset) -> Horizon:
         """Return how far a free run is compared, from how an error of the start grows."""

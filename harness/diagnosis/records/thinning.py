@@ -1,100 +1,269 @@
-"""A lower sample rate for records without a moving input, sampled far above the band of their motion.
+"""Records as the search sees them: at the rate that their motion needs, each kept reading standing for its neighbours.
 
-A free swing recorded at 1 kHz says no more about the plant than the same swing at 100 Hz, and costs ten times as much
-in every refit. An input that moves between two kept samples could not be given to a model any more, so records with
-one stay as they are.
+A record at 1 kHz says hardly more about a plant whose motion lies below 3 Hz than the same record at 120 Hz, and costs
+eight times as much in every fit. What is thrown away is the rate and not the information:
+
+- a reading that is kept is that of the cubic through its neighbours (Savitzky & Golay 1964, *Anal. Chem.* 36:1627),
+  with the noise of all of them: of so many that a jump of the acceleration, as dry friction makes, moves it by no more
+  than a part of its noise. Where a cubic does not follow the readings, at an impact, it is the reading itself;
+- an input becomes piecewise linear, by least squares over time. What is left of it is orthogonal to every hat function,
+  and so to ``(t_k - t)_+``, the answer of a mass at a kept instant: a double integrator is at the kept instants exactly
+  where the input as it was would have taken it, jumps or not.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from harness.diagnosis.policy import DATA_POLICY
 from harness.diagnosis.records.motion import motion_band
+from harness.physics.fitting.likelihood_fit import sensor_noise
 from harness.signals import Dataset, FloatArray, Run, Trajectory
 
-__all__ = ["thinned_dataset", "white_keeping_filter"]
-
-ROLL_OFF = 0.5
-SPAN = 8
-"""Half length of the filter, in new samples."""
+__all__ = ["Thinned", "hat_projection", "local_cubics", "thinned_by", "thinned_dataset"]
 
 
-def thinned_dataset(dataset: Dataset) -> Dataset:
-    """Return a data set at a lower sample rate where nothing is lost by it, with a warning that says so.
+@dataclass(frozen=True)
+class Thinned:
+    """Records at a lower rate.
+
+    Attributes
+    ----------
+    dataset : Dataset
+    factor : int
+        Rows of the records as they were for each that was kept.
+    noise : tuple of float
+        For each output the standard deviation of a kept reading's noise over that of the readings as they were.
+    """
+
+    dataset: Dataset
+    factor: int
+    noise: tuple[float, ...]
+
+    @classmethod
+    def not_at_all(cls, dataset: Dataset) -> Thinned:
+        """Return records as they are."""
+        return cls(dataset, 1, (1.0,) * dataset.spec.ny)
+
+
+def thinned_dataset(dataset: Dataset) -> Thinned:
+    """Return a data set at the rate that its motion needs, with a warning that says so.
 
     Parameters
     ----------
     dataset : Dataset
-        Records whose inputs, if there are any, never move; others are returned as they are.
 
     Returns
     -------
-    Dataset
-        Outputs low-passed by a zero-phase filter and decimated to about 40 samples in a period of the motion. The ends
-        that the filter cannot reach are cut. White sensor noise stays white.
+    Thinned
+        The records as they are where they are not sampled so often, where their signals are declared smooth and the
+        inputs move, or where a piecewise linear input would not follow the one that was applied.
     """
-    inputs = np.concatenate([run.trajectory.u for run in dataset])
-    if np.ptp(inputs, axis=0).any():
-        return dataset
     dt = dataset.spec.sample_time
     runs = [run.trajectory for run in dataset]
-    band = max(motion_band(run.y[:, j], dt)[0] for run in runs for j in range(run.spec.ny) if np.ptp(run.y[:, j]) > 0)
-    factor = min(
-        int(1 / (DATA_POLICY.per_period * band * dt)), min(len(run) for run in runs) // (DATA_POLICY.fewest + 2 * SPAN)
-    )
+    moves = any(np.ptp(run.u, axis=0).any() for run in runs)
+    bands = [motion_band(run.y[:, j], dt)[0] for run in runs for j in range(run.spec.ny) if np.ptp(run.y[:, j]) > 0]
+    if not bands or (moves and dataset.intersample == "smooth"):
+        return Thinned.not_at_all(dataset)
+    factor = int(1 / (DATA_POLICY.per_period * max(bands) * dt))
+    factor = min(factor, min(len(run) for run in runs) // DATA_POLICY.fewest)
+    while factor > 1 and moves and _left_of_inputs(runs, factor, dataset.intersample) > DATA_POLICY.input_left:
+        factor -= 1
     if factor < 2:
-        return dataset
-    spec = replace(dataset.spec, sample_time=factor * dt)
-    taps = white_keeping_filter(factor)
-    thin = tuple(Run(_thinned(run.trajectory, taps, factor, spec), run.use, run.label) for run in dataset)
-    # the filter passes this share of the power of white noise
-    noise = {name: value * float(np.sqrt(np.sum(taps**2))) for name, value in dataset.noise.items()}
+        return Thinned.not_at_all(dataset)
     words = (
-        f"nothing drives the plant and its motion lies below {band:.3g} Hz: records low-passed and taken at "
-        f"{1 / (factor * dt):.4g} Hz instead of {1 / dt:.4g} Hz"
+        f"the motion lies below {max(bands):.3g} Hz: the search looks at {1 / (factor * dt):.4g} Hz instead of "
+        f"{1 / dt:.4g} Hz; free runs are compared at the full rate"
     )
-    return replace(dataset, runs=thin, noise=noise, warnings=(*dataset.warnings, words))
+    found = thinned_by(dataset, factor)
+    return replace(found, dataset=replace(found.dataset, warnings=(*dataset.warnings, words)))
 
 
-def white_keeping_filter(factor: int) -> FloatArray:
-    """Return taps (16 * factor + 1,) of a low-pass: every ``factor``-th sample of white noise stays white.
+def thinned_by(dataset: Dataset, factor: int) -> Thinned:
+    """Return a data set with every so many rows of it.
 
-    The square root of a raised cosine: the squares of its pass bands, moved by the new sampling frequency, add up to a
-    constant (Proakis, Digital Communications, section 9.2).
+    Parameters
+    ----------
+    dataset : Dataset
+    factor : int
+        1 leaves it as it is.
+    """
+    if factor < 2:
+        return Thinned.not_at_all(dataset)
+    spec = replace(dataset.spec, sample_time=factor * dataset.spec.sample_time)
+    widths = _half_widths([run.trajectory for run in dataset], factor)
+    shares = tuple(float(np.sqrt(np.sum(_taps(width) ** 2))) for width in widths)
+    runs = []
+    for run in dataset:
+        record = run.trajectory
+        rows = np.arange(0, len(record), factor)
+        u = hat_projection(record.u, factor, dataset.intersample)
+        periods = [channel.period for channel in record.spec.outputs]
+        columns = zip(record.readings.T, widths, periods, strict=True)
+        y = np.stack([local_cubics(read, factor, width, period) for read, width, period in columns], axis=1)
+        missing = np.isnan(y)
+        y = np.where(missing, record.y[rows], y)
+        runs.append(Run(Trajectory(record.t[rows], u, y, spec, missing=missing), run.use, run.label))
+    moves = any(np.ptp(run.trajectory.u, axis=0).any() for run in dataset)
+    share_of = dict(zip((channel.name for channel in spec.outputs), shares, strict=True))
+    noise = {name: value * share_of[name] for name, value in dataset.noise.items()}
+    intersample = "foh" if moves else dataset.intersample
+    return Thinned(replace(dataset, runs=tuple(runs), noise=noise, intersample=intersample), factor, shares)
+
+
+def local_cubics(readings: FloatArray, factor: int, half: int, period: float | None = None) -> FloatArray:
+    """Return every so many readings, each from the cubic through ``2 * half + 1`` neighbours.
+
+    Parameters
+    ----------
+    readings : array (N,)
+        NaN where one is missing.
+    factor, half : int
+        With ``half`` below 2 the readings themselves.
+    period : float, optional
+        Of an angle that goes round.
+
+    Returns
+    -------
+    array ((N - 1) // factor + 1,)
+        The reading itself where neighbours are wanting or missing, or lie further from the cubic than those of all
+        but one in ten thousand windows of mere noise.
 
     Examples
     --------
-    >>> taps = white_keeping_filter(4)
-    >>> float(round(taps.sum(), 6)), float(abs(round((taps[:-4] * taps[4:]).sum() / (taps**2).sum(), 2)))
-    (1.0, 0.0)
+    >>> local_cubics(np.arange(9.0) ** 3, 2, 2).round(9).tolist()
+    [0.0, 8.0, 64.0, 216.0, 512.0]
     """
-    t = np.arange(-SPAN * factor, SPAN * factor + 1) / factor
-    b = ROLL_OFF
-    with np.errstate(divide="ignore", invalid="ignore"):
-        taps = (np.sin(np.pi * t * (1 - b)) + 4 * b * t * np.cos(np.pi * t * (1 + b))) / (
-            np.pi * t * (1 - (4 * b * t) ** 2)
-        )
-    taps[t == 0] = 1 - b + 4 * b / np.pi
-    edge = np.isclose(np.abs(t), 1 / (4 * b))
-    quarter = np.pi / (4 * b)
-    taps[edge] = b / np.sqrt(2) * ((1 + 2 / np.pi) * np.sin(quarter) + (1 - 2 / np.pi) * np.cos(quarter))
-    return np.asarray(taps / taps.sum())
+    from scipy.stats import chi2
+
+    rows = np.arange(0, len(readings), factor)
+    found = np.array(readings[rows], dtype=float)
+    inner = (rows >= half) & (rows + half < len(readings))
+    if half < 2 or not inner.any():
+        return found
+    windows = _windows(readings, half, period)[rows[inner] - half]
+    basis = _basis(half)
+    fitted = windows @ basis @ basis.T
+    squares = np.sum((windows - fitted) ** 2, axis=1)
+    if np.isnan(squares).all():
+        return found
+    free = 2 * half - 2
+    noise = float(np.nanmedian(squares)) / float(chi2.median(free))
+    follows = squares <= noise * float(chi2.isf(DATA_POLICY.corner, free))
+    found[inner] += np.where(follows, fitted[:, half], 0.0)
+    return found
 
 
-def _thinned(record: Trajectory, taps: FloatArray, factor: int, spec: object) -> Trajectory:
-    """Return a record low-passed and decimated, without the ends that the filter does not reach."""
-    from scipy.signal import fftconvolve
+def _windows(readings: FloatArray, half: int, period: float | None) -> FloatArray:
+    """Return every window of ``2 * half + 1`` readings (N - 2 half, 2 half + 1), less the one in its middle."""
+    known = readings
+    if period is not None:
+        there = np.isfinite(readings)
+        known = np.full(len(readings), np.nan)
+        known[there] = np.unwrap(readings[there], period=period)
+    windows = np.lib.stride_tricks.sliding_window_view(known, 2 * half + 1)
+    return np.asarray(windows - windows[:, [half]])
 
-    columns = []
-    for j, channel in enumerate(record.spec.outputs):
-        raw = record.y[:, j]
-        if channel.period is not None:
-            raw = np.unwrap(raw, period=channel.period)
-        columns.append(fftconvolve(raw, taps, mode="valid")[::factor])
-    y = np.stack(columns, axis=1)
-    first = (len(taps) - 1) // 2
-    rows = slice(first, first + (len(y) - 1) * factor + 1, factor)
-    return Trajectory(record.t[rows], record.u[rows], y, spec)  # type: ignore[arg-type]
+
+def _half_widths(runs: Sequence[Trajectory], factor: int) -> tuple[int, ...]:
+    """Return for every output over how many neighbours to each side its readings may be averaged; 1 is not at all.
+
+    A jump of the acceleration by its rms moves the middle of a cubic by at most a stated part of the noise it has.
+    """
+    spec, noise, found = runs[0].spec, sensor_noise(runs), []
+    for j, channel in enumerate(spec.outputs):
+        long = [run.readings[:, j] for run in runs if len(run) > 2 * factor]
+        windows = np.concatenate([_windows(read, factor, channel.period) for read in long])
+        steps = np.arange(-factor, factor + 1)
+        weights = 2 * np.linalg.pinv(np.vander(steps, 3))[0]  # acceleration times the square of a row's time
+        size = np.nanmean((windows @ weights) ** 2) - noise[j] ** 2 * np.sum(weights**2)
+        jump = float(np.sqrt(max(size, 0.0)))
+        able = [
+            half
+            for half in range(2, factor + 1)
+            if jump * _moved_by_a_jump(half) <= DATA_POLICY.jump * noise[j] * np.sqrt(np.sum(_taps(half) ** 2))
+        ]
+        found.append(max(able, default=1))
+    return tuple(found)
+
+
+def _moved_by_a_jump(half: int) -> float:
+    """Return by how much a jump of the acceleration of 1 at the worst place moves the middle of a cubic."""
+    places = np.linspace(-half, half, 8 * half + 1)[:, None]
+    after = 0.5 * np.maximum(np.arange(-half, half + 1) - places, 0.0) ** 2
+    return float(np.abs(after @ _taps(half) - after[:, half]).max())
+
+
+def _basis(half: int) -> FloatArray:
+    """Return an orthonormal basis of parabolas over ``2 * half + 1`` rows; in the middle they are cubics as well."""
+    return np.asarray(np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, 2 * half + 1), 3))[0])
+
+
+def _taps(half: int) -> FloatArray:
+    """Return the weights of the readings in the value of a cubic at their middle (2 * half + 1,)."""
+    if half < 2:
+        return np.ones(1)
+    basis = _basis(half)
+    return np.asarray(basis @ basis[half])
+
+
+def hat_projection(u: FloatArray, factor: int, intersample: str = "zoh") -> FloatArray:
+    """Return the continuous piecewise linear signals with nodes at every so many rows that come nearest to inputs.
+
+    Parameters
+    ----------
+    u : array (N, nu)
+        Held from row to row, or linear between rows (``intersample="foh"``).
+    factor : int
+
+    Returns
+    -------
+    array ((N - 1) // factor + 1, nu)
+        Values at the nodes. What they leave of the inputs is orthogonal to every piecewise linear function with these
+        nodes, as least squares over time are (Strang & Fix 1973, *An Analysis of the Finite Element Method*, sec. 1.3).
+
+    Examples
+    --------
+    >>> hat_projection(np.arange(9.0)[:, None], 4, "foh").round(9).ravel().tolist()
+    [0.0, 4.0, 8.0]
+    >>> hat_projection(np.ones((9, 1)), 4).round(9).ravel().tolist()
+    [1.0, 1.0, 1.0]
+    """
+    from scipy.linalg import solveh_banded
+
+    nodes = (len(u) - 1) // factor + 1
+    if nodes < 2:
+        return np.array(u[:nodes], dtype=float)
+    pieces = (nodes - 1) * factor
+    left = u[:pieces]
+    right = u[1 : pieces + 1] if intersample == "foh" else left
+    # of an interval of a piece: the integrals of a linear signal times the falling and the rising half of a hat
+    part = np.arange(factor) / factor
+    step = 1.0 / factor
+    shape = (nodes - 1, factor, u.shape[1])
+    a, b = left.reshape(shape), right.reshape(shape)
+    rising = np.einsum("j,kji->ki", part * step, 0.5 * (a + b)) + step**2 * (a / 6 + b / 3).sum(axis=1)
+    falling = step * 0.5 * (a + b).sum(axis=1) - rising
+    load = np.zeros((nodes, u.shape[1]))
+    load[:-1] += falling
+    load[1:] += rising
+    mass = np.zeros((2, nodes))
+    mass[1], mass[1, [0, -1]], mass[0, 1:] = 2 / 3, 1 / 3, 1 / 6
+    return np.asarray(solveh_banded(mass, load))
+
+
+def _left_of_inputs(runs: Sequence[Trajectory], factor: int, intersample: str) -> float:
+    """Return the share of the inputs' variance that piecewise linear ones leave, the largest of all inputs."""
+    left, whole = np.zeros(runs[0].spec.nu), np.zeros(runs[0].spec.nu)
+    for run in runs:
+        nodes = hat_projection(run.u, factor, intersample)
+        rows = (np.arange((len(nodes) - 1) * factor) + (0.0 if intersample == "foh" else 0.5)) / factor
+        for k in range(run.spec.nu):
+            used = run.u[: len(rows), k]
+            left[k] += float(np.sum((used - np.interp(rows, np.arange(len(nodes)), nodes[:, k])) ** 2))
+            whole[k] += float(np.sum((used - used.mean()) ** 2))
+    moving = whole > 0
+    return float(np.max(left[moving] / whole[moving], initial=0.0))

@@ -229,7 +229,7 @@ def _noise(found: Diagnosis, fit: Fit) -> dict[str, Any]:
     return {
         "sensors": {
             channel.name: {"r": known(float(r)), "unit": channel.unit}
-            for channel, r in zip(found.dataset.spec.outputs, noise.r, strict=True)
+            for channel, r in zip(found.dataset.spec.outputs, found.sensor_noise(fit), strict=True)
         },
         "forces": {
             force.port: {

@@ -81,7 +81,7 @@ def pictures(found: Diagnosis) -> Pictures:
     names, cosines = found.test.cosines(accepted)
     made = Pictures(isolability=(names, cosines))
     record = max(found.form.records["validation"], key=len)
-    made.sample_time = found.dataset.spec.sample_time
+    made.sample_time = found.form.dataset.spec.sample_time
     made.output_name = found.dataset.spec.outputs[0].name
     made.before = max(innovations(found, found.nominal, "validation"), key=len)[:, 0]
     made.after = max(innovations(found, answer.fit, "validation"), key=len)[:, 0] if accepted else None

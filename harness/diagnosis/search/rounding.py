@@ -12,13 +12,19 @@ from harness.diagnosis.search.outcome import Outcome
 from harness.diagnosis.search.ties import Accepted
 from harness.effects.effect import Placed
 from harness.effects.laws.sensor import quantisation_test
-from harness.signals import Dataset
+from harness.signals import Dataset, FloatArray
 
 __all__ = ["add_rounding"]
 
 
 def add_rounding(
-    form: Form, outcome: Outcome, dataset: Dataset, candidates: Sequence[Placed], policy: Policy = POLICY
+    form: Form,
+    outcome: Outcome,
+    dataset: Dataset,
+    candidates: Sequence[Placed],
+    policy: Policy = POLICY,
+    *,
+    share: FloatArray | None = None,
 ) -> None:
     """Add the rounding of an output to what was found, where it makes a part of the noise.
 
@@ -30,27 +36,29 @@ def add_rounding(
     dataset : Dataset
     candidates : sequence of Placed
     policy : Policy
+    share : array (ny,), optional
+        Noise of the readings that the form judges over that of those in the data.
     """
     names = [channel.name for channel in dataset.spec.outputs]
     for placed in candidates:
         if placed.effect.sampled != "quantise" or placed.at not in names:
             continue
         column = names.index(placed.at)
-        tests = {
-            use: quantisation_test(np.concatenate([run.y[:, column] for run in runs]))
+        readings = {
+            use: np.concatenate([run.y[:, column] for run in runs])
             for use, runs in (("estimation", dataset.estimation), ("validation", dataset.validation))
         }
+        tests = {use: quantisation_test(read) for use, read in readings.items()}
         step = tests["estimation"].step
         model = outcome.model
-        noise = float(model.detail.points["estimation"].noise.r[column])
+        noise = float(model.detail.points["estimation"].noise.r[column]) / (
+            1.0 if share is None else float(share[column])
+        )
         if not all(test.quantised for test in tests.values()) or step**2 / 12 < policy.rounding * noise**2:
             continue
         fit = form.fit([*model.effects, placed], [{**model.values, placed.name("step"): step}], model)
         if fit is None:
             continue
-        gain = [
-            -test.on_grid * sum(map(len, model.terms[use])) * float(np.log(POLICY.chance))
-            for use, test in tests.items()
-        ]
+        gain = [-test.on_grid * len(readings[use]) * float(np.log(policy.chance)) for use, test in tests.items()]
         outcome.model = fit
         outcome.accepted.append(Accepted(placed, ((placed,),), gain[0], gain[1]))
