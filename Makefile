@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test nightly lint bench docs clean
+.PHONY: demo test nightly style lint bench docs clean
 
 $(READY): pyproject.toml lab/pyproject.toml constraints.txt
 	@echo "setting up $(VENV) (a minute or two, once)"
@@ -26,15 +26,21 @@ demo: $(READY)
 	$(BIN)/sysid close-loop demo-out/arm.csv --model pendulum --validation demo-out/arm-validation.csv --out demo-out/arm
 	@echo; echo "reports: $(CURDIR)/demo-out/quick/report.html"; echo "         $(CURDIR)/demo-out/arm/report.html"
 
-lint: $(READY)
+style: $(READY)
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
-	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
-# the gate: lint, types, import rules, doctests, and all tests but those that take long
-test: lint
-	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+lint: style
+	@$(BIN)/mypy
+
+# the gate: lint, types, import rules, doctests, and all tests but those that take long;
+# the types are checked beside the tests, which keeps both processors busy, and are told of at the end
+test: style
+	@told=$$(mktemp); trap 'rm -f "$$told"' EXIT; $(BIN)/mypy >"$$told" 2>&1 & types=$$!; \
+	trap 'kill $$types 2>/dev/null; exit 130' INT TERM; \
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"; tests=$$?; \
+	wait $$types; typed=$$?; cat "$$told"; [ $$tests -eq 0 ] && [ $$typed -eq 0 ]
 
 # what takes long: whole loops on recordings, fleets, interrupts, plug-ins installed by pip
 nightly: $(READY)

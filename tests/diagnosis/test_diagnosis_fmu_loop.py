@@ -24,7 +24,8 @@ from harness.diagnosis.fmu.prepare import FmuWindows, measured_states, nominal_f
 from harness.effects import builtin
 from harness.effects.effect import Placed
 from harness.errors import InputError
-from harness.export.package import SSP, write_package
+from harness.export.package import write_package
+from harness.export.ssp_elements import SSP
 from harness.parts.files import make_plant
 from harness.physics.compiled.kalman_pass import Noise
 from harness.signals import Channel, Dataset, PlantSpec, Run, Trajectory
