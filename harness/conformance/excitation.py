@@ -21,7 +21,8 @@ def inputs_for(spec: PlantSpec, samples: int = STEPS, seed: int = 1) -> FloatArr
 
 def _values(channel: Channel, n: int, rng: np.random.Generator) -> FloatArray:
     if channel.kind == "category":
-        return rng.integers(channel.categories, size=n).astype(float)
+        first = int(channel.minimum) if np.isfinite(channel.minimum) else 0
+        return rng.integers(first, channel.categories, size=n).astype(float)
     if channel.kind == "boolean":
         return rng.integers(2, size=n).astype(float)
     low = channel.minimum if np.isfinite(channel.minimum) else -1.0

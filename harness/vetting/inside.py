@@ -21,7 +21,7 @@ from harness.parts.files import describe_fmu
 from harness.signals import FloatArray
 from harness.supervision.guarded import alive
 
-__all__ = ["apart", "direct", "instances", "serialised", "slopes", "speed"]
+__all__ = ["apart", "direct", "instances", "probed", "serialised", "slopes", "speed"]
 
 WARM = 10
 """Instances before anything is counted: libraries and caches fill up."""
@@ -169,8 +169,23 @@ def direct(options: Mapping[str, Any], *, progress: Callable[..., None]) -> tupl
         return bool(plant.spec.feedthrough), names
 
 
-def slopes(options: Mapping[str, Any], *, progress: Callable[..., None]) -> float:
-    """Return the largest difference of d outputs / d inputs between the FMU's own and differences, over the largest."""
+def probed(options: Mapping[str, Any], samples: int, *, progress: Callable[..., None]) -> list[dict[str, Any]]:
+    """Return the findings of the probe that benchmarks use."""
+    from harness import registry
+
+    _quiet()
+    alive()
+    rest = {key: value for key, value in options.items() if key != "path"}
+    result = registry.load("tools", "fmu-probe")(options["path"], samples=samples, isolate=False, **rest)
+    found: list[dict[str, Any]] = result.to_dict()["findings"]
+    return found
+
+
+def slopes(options: Mapping[str, Any], *, progress: Callable[..., None]) -> tuple[float, bool]:
+    """Return the largest difference of d outputs / d inputs between the FMU's own and differences, over the largest.
+
+    And whether differences tell anything: outputs that wait for the next step do not follow the inputs at once.
+    """
     with _made(options) as plant:
         _begun(plant)
         u = inputs_for(plant.spec, 9)[-1]
@@ -185,7 +200,9 @@ def slopes(options: Mapping[str, Any], *, progress: Callable[..., None]) -> floa
             up[column] += h
             down[column] -= h
             found[:, column] = (np.array(plant.output(up)) - np.array(plant.output(down))) / (2 * h)
-        return float(np.abs(own - found).max(initial=0.0) / max(np.abs(found).max(initial=0.0), 1e-12))
+        size = float(np.abs(found).max(initial=0.0))
+        follows = size > 1e-12 or not np.abs(own).max(initial=0.0) > 1e-12
+        return float(np.abs(own - found).max(initial=0.0) / max(size, 1e-12)), follows
 
 
 def serialised(options: Mapping[str, Any], samples: int, *, progress: Callable[..., None]) -> tuple[int, float]:

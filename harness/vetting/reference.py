@@ -1,7 +1,8 @@
 """Does a run agree with a reference? Tubes channel by channel, the first violation named with its time.
 
 Files are those of fmi-cross-check (``X_ref.csv`` with ``X_in.csv`` and ``X_ref.opt`` beside it) and of csv-compare: a
-first column of time, then a column for each variable, in the units of the FMU; or records of this project.
+first column of time, then a column for each variable, in the units of the FMU; or records of this project. Columns of
+text are passed over.
 """
 
 from __future__ import annotations
@@ -317,8 +318,12 @@ def _table(path: Path) -> tuple[list[str], FloatArray, FloatArray]:
             file=path,
         )
     titles = [cell.strip() for cell in lines[0]]
+    texts = [k for k, cell in enumerate(lines[1]) if k and _is_text(cell)]  # no tube holds them
+    titles = [title for k, title in enumerate(titles) if k not in texts]
     try:
-        rows = np.array([[_cell(cell) for cell in line] for line in lines[1:]], dtype=float)
+        rows = np.array(
+            [[_cell(cell) for k, cell in enumerate(line) if k not in texts] for line in lines[1:]], dtype=float
+        )
     except ValueError as error:
         raise InputError(
             "table",
@@ -357,6 +362,15 @@ def _cell(text: str) -> float:
     """Return a number; tools write truth values as words."""
     word = text.strip().lower()
     return {"true": 1.0, "false": 0.0, "": float("nan")}.get(word) if word in ("true", "false", "") else float(word)  # type: ignore[return-value]
+
+
+def _is_text(cell: str) -> bool:
+    """Return True for a cell that is no number."""
+    try:
+        _cell(cell)
+    except ValueError:
+        return True
+    return False
 
 
 def _bare(title: str) -> str:

@@ -124,8 +124,7 @@ def _again(subject: Subject, record: Trajectory) -> list[Finding]:
 
 def _probed(subject: Subject, record: Trajectory) -> list[Finding]:
     """Return what the probe of benchmarks finds about reset and states."""
-    options = {key: value for key, value in subject.options.items() if key != "path"}
-    result = registry.load("tools", "fmu-probe")(subject.path, samples=SAMPLES, timeout=subject.limit, **options)
+    result = subject.inside(inside.probed, SAMPLES)
     tried = {
         "reset": "a second run after reset",
         "restore": "the state taken half way, a run on, the state set back, the run on again",
@@ -133,9 +132,9 @@ def _probed(subject: Subject, record: Trajectory) -> list[Finding]:
     }
     names = {"restore": "get and set state"}
     return [
-        Finding(names.get(one.check, one.check), one.passed, tried[one.check], one.note, one.figure)
-        for one in result.findings
-        if one.check in tried
+        Finding(names.get(one["check"], one["check"]), one["passed"], tried[one["check"]], one["note"], one["figure"])
+        for one in result
+        if one["check"] in tried
     ]
 
 
@@ -228,7 +227,11 @@ def _slopes(subject: Subject, record: Trajectory) -> list[Finding]:
         return [Finding("derivatives", None, tried, "the FMU offers none")]
     if not (record.spec.nu and record.spec.ny and reals):
         return [Finding("derivatives", None, tried, "no real inputs and outputs to compare")]
-    off = subject.inside(inside.slopes)
+    off, follows = subject.inside(inside.slopes)
+    if not follows:
+        return [
+            Finding("derivatives", None, tried, "outputs do not follow the inputs before a step: nothing to compare")
+        ]
     return [Finding("derivatives", off < RETURNS, tried, f"off by {off:.2g} of the largest", off)]
 
 
