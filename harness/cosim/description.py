@@ -25,7 +25,10 @@ CHANGEABLE = ("sample_time", "order", "loops", "iterations", "tolerance")
 
 
 class PartDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A part: the id of a registered plant, an FMU file (relative to the TOML file), or one of our own FMUs."""
+    """A part: the id of a registered plant, an FMU file, or one of our own FMUs.
+
+    Files, also those that options of a plant name, are relative to the TOML file.
+    """
 
     plant: str | None = None
     fmu: str | None = None
@@ -177,11 +180,17 @@ def couple(path: str | Path, make: Make, *, changes: Mapping[str, Any] | None = 
 def _order_of(part: PartDescription, folder: Path, sample_time: float | None) -> tuple[str, dict[str, Any]]:
     """Return id and options for the factory."""
     if part.plant is not None:
-        return part.plant, dict(part.options)
+        return part.plant, {key: _beside(value, folder) for key, value in part.options.items()}
     shared = {} if sample_time is None else {"sample_time": sample_time}
     if part.fmu is not None:
         return "fmu", {"path": str(folder / part.fmu), **shared, **part.options}
     return "mockup", {"name": part.mockup, **shared, **part.options}
+
+
+def _beside(value: Any, folder: Path) -> Any:
+    """Return the path of a file beside the TOML file (an MJCF, a URDF) where an option names one."""
+    names_a_file = isinstance(value, str) and bool(Path(value).suffix) and (folder / value).is_file()
+    return str(folder / value) if names_a_file else value
 
 
 def _explained(error: msgspec.ValidationError, path: Path) -> InputError:
