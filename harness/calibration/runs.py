@@ -101,7 +101,7 @@ class FreeRuns:
 
     def run(self, p: FloatArray, x0: FloatArray, u: FloatArray) -> FloatArray:
         """Return the outputs (N, ny) of one free run; NaN from where the plant breaks."""
-        key = b"".join([p.tobytes(), x0.tobytes(), u.tobytes()])
+        key = _key(p, x0, u)
         if key in self._memory:
             return self._memory[key]
         start = {channel.name: float(value) for channel, value in zip(self.system.states, x0, strict=True)}
@@ -222,7 +222,7 @@ class FreeRuns:
     ) -> FloatArray:
         """Return the derivatives (N, ny, np + nx) by the columns asked for; the others are 0."""
         wanted = frozenset(range(self.np + self.nx) if columns is None else map(int, columns))
-        key = b"".join([p.tobytes(), x0.tobytes(), u.tobytes(), bytes([self.central])])
+        key = _key(p, x0, u) + bytes([self.central])
         known, s = self._derived.get(key, (frozenset[int](), np.zeros((*y.shape, self.np + self.nx))))
         for k in sorted(wanted - known):
             s[..., k] = self._by_parameter(k, p, x0, u, y) if k < self.np else self._by_state(k - self.np, p, x0, u, y)
@@ -274,6 +274,11 @@ class FreeRuns:
         if not np.isfinite(found).all():
             return np.asarray((y - moved(-h)) / h)
         return np.asarray((found - y) / h)
+
+
+def _key(p: FloatArray, x0: FloatArray, u: FloatArray) -> bytes:
+    """Return what tells a run from others; a run without inputs has a length, too."""
+    return b"".join([p.tobytes(), x0.tobytes(), len(u).to_bytes(8, "little"), u.tobytes()])
 
 
 def _place(channels: Sequence[Channel], wanted: Channel, what: str) -> int:

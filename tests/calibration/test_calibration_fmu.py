@@ -183,6 +183,19 @@ def test_too_few_readings() -> None:
         calibrate(rig(n=4, starts=[{}]), model=mockup("pendulum"), free=["J", "b"], starts=1)
 
 
+def test_records_without_inputs_in_their_own_time() -> None:
+    """An FMU that nothing drives (its inputs rest at their start values), from records of two lengths."""
+    records = []
+    with FmuPlant(mockup("mass_spring"), sample_time=0.05, inputs=[], outputs=["q"], parameters={"k": 3.0}) as plant:
+        for n in (150, 110):
+            y = np.vstack(
+                [plant.reset(rng=np.random.default_rng(0), x0={"q": 0.5}), plant.rollout(np.zeros((n - 1, 0)))]
+            )
+            records.append(Trajectory(np.arange(n) * 0.05, np.zeros((n, 0)), y, plant.spec))
+    found = calibrate(records, model=mockup("mass_spring"), free=["k"], starts=1, undriven=["u"])
+    assert found.parameters["k"] == pytest.approx(3.0, rel=1e-6)
+
+
 class Fragile:
     """A first-order lag y' = (u - y) / T that breaks for T below 0.4 s."""
 
