@@ -490,6 +490,8 @@ def _notes(
     """Return what the data cannot tell, in sentences."""
     spec = records[0].spec
     notes = []
+    if len({channel.unit for channel in spec.outputs}) > 1:
+        notes.append("the outputs have several units: shapes are over the standard deviation of each")
     if identifier is None and not shown.known:
         notes.append(
             f"no intervals: the records make {len(shown.shifted)} stretches of several windows, fewer than "

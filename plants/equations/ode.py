@@ -49,8 +49,8 @@ def chain_ode(
     *,
     masses: int = 3,
     mass: float = 1.0,
-    stiffness: float = 1000.0,
-    damping: float = 0.4,
+    stiffness: float = 40.0,
+    damping: float = 0.08,
     coupling: float = 1.0,
     **options: Any,
 ) -> OdePlant:
@@ -68,12 +68,12 @@ def chain_ode(
     Examples
     --------
     >>> print(chain_ode(masses=2).spec)
-    u1 [N], u2 [N] -> q1 [m], q2 [m] every 0.02 s
+    u1 [N], u2 [N] -> q1 [m], q2 [m] every 0.1 s
     """
     from harness.physics.models.chain import mass_chain
 
     model = mass_chain(masses, mass, stiffness, damping, coupling)
-    return named("chain-ode", {"model": model, "sample_time": 0.02, "u_limit": 10.0}, options)
+    return named("chain-ode", {"model": model, "sample_time": 0.1, "u_limit": 10.0}, options)
 
 
 def linear_ode(

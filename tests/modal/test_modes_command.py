@@ -22,7 +22,7 @@ def ambient(tmp_path_factory: pytest.TempPathFactory) -> Path:
     api.simulate(
         "chain-ode",
         scenario="free-swing",
-        scenario_options={"duration": 60.0, "noise": 1e-3},
+        scenario_options={"duration": 300.0, "noise": 1e-2},
         options={"process_noise": 1.0},
         out=path,
     )
@@ -116,8 +116,8 @@ def test_an_fmu_of_a_chain_has_the_modes_of_the_chain(tmp_path: Path) -> None:
     run = api.simulate(
         str(tmp_path / "chain.fmu"),
         scenario="multisine",
-        scenario_options={"duration": 80.0, "amplitude": 1.0, "band": [0.5, 20.0], "noise": 1e-5},
-        options={"sample_time": 0.02},
+        scenario_options={"duration": 400.0, "amplitude": 1.0, "band": [0.1, 4.0], "noise": 1e-4},
+        options={"sample_time": 0.1},
         out=tmp_path / "run.csv",
     )
     found = api.modes(

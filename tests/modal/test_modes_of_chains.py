@@ -17,11 +17,11 @@ from harness.physics.models.chain import chain_modes
 from harness.signals import Channel, FloatArray, PlantSpec, Trajectory
 from plants.equations.ode import chain_ode
 
-DT = 0.02
+DT = 0.1
 
 
 def record(
-    seconds: float,
+    count: int,
     seed: int,
     *,
     sensors: tuple[int, ...] = (0, 1, 2),
@@ -33,7 +33,7 @@ def record(
     ambient = force_at is None
     plant = chain_ode(**(chain or {}), process_noise=1.0 if ambient else 0.0)
     rng = np.random.default_rng(seed)
-    count, warm = int(seconds / DT), int(ambient) * 2000
+    warm = int(ambient) * 2000
     u = np.zeros((count + warm, plant.spec.nu))
     if force_at is not None:
         u[:, force_at] = rng.normal(size=count)
@@ -56,9 +56,9 @@ def found_near(modes: Modes, frequency: float, within: float = 0.03) -> bool:
 @given(
     masses=st.integers(1, 6),
     coupling=st.floats(0.02, 3.0),
-    damping=st.floats(0.01, 2.0),
+    damping=st.floats(0.001, 0.4),
     mass=st.floats(0.1, 10.0),
-    dt=st.floats(1e-3, 5e-3),
+    dt=st.floats(5e-3, 25e-3),
 )
 def test_poles_of_exact_matrices_are_the_exact_modes(
     masses: int, coupling: float, damping: float, mass: float, dt: float
@@ -82,7 +82,7 @@ def test_poles_of_exact_matrices_are_the_exact_modes(
 
 @pytest.mark.parametrize("force_at", [None, 0])
 def test_every_mode_of_a_noisy_chain_is_found_and_nothing_else(force_at: int | None) -> None:
-    one = record(200.0, 1, force_at=force_at)
+    one = record(10000, 1, force_at=force_at)
     found = identify_modes([one])
     frequency, ratio, shapes = chain_modes()
     assert len(found.modes) == 3
@@ -99,7 +99,7 @@ def test_every_mode_of_a_noisy_chain_is_found_and_nothing_else(force_at: int | N
 
 def test_a_mode_that_no_sensor_sees_or_no_input_reaches_is_not_printed() -> None:
     frequency = chain_modes()[0]
-    for one in (record(200.0, 2, sensors=(1,)), record(120.0, 2, force_at=1)):
+    for one in (record(10000, 2, sensors=(1,)), record(6000, 2, force_at=1)):
         found = identify_modes([one])
         assert found_near(found, frequency[0])
         assert found_near(found, frequency[2])
@@ -110,7 +110,7 @@ def test_a_mode_that_no_sensor_sees_or_no_input_reaches_is_not_printed() -> None
 def test_modes_two_percent_apart_are_told_apart() -> None:
     frequency, _, shapes = chain_modes(2, coupling=0.02)
     assert frequency[1] / frequency[0] < 1.021
-    found = identify_modes([record(400.0, 3, sensors=(0, 1), chain={"masses": 2, "coupling": 0.02})])
+    found = identify_modes([record(20000, 3, sensors=(0, 1), chain={"masses": 2, "coupling": 0.02})])
     assert len(found.modes) == 2
     for mode, f, shape in zip(found.modes, frequency, shapes, strict=True):
         assert abs(mode.frequency - f) < 3.5 * mode.pole.frequency_deviation
@@ -118,7 +118,7 @@ def test_modes_two_percent_apart_are_told_apart() -> None:
 
 
 def test_damping_that_a_short_record_leaves_open_is_no_number() -> None:
-    found = identify_modes([record(10.0, 4)])
+    found = identify_modes([record(500, 4)])
     assert found_near(found, chain_modes()[0][0])
     vague = [k for k, mode in enumerate(found.modes) if not mode.damping_determined]
     assert vague
@@ -141,7 +141,7 @@ def test_noise_alone_has_no_mode_of_which_both_numbers_are_printed(seed: int) ->
 @settings(max_examples=6, deadline=None)
 @given(sizes=st.lists(st.floats(1e-6, 1e6), min_size=3, max_size=3), seed=st.integers(0, 100))
 def test_no_unit_changes_frequency_or_damping(sizes: list[float], seed: int) -> None:
-    one = record(40.0, seed)
+    one = record(2000, seed)
     other = Trajectory(one.t, one.u, np.asarray(one.y * sizes, dtype=np.float64), one.spec)
     first, second = (identify_modes([each], orders=range(2, 13, 2)) for each in (one, other))
     poles = [np.array([pole.frequency for pole in each.ladder[6]]) for each in (first, second)]
@@ -149,7 +149,7 @@ def test_no_unit_changes_frequency_or_damping(sizes: list[float], seed: int) -> 
 
 
 def test_records_are_used_together_and_none_across_a_seam() -> None:
-    whole = record(160.0, 5)
+    whole = record(8000, 5)
     parts = [whole[:2000], whole[2000:5000], whole[5000:]]
     one, several = identify_modes([whole]), identify_modes(parts)
     assert several.frequencies == pytest.approx(one.frequencies, rel=2e-3)
@@ -176,7 +176,7 @@ def test_a_free_decay_shows_its_modes() -> None:
 
 
 def test_models_of_an_identifier_give_the_same_modes() -> None:
-    one = record(20.0, 6, force_at=0, noise=1e-7)
+    one = record(1000, 6, force_at=0, noise=1e-7)
     found = identify_modes([one], identifier="dmdc", orders=[6, 9], criteria=Criteria(least=1))
     frequency, ratio, _ = chain_modes()
     assert found.method == "dmdc"
@@ -187,7 +187,7 @@ def test_models_of_an_identifier_give_the_same_modes() -> None:
 
 @pytest.mark.slow
 def test_n4sid_finds_the_modes_of_a_noisy_chain_with_honest_intervals() -> None:
-    one = record(120.0, 6, force_at=0)
+    one = record(6000, 6, force_at=0)
     options = {"method": "moesp", "past": 20}
     found = identify_modes([one], identifier="n4sid", orders=[6, 8, 10], options=options)
     for mode, f, z in zip(found.modes, *chain_modes()[:2], strict=True):
@@ -196,7 +196,7 @@ def test_n4sid_finds_the_modes_of_a_noisy_chain_with_honest_intervals() -> None:
 
 
 def test_what_cannot_be_used_is_refused_on_one_line() -> None:
-    one = record(20.0, 0)
+    one = record(1000, 0)
     with pytest.raises(FitError, match="records too short"):
         identify_modes([one[:40]])
     still = Trajectory(one.t, one.u, np.zeros_like(one.y), one.spec)
@@ -211,10 +211,10 @@ def test_what_cannot_be_used_is_refused_on_one_line() -> None:
         Criteria(mac=2.0)
 
 
-def _covered(seed: int, force_at: int | None, seconds: float) -> FloatArray:
+def _covered(seed: int, force_at: int | None, count: int) -> FloatArray:
     """Return which of the intervals of frequency and damping of the three modes hold the truth (3, 2)."""
     frequency, ratio, shapes = chain_modes()
-    found = identify_modes([record(seconds, seed, force_at=force_at)])
+    found = identify_modes([record(count, seed, force_at=force_at)])
     hits = np.full((3, 2), np.nan)
     for k, (f, z, shape) in enumerate(zip(frequency, ratio, shapes, strict=True)):
         near = [m for m in found.modes if abs(m.frequency / f - 1) < 0.03 and mac(m.shape, shape.astype(complex)) > 0.8]
@@ -228,9 +228,9 @@ def _covered(seed: int, force_at: int | None, seconds: float) -> FloatArray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("force_at", "seconds"), [(None, 200.0), (0, 120.0)])
-def test_intervals_cover_what_they_say(force_at: int | None, seconds: float) -> None:
-    hits = np.array([_covered(seed, force_at, seconds) for seed in range(20_000, 20_250)])
+@pytest.mark.parametrize(("force_at", "count"), [(None, 10_000), (0, 6_000)])
+def test_intervals_cover_what_they_say(force_at: int | None, count: int) -> None:
+    hits = np.array([_covered(seed, force_at, count) for seed in range(20_000, 20_250)])
     assert np.isnan(hits).mean() < 0.01
     share = np.nanmean(hits, axis=(0, 1))
     assert np.all((share > 0.93) & (share < 0.97)), share

@@ -15,7 +15,7 @@ __all__ = ["chain_modes", "mass_chain"]
 
 
 def mass_chain(
-    masses: int = 3, mass: float = 1.0, stiffness: float = 1000.0, damping: float = 0.4, coupling: float = 1.0
+    masses: int = 3, mass: float = 1.0, stiffness: float = 40.0, damping: float = 0.08, coupling: float = 1.0
 ) -> Mechanism:
     """Masses in a row between two walls, joined by springs and dampers; a force can act on each.
 
@@ -65,7 +65,7 @@ def mass_chain(
 
 
 def chain_modes(
-    masses: int = 3, mass: float = 1.0, stiffness: float = 1000.0, damping: float = 0.4, coupling: float = 1.0
+    masses: int = 3, mass: float = 1.0, stiffness: float = 40.0, damping: float = 0.08, coupling: float = 1.0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return what is exact of a chain: natural frequencies (n,) [Hz], damping ratios (n,), shapes (n, n) in rows.
 
@@ -81,7 +81,7 @@ def chain_modes(
     --------
     >>> frequency, ratio, shapes = chain_modes(2)
     >>> frequency.round(3), ratio.round(4), abs(shapes).round(3)[0]
-    (array([5.033, 8.717]), array([0.0063, 0.011 ]), array([0.707, 0.707]))
+    (array([1.007, 1.743]), array([0.0063, 0.011 ]), array([0.707, 0.707]))
     """
     _refuse(masses, mass, stiffness, damping, coupling)
     n = int(masses)
