@@ -71,7 +71,8 @@ def words(choice: Choice, reach: Reach, *, shown: bool = False) -> list[str]:
     reach : Reach
         Every file is looked up there.
     shown : bool
-        True for a person: an FMU need not be trusted yet, and paths are as short as the working folder allows.
+        True for a person: an FMU need not be trusted yet, paths are as short as the working folder allows, and an
+        uploaded file that goes with the session is called by its name, to be run where it came from.
 
     Raises
     ------
@@ -79,7 +80,13 @@ def words(choice: Choice, reach: Reach, *, shown: bool = False) -> list[str]:
         If a file is out of reach, no log or output is chosen, or an FMU is not trusted.
     """
     log = reach.path(choice.log)
-    place = _shortened if shown else _whole
+
+    def place(path: Path) -> str:
+        if not shown:
+            return _whole(path)
+        uploaded = path.is_relative_to(reach.work) and not reach.stays
+        return _no_option(path.name) if uploaded else _shortened(path)
+
     found = [choice.task, place(log)]
     if log.suffix == ".toml":
         reach.runs_within(log)
@@ -239,5 +246,9 @@ def _shortened(path: Path) -> str:
     whole = path.absolute()
     if not whole.is_relative_to(Path.cwd()):
         return str(whole)
-    found = str(whole.relative_to(Path.cwd()))
-    return f".{os.sep}{found}" if found.startswith("-") else found
+    return _no_option(str(whole.relative_to(Path.cwd())))
+
+
+def _no_option(path: str) -> str:
+    """Return a path that is not taken for an option."""
+    return f".{os.sep}{path}" if path.startswith("-") else path

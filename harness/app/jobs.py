@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -94,9 +94,16 @@ class Job:
 
 
 class Jobs:
-    """The commands of a session, one at a time of each kind."""
+    """The commands of a session, one at a time of each kind.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    plain : callable
+        Makes what a command says readable.
+    """
+
+    def __init__(self, plain: Callable[[str], str] = str) -> None:
+        self.plain = plain
         self.all: list[Job] = []
         self._hearers: set[asyncio.Queue[Job]] = set()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -105,6 +112,10 @@ class Jobs:
     def running(self) -> bool:
         """True while a command runs."""
         return any(job.status == "running" for job in self.all)
+
+    def next_number(self, task: str) -> int:
+        """Return what the next command of a kind is called: checks of data are counted apart."""
+        return 1 + sum((job.task == "check-data") == (task == "check-data") for job in self.all)
 
     def find(self, number: int) -> Job:
         """Return a command by its number.
@@ -120,7 +131,13 @@ class Jobs:
         raise InputError("no such run", expected="a run of this session", got=str(number), remedy="reload the page")
 
     async def start(
-        self, task: str, words: Sequence[str], command: str, out: Path | None = None, title: str = ""
+        self,
+        task: str,
+        words: Sequence[str],
+        command: str,
+        out: Path | None = None,
+        title: str = "",
+        cwd: Path | None = None,
     ) -> Job:
         """Start a command and return at once.
 
@@ -138,15 +155,14 @@ class Jobs:
                     "a run is not finished", expected="one at a time", got=job.task, remedy="wait for it, or cancel it"
                 )
             await self.cancel(job)
-        number = 1 + sum(job.task != "check-data" for job in self.all)
-        job = Job(len(self.all) + 1, number, task, list(words), command, out, title)
+        job = Job(len(self.all) + 1, self.next_number(task), task, list(words), command, out, title)
+        self.all.append(job)
         # -P: what lies in the working folder is not imported, as it is not by the installed sysid
         job.process = await asyncio.create_subprocess_exec(
             sys.executable, "-P", "-m", "harness", *words,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, limit=TEXT,
-            env={**os.environ, "SYSID_HARNESS_PROGRESS": EVERY}, **_group(),
+            cwd=cwd, env={**os.environ, "SYSID_HARNESS_PROGRESS": EVERY}, **_group(),
         )  # fmt: skip
-        self.all.append(job)
         waiting = asyncio.create_task(self._follow(job))
         self._tasks.add(waiting)
         waiting.add_done_callback(self._tasks.discard)
@@ -198,15 +214,15 @@ class Jobs:
         result = asyncio.create_task(_read(process.stdout))
         try:
             async for line in process.stderr:
-                job.hear(line.decode("utf-8", "replace"))
+                job.hear(self.plain(line.decode("utf-8", "replace")))
                 self._tell(job)
         except ValueError:  # a line longer than any that the command line writes
             _kill(process)
-        job.text = printable(await result)
+        job.text = self.plain(printable(await result))
         code = await process.wait()
         _kill(process)  # what it left behind
         if job.status == "cancelling":
-            job.status = "cancelled"
+            job.status, job.error = "cancelled", ""
         else:
             job.status = "done" if code == 0 else "failed"
             job.fraction = 1.0 if code == 0 else job.fraction

@@ -6,6 +6,7 @@ The room of data takes a second to import: everything in this package does so wh
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,10 +36,13 @@ class Reach:
         A file or a folder.
     work : Path
         A folder of the session, for uploads and results.
+    stays : bool
+        True where this folder is there after the session.
     """
 
     opened: Path | None
     work: Path
+    stays: bool = False
     uploads: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -95,6 +99,10 @@ class Reach:
         if self.opened.is_dir():
             return self.folder / name if found.is_relative_to(self.opened.resolve()) else None
         return self.opened if found == self.opened.resolve() else None
+
+    def plain(self, text: str) -> str:
+        """Return a text with uploaded files called by the names that the person knows."""
+        return re.sub(re.escape(f"{self.work}{os.sep}{UPLOADED}{os.sep}") + r"\d+[/\\]", "", text)
 
     def runs_within(self, description: Path) -> None:
         """Refuse a data set of the opened folder whose records lie outside of it.

@@ -52,14 +52,23 @@ class Session:
     """What one page works with."""
 
     reach: Reach
-    jobs: Jobs = field(default_factory=Jobs)
+    jobs: Jobs = field(init=False)
     logs: Logs = field(default_factory=Logs)
     pages: int = 0
     closing: asyncio.Event = field(default_factory=asyncio.Event)
 
-    def target(self, name: str) -> Path:
+    def __post_init__(self) -> None:
+        self.jobs = Jobs(self.reach.plain)
+
+    @property
+    def results(self) -> Path:
+        """Where commands write to."""
+        return self.reach.work / "results"
+
+    def target(self, task: str, name: str) -> Path:
         """Return a new path for what a command writes."""
-        folder = self.reach.work / "results" / str(len(self.jobs.all) + 1)
+        kind = {"close-loop": "fit", "identify": "fit", "check-data": "check"}.get(task, task)
+        folder = self.results / f"{kind}-{self.jobs.next_number(task)}"
         folder.mkdir(parents=True, exist_ok=True)
         return folder / name
 
@@ -86,16 +95,16 @@ def application(session: Session) -> Starlette:
         Route("/events", asked.events),
         Route("/result/{number:int}/{name:path}", asked.result),
     ]
-    return Starlette(routes=routes, exception_handlers={HarnessError: _refused, OSError: _refused, Exception: _fault})
 
+    async def refused(_request: Request, error: Exception) -> Response:
+        """Answer with the one line of the command line."""
+        if isinstance(error, OSError):
+            from harness.data.whole_files import refused_by_system
 
-async def _refused(_request: Request, error: Exception) -> Response:
-    """Answer with the one line of the command line."""
-    if isinstance(error, OSError):
-        from harness.data.whole_files import refused_by_system
+            error = refused_by_system(error) or error
+        return JSONResponse({"error": " ".join(session.reach.plain(str(error)).split())}, 422)
 
-        error = refused_by_system(error) or error
-    return JSONResponse({"error": " ".join(str(error).split())}, 422)
+    return Starlette(routes=routes, exception_handlers={HarnessError: refused, OSError: refused, Exception: _fault})
 
 
 async def _fault(_request: Request, error: Exception) -> Response:
@@ -223,11 +232,11 @@ class _Asked:
         given, shown = await run_in_threadpool(
             lambda: (words(choice, self.reach), words(choice, self.reach, shown=True))
         )
-        out = self.session.target(
-            {"close-loop": "report", "identify": "model.json", "check-data": "check.html"}[choice.task]
-        )
+        names = {"close-loop": "report", "identify": "model.json", "check-data": "check.html"}
+        out = self.session.target(choice.task, names[choice.task])
         flags = ["--json"] if choice.task == "check-data" else []
-        title = f"{Path(choice.log).name}, {choice.model or choice.identifier or 'linear'}"
+        what = [word for word in (Path(choice.model).name, choice.identifier) if word] or ["linear"]
+        title = ", ".join([Path(choice.log).name, *what, *choice.options])
         command = spoken([*shown, *_written(choice.task)])
         job = await self.jobs.start(choice.task, [*given, "--out", str(out), *flags], command, out, title)
         return JSONResponse(job.told())
@@ -241,14 +250,15 @@ class _Asked:
         """Put fits side by side: two reports as two reports, anything else on the data of the first."""
         jobs = [self.jobs.find(number) for number in _chosen(await _body(request))]
         models = [_model_of(job) for job in jobs]
+        short = [str(Path(model).relative_to(self.session.results)) for model in models]  # as the page calls them
         if len(jobs) < 2:
             raise InputError("what to compare", expected="two fits or more", got=str(len(jobs)), remedy="tick another")
-        out = self.session.target("comparison.html")
+        out = self.session.target("compare", "comparison.html")
         data = _data_words(jobs[0].words)
-        given = ["compare", *models, *data]
+        command = spoken(["compare", *models, *data, "--out", "comparison.html"])
         job = await self.jobs.start(
-            "compare", [*given, "--out", str(out)], spoken([*given, "--out", "comparison.html"]), out,
-            " beside ".join(f"fit {one.number}" for one in jobs),
+            "compare", ["compare", *short, *data, "--out", str(out)], command, out,
+            " beside ".join(f"fit {one.number}" for one in jobs), self.session.results,
         )  # fmt: skip
         return JSONResponse(job.told())
 
@@ -258,11 +268,11 @@ class _Asked:
         if source.status != "done" or source.out is None or source.task not in ("close-loop", "identify"):
             raise InputError("nothing to export", expected="a fit that is done", got=source.status, remedy="run one")
         trusted = [word for word in source.words if word.lower().endswith(".fmu")]
-        out = self.session.target("repaired.ssp" if trusted else "model.fmu")
+        out = self.session.target("export", "repaired.ssp" if trusted else "model.fmu")
         given = ["export", str(source.out)]
         trust = ["--trust", str(source.out)] if trusted else []
         job = await self.jobs.start(
-            "export", [*given, "--out", str(out), *trust], spoken([*given, "--out", out.name, *trust]), out,
+            "export", [*given, "--out", str(out), *trust], spoken([*given, "--out", out.name, *trust]), out.parent,
             f"model of fit {source.number}",
         )  # fmt: skip
         return JSONResponse(job.told())
@@ -440,7 +450,7 @@ def serve(
         else:
             work = keep.absolute()
             work.mkdir(parents=True, exist_ok=True)
-        reach = Reach(path, work)
+        reach = Reach(path, work, stays=keep is not None)
         line = stack.enter_context(_socket(port))
         number = line.getsockname()[1]
         token = secrets.token_urlsafe(24)

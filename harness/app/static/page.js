@@ -15,14 +15,15 @@ const isToml = () => Boolean(state.content?.described);
 
 async function upload(file, after) {
   quiet();
-  at("facts").replaceChildren(make("p", { class: "soft" }, `reading ${file.name} ...`));
+  const log = !isModel(file.name);
+  if (log) at("facts").replaceChildren(make("p", { class: "soft" }, `reading ${file.name} ...`));
   try {
     const found = await ask(`upload?name=${encodeURIComponent(file.name)}`, { method: "PUT", body: file });
     Object.assign(state.session, { logs: found.logs, models: found.models });
     fillPicks();
     await after(found.name);
   } catch (error) {
-    at("facts").replaceChildren();
+    if (log) at("facts").replaceChildren();
     throw error;
   }
 }
@@ -36,7 +37,7 @@ function fillPicks() {
   at("pick-field").hidden = !logs.length;
   const groups = [make("optgroup", { label: "Catalogue" }, ...catalogue.map((one) => option(one.id, one.id, one.id === state.model)))];
   if (models.length) groups.push(make("optgroup", { label: "Files" }, ...models.map((name) => option(name, name.replace(/^uploaded\/\d+\//, ""), name === state.model))));
-  at("model-pick").replaceChildren(option("", "none: a linear model from the data"), ...groups);
+  at("model-pick").replaceChildren(option("", "none (linear, from the data)"), ...groups);
   const others = logs.filter((name) => name !== state.log && !name.endsWith(".toml"));
   at("validation").replaceChildren(option("", "the last third of this log"), ...others.map((name) => option(name, name.replace(/^uploaded\/\d+\//, ""))));
 }
@@ -64,19 +65,25 @@ async function openLog(name) {
 
 const chooseModel = async (name) => {
   quiet();
-  at("facts").querySelector(".soft")?.remove();
   state.model = name;
   at("trusted").checked = false;
   fillPicks();
   await match();
 };
 
+let matching = 0;
 async function match() {
   const isFmu = /\.fmu$/i.test(state.model);
   at("trust").hidden = !isFmu;
   const query = new URLSearchParams({ name: state.model, log: state.log ?? "" });
   let found = { ports: [], matched: {} };
-  try { found = await ask(`model?${query}`); } catch (error) { state.model = ""; fillPicks(); at("trust").hidden = true; complain(error.message); }
+  const mine = ++matching;
+  at("table").inert = true;
+  at("go").disabled = true;
+  if (state.model) at("model-told").textContent = `reading ${state.model.split("/").pop()} ...`;
+  try { if (state.model) found = await ask(`model?${query}`); } catch (error) { state.model = ""; fillPicks(); at("trust").hidden = true; complain(error.message); }
+  if (mine !== matching) return;
+  at("table").inert = false;
   state.ports = found.ports; state.matched = found.matched ?? {};
   const known = state.session.catalogue.find((one) => one.id === state.model);
   at("model-told").textContent = isToml() && !state.model ? (state.content.model ? `The data set names ${state.content.model}.` : "")
@@ -119,8 +126,8 @@ function fillTable() {
     const tick = make("input", { type: "checkbox", checked: one.shown, "aria-label": `Plot ${name}`, disabled: one.use === "time", onchange: (event) => { one.shown = event.target.checked; redraw(); } });
     const size = one.minimum == null ? (one.note || "") : `${number(one.minimum)} to ${number(one.maximum)}`;
     return make("tr", {}, make("td", { class: "name" }, one.title, one.note ? make("small", {}, one.note) : null),
-      isToml() ? null : make("td", {}, choose), isToml() ? make("td", {}, one.unit) : make("td", {}, unit), make("td", { class: "n", "data-label": "range" }, size),
-      make("td", { class: "n", "data-label": "mean" }, one.mean == null ? "" : `${number(one.mean)} ± ${number(one.deviation)}`),
+      isToml() ? null : make("td", {}, choose), isToml() ? make("td", {}, one.unit) : make("td", {}, unit), make("td", { class: size ? "n" : "n none", "data-label": "range" }, size),
+      make("td", { class: one.mean == null ? "n none" : "n", "data-label": "mean" }, one.mean == null ? "" : `${number(one.mean)} ± ${number(one.deviation)}`),
       make("td", { class: "n", "data-label": "empty" }, one.empty ? String(one.empty) : "0"), make("td", { class: "n", "data-label": "plot" }, tick));
   });
   const titles = ["column", ...(isToml() ? [] : ["is"]), "unit", "range", "mean ± deviation", "empty", "plot"];
@@ -173,6 +180,7 @@ function changed() {
   at("clock-row").hidden = isToml() || Boolean(clock()) || state.content.length != null;
   at("identifier-field").hidden = at("options-field").hidden = task() !== "identify";
   at("validation").parentElement.hidden = isToml();
+  at("command-told").hidden = !state.log?.startsWith("uploaded/") && !state.model.startsWith("uploaded/");
   at("go").disabled = !ready() || busy();
   at("command").textContent = ready() ? "" : "Choose an output first.";
   at("copy").disabled = !ready();
@@ -187,7 +195,7 @@ async function tell() {
   const mine = ++told;
   try {
     const found = await send("command", choice(task()));
-    if (mine === told) at("command").textContent = found.command;
+    if (mine === told) at("command").replaceChildren(...found.command.split(" ").flatMap((word) => [make("span", {}, word), " "]));
   } catch (error) {
     if (mine === told) at("command").textContent = error.message;
   }
@@ -234,13 +242,13 @@ async function begin() {
   const { opened, file, logs, jobs } = state.session;
   at("opened").textContent = opened ?? "nothing opened yet";
   fillPicks();
-  said(parts)();
   hear(said(checkedData));
   hear(() => { if (state.log) at("go").disabled = !ready() || busy(); });
   jobs.forEach(take);
   listen();
   const first = file && logs.includes(file) ? file : logs.length === 1 ? logs[0] : "";
-  if (first) await openLog(first);
+  if (first) await said(openLog)(first);
+  await parts(); // after the first picture: the machine may have few cores
 }
 
 at("upload").addEventListener("change", (event) => { if (event.target.files[0]) dropped(event.target.files[0]); event.target.value = ""; });
@@ -253,7 +261,7 @@ for (const id of ["upload", "model-upload"]) {
 at("pick").addEventListener("change", said((event) => openLog(event.target.value)));
 at("model-pick").addEventListener("change", said((event) => chooseModel(event.target.value)));
 at("go").addEventListener("click", said(go));
-at("copy").addEventListener("click", said(async () => { await navigator.clipboard.writeText(at("command").textContent); at("copy").textContent = "Copied"; setTimeout(() => { at("copy").textContent = "Copy"; }, 1500); }));
+at("copy").addEventListener("click", said(async () => { await navigator.clipboard.writeText(at("command").textContent.trim()); at("copy").textContent = "Copied"; setTimeout(() => { at("copy").textContent = "Copy"; }, 1500); }));
 for (const id of ["validation", "identifier", "options", "step", "trusted"]) at(id).addEventListener("change", () => changed());
 document.querySelectorAll("input[name=task]").forEach((one) => one.addEventListener("change", () => changed()));
 for (const kind of ["dragover", "drop", "dragleave"]) {
