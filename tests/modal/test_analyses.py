@@ -28,7 +28,13 @@ def run(*arguments: str) -> int:
 
 def test_every_analysis_is_listed_and_keeps_the_contract() -> None:
     listed = {row["id"]: row["summary"] for row in api.list_parts("analyses")["analyses"]}
-    assert set(listed) == {"bisimulation", "belief-compression", "iterative-learning", "base-parameters"}
+    assert set(listed) == {
+        "bisimulation",
+        "belief-compression",
+        "iterative-learning",
+        "base-parameters",
+        "mass-extents",
+    }
     assert all(listed.values())
     for entry in entries("analyses"):
         assert isinstance(create("analyses", entry.id), Analysis)
@@ -116,3 +122,15 @@ def test_base_parameters_say_what_is_tied_and_what_no_motion_shows() -> None:
     with pytest.raises(InputError, match="known parameters"):
         api.analyse("base-parameters", "cart-pole", options={"known": {"mass": 1.0}})
     assert "<table>" in found._repr_html_()
+
+
+def test_shapes_bound_a_mass_that_consistency_leaves_open() -> None:
+    (row,) = api.analyse("mass-extents", "iiwa", options={"bodies": ["lbr_iiwa_joint_3"]}).rows
+    mass = row["mass of the URDF [kg]"]
+    assert row["least, consistent [kg]"] < 0.01 * mass
+    assert row["most, consistent [kg]"] == "no bound"
+    assert 0.01 * mass < row["least, within its shape [kg]"] < mass < row["most, within its shape [kg]"] < 20 * mass
+    with pytest.raises(InputError, match="bodies of an arm"):
+        api.analyse("mass-extents", "iiwa", options={"bodies": ["elbow"]})
+    with pytest.raises(InputError, match="mass extents of pendulum"):
+        api.analyse("mass-extents", "pendulum")
