@@ -12,7 +12,7 @@ import numpy as np
 
 from harness.errors import InputError
 from harness.physics.arms.mjcf import simple_joints
-from harness.physics.arms.mjcf_spec import compiled, mujoco, parsed, read_spec
+from harness.physics.arms.mjcf_spec import compiled, mujoco, parsed, read_spec, wrapped
 from harness.physics.arms.urdf import rotors_of
 from plants.checking import per_item, positive
 
@@ -128,7 +128,7 @@ def times(
 
 
 def _lock(spec: Any, locked: Sequence[str]) -> None:
-    """Take joints out of a spec."""
+    """Take joints out of a spec, with the tendons, actuators, equalities and sensors that need them."""
     known = {joint.name: joint for joint in spec.joints}
     for name in locked:
         if not name or name not in known:
@@ -138,13 +138,14 @@ def _lock(spec: Any, locked: Sequence[str]) -> None:
                 got=repr(name),
                 remedy="correct it",
             )
-        for equality in [one for one in spec.equalities if name in (one.name1, one.name2)]:
+        tendons = [tendon for tendon in spec.tendons if name in wrapped(tendon)]
+        gone = {name, *(tendon.name for tendon in tendons)}
+        for equality in [one for one in spec.equalities if gone & {one.name1, one.name2}]:
             spec.delete(equality)
-        for actuator in [one for one in spec.actuators if one.target == name]:
-            spec.delete(actuator)
-        for sensor in [one for one in spec.sensors if one.objname == name]:
-            spec.delete(sensor)
-        spec.delete(known[name])
+        actuators = [one for one in spec.actuators if one.target in gone]
+        gone |= {one.name for one in actuators if one.name}
+        for part in [*(one for one in spec.sensors if one.objname in gone), *actuators, *tendons, known[name]]:
+            spec.delete(part)
     for key in list(spec.keys) if locked else []:  # their lists of positions are those of all joints
         spec.delete(key)
 

@@ -283,6 +283,28 @@ def test_a_trusted_file_may_and_meshes_of_the_own_folder_need_no_trust(tmp_path:
         assert np.isfinite(light.step(np.array([1.0]))).all()
 
 
+GRIPPER = """<mujoco><asset><texture name="skin" type="2d" file="skin.png"/><material name="grey" texture="skin"/>
+<mesh name="m" file="m.obj"/></asset><worldbody><body><joint name="wrist" axis="0 1 0"/><geom type="mesh" mesh="m"
+material="grey"/><inertial pos="0 0 .1" mass="1" diaginertia=".01 .01 .01"/><body><joint name="f1" type="slide"/>
+<inertial pos="0 0 0" mass=".1" diaginertia="1e-4 1e-4 1e-4"/></body><body><joint name="f2" type="slide" axis="0 1 0"/>
+<inertial pos="0 0 0" mass=".1" diaginertia="1e-4 1e-4 1e-4"/></body></body></worldbody><tendon><fixed name="both">
+<joint joint="f1" coef=".5"/><joint joint="f2" coef=".5"/></fixed></tendon><equality><joint joint1="f1" joint2="f2"/>
+</equality><actuator><motor joint="wrist"/><position name="grip" tendon="both" kp="9"/></actuator><sensor>
+<tendonpos name="opening" tendon="both"/><jointactuatorfrc name="torque" joint="wrist"/></sensor></mujoco>"""
+
+
+def test_a_locked_gripper_takes_its_tendon_and_its_actuator_with_it() -> None:
+    """Neither meshes nor textures are there, and both are left out with the shapes."""
+    with MujocoPlant(GRIPPER, shapes=False, outputs=["q", "opening"]) as free:
+        assert [str(channel) for channel in free.spec.inputs] == ["tau1 [N m]", "grip [1]"]
+        assert str(free.spec.outputs[-1]) == "opening [m]"
+    with MujocoPlant(GRIPPER, shapes=False, locked=["f1", "f2"], outputs=["q", "sensors"]) as locked:
+        assert str(locked.spec) == "tau1 [N m] -> q1 [rad], torque [N m] every 0.002 s"
+        locked.reset(rng=RNG(0))
+        locked.step(np.array([0.5]))
+        assert locked.output(np.array([0.7]))[1] == 0.7
+
+
 @pytest.mark.parametrize(
     ("text", "word"),
     [

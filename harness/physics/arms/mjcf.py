@@ -293,7 +293,17 @@ def _equality(engine: Any, model: Any, number: int, names: Sequence[str]) -> tup
     if kind == engine.mjtEq.mjEQ_JOINT:
         between = tuple(names[end] for end in ends if end >= 0)
         return f"{what} between {' and '.join(between)}", between
+    if kind == engine.mjtEq.mjEQ_TENDON:
+        return what, tuple(dict.fromkeys(name for end in ends if end >= 0 for name in _joints_of(model, end, names)))
     return what, ()
+
+
+def _joints_of(model: Any, tendon: int, names: Sequence[str]) -> list[str]:
+    """Return the joints that a fixed tendon is made of."""
+    first = int(model.tendon_adr[tendon])
+    of_joint = int(mujoco().mjtWrap.mjWRAP_JOINT)
+    parts = range(first, first + int(model.tendon_num[tendon]))
+    return [names[int(model.wrap_objid[k])] for k in parts if int(model.wrap_type[k]) == of_joint]
 
 
 def _notes(model: Any, names: Sequence[str], locked: Collection[str], shaped: Collection[str]) -> Iterator[str]:

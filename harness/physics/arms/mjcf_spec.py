@@ -11,7 +11,7 @@ from typing import Any
 from harness.errors import InputError
 from harness.trust import registered_only
 
-__all__ = ["compiled", "mujoco", "parsed", "read_spec", "without_shapes"]
+__all__ = ["compiled", "mujoco", "parsed", "read_spec", "without_shapes", "wrapped"]
 
 FILES = ("file", "filename", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback")
 """Attributes of an MJCF or a URDF that name a file which MuJoCo opens (its XML reference)."""
@@ -143,27 +143,32 @@ def without_shapes(spec: Any) -> Any:
     always = spec.compiler.inertiafromgeom == engine.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     needed = {pair.geomname1 for pair in spec.pairs} | {pair.geomname2 for pair in spec.pairs}
     needed |= {sensor.objname for sensor in spec.sensors} | {sensor.refname for sensor in spec.sensors}
-    needed |= {part for tendon in spec.tendons for part in _wrapped(tendon)}
+    needed |= {part for tendon in spec.tendons for part in wrapped(tendon)}
     for body in spec.bodies:
         stated = body.parent is None or body.name == "world" or (body.explicitinertial and not always)
         for geom in list(body.geoms) if stated else []:
             if not geom.name or geom.name not in needed:
                 spec.delete(geom)
-    meshes = {geom.meshname for geom in spec.geoms} | {skin.name for skin in spec.skins}
+    for skin in list(spec.skins):  # they are seen and weigh nothing, as textures are
+        spec.delete(skin)
+    meshes = {geom.meshname for geom in spec.geoms}
     heights = {geom.hfieldname for geom in spec.geoms}
     for mesh in [mesh for mesh in spec.meshes if mesh.name not in meshes]:
         spec.delete(mesh)
     for height in [height for height in spec.hfields if height.name not in heights]:
         spec.delete(height)
-    for texture in [texture for texture in spec.textures if texture.file or any(texture.cubefiles)]:
+    read = {texture.name: texture for texture in spec.textures if texture.file or any(texture.cubefiles)}
+    for material in spec.materials:
+        material.textures = ["" if name in read else name for name in material.textures]
+    for texture in read.values():
         spec.delete(texture)
     return spec
 
 
-def _wrapped(tendon: Any) -> Iterator[str]:
-    """Yield the names of what a tendon passes."""
-    for part in tendon.path if hasattr(tendon, "path") else []:
-        yield getattr(getattr(part, "target", None), "name", "")
+def wrapped(tendon: Any) -> Iterator[str]:
+    """Yield the names of what a tendon of a spec passes: joints, sites, geoms."""
+    for part in tendon.path:
+        yield getattr(part.target, "name", "")
 
 
 def _named(root: ElementTree.Element, folder: Path, depth: int) -> Iterator[tuple[str, str]]:
