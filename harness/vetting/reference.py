@@ -28,6 +28,8 @@ DEFAULT = "0.2%"
 """Width of a tube that nobody stated: what csv-compare takes."""
 OPTIONS = {"StartTime": "start", "StopTime": "stop", "StepSize": "step", "RelTol": "tolerance"}
 """Words of fmi-cross-check's ``_ref.opt``."""
+BESIDE = ("truth:", "reference:")
+"""How columns of a record of this project begin that are no outputs."""
 STEPS = 500
 """Samples of a run where neither reference nor options say a step."""
 INTEGERS = (
@@ -235,6 +237,8 @@ def agreement(
     reference = Path(reference)
     told = read_tubes({EVERY: DEFAULT, **(tubes or {})})
     names, t, rows = _table(reference)
+    measured = [k for k, name in enumerate(names) if not name.startswith(BESIDE)]
+    names, rows = [names[k] for k in measured], rows[:, measured]
     for name in told:
         if name != EVERY and name not in names:
             raise InputError(
@@ -248,23 +252,31 @@ def agreement(
         beside = reference.with_name(reference.name.replace("_ref.csv", "_in.csv"))
         if inputs is None and beside != reference and beside.is_file():
             inputs = beside
-        own, times, values, lacking, notes = _simulated(Path(run), names, t, window, inputs, dict(options or {}), limit)
+        driving = _inputs_of(Path(run))
+        own, times, values, lacking, notes = _simulated(
+            Path(run), (names, t, rows), window, inputs, dict(options or {}), limit
+        )
     else:
         if inputs is not None or options:
             raise InputError("inputs", expected="an FMU to run", got=str(run), remedy="leave them out")
         own, times, values = _table(Path(run))
-        lacking, notes = {}, []
+        lacking, notes, driving = {}, [], frozenset()
     found = []
     for column, name in enumerate(names):
         tube = tube_of(told, name)
         assert tube is not None
-        if name in lacking:
+        if name in lacking or name in driving:
             continue
         if name not in own:
             lacking[name] = f"{name}: the run has no such channel"
             continue
         found.append(_channel(name, tube, (t, rows[:, column]), times, values[:, own.index(name)]))
     return Agreement(Path(run).name, reference, tuple(found), lacking, tuple(notes))
+
+
+def _inputs_of(path: Path) -> frozenset[str]:
+    """Return the names of an FMU's inputs: they drive and are not compared."""
+    return frozenset(row["name"] for row in describe_fmu(path)["variables"] if row["causality"] == "input")
 
 
 def _miss(one: Channel) -> float:
@@ -397,75 +409,84 @@ def _opt(reference: Path) -> dict[str, float]:
     return {name: value for name, value in found.items() if value > 0 or name == "start"}  # 0 means: not said
 
 
+@dataclass(frozen=True)
+class _Drive:
+    """Inputs by name over their own time; ``between``: continuous ones move from row to row."""
+
+    t: FloatArray
+    values: Mapping[str, FloatArray]
+    between: bool
+
+
+def _drive(
+    reference: tuple[Sequence[str], FloatArray, FloatArray], inputs: str | Path | None, rows: Mapping[str, Any]
+) -> _Drive:
+    """Return what drives an FMU: a table of inputs, else those that the reference holds from row to row."""
+    names, t, values = reference if inputs is None else _table(Path(inputs))
+    driven = dict(zip(names, values.T, strict=True))
+    if inputs is None:
+        return _Drive(t, {n: one for n, one in driven.items() if n in rows and rows[n]["causality"] == "input"}, False)
+    unknown = [name for name in driven if name not in rows]
+    if unknown:
+        got = ", ".join(unknown[:5])
+        raise InputError("inputs", expected="variables of the FMU", got=got, remedy="correct the names", file=inputs)
+    return _Drive(t, driven, True)
+
+
+def _step(window: Mapping[str, float], t: FloatArray, span: float, own: float | None, notes: list[str]) -> float:
+    """Return the step [s] of a run: as asked, that of the reference where it has one, that of the FMU."""
+    if "step" in window:
+        return window["step"]
+    steps = np.diff(t)[np.diff(t) > 0]
+    regular = len(steps) and np.ptp(steps) < 1e-6 * steps.max()
+    dt = float(np.median(steps)) if regular else float(own or span / STEPS)
+    notes.append(f"run every {dt:g} s: nothing says a step (--step)")
+    return dt
+
+
 def _simulated(
     path: Path,
-    names: Sequence[str],
-    t: FloatArray,
+    reference: tuple[Sequence[str], FloatArray, FloatArray],
     window: Mapping[str, float],
     inputs: str | Path | None,
     options: dict[str, Any],
     limit: float,
 ) -> tuple[list[str], FloatArray, FloatArray, dict[str, str], list[str]]:
     """Run an FMU over the time of a reference; values are in its own units."""
+    names, t, _ = reference
     content = describe_fmu(path)
     rows = {row["name"]: row for row in content["variables"]}
     notes: list[str] = []
     lacking = {name: f"{name}: the FMU has no such variable" for name in names if name not in rows}
     shown = [name for name in names if name in rows and rows[name]["causality"] != "input"]
     begin, end = window.get("start", float(t[0])), min(window.get("stop", float(t[-1])), float(t[-1]))
-    dt = window.get("step")
-    if dt is None:
-        steps = np.diff(t)[np.diff(t) > 0]
-        own = content["experiment"]["stepSize"]
-        regular = len(steps) and np.ptp(steps) < 1e-6 * steps.max()
-        dt = float(np.median(steps)) if regular else float(own or (end - begin) / STEPS)
-        notes.append(f"run every {dt:g} s: nothing says a step (--step)")
-    count = int(np.floor((end - begin) / dt + 1e-6)) + 1
-    driven = {} if inputs is None else dict(zip((told := _table(Path(inputs)))[0], told[2].T, strict=True))
-    times = np.zeros(0) if inputs is None else told[1]
-    unknown = [name for name in driven if name not in rows]
-    if unknown:
-        raise InputError(
-            "inputs",
-            expected="variables of the FMU",
-            got=", ".join(unknown[:5]),
-            remedy="correct the names",
-            file=inputs,
-        )
+    dt = _step(window, t, end - begin, content["experiment"]["stepSize"], notes)
+    drive = _drive(reference, inputs, rows)
     asked: dict[str, Any] = {"sample_time": dt, "start_time": begin, "outputs": shown, "timeout": limit}
-    asked |= {"inputs": list(driven)} if driven else {}
+    asked |= {"inputs": list(drive.values)} if drive.values else {}
     asked |= {"tolerance": window["tolerance"]} if "tolerance" in window else {}
     with make_plant(str(path), {**asked, **options}) as plant:
-        at: FloatArray = begin + dt * np.arange(count, dtype=np.float64)
+        at: FloatArray = begin + dt * np.arange(int(np.floor((end - begin) / dt + 1e-6)) + 1, dtype=np.float64)
         starts = np.asarray(getattr(plant, "input_starts", ()) or np.zeros(plant.spec.nu), dtype=float)
-        u = np.tile(starts, (count, 1))
+        u = np.tile(starts, (len(at), 1))
         for column, channel in enumerate(plant.spec.inputs):
-            if channel.name in driven:
+            if channel.name in drive.values:
                 row = rows[channel.name]
-                own_values = _held(times, driven[channel.name], at, dt, row)
-                u[:, column] = own_values * (row["scale"] or 1.0) + (row["offset"] or 0.0)
-        values, ended = _stepped(plant, u)
+                u[:, column] = _held(drive, channel.name, at, dt, row) * (row["scale"] or 1.0) + (row["offset"] or 0.0)
+        seen, ended = _stepped(plant, u)
     if ended:
-        notes.append(f"the run ends at t = {at[len(values) - 1]:g} s: {ended}")
-    raw = (
-        np.column_stack(
-            [(values[:, k] - (rows[n]["offset"] or 0.0)) / (rows[n]["scale"] or 1.0) for k, n in enumerate(shown)]
-        )
-        if shown
-        else np.zeros((len(values), 0))
-    )
-    for name in names:
-        if name in rows and name not in shown and name in driven:
-            shown.append(name)
-            raw = np.column_stack([raw, np.interp(at[: len(raw)], times, driven[name])])
-    return shown, at[: len(raw)], raw, lacking, notes
+        notes.append(f"the run ends at t = {at[len(seen) - 1]:g} s: {ended}")
+    for column, name in enumerate(shown):
+        seen[:, column] = (seen[:, column] - (rows[name]["offset"] or 0.0)) / (rows[name]["scale"] or 1.0)
+    return shown, at[: len(seen)], seen, lacking, notes
 
 
-def _held(times: FloatArray, values: FloatArray, at: FloatArray, dt: float, row: Mapping[str, Any]) -> FloatArray:
+def _held(drive: _Drive, name: str, at: FloatArray, dt: float, row: Mapping[str, Any]) -> FloatArray:
     """Return an input over each sample: a continuous one as it is half way, a discrete one as it was last."""
-    if row["variability"] == "continuous" and row["type"] not in INTEGERS:
-        return np.asarray(np.interp(at + 0.5 * dt, times, values))
-    place = np.clip(np.searchsorted(times, at + 1e-9 * dt, "right") - 1, 0, len(values) - 1)
+    values = drive.values[name]
+    if drive.between and row["variability"] == "continuous" and row["type"] not in INTEGERS:
+        return np.asarray(np.interp(at + 0.5 * dt, drive.t, values))
+    place = np.clip(np.searchsorted(drive.t, at + 1e-9 * dt, "right") - 1, 0, len(values) - 1)
     return np.asarray(values[place])
 
 

@@ -150,6 +150,15 @@ def test_inputs_of_cross_check_and_units_of_the_fmu(tmp_path: Path) -> None:
     assert agreement(mockup("pendulum"), ref, tubes={"theta": "0.5%"}, inputs=tmp_path / "elsewhere.csv").passed
 
 
+def test_a_record_of_ours_brings_its_inputs_along(tmp_path: Path) -> None:
+    record = tmp_path / "run.csv"
+    api.simulate("pendulum-fmu", scenario="multisine", scenario_options={"duration": 2.0}, out=record)
+    found = agreement(mockup("pendulum"), record, tubes={"*": "1e-9"})
+    assert [one.name for one in found.channels if one.name in ("theta", "u")] == ["theta"]  # u drives
+    assert next(one for one in found.channels if one.name == "theta").passed
+    assert np.ptp(found.channels[0].y) > 0.01
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
